@@ -41,6 +41,8 @@ myst_fence_as_directive = ["mermaid"]
 
 autosummary_generate = True
 autosummary_ignore_module_all = False
+# Names of `__all__` are imported from elsewhere; `geraf2.__dir__` does not list `__all__` itself.
+autosummary_imported_members = True
 # A name of the public face has its page there, not once more in its subpackage.
 autosummary_context = {"public": geraf2.__all__}
 autodoc_member_order = "bysource"

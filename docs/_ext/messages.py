@@ -11,7 +11,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[2] / "python" / "geraf2"
 CAUSES = "reference/causes.toml"
-# The first part of a module's name, and what its messages are about.
+# Package or application, and what its messages are about.
 AREAS = {
     "io": "Files",
     "scene": "Scans, boxes and photos as they are read",
@@ -21,7 +21,11 @@ AREAS = {
     "pipeline": "Runs",
     "batch": "geraf2 batch",
     "benchmark": "geraf2 benchmark",
+    "importers": "geraf2 import",
+    "inspection": "geraf2 inspect",
     "photos": "geraf2 los",
+    "planning": "geraf2 plan",
+    "viewing": "geraf2 view",
     "calibration": "Calibration",
 }
 
@@ -112,12 +116,12 @@ def cell(text: str) -> str:
 
 
 def errors_page() -> str:
-    """Errors by area: what is said, what was expected, what to do."""
+    """Errors by area: message, what was expected, what to do."""
     areas: dict[str, dict[str, str]] = defaultdict(dict)
     for message in collect():
         if message.kind != "error" or "checks" in message.module:
             continue
-        first = message.module.split(".")[0]
+        first = message.module.removeprefix("apps.").split(".")[0]
         row = f"| {cell(message.text)} | {cell(message.expected)} | {cell(message.hint)} |"
         areas[AREAS.get(first, "Everything else")].setdefault(message.text, row)
     parts = [
@@ -127,7 +131,7 @@ def errors_page() -> str:
     ]
     for area in [*dict.fromkeys(AREAS.values()), "Everything else"]:
         if rows := sorted(areas[area].values()):
-            head = "| what is said | expected | what to do |\n|---|---|---|\n"
+            head = "| message | expected | what to do |\n|---|---|---|\n"
             parts += [f"## {area}", head + "\n".join(rows)]
     return "\n\n".join(parts) + "\n"
 
@@ -151,5 +155,5 @@ def warnings_page(docs: Path) -> str:
         match = next((entry for entry in known if entry["says"] in message.text), {})
         cause, remedy = match.get("cause", ""), match.get("do", "")
         rows.append(f"| {cell(message.text)} | {cause} | {remedy} |")
-    head = "| what is said | why | what to do |\n|---|---|---|\n"
+    head = "| warning | why | what to do |\n|---|---|---|\n"
     return f"# Every warning\n\nCollected from the code.\n\n{head}" + "\n".join(rows) + "\n"

@@ -1,7 +1,7 @@
 """A small simulated scan, for first steps and for the examples of this package.
 
 An object of 6 cm in a carton of 16 cm, six planes of antennas 6 mm apart: seconds on one core, and
-coarse. Not a measure of quality. Lengths in metres; nothing here can fail for want of a file.
+coarse. Not a measure of quality. Lengths are in metres; no file is needed.
 
 Examples
 --------

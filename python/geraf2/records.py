@@ -177,7 +177,7 @@ class RawPose:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pose(RawPose):
-    """One scan plane: every antenna (one tx/rx pair at one place) with its samples.
+    """One scan plane: every antenna (one tx/rx pair at one position) with its samples.
 
     ValueError where shapes do not go together.
 

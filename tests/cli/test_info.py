@@ -91,7 +91,7 @@ def test_one_picture_of_the_scan(tmp_path, capsys, monkeypatch):
     path = tmp_path / "scan.png"
     assert main(["info", str(tmp_path / "scene"), "--figure", str(path), "--threads", "1"]) == 0
     shown = capsys.readouterr()
-    assert f"figure  {path}" in shown.out
+    assert f"picture  {path}" in shown.out
     assert "normals seen" in shown.out
     assert "10 antennas have a constant signal" in shown.err
     assert path.read_bytes().startswith(b"\x89PNG")

@@ -65,7 +65,7 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
     assert main(["plan", *arguments]) == 0
     shown, warned = capsys.readouterr()
     assert "60 GHz, wavelength 5.00 mm, no ranges" in shown
-    for text in ("too coarse", "tells no depth"):
+    for text in ("too coarse", "measures no depth"):
         assert text in warned
     assert "unambiguous" not in warned
 

@@ -112,5 +112,5 @@ def test_open_meshes_and_unknown_names_are_refused(tmp_path):
     write_mesh(TriangleMesh(vertices=tetra.vertices, faces=tetra.faces[:3]), file)
     with pytest.raises(UserError, match=r"open\.ply: the mesh is not watertight.*3 open edges"):
         build_solid(FigureSpec(mesh=str(file)))
-    with pytest.raises(UserError, match="unknown figure 'unicorn', expected one of llama"):
+    with pytest.raises(UserError, match="unknown object 'unicorn', expected one of llama"):
         build_solid(FigureSpec(name="unicorn"))

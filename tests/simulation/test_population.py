@@ -81,7 +81,7 @@ def test_the_name_of_a_spec_is_the_object_of_its_seed():
     height_m = float(drawn.extents_m[2])
     mesh = build_solid(FigureSpec(name="random-6", height_m=height_m))
     assert mesh.vertices == pytest.approx(drawn.mesh.vertices, abs=1e-9)
-    with pytest.raises(geraf2.UserError, match="unknown figure 'random-x'"):
+    with pytest.raises(geraf2.UserError, match="unknown object 'random-x'"):
         build_solid(FigureSpec(name="random-x"))
 
 

@@ -164,7 +164,7 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
             words.append(rest.pop(0))
         given[flag.path] = flag.read(words)
     for index, flag in enumerate(places[: len(in_place)]):
-        # What takes several words leaves one to each place after it.
+        # A flag of several words leaves one word to each positional flag after it.
         n = len(in_place) - (len(places) - index - 1) if flag.counts[1] > 1 else 1
         given[flag.path] = flag.read(in_place[:n])
         del in_place[: max(n, 1)]

@@ -35,7 +35,7 @@ _OF_SUITE = ("quick", "scenes", "cases", "methods", "list", "suite", "seed")
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Simulate scenes, reconstruct them with every method, and write tables, figures and a page.
+    """Simulate scenes, reconstruct them with every method, and write tables, pictures and a page.
 
     Scenes and results are kept: run again to continue where it stopped, or after a change to make
     again what depends on it.
@@ -100,10 +100,10 @@ def main(config: Config) -> int:
     _open_folder(config)
     start, done = time.perf_counter(), count(1)
 
-    def told(row: Row, result: RowResult) -> None:
+    def report(row: Row, result: RowResult) -> None:
         CONSOLE.note(f"{next(done)}/{len(todo)}  {row.name}: {result}")
 
-    results = runner.run_all(todo, told, jobs=config.jobs, scheduler=config.scheduler)
+    results = runner.run_all(todo, report, jobs=config.jobs, scheduler=config.scheduler)
     now = {row.name: result for row, result in results}
     # Tables that earlier runs made are shown, too.
     pairs = [(row, now.get(row.name) or runner.known(row)) for row in everything]
@@ -164,11 +164,11 @@ def _population(config: Config) -> int:
     with progress_bar("population") as progress:
         progress(0.0)
 
-        def told(row: Row, result: RowResult) -> None:
+        def report(row: Row, result: RowResult) -> None:
             CONSOLE.note(f"{row.name}: {result}")
             progress(next(done) / total)
 
-        results = task.run(seeds, told, jobs=config.jobs, scheduler=config.scheduler)
+        results = task.run(seeds, report, jobs=config.jobs, scheduler=config.scheduler)
     for line in population.tables(results, presets, others).splitlines():
         say(line)
     return 0

@@ -22,9 +22,9 @@ _MAX_SEARCH_M = 20.0
 class Config:
     """Find errors of a scan's geometry and phases; writes a corrected scene, or reports them.
 
-    Looks for leakage, the instrument delay, phases of channels, the place of the box, the turntable
-    axis, and slow errors of the antennas' positions. What held-out echoes do not confirm stays as
-    it is. Nothing is written without OUT or --write.
+    It searches for leakage, the instrument delay, phases of channels, the position of the box, the
+    turntable axis, and slow errors of the antennas' positions. A correction that held-out echoes do
+    not confirm is not applied. Nothing is written without OUT or --write.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -44,7 +44,7 @@ class Config:
     delay_from: DelaySource | None = None
     """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
-    """Place of a small reflector to find the delay from [m]."""
+    """Position of a small reflector to find the delay from [m]."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
     """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
     -0.3 1.0 where none was recorded (a delay of 0)."""

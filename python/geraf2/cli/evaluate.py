@@ -66,7 +66,7 @@ def print_metrics(metrics: MeshMetrics) -> None:
             *scores,
             ("Chamfer", f"{chamfer:.5f} 1e-3 m^2"),
             (
-                "both ways",
+                "both directions",
                 f"median {1e3 * both.median_m:.2f} mm, 95 % below {1e3 * both.p95_m:.2f} mm",
             ),
             *(_part(part) for part in metrics.by_sight),

@@ -101,7 +101,7 @@ def main(config: Config) -> int:
     without_errors(findings, config.scene)
     if config.figure is not None:
         _draw(config.figure, reader, summary, num_threads)
-        say(f"figure  {config.figure}")
+        say(f"picture  {config.figure}")
     return 0
 
 

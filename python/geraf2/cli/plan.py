@@ -87,7 +87,7 @@ def main(config: Config) -> int:
                 f"{plan.n_planes} around, every {360.0 / plan.n_planes:.1f} degrees, at "
                 f"{len(plan.elevations_deg)} elevation{'s' * (len(plan.elevations_deg) > 1)}",
             ),
-            ("antennas", f"{plan.n_antennas} places, {plan.n_bytes / 1e6:.0f} MB"),
+            ("antennas", f"{plan.n_antennas} positions, {plan.n_bytes / 1e6:.0f} MB"),
             ("a fine image", fine_image(plan.box_m, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
             ("normals seen", f"{100 * share:.0f} %: tilted by {rings} degrees"),
@@ -125,7 +125,7 @@ def _show_timed(plan: TimedPlan, out: Path | None) -> int:
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
                 "lines",
-                f"{len(lines)} a plane, {lines[0].n_places} places every "
+                f"{len(lines)} a plane, {lines[0].n_places} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
             *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected),
@@ -171,7 +171,7 @@ def _reached(
         reached = str(expected)
     return [
         ("channels", f"{scan.array.n_channels} at once"),
-        ("antennas", f"{scan.n_antennas} places of a channel"),
+        ("antennas", f"{scan.n_antennas} positions of a channel"),
         ("time", _duration(seconds)),
         ("normals seen", f"{100 * share:.0f} %"),
         ("expected", reached),
@@ -214,7 +214,7 @@ def _show_plane(plan: PlanePlan) -> int:
                 f"{1e3 * across:.1f} x {1e3 * up:.1f} mm across, "
                 f"{1e3 * plan.depth_of_focus_m:.0f} mm in depth, {plan.depth_m:g} m away",
             ),
-            ("antennas", f"{n_rows * n_columns} places, {plan.n_bytes / 1e6:.2g} MB"),
+            ("antennas", f"{n_rows * n_columns} positions, {plan.n_bytes / 1e6:.2g} MB"),
             ("a fine image", fine_image(sides, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
         ]
@@ -225,7 +225,7 @@ def _show_plane(plan: PlanePlan) -> int:
         far = plan.waveform.unambiguous_range_m
         warn(f"beyond the unambiguous range of {far:.2f} m: take more frequencies")
     if 2 * plan.depth_of_focus_m > plan.depth_m:
-        warn("so far away the plane tells no depth by focusing: make it wider")
+        warn("so far away the plane measures no depth by focusing: make it wider")
     return 0
 
 

@@ -108,8 +108,8 @@ class NestedSets:
 
     Notes
     -----
-    Equations 5 to 11 of the paper (nested sets, regions, sign, distance). The way from a point to
-    any other boundary crosses one of the region's own two, so that the minimum may run over all.
+    Equations 5 to 11 of the paper (nested sets, regions, sign, distance). The path from a point
+    to any other boundary crosses one of its region's own two: the minimum may run over all.
     """
 
     def __init__(self, solids: Sequence[Solid], strong: Sequence[bool]) -> None:

@@ -23,8 +23,8 @@ def nearest_distance(
     Returns (n,) [m], inf where it is farther.
     """
     tree = to if isinstance(to, KDTree) else KDTree(to)
-    # Not on the main thread, where a signal ends scipy's wait for its threads, which then go on
-    # with arrays that are gone: 5 of 9 signals in the stage sdf ended in a segmentation fault.
+    # Not on the main thread: there a signal ends scipy's wait, while its threads still read arrays
+    # that are freed. 5 of 9 signals in the stage sdf ended in a segmentation fault.
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(
             tree.query, points, distance_upper_bound=max_distance_m, workers=num_threads or -1

@@ -20,8 +20,8 @@ from geraf2.scene import Capture, LosPrior, Pose
 DETECTION_DB = 12.0
 """Least height of a peak over the noise of its range bin: the common threshold."""
 REACH_M = (0.1, 0.05)
-"""How far in front of the prior's box and behind it peaks are collected [m]: echoes from there tell
-that the prior is too small or lies elsewhere."""
+"""How far in front of the prior's box and behind it peaks are collected [m]: echoes from there show
+that the prior is too small or displaced."""
 _BOX_MARGIN_M = 0.02
 """The box of the prior and the blur of the echoes of its walls [m]."""
 MAX_RANGE_SHIFT_M = 0.05
@@ -29,7 +29,7 @@ MAX_RANGE_SHIFT_M = 0.05
 _SAME_LINE_M = 1e-6
 """Sub-apertures on one line of their lattice [m]."""
 _RIGID_M = 1e-8
-"""Antennas that keep their places in the plane to this distance moved rigidly [m]."""
+"""Antennas moved rigidly if their positions in the plane changed by less than this [m]."""
 _PER_PEAK = ("subapertures", "directions", "ranges_m", "magnitudes", "noise")
 
 
@@ -74,7 +74,7 @@ class PeakSet:
 
     @property
     def points(self) -> Floats:
-        """Apparent places of the reflectors, (n, 3) [m]."""
+        """Apparent positions of the reflectors, (n, 3) [m]."""
         return self.centers + self.ranges_m[:, None] * self.directions
 
     @property
@@ -116,7 +116,7 @@ class PeakSet:
 
 
 def grating_lobes(directions: Floats, axes: Floats, periods: Floats) -> list[Floats]:
-    """Directions that a coarse raster shows in the place of these, (n, 3) each.
+    """Directions of the grating lobes of a coarse raster, (n, 3) each.
 
     directions: unit, (n, 3). axes: of the plane. periods: of both direction cosines, (2,).
     NaN where there is none a period away.
@@ -251,10 +251,10 @@ def _peaks_of(
     )
 
 
-def _thinned(places: Floats, step_m: float) -> Bools:
-    """Which places of a lattice, (n, 2) [m], are about a step apart along both axes, (n,)."""
-    keep = np.ones(len(places), dtype=bool)
-    for along in places.T:
+def _thinned(points: Floats, step_m: float) -> Bools:
+    """Which points of a lattice, (n, 2) [m], are about a step apart along both axes, (n,)."""
+    keep = np.ones(len(points), dtype=bool)
+    for along in points.T:
         lines, line = np.unique(np.rint(along / _SAME_LINE_M), return_inverse=True)
         n_steps = np.ceil(_SAME_LINE_M * (lines[-1] - lines[0]) / step_m - 1e-3)
         chosen = np.linspace(0, len(lines) - 1, min(len(lines), int(n_steps) + 1))
@@ -364,7 +364,7 @@ class KeptPeaks:
 
 
 def _moves(before: Floats, after: Floats, turn: Floats, moved_to: Floats) -> bool:
-    """Whether places about an origin, turned and put about another, are those after."""
+    """Whether positions about an origin, turned and moved to another, equal those after."""
     if before.shape != after.shape:
         return False
     return bool(np.abs(before @ turn + moved_to.mean(axis=0) - after).max(initial=0.0) < _RIGID_M)

@@ -17,12 +17,12 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.scene import Pose, Waveform
 
-# Places off a raster by more than this part of a step are no raster.
+# Positions off a raster by more than this part of a step are no raster.
 _OFF_RASTER = 0.1
 # Gaps between sorted coordinates above this part of the largest one are steps of the raster.
 _GAP_SHARE = 0.4
-# A search over depth takes this many of the frequencies: the aperture alone tells the depth, and
-# ranges that then fold into each other are blurred.
+# A search over depth uses this many of the frequencies: the aperture alone measures the depth, and
+# ranges that then alias are blurred.
 _N_SEARCH_FREQUENCIES = 16
 _MAX_SEARCH_WAVES = 1 << 22  # of all frequencies, for 0.2 GB and 10 s: fewer frequencies where more
 # The upper limit is a cosine slope over this part of it: a sharp edge would ring.
@@ -38,8 +38,8 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
 
     pose: antennas on a regular raster across the looking direction, transmitter and receiver close
         to each other against the distance.
-    lowest_deg, highest_deg: angles from the looking direction [degrees]; nothing is taken off below
-        with 0.
+    lowest_deg, highest_deg: angles from the looking direction [degrees]; a lowest_deg of 0 is no
+        limit.
     """
     index, shape, steps = _raster_of(pose)
     spectrum, k = _spectrum(pose.signal, index, shape, steps)
@@ -137,7 +137,7 @@ def depth_sharpness(volume: NDArray[np.float32], axis: int) -> Floats:
 
 
 def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[float, float]]:
-    """Place of each antenna in a raster, its shape (horizontal, vertical), and its steps [m]."""
+    """Index of each antenna in a raster, its shape (horizontal, vertical), and its steps [m]."""
     across = pose.phase_centers @ pose.axes[1:].T
     numbers, shape, steps = [], [], []
     for coordinates in across.T:
@@ -158,7 +158,7 @@ def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[flo
         steps.append(float(step))
     n_places = shape[0] * shape[1]
     index = numbers[0] * shape[1] + numbers[1]
-    # Holes are zero, but two antennas at one place cannot be told apart.
+    # Holes are zero, but two antennas at one position cannot be separated.
     if len(np.unique(index)) < len(index) or n_places > 4 * len(index):
         _refuse(pose)
     return index, (shape[0], shape[1]), (steps[0], steps[1])
@@ -167,5 +167,5 @@ def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[flo
 def _refuse(pose: Pose) -> None:
     raise UserError(
         what=f"plane {pose.name or 'unnamed'} is no regular raster, angles cannot be chosen",
-        expected="one antenna at each place of a grid across the looking direction",
+        expected="one antenna at each point of a grid across the looking direction",
     )

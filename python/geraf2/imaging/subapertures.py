@@ -26,17 +26,17 @@ from geraf2.ops.subaperture import (
 )
 from geraf2.scene import Pose, Waveform
 
-# A raster's antennas may miss their place sideways by this part of a wavelength: the error,
+# A raster's antennas may miss their position sideways by this part of a wavelength: the error,
 # u * offset for direction cosines u up to 0.3, stays below 4 pi 0.3 / 20 = 0.19 rad.
 _RASTER_TOLERANCE_WAVELENGTHS = 0.05
-# Share of raster places that may be empty; they count as zeros.
+# Share of raster points that may be empty; they count as zeros.
 _RASTER_MAX_HOLES = 0.05
 # Fewer irregular antennas than this form no image.
 _MIN_ANTENNAS = 16
-# Directions look alike from irregular places where their response to the difference is above this
-# power (side lobes of windows are below it), and what places without a period exceed this seldom.
+# Two directions are ambiguous where the response of irregular antennas to their difference exceeds
+# this power. Side lobes of windows are below it; antennas without a period exceed it this seldom.
 _ALIAS_POWER, _ALIAS_CHANCE = 0.01, 1e-6
-# Sub-apertures of a pose whose response is looked at.
+# Number of sub-apertures of a pose whose response is examined.
 _N_ALIAS_CUTS = 4
 
 
@@ -51,8 +51,8 @@ class SubapertureConfig(Bounded):
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
-    """Largest direction cosine imaged; less where two directions look alike to the places of the
-    antennas. Rasters wrap around at wavelength / (2 spacing)."""
+    """Largest direction cosine imaged; less where two directions are ambiguous to the antennas.
+    Rasters wrap around at wavelength / (2 spacing)."""
     range_oversampling: Annotated[int, Interval(ge=1, le=32)] = 2
     """Range bins per range cell."""
     rim_sizes_m: tuple[LengthM, ...] = ()
@@ -69,7 +69,7 @@ class Raster:
     """Antennas of a pose on a regular lattice of its horizontal and vertical axis."""
 
     index: Ints
-    """Antenna at each place, -1 where there is none, (n_horizontal, n_vertical)."""
+    """Antenna at each lattice point, -1 where there is none, (n_horizontal, n_vertical)."""
     horizontal_m: Floats
     """Lattice coordinates along the pose's horizontal axis, (n_horizontal,) [m]."""
     vertical_m: Floats
@@ -149,7 +149,7 @@ def pose_images(
     """Cut a pose into sub-apertures and lay out their images.
 
     pose: antennas anywhere on or near a plane; a raster is imaged in half the time.
-    waveform: the chirp; its instrument delay is taken off.
+    waveform: the chirp; its instrument delay is subtracted.
     target: point on which the near field is focused, (3,) [m].
     range_span_m: smallest and largest one-way distance to image [m].
     config: size and sampling.
@@ -259,7 +259,7 @@ def _raster_cuts(
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
     antennas, weights, used_places, middles = [], [], [], []
-    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # and places, by size
+    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # and positions, by size
     spans = (
         _raster_spans(len(h_lines), n_h, h_spacing, config),
         _raster_spans(len(v_lines), n_v, v_spacing, config),
@@ -301,7 +301,7 @@ def _cosines(spacing: float, wavelength: float, config: SubapertureConfig) -> Co
 
 
 def _offsets(n_lines: int, spacing: float) -> Floats:
-    """Places of the lines of a sub-aperture about its middle [m]."""
+    """Positions of the lines of a sub-aperture about its middle [m]."""
     return np.asarray(spacing * (np.arange(n_lines) - 0.5 * (n_lines - 1)), dtype=np.float64)
 
 
@@ -342,11 +342,11 @@ def _up_to(limit: float, pitch: float) -> CosineAxis:
 def _alias_free(
     places: list[Floats], weights: list[Floats], wavelength: float, config: SubapertureConfig
 ) -> tuple[float, float]:
-    """Largest direction cosines among which no two look alike from irregular places.
+    """Largest direction cosines without ambiguous directions, from irregular antennas.
 
     Directions u and u + s give a sub-aperture the same signals as far as its response
     |sum_a w_a exp(-2 j k s . delta_a)| is one: nearly so at the period of a raster, jittered or
-    gappy, and by chance where places have no period (docs/math/images.md#sub-aperture-images).
+    gappy, and by chance where positions have no period (docs/math/images.md#sub-aperture-images).
     """
     reach = 2.0 * config.max_cosine  # the largest difference within the limits
     chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _N_ALIAS_CUTS)).astype(int))

@@ -29,8 +29,8 @@ def image_volume(
     grid: voxels to image [m].
     poses: indices of the poses to use; all when None.
     slabs: parts of the grid that are imaged one after another, which bounds the memory; the whole
-        grid at once when None. Where a slab ends tells which nodes are interpolated between, so
-        that other slabs differ within the method's rtol.
+        grid at once when None. The ends of slabs determine the nodes of the interpolation, so that
+        other slabs differ within the method's rtol.
     num_threads: torch's number when torch is loaded, else all cores, when None.
     progress: called with the fraction done.
 

@@ -1,9 +1,9 @@
 """Files and folders that appear whole or not at all.
 
-Everything is written under a temporary name beside its place, flushed to the disk, and renamed.
-A full disk or Ctrl-C leaves what was there before, and nothing half-written under the real name.
-Who writes holds a lock on the temporary file, which the system takes off a process that is killed:
-what such a process left is removed by whoever writes to the same place next.
+Everything is written under a temporary name beside its target, flushed to the disk, and renamed.
+A full disk or Ctrl-C leaves the former content, and nothing half-written under the real name.
+A writer holds a lock on its temporary file. The system releases the lock of a killed process, and
+the next writer to the same target removes the temporary file.
 """
 
 import ctypes
@@ -31,7 +31,7 @@ _written = 0
 
 
 def n_written() -> int:
-    """How many files and folders this process has put, or was about to put, in their places.
+    """Return the number of files and folders that this process has renamed, or was about to rename.
 
     Counted before: a signal that comes with the rename must not find nothing written.
     """

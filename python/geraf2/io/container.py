@@ -111,7 +111,7 @@ def verify_scene(path: Path) -> int:
 def require_scene_folder(
     path: Path, *, overwrite: bool, may_be_same: Callable[["SceneReader"], bool]
 ) -> None:
-    """Refuse a place for a scene before the work whose result would be refused there.
+    """Refuse a path for a scene before the work whose result would be refused there.
 
     may_be_same: whether the scene that lies there may be the one to come, which would change
     nothing; called only where nothing else decides.

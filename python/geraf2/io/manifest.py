@@ -114,7 +114,7 @@ class RawManifest(_Strict):
     """Time of the first frame on the clock of the positions."""
     chirp_s: Annotated[float, Field(gt=0.0, le=1e3)] | None = None
     """From one chirp to the next; with it, transmitters that take turns while the radar moves
-    along a log with time stamps have places of their own."""
+    along a log with time stamps have positions of their own."""
 
 
 class AntennaManifest(_Strict):

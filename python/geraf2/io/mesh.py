@@ -89,11 +89,11 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
 
     any_unit: the caller knows the unit, whatever `<path>.json` states; else that must be metres.
 
-    Vertices at exactly the same place become one, faces that thereby lose their area and vertices
-    that no face uses are dropped: many writers repeat a vertex per face, and a closed surface
-    would not be closed. glTF files are +Y up by their standard and are turned to +Z up. Of vertex
-    columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for anything that is
-    not a usable mesh.
+    Vertices at exactly the same position become one. Faces that thereby lose their area, and
+    vertices that no face uses, are dropped: many writers repeat a vertex per face, and a closed
+    surface would not be closed. glTF files are +Y up by their standard and are turned to +Z up.
+    Of vertex columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for
+    anything that is not a usable mesh.
     """
     source = Path(path)
     if is_remote(source):
@@ -137,9 +137,9 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
 
 
 def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
-    """One vertex per place; drops faces without area and unused vertices.
+    """Mesh with one vertex per position, without faces of no area and unused vertices.
 
-    Places are compared exactly: writers that repeat a vertex repeat its bits, and a tolerance
+    Positions are compared exactly: writers that repeat a vertex repeat its bits, and a tolerance
     would weld thin walls.
     """
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)

@@ -37,7 +37,8 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     # A scene is replaced as a whole, in the folder above; into the others files are written.
     places = path.absolute().parents if kind == "scene" else (path, *path.absolute().parents)
     place = next(folder for folder in places if folder.exists())
-    try:  # as permissions do not tell: a file system may be read-only or full, a user all-powerful
+    # Permissions are not enough: a file system may be read-only or full, a user all-powerful.
+    try:
         with TemporaryDirectory(prefix=PROBE_PREFIX, dir=place):
             pass
     except OSError as error:

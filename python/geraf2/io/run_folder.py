@@ -177,7 +177,7 @@ class RunFolder:
         if done is not None and done.asked != asked:
             what = f"a finished {result} of other settings"
             require_consent(self.path, what, overwrite=overwrite)
-            self.forget([result])  # the consent holds for going on after a stop, too
+            self.forget([result])  # the consent holds for a restart, too
 
     def _require_no_links(self) -> None:
         """Refuse a folder with links, which would write and remove files elsewhere."""

@@ -1,7 +1,7 @@
 """Samples of a receiver as complex numbers, or as the integers that its converter gave.
 
-A converter gives I and Q of 16 bits. A scene may keep them so: half the bytes of complex64, and
-not a bit less said. -32768 marks a missing sample, as NaN does among complex numbers: from a
+A converter gives I and Q of 16 bits. A scene may keep them so: half the bytes of complex64,
+without loss. -32768 marks a missing sample, as NaN does among complex numbers: from a
 converter that saturates at -32768 a scene takes -32767.
 """
 

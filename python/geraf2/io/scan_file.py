@@ -1,7 +1,7 @@
 """Scan files: the planes, lines and speeds of a scan, before it is made or while it is read.
 
-JSON holds all of it; CSV is a robot log (time, place, turn), as `geraf2 import --positions` reads
-it from a robot. All lengths are in metres, in the capture's frame, which turns with the object.
+JSON holds all of it; CSV is a robot log (time, position, rotation), as `geraf2 import --positions`
+reads it. All lengths are in metres, in the capture's frame, which turns with the object.
 """
 
 import json
@@ -32,15 +32,15 @@ class ScanLine(Bounded):
     """Straight path of the radar, with this many positions at equal distances."""
 
     start_m: Triple
-    """First place [m]."""
+    """First position [m]."""
     end_m: Triple
-    """Last place [m]."""
+    """Last position [m]."""
     n_places: Annotated[int, Interval(ge=1, le=1_000_000)]
-    """Places at which it records, both ends among them."""
+    """Number of positions at which it records, both ends included."""
     start_s: _TimeS
-    """Time of the first place: the middle of its chirps [s]."""
+    """Time of the first position: the middle of its chirps [s]."""
     speed_m_per_s: _SpeedMPerS
-    """From the first place to the last; of stop and go the mean [m/s]."""
+    """From the first position to the last; of stop and go the mean [m/s]."""
     phase_reference: str = ""
     """Group with a common phase reference, where several radars or runs were joined."""
 
@@ -52,7 +52,7 @@ class ScanLine(Bounded):
 
     @property
     def times_s(self) -> Floats:
-        """Of the places, (n_places,) [s]."""
+        """Times of the positions, (n_places,) [s]."""
         return np.linspace(self.start_s, self.end_s, self.n_places)
 
     @property
@@ -97,9 +97,9 @@ class SweptArray(Bounded):
     """Antennas that the lines move, in the axes of the plane: looking, horizontal, vertical."""
 
     tx_offsets_m: Annotated[tuple[Triple, ...], MinLen(1)] = ((0.0, 0.0025, 0.0),)
-    """(n_tx, 3) from the place [m]."""
+    """(n_tx, 3) from the position of the array [m]."""
     rx_offsets_m: Annotated[tuple[Triple, ...], MinLen(1)] = ((0.0, -0.0025, 0.0),)
-    """(n_rx, 3) from the place [m]."""
+    """(n_rx, 3) from the position of the array [m]."""
     order: Literal["tdm", "ddm"] = "tdm"
     """Transmitters take turns chirp by chirp, or send at once, separated by their Doppler."""
     chirp_s: Annotated[float, Interval(gt=0.0, le=1e3)] = 1e-3
@@ -107,12 +107,12 @@ class SweptArray(Bounded):
 
     @property
     def n_channels(self) -> int:
-        """Antennas that a place has."""
+        """Number of antennas at each position."""
         return len(self.tx_offsets_m) * len(self.rx_offsets_m)
 
     @property
     def tx_delays_s(self) -> Floats:
-        """When each transmitter sends, from the time of the place, (n_tx,) [s]."""
+        """When each transmitter sends, from the time of the position, (n_tx,) [s]."""
         n = len(self.tx_offsets_m)
         late = self.chirp_s * (np.arange(n) - 0.5 * (n - 1))
         return np.asarray(late if self.order == "tdm" else np.zeros(n))
@@ -125,8 +125,8 @@ class ScanFile:
     planes: Annotated[tuple[SweptPlane, ...], MinLen(1)]
     array: SweptArray = field(default_factory=SweptArray)
     motion: Literal["continuous", "stop-and-go"] = "continuous"
-    """Whether the radar moves while it records: then transmitters that take turns do it at
-    places of their own."""
+    """Whether the radar moves while it records: then transmitters that take turns send
+    at positions of their own."""
     spacing_m: Annotated[float, Interval(gt=0.0, le=10.0)]
     """Approximate distance of neighbouring antennas, by which apertures are cut [m]."""
     format: Literal["geraf2-scan"] = "geraf2-scan"
@@ -144,7 +144,7 @@ class ScanFile:
 
     @property
     def seconds(self) -> float:
-        """From the first place to the last [s]."""
+        """Time from the first position to the last [s]."""
         return self.planes[-1].lines[-1].end_s - self.planes[0].lines[0].start_s
 
     @property
@@ -156,9 +156,9 @@ class ScanFile:
     def antennas(self, plane: SweptPlane) -> tuple[Floats, Floats]:
         """Transmitter and receiver of each antenna of a plane, both (n_antennas, 3) [m].
 
-        Receivers change fastest, then transmitters, then places, as `geraf2 import dca1000` has
-        them. In continuous motion, where transmitters take turns, the whole array is where it is
-        when each sends.
+        Receivers change fastest, then transmitters, then positions, as in `geraf2 import dca1000`.
+        In continuous motion, where transmitters take turns, the positions of the whole array are
+        those at the time when each sends.
         """
         axes = np.asarray(plane.axes)
         tx, rx = (np.asarray(o) @ axes for o in (self.array.tx_offsets_m, self.array.rx_offsets_m))
@@ -166,7 +166,7 @@ class ScanFile:
         parts = [
             line.places_m[:, None] + late[:, None] * line.velocity_m_per_s for line in plane.lines
         ]
-        places = np.concatenate(parts)[:, :, None]  # place, transmitter, receiver
+        places = np.concatenate(parts)[:, :, None]  # position, transmitter, receiver
         shape = (*places.shape[:2], len(rx), 3)
         return (
             np.broadcast_to(places + tx[:, None], shape).reshape(-1, 3).copy(),
@@ -174,7 +174,7 @@ class ScanFile:
         )
 
     def log_rows(self) -> Floats:
-        """Robot log: time, place, quaternion w x y z of each place, (n_places, 8).
+        """Robot log: time, position, quaternion w x y z of each position, (n_places, 8).
 
         The end effector's x, y, z are the plane's looking direction, horizontal, vertical.
         """

@@ -192,7 +192,7 @@ def _location(
 
 
 def _known(kind: Any, location: tuple[int | str, ...]) -> set[str]:
-    """Names of the keys that a table has at a place."""
+    """Names of the keys that a table has at a location."""
     if members := get_args(kind):
         inside = location[1:] if get_origin(kind) in (tuple, list, dict) else location
         return set().union(*(_known(member, inside) for member in members))

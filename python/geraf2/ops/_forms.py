@@ -33,7 +33,7 @@ class SamplePairs(NamedTuple):
     """Pairs of a sample and a group of antennas, part after part; a part is one draw of a group."""
 
     sample: Ints
-    """Place among all samples, ascending within a part, (n_pairs,)."""
+    """Index among all samples, ascending within a part, (n_pairs,)."""
     offsets: Ints
     """Where each part begins, (n_groups n_looks + 1,)."""
     n_looks: int

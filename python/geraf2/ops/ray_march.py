@@ -57,7 +57,7 @@ def ray_march(
     two_way: "unbiased": T is the transmittance of the two-way path, weight = T alpha. It
         peaks at the zero level. "squared": T is the one-way one, weight = T^2 alpha, equation 4 of
         the paper. It peaks at f = ln 2 / s, in front of the surface. "none": one-way, for
-        photos; the same numbers as "unbiased", where T is that of one way.
+        photos; the same numbers as "unbiased", with the one-way T.
 
     Returns RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
 

@@ -39,8 +39,8 @@ def sdf_grid(
 
     values: at the voxel centres, grid.shape, float32 or float64.
     grid: a Grid: where the voxels lie.
-    points: (n_points, 3) [m]. Beyond the grid the nearest place on its rim counts, and the gradient
-        along an axis that is left is zero.
+    points: (n_points, 3) [m]. Beyond the grid the nearest point of its rim counts, and the gradient
+        along an axis that is exceeded is zero.
     interpolation: "linear": trilinear, continuous; its gradient jumps from cell to cell. "cubic":
         tricubic Catmull-Rom through the grid's values, with a continuous gradient (C1); taps beyond
         the rim repeat it.

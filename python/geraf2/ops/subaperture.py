@@ -12,13 +12,13 @@ from geraf2.ops._geometry import native_waveform, require_antennas, require_posi
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.records import Waveform
 
-# Spreading of antennas between lattice places: errors of 5e-7 of the sum of all echoes, from the
+# Spreading of antennas between lattice points: errors of 5e-7 of the sum of all echoes, from the
 # width and the oversampling as in Barnett, Magland and af Klinteberg, A parallel nonuniform fast
 # Fourier transform library based on an "exponential of semicircle" kernel, 2019.
 _SPREAD_WIDTH = 8
 _SPREAD_OVERSAMPLING = 1.5
 _MAX_LATTICE_PLACES = 2**20
-"""A sub-aperture of 8 cm needs some 2^14; far more is a place in the wrong unit."""
+"""A sub-aperture of 8 cm needs some 2^14; far more is a position in the wrong unit."""
 _SPREAD_EXPONENT = 0.976 * np.pi * _SPREAD_WIDTH * (1.0 - 0.5 / _SPREAD_OVERSAMPLING)
 
 
@@ -102,7 +102,7 @@ class SubapertureBins:
 
 @dataclass(frozen=True, kw_only=True)
 class Lattice:
-    """Places about the middle of a sub-aperture; all antennas lie on them."""
+    """Lattice about the middle of a sub-aperture, on whose points all antennas lie."""
 
     shape: tuple[int, int]
     spacing_m: tuple[float, float]
@@ -125,7 +125,7 @@ class Subapertures:
     focus_range_m: Floats
     """Distance of that point from the centre, (n_subapertures,) [m]."""
     lattice: Lattice | None
-    """Where the antennas lie; None for any places."""
+    """Lattice on which the antennas lie; None for any positions."""
 
     def __post_init__(self) -> None:
         n_subapertures, n_members = len(self.focus_range_m), len(self.antennas)
@@ -188,7 +188,7 @@ def subaperture_images(
     I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
     with the path q_a to the focus less that of the centre, the instrument delay b, and Hann
     weights w_t over the chirp (docs/math/images.md#sub-aperture-images). On a lattice the sums
-    separate and are taken to rounding; antennas at any places are spread over a lattice first,
+    separate and are exact to rounding. Antennas at any positions are spread over a lattice first,
     which errs by 5e-7 of the largest possible magnitude. Not differentiable.
 
     signal: complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
@@ -284,7 +284,7 @@ def _native_lattice(
     if lattice is not None:
         (n_h, n_v), (h_spacing, v_spacing) = lattice.shape, lattice.spacing_m
         if min(n_h, n_v) < 1 or not min(h_spacing, v_spacing) > 0.0:
-            msg = f"lattice needs places and positive spacings, got {lattice}"
+            msg = f"lattice needs a positive shape and positive spacings, got {lattice}"
             raise ValueError(msg)
         return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, 1, 0.0)
     places = []
@@ -294,14 +294,14 @@ def _native_lattice(
         spacing = wavelength_m / (4.0 * largest * _SPREAD_OVERSAMPLING)
         reach = float(np.abs(subapertures.places[:, k]).max(initial=0.0))
         if reach > spacing * _MAX_LATTICE_PLACES:
-            msg = f"places must lie within a sub-aperture [m], got one {reach:g} m from its middle"
+            msg = f"`places` must lie in a sub-aperture [m], got one {reach:g} m from its middle"
             raise ValueError(msg)
         count = 2 * (int(np.ceil(reach / spacing)) + _SPREAD_WIDTH // 2) + 1
         places.append((count, spacing))
     (n_h, h_spacing), (n_v, v_spacing) = places
     if n_h * n_v > _MAX_LATTICE_PLACES:
         reaches = np.abs(subapertures.places).max(axis=0, initial=0.0).tolist()
-        msg = f"places must lie within a sub-aperture [m], got some up to {reaches} from its middle"
+        msg = f"`places` must lie in a sub-aperture [m], got up to {reaches} from its middle"
         raise ValueError(msg)
     return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, _SPREAD_WIDTH, _SPREAD_EXPONENT)
 

@@ -35,9 +35,10 @@ class PriorJob(Protocol):
         """Hash of everything that the prior depends on."""
 
     def make(self, folder: Path, listener: Listener) -> tuple[str, ...]:
-        """Make the prior in a folder, for `load_prior`, or keep the one of this key.
+        """Names of the files of the prior that is now in a folder.
 
-        Returns the names of its files.
+        The one of this key is kept, else it is made. :func:`geraf2.pipeline.prior.load_prior` reads
+        it.
         """
 
 

@@ -65,7 +65,7 @@ class Reconstruction:
 
         `vertex_attributes` holds, (n_vertices,) each, `expected_error_m`, one standard deviation of
         the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 guessed,
-        1 outline, 2 seen. Presets that cannot tell have neither.
+        1 outline, 2 seen. Presets that cannot estimate them have neither.
         """
         return _as_trimesh(self.content_mesh)
 

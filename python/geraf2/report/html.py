@@ -173,7 +173,7 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
                 f"{metrics['floor_chamfer_1e3_m2']:.4f}",
             ),
             (
-                "median, both ways [mm]",
+                "median, both directions [mm]",
                 millimetres(metrics["both_ways"]["median_m"]),
                 millimetres(metrics["floor_median_m"]),
             ),
@@ -240,7 +240,7 @@ def _distance_table(metrics: Mapping[str, Any]) -> str:
     names = {
         "mesh_to_truth": "mesh to truth, sampled",
         "truth_to_mesh": "truth to mesh, sampled",
-        "both_ways": "both ways, sampled",
+        "both_ways": "both directions, sampled",
         "surface_mesh_to_truth": "mesh to truth, exact",
         "surface_truth_to_mesh": "truth to mesh, exact",
     }

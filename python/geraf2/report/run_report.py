@@ -326,7 +326,7 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
     curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
         caption = "Share of surface samples nearer to the other surface than a distance (exact)."
-        alt = "Curves of the share of samples over the distance, both ways"
+        alt = "Curves of the share of samples over the distance, in both directions"
         parts.append(html.picture(curves, caption, max_width_px=620, alt=alt))
     return [
         Section(

@@ -89,7 +89,7 @@ def warning(message: str) -> Finding:
 
 
 def in_mm(values_m: Iterable[float]) -> str:
-    """Lengths or places [m] in whole millimetres, as (x, y, z)."""
+    """Lengths or positions [m] in whole millimetres, as (x, y, z)."""
     return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values_m) + ")"
 
 
@@ -187,7 +187,7 @@ def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
         if inside:
             yield error(
                 f"antennas of {len(inside)} planes stand within the outer wall: {_list(inside)};"
-                " check its size and place, and the unit of the positions"
+                " check its size and position, and the unit of the antennas' positions"
             )
 
 
@@ -198,7 +198,7 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
         percent = 100 * max(pose.dc_fraction for pose in offset)
         yield warning(
             f"{len(offset)} planes have a constant offset (DC) of up to {percent:.1f} % of their "
-            f"power: {_list(offset)}; 'geraf2 reconstruct' takes off what harms, for other uses "
+            f"power: {_list(offset)}; 'geraf2 reconstruct' subtracts what harms; for other uses "
             "subtract the mean of the samples before the import"
         )
     noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
@@ -214,7 +214,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     """Yield findings about the unit, by spacing and wavelength, extent and range."""
     wavelength = summary.waveform.center_wavelength_m
     limit = summary.waveform.unambiguous_range_m
-    # Receivers of a board are near each other in any unit of the places where the board stood.
+    # Receivers of a board are near each other in any unit of the board's positions.
     spacing = float(np.fmax(summary.spacing_m, _mean_spacing_m(summary)))
     aperture = max(summary.aperture_m)
     if spacing <= wavelength:  # sampled as a radar is; few frequencies make a short range
@@ -231,7 +231,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     # Of the two units the one whose distance is nearer to half a metre, as boxes are scanned. A
     # distance that the echoes give is in metres; then the spacing nearer to half a wavelength.
     given, usual = summary.standoff_m, 0.5
-    if not given > limit:  # NaN where nothing tells a distance
+    if not given > limit:  # NaN where no distance is known
         given, usual = spacing, 0.5 * wavelength
     in_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
     unit = "centimetres" if in_cm < in_mm else "millimetres"
@@ -276,7 +276,7 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
         )
     point = [pose for pose in poses if pose.n_antennas > 1 and not pose.extent_m.max() > 0]
     if point:
-        yield warning(f"all antennas of {len(point)} planes stand at one place: {_list(point)}")
+        yield warning(f"all antennas of {len(point)} planes stand at one position: {_list(point)}")
     width = summary.scene_width_m or 0.0
     if summary.standoff_m + width / 2 > summary.waveform.unambiguous_range_m >= summary.standoff_m:
         yield warning(

@@ -96,7 +96,7 @@ class LosPrior:
     def corners(self) -> Floats:
         """Vertices of the convex hull, (n, 3) [m].
 
-        The farthest point in any direction, and from any place, is one of them; a scan has a
+        The farthest point in any direction, and from any point, is one of them; a scan has a
         thousand times as many vertices.
         """
         try:

@@ -10,7 +10,7 @@ from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive, require_shape
 from geraf2.io.photo_files import TRANSFORMS_NAME, PhotoRecord, write_image, write_transforms
 
-# Newton steps that take distortion off; it stops far below a thousandth of a pixel before.
+# Newton steps that remove distortion; they stop earlier, far below a thousandth of a pixel.
 _MAX_STEPS = 20
 _STEP_TOLERANCE = 1e-12
 _SMALLEST_DETERMINANT = 0.05

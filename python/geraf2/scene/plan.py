@@ -144,7 +144,7 @@ class PlanePlan:
 
     @property
     def across_m(self) -> tuple[float, float]:
-        """What is told apart horizontally and vertically, lambda z / (2 D), >= lambda / 4 [m]."""
+        """Resolution horizontally and vertically, lambda z / (2 D), >= lambda / 4 [m]."""
         wavelength = self.waveform.center_wavelength_m
         width, height = (
             max(wavelength / 4.0, wavelength * self.depth_m / (2.0 * side))
@@ -198,7 +198,7 @@ def suggested_aperture_m(box_m: tuple[float, float, float]) -> tuple[float, floa
 def nyquist_spacing_m(
     box_m: tuple[float, float, float], standoff_m: float, wavelength_m: float
 ) -> float:
-    """Largest spacing that tells one edge of the box from the other (docs/conventions.md) [m]."""
+    """Largest spacing that separates the two edges of the box (docs/conventions.md) [m]."""
     width = max(box_m)
     return max(wavelength_m / 4.0, wavelength_m * standoff_m / (2.0 * width))
 

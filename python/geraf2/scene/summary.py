@@ -16,7 +16,7 @@ from geraf2.records import Pose, RawPose, Wall, Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.capture import Capture
 
-# Antennas nearer to each other than this share one place: a fortieth of a wavelength at 77 GHz.
+# Antennas nearer to each other than this share one position: a fortieth of a wavelength at 77 GHz.
 _SAME_PLACE_M = 1e-4
 # Looking directions that differ by less than about 6 degrees do not fix a common point.
 _MIN_SPREAD = 0.01
@@ -134,7 +134,7 @@ class CaptureSummary:
 
         The point nearest to all looking axes; where these are almost parallel, the mean of the
         points at the strongest echo in front of each pose. None without usable poses, and where
-        one frequency tells no range.
+        one frequency measures no range.
         """
         poses = self.usable
         if not poses:
@@ -408,7 +408,7 @@ def _median_spacing(centers: Floats) -> float:
     first = _distinct_places(centers)
     if len(first) < 2:
         return float("nan")
-    # Neighbours of a thousand places: the search takes a third of the time of reading a capture.
+    # Neighbours of a thousand positions: the search takes a third of the time of reading a capture.
     asked = centers[first][:: len(first) // 1000 + 1]
     distances, _ = KDTree(centers[first]).query(asked, k=2)
     return float(np.median(distances[:, 1]))
@@ -419,7 +419,7 @@ def _n_repeated(positions: Floats) -> int:
 
 
 def _distinct_places(positions: Floats) -> Ints:
-    """First row of each place; np.unique over rows takes four times as long."""
+    """First row of each position; np.unique over rows takes four times as long."""
     if len(positions) == 0:
         return np.zeros(0, dtype=np.int64)
     places = np.round(positions / _SAME_PLACE_M)

@@ -80,13 +80,13 @@ def _triple(values: Floats) -> tuple[float, float, float]:
 
 
 def multipath_echo(
-    figure: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: BoxScene
+    facets: SurfaceElements, areas: Floats, antennas: AntennaBlocks, scene: BoxScene
 ) -> NDArray[np.complex64]:
     """Multipath via each wall: antenna, object, wall, antenna, and the reverse.
 
     The wall is plane; it reflects with both of its faces, seen from the middle of each block.
 
-    figure: facets of the object.
+    facets: of the object.
     areas: of the facets, times their reflectivity, (n_points,) [m^2].
     antennas: of one plane, in blocks.
     scene: the boxes.
@@ -98,21 +98,21 @@ def multipath_echo(
         height = mirror.side * (mirror.place_m(scene.walls) - antennas.tx[:, mirror.axis])
         if height.min() <= 0.0:  # the antennas lie behind this wall
             continue
-        seen = _seen(figure, antennas, mirror, scene)
+        seen = _seen(facets, antennas, mirror, scene)
         used = np.asarray(seen.any(axis=0))
         if used.any():
             weights = seen[:, used] * areas[used]
-            signal += _over_mirror(select(figure, used), weights, antennas, mirror, scene)
+            signal += _over_mirror(select(facets, used), weights, antennas, mirror, scene)
     return signal
 
 
 def _seen(
-    figure: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: BoxScene
+    facets: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: BoxScene
 ) -> Bools:
     """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
-    points, normals, walls, blocker = figure.points, figure.normals, scene.walls, scene.blocker
+    points, normals, walls, blocker = facets.points, facets.normals, scene.walls, scene.blocker
     if normals is None:
-        msg = "figure needs normals, got none"
+        msg = "facets need normals, got none"
         raise ValueError(msg)
     wall = walls[mirror.wall]
     across = [k for k in range(3) if k != mirror.axis]
@@ -139,7 +139,7 @@ def _seen(
 
 
 def _over_mirror(
-    figure: SurfaceElements,
+    facets: SurfaceElements,
     weights: Floats,
     antennas: AntennaBlocks,
     mirror: Mirror,
@@ -151,16 +151,16 @@ def _over_mirror(
     centers = block_centers(antennas)
     images = mirror.image(centers, walls)
     if wall_amplitude != 1.0:
-        crossed = n_crossings(centers, figure.points, boxes)
-        weights = weights * wall_amplitude ** (crossed + n_crossings(images, figure.points, boxes))
+        crossed = n_crossings(centers, facets.points, boxes)
+        weights = weights * wall_amplitude ** (crossed + n_crossings(images, facets.points, boxes))
     k = 2.0 * np.pi / waveform.center_wavelength_m
     signal = np.zeros((len(antennas.tx), waveform.n_samples), dtype=np.complex64)
     for there, back in ((antennas.tx, antennas.rx), (antennas.rx, antennas.tx)):
         # From `there` to the object, via the wall to `back`; both directions have the same echo.
         ends = replace(antennas, tx=there, rx=mirror.image(back, walls), pattern_exponent=0)
-        leg = block_centers(replace(ends, tx=ends.rx))[:, None] - figure.points
+        leg = block_centers(replace(ends, tx=ends.rx))[:, None] - facets.points
         cosine = np.abs(leg[..., mirror.axis]) / np.linalg.norm(leg, axis=2)
-        gain = _gain(antennas, figure.points, leg, mirror)
+        gain = _gain(antennas, facets.points, leg, mirror)
         r = face_reflection(cosine, slab.permittivity)
         # The second face's path differs from facet to facet: its mean is path, the rest is phase.
         extra_m = 2.0 * slab.thickness_m * np.sqrt(slab.permittivity - 1.0 + cosine**2)
@@ -168,7 +168,7 @@ def _over_mirror(
         second = -r * (1.0 - r**2) * wall_amplitude**2 * np.exp(-1j * k * (extra_m - mean_m))
         for reflected, more_m in ((gain * r, 0.0), (gain * second, mean_m)):
             signal += physical_optics(
-                figure,
+                facets,
                 (weights * reflected).astype(np.complex64),
                 ends,
                 replace(waveform, path_bias_m=waveform.path_bias_m + more_m),

@@ -64,7 +64,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
 
     Antennas, then planes, are reduced where the simulation would take longer than the budget.
 
-    seed: of all draws; the figure of the spec is `random-SEED`, which only the default population
+    seed: of all draws; the object of the spec is `random-SEED`, which only the default population
     makes.
     population: the distributions.
     """

@@ -18,7 +18,7 @@ from geraf2.simulation.implicit import Solid, ball, blend, block, limb, ring, tu
 from geraf2.simulation.population_settings import POPULATION, Population, Weights
 
 RANDOM_NAME = re.compile(r"random-(\d{1,18})")
-"""Name of a random object as a figure of a spec: `random-` and its seed."""
+"""Name of a random object in a spec: `random-` and its seed."""
 _CELLS = 90
 """Cells of the fine grid along a body."""
 _CELL_M = (0.0007, 0.0014)
@@ -145,7 +145,7 @@ def _body(
 
 
 def _moved(solid: Solid, turn: Rotation, place: Floats) -> Solid:
-    """Solid that is turned about its origin and put to a place."""
+    """Solid that is turned about its origin and then moved."""
     matrix = turn.as_matrix()
     return lambda points: solid((points - place) @ matrix)
 

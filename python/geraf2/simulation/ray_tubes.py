@@ -152,7 +152,7 @@ class TubeScene:
     """Object and walls of a scene, as tubes need them."""
 
     mesh: SmoothMesh
-    """The figure."""
+    """The object."""
     walls: tuple[Wall, ...]
     """Walls that rays cross."""
     waveform: Waveform

@@ -87,7 +87,7 @@ def shadow_mask(
 ) -> Floats:
     """Share of each cell that the object hides, seen from a position -> `sheet.shape`.
 
-    blocker: the figure.
+    blocker: the object.
     eye: (3,) [m].
     height_m: of the sheet over the wall [m].
     """
@@ -153,7 +153,7 @@ class Propagator:
 class Shadow:
     """V^2 - 1 on cells of a wall, V = (U0 + Us) / U0, for an eye that may move.
 
-    blocker: the figure.
+    blocker: the object.
     frame: of the wall.
     sheet: cells that hold the object's shadow on the sheet.
     wall: cells of the wall.

@@ -36,7 +36,7 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     else:
         if spec.name not in FIGURES:
             raise UserError(
-                what=f"unknown figure {spec.name!r}",
+                what=f"unknown object {spec.name!r}",
                 expected="one of " + ", ".join(FIGURES) + ", or random-SEED",
             )
         mesh = merge_duplicate_vertices(build_figure(str(spec.name)))

@@ -52,7 +52,7 @@ class WorldSpec(Bounded):
     wall_waves: bool = _level("waves", False, True, True)
     """waves: far walls as waves rather than with sharp shadows."""
     multipath: bool = _level("waves", False, True, True)
-    """waves: paths over object and wall."""
+    """waves: multipath via the wall."""
     second_bounce: bool = _level("second_bounce", False, True, True)
     """second_bounce: paths that touch the object twice."""
     figure_permittivity: Annotated[float, Interval(ge=0.0, le=1e3)] = _level(

@@ -1,4 +1,4 @@
-"""Folders of raw recordings: parts of one, captures of their own, one file a place."""
+"""Folders of raw recordings: parts of one, captures of their own, one file for each position."""
 
 import numpy as np
 import pytest
@@ -84,7 +84,7 @@ def test_each_file_is_a_place_of_the_raster(tmp_path, n_chirps):
     assert np.allclose(tx, np.repeat(PLACES, 4, axis=0), atol=1e-12)
     assert np.allclose(signal, scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
     assert scan.integers == (n_chirps == 1)
-    assert dict(scan.facts)["files"] == "16, one a place"
+    assert dict(scan.facts)["files"] == "16, one for each position"
 
 
 def test_packet_headers_of_each_file_are_taken_off(tmp_path):
@@ -149,7 +149,7 @@ def test_an_empty_place_is_refused_or_left_out(tmp_path):
 
 def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
     folder = write(tmp_path / "scan", recorded()[:-1])
-    with pytest.raises(UserError, match="files and places of the raster differ in number, exp"):
+    with pytest.raises(UserError, match="files and positions of the raster differ in number, exp"):
         opened(folder)
     log = rows(folder, [f"scan_{k}.bin" for k in range(15)], PLACES[:15])
     log.write_text(log.read_text() + "\nscan_0.bin")
@@ -160,9 +160,9 @@ def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
 def test_one_place_and_many_exclude_each_other(tmp_path):
     folder = write(tmp_path / "scan", recorded())
     options = ImportOptions(file_per_place=True, static=True)
-    with pytest.raises(UserError, match="--static has one place"):
+    with pytest.raises(UserError, match="--static has one position"):
         load_importer("dca1000").open(folder, RadarManifest.model_validate(BOARD), options)
-    with pytest.raises(UserError, match="is no folder with one file a place"):
+    with pytest.raises(UserError, match="is no folder with one file for each position"):
         open_recording(folder / "scan_0.bin", RadarManifest(), options)
 
 

@@ -56,7 +56,7 @@ def test_a_surface_that_says_less_than_seen_surface_gains_nothing(ball):
     sure = replace(ball, expected_error_m=np.full(len(ball.vertices), 0.3e-3))
     before, after = expected_errors(sure, [BESIDE], [ABOVE], CENTER)
     assert after[0] == pytest.approx(before)
-    with pytest.raises(UserError, match="does not say its expected error"):
+    with pytest.raises(UserError, match="does not state its expected error"):
         expected_errors(replace(ball, expected_error_m=None), [BESIDE], [ABOVE], CENTER)
 
 

@@ -96,14 +96,15 @@ def test_a_spacing_with_ghosts_is_not_chosen_and_has_nothing_to_expect():
     [
         (
             Scanner(channels=8, speed_m_per_s=2.0),
-            "moves 2 mm while the chirps of one place are recorded, more than 0.25 wavelengths of "
-            "blur, expected at most 0.95 m/s, got 2 m/s",
+            "moves 2 mm while the chirps of one position are recorded, more than 0.25 "
+            "wavelengths of blur, expected at most 0.95 m/s, got 2 m/s",
         ),
         (Scanner(chirps_per_place=20), "0.25 wavelengths of blur"),
         (Scanner(array="awr2243-cascade", order="ddm"), "0.25 wavelengths of blur"),
         (
             Scanner(array="awr2243-cascade", speed_m_per_s=0.5),
-            "moves 6 mm while the chirps of one place are recorded, more than the spacing of 4 mm",
+            "moves 6 mm while the chirps of one position are recorded, more than the spacing of "
+            "4 mm",
         ),
         (Scanner(array="awr2243"), "no such array 'awr2243'"),
     ],

@@ -119,7 +119,7 @@ def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, 
 
 
 def _panels(n_rows: int, n_columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
-    """Figure of empty panels of a size [inch], (n_rows, n_columns)."""
+    """Canvas of Matplotlib and its empty panels of a size [inch], (n_rows, n_columns)."""
     import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
 
     whole = (size[0] * n_columns, size[1] * n_rows)

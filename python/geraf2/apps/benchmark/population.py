@@ -112,14 +112,14 @@ class Population:
     def run(
         self,
         seeds: Sequence[int],
-        told: Callable[[Row, RowResult], None] = lambda row, result: None,
+        on_result: Callable[[Row, RowResult], None] = lambda row, result: None,
         *,
         jobs: int = 1,
         scheduler: str | None = None,
     ) -> list[SeedResult]:
         """Results of all presets and seeds; those that are there are read, failed ones made again.
 
-        told: called after each row that was made. jobs, scheduler: as of `Runner.run_all`.
+        on_result: called after each row that was made. jobs, scheduler: as of `Runner.run_all`.
         """
         path = self.runner.out / RESULTS_NAME
         asked = [(seed, preset) for seed in seeds for preset in self.presets]
@@ -135,7 +135,7 @@ class Population:
             of_seed = _seed_result(row, result, versions[row.method])
             found[of_seed.seed, of_seed.preset] = of_seed
             append_result(path, of_seed)
-            told(row, result)
+            on_result(row, result)
 
         size = _CHUNK * jobs
         for start in range(0, len(left), size):

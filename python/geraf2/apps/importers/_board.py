@@ -90,18 +90,18 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
     return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
 
 
-def plane_axes(places: Floats, *, towards: Floats | None, where: object) -> Floats:
+def plane_axes(positions: Floats, *, towards: Floats | None, where: object) -> Floats:
     """Rows viewing direction, horizontal, vertical, from positions in a plane, (3, 3).
 
-    places: (n, 3) [m]; non-finite rows are ignored.
+    positions: (n, 3) [m]; non-finite rows are ignored.
     towards: vector to the viewed side of the plane; towards the origin when None.
     where: the file, for messages.
     """
-    places = places[np.isfinite(places).all(axis=1)]
-    if not len(places):
-        raise UserError(what="has no places", where=where)
-    center = places.mean(axis=0)
-    thinned = places[:: max(1, len(places) // 4096)]
+    positions = positions[np.isfinite(positions).all(axis=1)]
+    if not len(positions):
+        raise UserError(what="has no finite positions", where=where)
+    center = positions.mean(axis=0)
+    thinned = positions[:: max(1, len(positions) // 4096)]
     _, spread, directions = np.linalg.svd(thinned - center, full_matrices=False)
     viewing = directions[-1] if len(directions) == 3 else np.zeros(3)
     side = float(viewing @ (-center if towards is None else towards))
@@ -145,7 +145,7 @@ def scan_antennas(
         off_m = float(np.linalg.norm(np.subtract(given, known), axis=1).max())
         if off_m > _SAME_ANTENNA_M:
             raise UserError(
-                what="places of the scan file's array contradict those of --radar",
+                what="antenna offsets of the scan file contradict those of --radar",
                 where=log.path,
                 expected=f"{name} within {1e3 * _SAME_ANTENNA_M:g} mm",
                 got=f"{1e3 * off_m:.3g} mm",

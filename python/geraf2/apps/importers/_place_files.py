@@ -23,7 +23,7 @@ def place_files(source: Path, names: Sequence[str] | None) -> list[Path]:
     names: file of each position; None: all *.bin, by the numbers in their names.
     """
     if not source.is_dir():
-        raise UserError(what="is no folder with one file a place", where=source)
+        raise UserError(what="is no folder with one file for each position", where=source)
     if names is None:
         return sorted(bin_files(source), key=_by_numbers)
     bad = [name for name in names if not name or Path(name).name != name or "\\" in name]
@@ -97,5 +97,5 @@ def odd_places(
         return (), []
     named = ", ".join(f"{names[place]} ({n_frames[place]})" for place in odd[:_MAX_NAMED])
     text = f"{len(odd)} of {len(files)} files do not hold {usual} frames as the others do: {named}"
-    note = left_out(text, keep_good, where, hint="--keep-good leaves these places out")
+    note = left_out(text, keep_good, where, hint="--keep-good leaves these positions out")
     return odd, [f"{note}; left out"]

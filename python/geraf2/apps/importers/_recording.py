@@ -187,7 +187,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
     facts: list[tuple[str, str]] = []
     if per_place:
         groups = [[path] for path in place_files(source, named)]
-        facts.append(("files", f"{len(groups)}, one a place"))
+        facts.append(("files", f"{len(groups)}, one for each position"))
     else:
         paths, notes = recording_files(source)
         groups = [paths]

@@ -63,7 +63,7 @@ class RasterTrack:
         return (
             f"raster of {raster.n_rows} rows x {raster.n_columns} columns, "
             f"{1e3 * raster.row_step_m:g} x {1e3 * raster.column_step_m:g} mm"
-            f"{', serpentine' if raster.serpentine else ''}, {self.frames_per_place} frames a place"
+            f"{', serpentine' if raster.serpentine else ''}, {self.frames_per_place} frames each"
         )
 
 
@@ -80,7 +80,7 @@ class StaticTrack:
         return np.zeros((stop - first, 3)), _identity(stop - first)
 
     def __str__(self) -> str:
-        return f"one place, {self.frames_per_place} frames averaged"
+        return f"one position, {self.frames_per_place} frames averaged"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,7 +193,7 @@ def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
             if part[0] < part[1]
         ]
     if not ranges:
-        raise UserError(what="no place is left")
+        raise UserError(what="no position remains")
     return replace(track, ranges=tuple(ranges))
 
 

@@ -120,13 +120,13 @@ def _track(
     n_frames, n_places = recording.n_frames, recording.n_places
     if options.static:
         if n_places is not None:
-            raise UserError(what="--static has one place, --file-per-place has many")
+            raise UserError(what="--static has one position, --file-per-place has many")
         return StaticTrack(frames_per_place=n_frames)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
         on_raster = radar.raster.n_rows * radar.raster.n_columns
         if n_places is not None:
-            what = "files and places of the raster differ in number"
+            what = "files and positions of the raster differ in number"
             require_equal(what, where, on_raster, n_places)
         return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
     assert log is not None  # one of the three

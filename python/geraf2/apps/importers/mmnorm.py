@@ -72,7 +72,7 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
     rows, places = _npz_arrays(source)
     n_places, n_samples, n_rx = rows.shape
     check = partial(good_rows, keep_good=options.keep_good, where=source)
-    good, notes = check(rows.read, n_places, rows.row_bytes, what="places of received_signals")
+    good, notes = check(rows.read, n_places, rows.row_bytes, what="positions of received_signals")
     finite, more = check(lambda a, b: places[a:b], n_places, 24, what="antenna_locations")
     good &= finite
     info = _experiment_info(source.parent, source.parent)

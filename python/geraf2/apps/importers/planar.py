@@ -92,7 +92,8 @@ class PlanarImporter:
             facts=(
                 (
                     "plane",
-                    f"{n_x} x {n_y} places, {1e3 * scan.step_m[0]:g} x {1e3 * scan.step_m[1]:g} mm",
+                    f"{n_x} x {n_y} positions, "
+                    f"{1e3 * scan.step_m[0]:g} x {1e3 * scan.step_m[1]:g} mm",
                 ),
                 ("nominal depth", f"{scan.depth_m:g} m"),
             ),

@@ -25,10 +25,10 @@ MIN_REGION_M2 = 20e-6
 _CERTAIN = 1.96
 """Standard uncertainties by which a deviation must exceed the tolerance."""
 _MODEL_EDGE_M = 0.003
-"""Longest edge of the pieces in which a model is looked at [m]."""
+"""Longest edge of the pieces into which a model is divided [m]."""
 _N_ECHOES, _ECHO_REACH_M = 5, 0.005
-"""So many glints on a place of a surface, no farther than this along it, confirm it [m]: an 8 mm
-screw head has 65 to 80, ghosts beside a part 2 to 5."""
+"""So many glints within this distance along the surface confirm a point of it [m]: an 8 mm screw
+head has 65 to 80, ghosts beside a part 2 to 5."""
 _FLAT_REACH_M, _FLAT_COSINE = 0.02, float(np.cos(np.deg2rad(6.0)))
 """Faces no farther away and no more turned are the same flat [m]."""
 _FLAT_HEIGHT_M = 0.001
@@ -36,12 +36,12 @@ _N_FLAT_PLACES = 1000
 _HALF_APERTURE_M = 0.04
 """Half of a sub-aperture [m]."""
 _LEAST_SIGMA_M = 0.003
-"""Of places of a model that no measured surface comes near [m]."""
+"""Least uncertainty of a point of a model without a measured surface near it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Region:
-    """A connected place where two surfaces differ beyond tolerance and uncertainty."""
+    """A connected region in which two surfaces differ beyond tolerance and uncertainty."""
 
     what: str
     """`too much` outside of the model, `too little` inside it, `absent`: it should have echoed."""
@@ -92,8 +92,9 @@ def deviation_of(
     planes: of the run's antennas, which give what of the model should have echoed; nothing is
     called absent without them, or where their wavelength is not recorded.
     glints: of the same run. Where they lie on the model within the tolerance, and face as it does,
-    it is confirmed, and nothing else is told of that place: metal hides what lies behind it.
-    echoes: how much of the model's echoes came: they alone tell what is absent, and they confirm.
+    it is confirmed, and nothing else is reported there: metal hides what lies behind it.
+    echoes: measured shares of the model's echoes. Only they show that a part is absent; they also
+    confirm.
     num_threads: all when None.
     """
     placed = TriangleMesh(vertices=apply_rigid(placement.pose, model.vertices), faces=model.faces)
@@ -142,7 +143,7 @@ def deviation_of(
 
 
 def pose_sigma(placement: Placement, points: Floats) -> Floats:
-    """Uncertainty of the model's place at points (n, 3) [m], over all directions, (n,) [m]."""
+    """Uncertainty of the model's position at points (n, 3) [m], over all directions, (n,) [m]."""
     off = points - placement.middle_m
     zero = np.zeros(len(points))
     x, y, z = off.T
@@ -192,7 +193,7 @@ def in_sight(
 def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats:
     """Side of the flat around each face: root of the area near it that faces alike, (n_faces,)."""
     areas = face_areas(pieces.corners)
-    # A model of 50,000 faces has 10^8 pairs; a thousand places, evenly by area, tell the same.
+    # A model of 50,000 faces has 10^8 pairs; a thousand points, evenly by area, suffice.
     cumulative = np.cumsum(areas)
     at = (np.arange(_N_FLAT_PLACES) + 0.5) / _N_FLAT_PLACES * cumulative[-1]
     some = np.minimum(np.searchsorted(cumulative, at), len(areas) - 1)
@@ -207,37 +208,37 @@ def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats
 
 
 def confirmed_by(
-    glints: Glints | None, places: Floats, normals: Floats, tolerance_m: float
+    glints: Glints | None, points: Floats, normals: Floats, tolerance_m: float
 ) -> Bools:
-    """Whether echoes came from places of a surface: enough glints lie on it around, (n,).
+    """Whether echoes came from points of a surface: enough glints lie on it around them, (n,).
 
-    glints: of the run. places, normals: (n, 3) [m]. tolerance_m: of a glint off the surface [m].
+    glints: of the run. points, normals: (n, 3) [m]. tolerance_m: of a glint off the surface [m].
     """
     if glints is None or not len(glints):
-        return np.zeros(len(places), dtype=bool)
-    pairs = KDTree(places).sparse_distance_matrix(
+        return np.zeros(len(points), dtype=bool)
+    pairs = KDTree(points).sparse_distance_matrix(
         KDTree(glints.positions), float(np.hypot(_ECHO_REACH_M, tolerance_m)), output_type="ndarray"
     )
     i, j = pairs["i"], pairs["j"]
-    off = np.abs(np.einsum("nk,nk->n", normals[i], glints.positions[j] - places[i]))
+    off = np.abs(np.einsum("nk,nk->n", normals[i], glints.positions[j] - points[i]))
     alike = np.einsum("nk,nk->n", normals[i], glints.normals[j]) > np.sqrt(0.5)
     on = alike & (off <= tolerance_m)
-    return np.asarray(np.bincount(i[on], minlength=len(places)) >= _N_ECHOES)
+    return np.asarray(np.bincount(i[on], minlength=len(points)) >= _N_ECHOES)
 
 
-def of_flats(places: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> Bools:
-    """Whether each asked place lies on one flat with a confirmed one, (n_asked,).
+def of_flats(centers: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> Bools:
+    """Whether each asked face lies on one flat with a confirmed one, (n_asked,).
 
     A flat echoes from where its normal meets the antennas, and from nowhere else.
 
-    places, normals: of faces, (n, 3) [m]. asked, confirmed: indices of them.
+    centers, normals: of faces, (n, 3) [m]. asked, confirmed: indices of them.
     """
     some = confirmed[:: max(1, len(confirmed) // _N_FLAT_PLACES)]
     if not (len(asked) and len(some)):
         return np.zeros(len(asked), dtype=bool)
     alike = normals[asked] @ normals[some].T > _FLAT_COSINE
-    height = np.einsum("nk,nk->n", normals[asked], places[asked])
-    off = np.abs(normals[asked] @ places[some].T - height[:, None])
+    height = np.einsum("nk,nk->n", normals[asked], centers[asked])
+    off = np.abs(normals[asked] @ centers[some].T - height[:, None])
     return np.asarray((alike & (off < _FLAT_HEIGHT_M)).any(axis=1))
 
 
@@ -257,12 +258,12 @@ def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floa
     return near, gap, sigma
 
 
-def _echoed(echoes: Patches, placement: Placement, places: Floats) -> Bools:
-    """Whether places of a model lie on patches whose echo came for certain, (n,)."""
+def _echoed(echoes: Patches, placement: Placement, asked: Floats) -> Bools:
+    """Whether points of a model lie on patches whose echo certainly came, (n,)."""
     value, sigma = echoes.shares.T
     came = np.isfinite(sigma) & (value - _CERTAIN * np.where(np.isfinite(sigma), sigma, 0.0) > 0.5)
     points = apply_rigid(placement.pose, echoes.pieces.points)
-    return np.asarray(came[echoes.patch][KDTree(points).query(places)[1]])
+    return np.asarray(came[echoes.patch][KDTree(points).query(asked)[1]])
 
 
 def _silent(
@@ -273,8 +274,8 @@ def _silent(
 ) -> list[Region]:
     """Regions of a model whose echo did not come; how far what was found lies from them.
 
-    Where that is within the tolerance the surface is there, and an echo that lacks tells no more.
-    near: places of the model, distance of the nearest surface, its uncertainty.
+    Where that is within the tolerance the surface exists, and a missing echo shows nothing.
+    near: points of the model, distance of the nearest surface, its uncertainty.
     """
     centers, gap, sigma = near
     points, areas = apply_rigid(placement.pose, echoes.pieces.points), echoes.pieces.areas

@@ -111,8 +111,8 @@ def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]
     if source.unit_m is not None:
         return source.unit_m, []
     if source.format in ("colmap", "llff"):
-        return 1.0, ["poses of COLMAP have an arbitrary scale; --unit says their unit in metres"]
-    return 1.0, ["the poses name no unit; metres are assumed (--unit says another)"]
+        return 1.0, ["poses of COLMAP have an arbitrary scale; --unit sets their unit in metres"]
+    return 1.0, ["the poses name no unit; metres are assumed (--unit sets another)"]
 
 
 def _camera(

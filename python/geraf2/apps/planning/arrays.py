@@ -1,8 +1,8 @@
 """Antenna arrays of evaluation boards: where transmitters and receivers lie, in wavelengths.
 
-Places are those that the maker states, in half wavelengths of the frequency the board was designed
-for. From transmitters to receivers no distance is stated: 5 mm is what public scanners with these
-boards take (Yanik and Torlak, "Near-field MIMO-SAR millimeter-wave imaging with sparsely sampled
+Positions are the maker's, in half wavelengths of the frequency the board was designed for. The
+distance from transmitters to receivers is not stated: public scanners with these boards use 5 mm
+(Yanik and Torlak, "Near-field MIMO-SAR millimeter-wave imaging with sparsely sampled
 aperture data", IEEE Access 7, 2019).
 """
 
@@ -32,7 +32,7 @@ class AntennaArray:
     design_hz: float
     """Frequency whose wavelength is meant [Hz]."""
     source: str
-    """Where the places are stated."""
+    """Document that states the positions."""
     in_line: bool = True
     """Whether transmitters lie beyond the last receiver, rather than beside the receivers' line."""
 
@@ -99,7 +99,7 @@ ARRAYS: dict[str, AntennaArray] = {
             design_hz=76.8e9,
             in_line=False,
             source="TI TIDUEN5A, imaging radar with cascaded mmWave sensors, figure 6: 12 "
-            "transmitters, 16 receivers, 86 places in azimuth",
+            "transmitters, 16 receivers, 86 virtual channels in azimuth",
         ),
     )
 }

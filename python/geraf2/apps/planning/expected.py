@@ -11,7 +11,7 @@ from geraf2.scene.aperture import Aperture
 
 # 1 - F1 at 5 mm is a / q + b p, q the share of normals seen, p that of normals more than 0.9 rad
 # off the nearest one seen; at 15 mm a + b p, and the median error [m] a + b / q + c p: least
-# squares on means over four figures (bunny, elephant, deer, chicken) of 12 and 14 scans of 3 to 21
+# squares on means over four objects (bunny, elephant, deer, chicken) of 12 and 14 scans of 3 to 21
 # planes at 4 mm, two of them of two sides, by `fast`.
 _FAR_RAD = 0.9
 _F1_5MM, _F1_15MM, _ERROR_M = (0.0026, 0.694), (-0.006, 0.108), (0.90e-3, 0.032e-3, 3.04e-3)
@@ -24,12 +24,12 @@ _LEAST_SHARE = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class Expected:
-    """Means of what the preset `fast` reaches on figures of the benchmark, and what most reach."""
+    """Mean accuracy of the preset `fast` on objects of the benchmark, and what most reach."""
 
     f1_5mm: float
     f1_15mm: float
     error_m: float
-    """Median distance of surface and truth, both ways [m]."""
+    """Median distance of surface and truth, in both directions [m]."""
     least_5mm: float
     """F1 at 5 mm that nine of ten scenes reach."""
 
@@ -41,7 +41,7 @@ class Expected:
 
 
 def expected_of(planes: Sequence[Aperture], center_m: Floats, seen_share: float) -> Expected:
-    """Figures of a scan of free-standing figures at a spacing that leaves no ghosts.
+    """Accuracy to expect of a scan of free-standing objects without grating lobes.
 
     planes: of the scan. center_m: of what is scanned, (3,) [m].
     seen_share: of all normals, in which a surface is seen

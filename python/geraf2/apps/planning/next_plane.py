@@ -19,8 +19,8 @@ from geraf2.io.scan_file import ScanFile
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene.aperture import Aperture
 
-# Error of surface that was seen, which that has after it that was not: the median that runs state
-# of it on the benchmark's figures.
+# Error of surface that was seen, and of unseen surface once a plane sees it: the median of the
+# expected error of seen surface on the benchmark's objects.
 _SEEN_ERROR_M = 0.4e-3
 _N_VERTICES = 2000
 _AZIMUTHS_DEG = np.arange(0.0, 360.0, 20.0)
@@ -45,7 +45,7 @@ class NextPlane:
 
     @property
     def gain_m_per_minute(self) -> float:
-        """Mean expected error that a minute takes off [m/min]."""
+        """Decrease of the mean expected error per minute of scanning [m/min]."""
         return 60.0 * (self.error_m - self.error_after_m) / self.seconds
 
 
@@ -91,7 +91,7 @@ def next_planes(
             angles.append((azimuth, elevation))
     corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
-        raise UserError(what="the run does not say its planes: reconstruct it again", where=run)
+        raise UserError(what="the run does not state its planes: reconstruct it again", where=run)
     planes = [Aperture.of_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
     found = []
@@ -119,14 +119,14 @@ def expected_errors(
 ) -> tuple[float, Floats]:
     """Mean expected error of a surface, and that with each of the candidates added, (n,) [m].
 
-    Surface whose normal lies the angle a off the nearest one that a plane sees was drawn on from
-    there, and errs by rho a^2 / 2 for a radius of curvature rho: the error is taken as
-    `e_0 + kappa a^2`, kappa such that the mean before is that which the surface says.
+    Let a be the angle between a normal and the nearest one that a plane sees. The surface there
+    is continued from the seen one and errs by rho a^2 / 2 for a radius of curvature rho. The error
+    is modelled as `e_0 + kappa a^2`, with kappa such that its mean is the stated one.
 
-    mesh: says its expected error. planes: of its scan. center_m: of what was scanned, (3,).
+    mesh: with its expected error. planes: of its scan. center_m: of what was scanned, (3,).
     """
     if mesh.expected_error_m is None:
-        raise UserError(what="the surface does not say its expected error: reconstruct it again")
+        raise UserError(what="the surface does not state its expected error: reconstruct it again")
     weights = vertex_areas(mesh.vertices, mesh.faces)
     weights /= weights.sum()
     before = float(weights @ mesh.expected_error_m)

@@ -1,4 +1,4 @@
-"""Plan of a scan: what was left open is suggested, what makes no sense refused."""
+"""Plan of a scan: suggests settings that were not given and refuses impossible ones."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,10 +64,10 @@ class PlanOptions(Bounded):
     box: PlanSides | None = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
     depth: PlanM | None = None
-    """Single plane to what it looks at [m]."""
+    """Distance from a single plane to the object [m]."""
     radar: Path | None = None
-    """TOML file with the chirp, as for `geraf2 import`; the places of its antennas, where it gives
-    them, are the array that is swept."""
+    """TOML file with the chirp, as for `geraf2 import`; the positions of its antennas, where it
+    gives them, are the array that is swept."""
     preset: Preset | None = None
     """Or a known radar; awr1843 when neither is given."""
     standoff: PlanM | None = None
@@ -91,21 +91,21 @@ class PlanOptions(Bounded):
     array: str | None = None
     """Or a board: iwr1443, iwr1843, awr2243-cascade."""
     order: Order = "tdm"
-    """Of a board's transmitters: in turns, or at once, told apart by Doppler."""
+    """Of a board's transmitters: in turns, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
-    """Of all transmitters; those of a place fill the frame period when not given [1/s]."""
+    """Of all transmitters; those of a position fill the frame period when not given [1/s]."""
     chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
-    """Of each transmitter, added up at a place."""
+    """Of each transmitter, added at a position."""
     stop_and_go: bool = False
-    """Stand still at each place, until it has settled and for its chirps."""
+    """Stop at each position, until the radar has settled and for its chirps."""
     settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
-    """Until the radar stands still at a place [s]."""
+    """Until the radar stands still at a position [s]."""
     turn_s: Seconds = 3.0
-    """From one plane to the next: turning the table, or the way of the arm [s]."""
+    """From one plane to the next: turning the table, or moving the arm [s]."""
     max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
     """What the arm reaches: below 90 no plane lies above the box [degrees]."""
     after: Path | None = None
-    """Run folder: propose the plane that takes most of its expected error off per minute."""
+    """Run folder: propose the plane that reduces its expected error most per minute."""
     out: Path | None = None
     """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
 
@@ -135,7 +135,7 @@ class PlanOptions(Bounded):
 
 
 def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
-    """Array of the places that a radar's file gives, None where it gives none."""
+    """Array at the antenna positions of a radar's file, None where it gives none."""
     if antennas.rx_offsets_m is None:
         return None
     axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes)

@@ -21,12 +21,12 @@ from geraf2.scene.plan import nyquist_spacing_m
 Order = Literal["tdm", "ddm"]
 
 BLUR_WAVELENGTHS = 0.25
-"""Way of the radar while samples of one place are added up, over the wavelength: at 30 degrees off
-the looking direction, where a box's edge is seen, the phase turns by 90 degrees and the sum of them
-loses 1 dB."""
+"""Largest motion of the radar while samples of one position are added, over the wavelength. At
+30 degrees off the looking direction, where a box's edge is seen, the phase then turns by 90 degrees
+and the sum loses 1 dB."""
 COARSEST = 1.2
-"""Largest spacing over Nyquist's (docs/conventions.md) for which figures can be expected: of the
-benchmark's box 4 mm; at 8 mm ghosts fill it (F1 at 5 mm 0.35 to 0.63 from 21 planes)."""
+"""Largest spacing over Nyquist's (docs/conventions.md) for which an accuracy is predicted: 4 mm for
+the benchmark's box. At 8 mm grating lobes fill it (F1 at 5 mm 0.35 to 0.63 from 21 planes)."""
 _SPACINGS_M = (0.001, 0.002, 0.0025, 0.003, 0.0035, 0.004, 0.005, 0.006, 0.008)
 _RINGS = (3, 4, 5, 6, 8, 9, 10, 12, 14, 16, 18, 20, 24, 30, 36)
 _RAISED = (0, 3, 4, 5, 6, 8, 10, 12)
@@ -48,15 +48,15 @@ class Scanner(Bounded):
     own: SweptArray | None = None
     """Or antennas of one's own."""
     order: Order = "tdm"
-    """Of the board's transmitters: in turns chirp by chirp, or at once, told apart by Doppler."""
+    """Of the board's transmitters: in turns chirp by chirp, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] = 1000.0
     """Chirps of a transmitter and those of the others together [1/s]."""
     chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
-    """Of each transmitter, added up at one place."""
+    """Of each transmitter, added at one position."""
     speed_m_per_s: Annotated[float, Interval(gt=0.0, le=10.0)] = 0.1
     """Along a line and to the next [m/s]."""
     stop_and_go: bool = False
-    """Stand still at each place."""
+    """Stop at each position."""
     settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
     """Until it stands still [s]."""
     turn_s: Seconds = 3.0
@@ -70,14 +70,14 @@ class Scanner(Bounded):
         return replace(array, chirp_s=1.0 / self.chirps_per_s)
 
     def set_s(self, array: SweptArray) -> float:
-        """Time of all chirps of one place [s]."""
+        """Time of all chirps of one position [s]."""
         return self.chirps_per_place * len(array.tx_offsets_m) / self.chirps_per_s
 
 
 def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> None:
-    """Raise UserError where the radar moves too far while it records one place.
+    """Raise UserError where the radar moves too far while it records one position.
 
-    Chirps of transmitters that take turns have places of their own; what is added up has one.
+    Transmitters that take turns have positions of their own; chirps that are added share one.
     """
     if scanner.stop_and_go:
         return
@@ -93,7 +93,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
         if scanner.speed_m_per_s * seconds > limit_m * (1.0 + 1e-9):
             raise UserError(
                 what=f"the arm moves {1e3 * scanner.speed_m_per_s * seconds:.2g} mm while the "
-                f"chirps of one place are recorded, more than {name}",
+                f"chirps of one position are recorded, more than {name}",
                 where="--speed-m-per-s",
                 expected=f"at most {limit_m / seconds:.3g} m/s",
                 got=f"{scanner.speed_m_per_s:g} m/s",
@@ -155,7 +155,7 @@ class TimedPlan:
     design: Design
     scan: ScanFile
     seconds: float
-    """With the way to the first place of each plane [s]."""
+    """With the motion to the first position of each plane [s]."""
     seen_share: float
     """Of all normals, in which a surface is seen."""
     expected: Expected | None

@@ -81,7 +81,7 @@ class CalibratedScene:
             calibration_figure(self.found, folder / CALIBRATION_FIGURE_NAME)
 
         if capture.walls and self.table.prior_to_capture is not None:
-            listener.warning("walls in scene.toml keep their place; the moved box is in los.ply")
+            listener.warning("walls in scene.toml keep their position; the moved box is in los.ply")
         with listener.step("writing"):
             save_capture(capture, out, overwrite=overwrite, extras=write_extras)
 

@@ -71,8 +71,8 @@ class ImageOptions(Bounded):
     """Memory for the voxels of a slab [GiB]: larger volumes are imaged slab by slab, along their
     longest side. Other slabs give an image that differs within rounding of the method."""
     angles_deg: tuple[_Angle, _Angle] | None = None
-    """Keep only waves from between these angles off the looking direction [degrees]: 0 60 takes
-    off what runs along the antennas, 10 60 flat reflections from right before the radar, too."""
+    """Keep only waves from between these angles off the looking direction [degrees]: 0 60 removes
+    waves along the antennas, 10 60 also flat reflections from right before the radar."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -98,7 +98,7 @@ class ImageResult:
 
     @property
     def strongest_m(self) -> tuple[float, float, float]:
-        """Place of the largest value [m]."""
+        """Position of the largest value [m]."""
         place = np.unravel_index(int(self.volume.argmax()), self.volume.shape)
         x, y, z = (float(axis[i]) for axis, i in zip(self.grid.axes_m, place, strict=True))
         return x, y, z

@@ -109,7 +109,7 @@ class TiledImage:
     method: str
     """Kernel of the first slab of the first pose, and the reason."""
     strongest_m: tuple[float, float, float]
-    """Place of the largest value [m]."""
+    """Position of the largest value [m]."""
     depths_m: Floats
     """Distance of each slice from the antennas with depth_m, else empty [m]."""
     sharpness: Floats

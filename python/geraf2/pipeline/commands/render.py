@@ -72,7 +72,7 @@ class RenderOptions(Bounded):
     n_draws: Few = 4
     """Draws of the samples whose powers are averaged; of the preset paper."""
     seed: Seed = 0
-    """Of the draws, and of the places at which reflectivity is fitted."""
+    """Of the draws, and of the points at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
     """Rendering of a surface, and the fit of its reflectivity."""
     residual: bool = False

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any, Generic, TypeAlias, TypeVar, cast
 
 from geraf2._types import Progress
-from geraf2.echoes import GlintConfig
 from geraf2.imaging import SubapertureConfig
-from geraf2.imaging.peaks import KeptPeaks
+from geraf2.imaging.peaks import DETECTION_DB, KeptPeaks
 from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
@@ -111,9 +110,11 @@ def kept_peaks(prior: LosPrior, config: Any, num_threads: int | None) -> KeptPea
     return KeptPeaks(prior, *peak_settings(config), num_threads=num_threads)
 
 
-def peak_settings(config: Any) -> tuple[SubapertureConfig, float]:
-    """Sub-apertures and detection threshold [dB] of a preset, by default where it has no glints."""
-    glints = getattr(config, "glints", GlintConfig())
+def peak_settings(config: Any) -> tuple[SubapertureConfig | None, float]:
+    """Sub-apertures and detection threshold [dB] of a preset; the usual ones without glints."""
+    glints = getattr(config, "glints", None)
+    if glints is None:
+        return None, DETECTION_DB
     return glints.subaperture, glints.least_noise_margin_db
 
 

@@ -77,7 +77,7 @@ def read_colmap(folder: Path) -> PhotoSource:
         raise UserError(
             what="the COLMAP model holds no photo",
             where=folder,
-            hint="COLMAP could place none: take more photos that overlap",
+            hint="COLMAP found no pose: take more photos that overlap",
         )
     root = _image_folder(folder, images[0].name)
     records = []

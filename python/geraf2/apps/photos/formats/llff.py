@@ -39,7 +39,7 @@ def read_llff(path: Path) -> PhotoSource:
             where=path,
             expected=f"a pose for each of the {len(images)} images in {images[0].parent.name}",
             got=len(rows),
-            hint="images that COLMAP could not place have no pose: remove them",
+            hint="COLMAP found no pose of some images: remove them",
         )
     records = [_record(path, *pair) for pair in zip(images, rows, strict=True)]
     return PhotoSource(format="llff", records=tuple(records))
