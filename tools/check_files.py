@@ -22,21 +22,7 @@ MAX_PACKAGE_LINES = 500
 MAX_CLI_LINES = 300
 MAX_FUNCTION_LINES = 60
 # File or function of the package -> why it is longer. Shrinks; an entry without need is an error.
-LONGER = {
-    "container.py": "checks of the format and its checksums stand beside what they read",
-    "_positions.py": "four sources of positions, not yet in modules of their own",
-    "_raw_layout.py": "the lane layouts of all boards",
-    "dca1000.py": "settings and samples of one importer",
-    "leakage.py": "the core of calibration is to be rewritten",
-    "mesh.py": "readers and writers of mesh formats, not yet apart",
-    "trainer.py": "PaperTrainer is not yet in parts",
-    "wall_alignment.py": "the core of calibration is to be rewritten",
-    "fit_standing()": "the core of surfaces is to be rewritten",
-    "import_capture()": "not yet in steps",
-    "match_models()": "not yet in steps",
-    "reconstruct()": "not yet in stages",
-    "render()": "not yet in steps",
-}
+LONGER: dict[str, str] = {}
 # A machine's own folders mean nothing elsewhere. (`/tmp`, `/usr` in prose are left alone.)
 MACHINE_PATH = re.compile(r"(?<![\w.~])/(home|root|work|Users|mnt|opt)/\w")
 CONFLICT = re.compile(r"^(<{7}|>{7}) ", re.MULTILINE)

@@ -99,13 +99,13 @@ def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch
 
     monkeypatch.setattr(refinement, "fit_sdf", field)
     config = RefineConfig(fit=COARSE)
-    sdf = fit_refined(selected, point_capture(n_poses), BOX, config, num_threads=1).sdf
+    sdf = fit_refined(selected, point_capture(n_poses), BOX, config, num_threads=1)
     assert calls == n_fits * [(400, 50, 0.2 if n_poses >= 12 else 1.0)]
     assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
 
 
 def test_the_mean_of_real_fits_is_the_surface():
     selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
-    sdf = fit_refined(selected, point_capture(12), BOX, RefineConfig(fit=COARSE)).sdf
+    sdf = fit_refined(selected, point_capture(12), BOX, RefineConfig(fit=COARSE))
     error = np.abs(sdf.sample(selected.linked.positions))
     assert np.median(error) < 1e-3

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -36,13 +36,12 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
-from geraf2.surfaces.support import Support, floor_of, stand_on
 
 _PLACES_AT_ONCE = 256
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 17
+FIT_VERSION = 18
 """Raised when the same glints and settings give another field, for best, too."""
 
 
@@ -88,11 +87,6 @@ class FitConfig(Bounded):
     on."""
     outline_clearance_m: MarginM = 0.005
     """Outlines yield to glints nearer than this [m]."""
-    support: Literal["auto", "no"] = "auto"
-    """auto: feet that are seen close above the floor of the box stand on it, where the frame says
-    where down is and nothing says that they do not; no: they end where bending ends them."""
-    support_reach_m: MarginM = 0.020
-    """Highest that the lowest glints of a foot are above the floor [m]."""
     absence_weight: NotNegative = 0.3
     """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
     absence_reach_m: MarginM = 0.010
@@ -131,19 +125,6 @@ class Evidence:
         return self.glints if self.rim is None else self.glints.join(self.rim)
 
 
-class FittedSdf(NamedTuple):
-    """Field of the content, and where it was taken to stand."""
-
-    sdf: SdfGrid
-    """Negative inside [m]."""
-    support: Support | None = None
-    """None where the floor is not known or not asked for, and of a field that is read back."""
-
-    def numbers(self) -> dict[str, Any]:
-        """For run.json."""
-        return {} if self.support is None else self.support.numbers()
-
-
 def fit_sdf(
     glints: Glints | Evidence,
     capture: Capture,
@@ -158,11 +139,11 @@ def fit_sdf(
     Minimises position + normal + bending + outside terms
     (docs/math/surface-fit.md#linear-signed-distance), coarse then fine, then with the points where
     edges of outlines touch what it found, then draws the field to the distance from its own zero
-    level. What stands on the floor is continued to it.
+    level.
 
     glints: at least 10; or all evidence, with the settings with which the glints were found.
     capture: its poses say from where an echo would have been seen.
-    prior: outer surface of the box: near it no echo counts as absent; its walls tell the floor. The
+    prior: outer surface of the box: near it no echo counts as absent. The
     content is cut to the box when its mesh is extracted.
     config: weights and sizes.
     num_threads: of the distance queries; torch's number or all cores when None.
@@ -178,21 +159,7 @@ def fit_sdf(
     True
     """
     evidence = Evidence(glints=glints) if isinstance(glints, Glints) else glints
-    return fit_standing(
-        evidence, capture, prior, config or FitConfig(), num_threads=num_threads, progress=progress
-    ).sdf
-
-
-def fit_standing(
-    evidence: Evidence,
-    capture: Capture,
-    prior: LosPrior,
-    config: FitConfig,
-    *,
-    num_threads: int | None = None,
-    progress: Progress | None = None,
-) -> FittedSdf:
-    """Field of :func:`fit_sdf`, whose arguments these are, and what of it stands."""
+    config = config or FitConfig()
     report = progress or (lambda _: None)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
@@ -215,7 +182,7 @@ def fit_standing(
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
         sdf = first.system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
-    return standing(sdf, evidence, capture, prior, config)
+    return sdf
 
 
 class _FirstFit(NamedTuple):
@@ -250,29 +217,6 @@ def _first_solves(
         sdf = system.solve(tolerance=tolerance)
     report(2)
     return _FirstFit(system, sdf, sure)
-
-
-def standing(
-    sdf: SdfGrid, evidence: Evidence, capture: Capture, prior: LosPrior, config: FitConfig
-) -> FittedSdf:
-    """Field whose feet are continued to the floor, where that is known and asked for.
-
-    Arguments as those of `fit_standing`.
-    """
-    floor_m = floor_of(capture, prior) if config.support == "auto" else None
-    if floor_m is None:
-        return FittedSdf(sdf)
-    return FittedSdf(
-        *stand_on(
-            sdf,
-            floor_m,
-            evidence.seen,
-            reach_m=config.support_reach_m,
-            clearance_m=config.outline_clearance_m,
-            lean=config.cap_lean,
-            outlines=evidence.outlines,
-        )
-    )
 
 
 def _terms(config: FitConfig) -> SdfTerms:

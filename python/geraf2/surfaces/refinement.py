@@ -26,7 +26,7 @@ from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_sil
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import Evidence, FitConfig, FittedSdf, fit_sdf, standing
+from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from geraf2.surfaces.workers import Workers
 
 SELECTION_VERSION = 7
@@ -154,11 +154,11 @@ def fit_refined(
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
-) -> FittedSdf:
+) -> SdfGrid:
     """Signed distance of the content, the mean of fits on several voxels where planes are few.
 
     Each is drawn through the linked glints and those of the rim. Last, silhouettes cut
-    (`cut_to_silhouettes`). With the field, what of it stands on the floor.
+    (`cut_to_silhouettes`).
 
     selected: what `select_glints` found.
     capture, prior, num_threads, progress: as those of `fit_sdf`.
@@ -183,18 +183,14 @@ def fit_refined(
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:
-            fit = replace(fit, support="no")  # of the mean
             return fit_sdf(evidence, capture, prior, fit, num_threads=share)
 
         fields = workers.each(draw, fits, on_result=lambda n: report(n / len(fits)))
-    fitted = standing(mean_field(fields), evidence, capture, prior, config.fit)
+    sdf = mean_field(fields)
     if outlines is None:
-        return fitted
+        return sdf
     clearance_m = config.fit.outline_clearance_m
-    cut = cut_to_silhouettes(
-        fitted.sdf, outlines, selected.seen, clearance_m, num_threads=num_threads
-    )
-    return fitted._replace(sdf=cut)
+    return cut_to_silhouettes(sdf, outlines, selected.seen, clearance_m, num_threads=num_threads)
 
 
 def cut_to_silhouettes(

@@ -38,9 +38,7 @@ from geraf2.surfaces.fit import (
     FIT_VERSION,
     Evidence,
     FitConfig,
-    FittedSdf,
     fit_sdf,
-    fit_standing,
     zero_level,
 )
 from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
@@ -55,7 +53,7 @@ from geraf2.surfaces.refinement import (
 
 # Fit through first surfaces, only to stop lines of sight.
 _FIRST_SURFACE = FitConfig(
-    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0, support="no"
+    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0
 )
 
 
@@ -136,32 +134,24 @@ def loader(name: str) -> Callable[[Job], SdfGrid]:
 def _fitted_stage(
     inputs: tuple[Stage[Any], ...],
     settings: Callable[[Any], Any],
-    fit: Callable[[Job, Progress], FittedSdf],
-) -> Stage[FittedSdf]:
-    """Stage of a fit, which also reports the support by the floor."""
-
-    def compute(job: Job, progress: Progress) -> FittedSdf:
-        fitted = fit(job, progress)
-        for note in fitted.numbers().values():
-            job.listener.note(note)
-        return fitted
-
+    fit: Callable[[Job, Progress], SdfGrid],
+) -> Stage[SdfGrid]:
+    """Stage of a fit."""
     return Stage(
         name="sdf",
         version=FIT_VERSION,
         inputs=inputs,
         settings=settings,
-        compute=compute,
-        save=lambda job, fitted: saver(FIT_NAME)(job, fitted.sdf),
-        load=lambda job: FittedSdf(loader(FIT_NAME)(job)),
-        numbers=FittedSdf.numbers,
+        compute=fit,
+        save=saver(FIT_NAME),
+        load=loader(FIT_NAME),
     )
 
 
 SDF = _fitted_stage(
     (GLINTS,),
     lambda config: config.fit,
-    lambda job, progress: fit_standing(
+    lambda job, progress: fit_sdf(
         Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
         job.capture,
         job.prior,
@@ -243,8 +233,8 @@ class MovedField:
 
 def _move(job: Job, progress: Progress) -> MovedField:
     if job.config.heatmaps.n_rounds == 0:
-        return MovedField(sdf=job[REFINED_SDF].sdf)
-    start, threads = job[REFINED_SDF].sdf, job.num_threads
+        return MovedField(sdf=job[REFINED_SDF])
+    start, threads = job[REFINED_SDF], job.num_threads
     content, _ = content_surface(start, job[SELECTION].seen, job.prior, num_threads=threads)
     fit = fit_heatmaps(
         content,
@@ -355,7 +345,7 @@ def _outlines(job: Job) -> Silhouettes | None:
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
-    lambda job: job[SDF].sdf,
+    lambda job: job[SDF],
     lambda job: job[GLINTS].glints,
 )
 BEST_MESH = mesh_stage(
