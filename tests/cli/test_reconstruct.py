@@ -14,7 +14,7 @@ import pytest
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io import mesh as mesh_files
-from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.commands import reconstruct
 from geraf2.pipeline.commands.evaluate import evaluate
@@ -44,7 +44,7 @@ def test_a_run_holds_everything(finished_run):
         assert (finished_run / name).is_file()
     content = read_mesh(finished_run / "mesh_content.ply")
     assert (content.expected_error_m > 0).all()
-    assert set(content.evidence) <= {0, 1, 2, 3}
+    assert set(content.evidence) <= set(Evidence)
     assert np.abs(content.vertices).max() < 0.1
     page = (finished_run / "report.html").read_text()
     assert "<img" in page

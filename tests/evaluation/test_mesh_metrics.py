@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.evaluation import describe, evaluate_mesh, sample_surface, write_metrics
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.evaluation.mesh_metrics import chamfer_1e3_m2, threshold_score
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh
 from reference import mesh_metrics as twin
 
 SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
@@ -148,7 +148,7 @@ def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
         vertices=bumped,
         faces=ball.faces,
         expected_error_m=np.where(upper, said_m, 1e-3),
-        evidence=np.where(upper, 0, 3).astype(np.uint8),
+        evidence=np.where(upper, Evidence.GUESSED, Evidence.SEEN).astype(np.uint8),
     )
     held = evaluate_mesh(mesh, ball).expected_error
     # 1.21 of 2.21 parts of the area are 5 mm off; between lies a strip of one triangle's height

@@ -9,6 +9,7 @@ import trimesh
 from geraf2.errors import UserError
 from geraf2.io.atomic import atomic_path, write_text_atomic
 from geraf2.io.mesh import (
+    Evidence,
     TriangleMesh,
     merge_duplicate_vertices,
     read_mesh,
@@ -24,7 +25,7 @@ SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "tr
 def box():
     prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03))
     error = np.linspace(0.0, 0.006, len(prior.vertices))
-    codes = (np.arange(len(prior.vertices)) % 4).astype(np.uint8)
+    codes = (np.arange(len(prior.vertices)) % len(Evidence)).astype(np.uint8)
     return TriangleMesh(
         vertices=prior.vertices, faces=prior.faces, expected_error_m=error, evidence=codes
     )

@@ -9,7 +9,7 @@ from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
-from geraf2.io.mesh import write_mesh
+from geraf2.io.mesh import Evidence, write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
@@ -24,7 +24,7 @@ PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
 
 def ball(radius):
     n = 642
-    evidence = np.full(n, 3, dtype=np.uint8)
+    evidence = np.full(n, Evidence.SEEN, dtype=np.uint8)
     return solids.ball(radius, expected_error_m=np.full(n, 5e-4), evidence=evidence)
 
 
