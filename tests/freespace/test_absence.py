@@ -17,6 +17,7 @@ from helpers.specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from helpers.synthetic import WAVEFORM
 
 RADIUS_M = 0.04
+OUTLINE = {"outline_weight": 0.05, "outline_clearance_m": 0.005}
 HALF_M = 0.06
 MARGIN_M = 0.02
 RULE = {"margin_m": MARGIN_M, "reach_m": 0.010, "angle_rad": 0.6}
@@ -167,7 +168,10 @@ def test_where_an_outlines_edge_touches_nothing_is_absent():
     bulge = np.array([[RADIUS_M + 0.002, 0.0, 0.0]])
     gone, drawn = (
         float(fit_sdf(evidence, capture, box, config).sample(bulge)[0])
-        for evidence in (alone, replace(alone, outlines=reaches, outline_weight=0.05))
+        for evidence in (
+            alone,
+            replace(alone, outlines=reaches, outline_weight=0.05, outline_clearance_m=0.005),
+        )
     )
     assert gone > 0.005
     assert abs(drawn) < 0.0015

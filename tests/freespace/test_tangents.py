@@ -81,7 +81,9 @@ def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
     ends = np.array([[0.0, 0.0, 1.3 * RADIUS_M], [0.0, 0.0, -1.3 * RADIUS_M]])
     off_m = []
     for known in (None, shadow):
-        evidence = Evidence(glints=belt, outlines=known, outline_weight=0.05)
+        evidence = Evidence(
+            glints=belt, outlines=known, outline_weight=0.05, outline_clearance_m=0.005
+        )
         sdf = fit_sdf(evidence, capture, box, config)
         off_m.append(np.abs(sdf.sample(ends)).max())
     assert off_m[0] > 0.005

@@ -38,7 +38,7 @@ def test_a_former_section_is_refused_in_a_file_and_as_a_flag():
         preset_of_table(table, "run.toml")
     for flag, now in (
         ("--hybrid.links.chord-m", "--refine.links.chord-m"),
-        ("--hybrid.shadow-clearance-m", "--refine.fit.outline-clearance-m"),
+        ("--hybrid.shadow-clearance-m", "--refine.outline-clearance-m"),
     ):
         with pytest.raises(UserError, match=f"^{flag} is called {now} now"):
             parse(Config, ["scene", "out", flag, "0.001"], prog="geraf2 reconstruct")

@@ -3,7 +3,8 @@
 PRESETS = {"glint": "fast", "hybrid": "best"}
 """Present name of a preset by its former one."""
 RENAMED = {
-    "hybrid.shadow_clearance_m": "refine.fit.outline_clearance_m",
+    "hybrid.shadow_clearance_m": "refine.outline_clearance_m",
+    "hybrid.fit.outline_clearance_m": "refine.outline_clearance_m",
     "hybrid.fit.outline_weight": "refine.outline_weight",
     "hybrid.fit.more_weight": "refine.rim_weight",
     "hybrid": "refine",
@@ -15,6 +16,7 @@ REMOVED = frozenset(
         "fit.continuation_weight",
         "fit.more_weight",
         "fit.normal_weight",
+        "fit.outline_clearance_m",
         "fit.outline_weight",
         "fit.support",
         "fit.support_reach_m",

@@ -85,8 +85,6 @@ class FitConfig(Bounded):
     cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
     """Cosine of a cap's normal to those around it: flat below the first, round from the second
     on."""
-    outline_clearance_m: MarginM = 0.005
-    """Outlines yield to glints nearer than this [m]."""
     absence_weight: NotNegative = 0.3
     """Weight of the pull away from absent echoes, shared out as distance_weight; 0: off."""
     absence_reach_m: MarginM = 0.010
@@ -116,6 +114,8 @@ class Evidence:
     """Shadows whose edges the surface touches."""
     outline_weight: float = 0.0
     """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
+    outline_clearance_m: float = 0.0
+    """Outlines yield to glints nearer than this [m]."""
     found_with: GlintConfig = field(default_factory=GlintConfig)
     """Settings with which the glints were found: their agreement, the margin at the box."""
 
@@ -209,7 +209,7 @@ def _first_solves(
     sdf = system.solve(tolerance=tolerance)
     outlines = evidence.outlines
     if outlines is not None and len(outlines) and evidence.outline_weight > 0.0:
-        seen, clearance_m = evidence.seen.positions, config.outline_clearance_m
+        seen, clearance_m = evidence.seen.positions, evidence.outline_clearance_m
         touched = tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
         sure = np.concatenate([sure, touched.positions])
         points = _weigh(evidence, config, touched)

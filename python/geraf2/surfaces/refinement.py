@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, NotNegative, Share
+from geraf2._bounds import Bounded, MarginM, NotNegative, Share
 from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
@@ -58,6 +58,8 @@ class RefineConfig(Bounded):
     outline_weight: NotNegative = 0.05
     """Weight of a point where the edge of an outline touches the surface, which errs by 2 mm,
     against a strong glint, which errs by 0.4 mm."""
+    outline_clearance_m: MarginM = 0.005
+    """Outlines yield to glints nearer than this [m]."""
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     max_contradicted: Share = 0.12
@@ -141,7 +143,7 @@ def select_glints(
 
 def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) -> Silhouettes:
     """Those whose free lines of sight do not pass through what was seen."""
-    contradicted = outlines.free_distances(seen.positions) > config.fit.outline_clearance_m
+    contradicted = outlines.free_distances(seen.positions) > config.outline_clearance_m
     return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
 
 
@@ -178,6 +180,7 @@ def fit_refined(
         rim_weight=config.rim_weight_of(len(capture.poses)),
         outlines=outlines,
         outline_weight=config.outline_weight,
+        outline_clearance_m=config.outline_clearance_m,
         found_with=found_with or GlintConfig(),
     )
     with Workers(min(n_threads, len(fits))) as workers:
@@ -189,7 +192,7 @@ def fit_refined(
     sdf = mean_field(fields)
     if outlines is None:
         return sdf
-    clearance_m = config.fit.outline_clearance_m
+    clearance_m = config.outline_clearance_m
     return cut_to_silhouettes(sdf, outlines, selected.seen, clearance_m, num_threads=num_threads)
 
 
