@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.io import container
+from geraf2.io import scene_writer
 from geraf2.scene import load_capture
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
@@ -152,7 +152,7 @@ def test_a_full_disk_leaves_no_half_scene(source, capsys, monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(container, "write_toml", full)
+    monkeypatch.setattr(scene_writer, "write_toml", full)
     assert_refused(source, capsys, "No space left on device")
 
 
@@ -160,7 +160,7 @@ def test_ctrl_c_leaves_no_half_scene(source, capsys, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(container, "write_toml", interrupt)
+    monkeypatch.setattr(scene_writer, "write_toml", interrupt)
     assert_refused(source, capsys, "interrupted", code=130)
 
 

@@ -66,7 +66,7 @@ def test_a_scene_that_would_be_refused_is_refused_before_the_work(
     (tmp_path / "spec.toml").write_text(SPEC)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "diary.txt").write_text("mine")
-    for module in ("simulating.simulate", "calibrating.calibrate_capture"):
+    for module in ("commands.simulate.simulate", "commands.calibrate.calibrate_capture"):
         monkeypatch.setattr(f"geraf2.pipeline.{module}", forbidden)
     before = contents(built_scene)
     for command in (

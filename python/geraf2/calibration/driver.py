@@ -278,13 +278,21 @@ class _Run:
             return {}
         try:
             problem = _wall_problem(self.capture, self.prior, self.alignment(), self.peaks)
+            judgements, chosen, fit = judge_groups(problem, groups)
+            found = problem.result(fit)
+            if found.n_echoes == 0:
+                raise UserError(
+                    what="the walls of the box do not stand out",
+                    expected="echoes along the prior's faces",
+                    got=0,
+                    hint="check that the prior lies in the scan's frame and in metres; widen "
+                    "--delay-search LOW HIGH where the delay was not recorded",
+                )
         except UserError as error:
             text = "the walls of the box do not stand out"
             self.judgements.append(nothing_found(groups[0], text, "nothing to go by", error))
             return {}
-        judgements, chosen, fit = judge_groups(problem, groups)
         self.judgements += judgements
-        found = problem.result(fit)
         self.found["walls"] = found
         values: dict[Group, _Step] = {
             "delay": {"delay_m": found.delay_m},

@@ -47,7 +47,7 @@ def test_some_methods_are_coarser_in_the_short_form(suite):
     assert short.spacing_m > whole.spacing_m
 
 
-ONE_FAILED = {"glint": (0.9, 0.01), "matched_filter": (0.5, 0.2), "back_projection": (None, None)}
+ONE_FAILED = {"fast": (0.9, 0.01), "matched_filter": (0.5, 0.2), "back_projection": (None, None)}
 
 
 def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
