@@ -32,7 +32,7 @@ def answered(text):
 
 def start_and_hang(path):
     """Start a process that hangs, write both processes' numbers, and hang with it."""
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent.parent)
     process = Child(1)
     pid = process.call(answered, "")["pid"]
     Path(path).write_text(f"{os.getpid()} {pid}")

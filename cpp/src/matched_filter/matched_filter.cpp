@@ -8,6 +8,7 @@
 #include <functional>
 #include <memory>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 #include "common/aligned_buffer.hpp"
@@ -158,11 +159,11 @@ struct MatchedFilterPlan<T>::Impl {
     std::unique_ptr<const WaveformPlan<T>> plan;                 ///< null where factorised is not
     std::unique_ptr<const PointBlocks> blocks;                   ///< as `plan`
 
-    Impl(const AntennaPositions& antennas, const PointSet& given, const Waveform& chirp,
+    Impl(const AntennaPositions& antennas, PointSet given, const Waveform& chirp,
          const MatchedFilterOptions& asked)
         : tx(antennas.tx.begin(), antennas.tx.end()), rx(antennas.rx.begin(), antennas.rx.end()),
-          points(given), waveform(chirp), options(asked) {
-        if (const auto* places = std::get_if<std::span<const double>>(&given)) {
+          points(std::move(given)), waveform(chirp), options(asked) {
+        if (const auto* places = std::get_if<std::span<const double>>(&points)) {
             list.assign(places->begin(), places->end());
             points = std::span<const double>(list);
         }
