@@ -159,11 +159,11 @@ struct MatchedFilterPlan<T>::Impl {
     std::unique_ptr<const WaveformPlan<T>> plan;                 ///< null where factorised is not
     std::unique_ptr<const PointBlocks> blocks;                   ///< as `plan`
 
-    Impl(const AntennaPositions& antennas, PointSet given, const Waveform& chirp,
-         const MatchedFilterOptions& asked)
+    Impl(const AntennaPositions& antennas, const PointSet& given, const Waveform& chirp,
+         MatchedFilterOptions asked)
         : tx(antennas.tx.begin(), antennas.tx.end()), rx(antennas.rx.begin(), antennas.rx.end()),
-          points(std::move(given)), waveform(chirp), options(asked) {
-        if (const auto* places = std::get_if<std::span<const double>>(&points)) {
+          points(given), waveform(chirp), options(std::move(asked)) {
+        if (const auto* places = std::get_if<std::span<const double>>(&given)) {
             list.assign(places->begin(), places->end());
             points = std::span<const double>(list);
         }
