@@ -33,13 +33,6 @@ def require_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(msg)
 
 
-def require_fraction(name: str, value: float) -> None:
-    """Raise ValueError unless `value` is from 0 to 1."""
-    if not 0.0 <= value <= 1.0:
-        msg = f"{name} must be from 0 to 1, got {value}"
-        raise ValueError(msg)
-
-
 def require_least(record: object, **least: float) -> None:
     """Raise ValueError unless each field named is at least the number given for it."""
     for name, limit in least.items():

@@ -45,24 +45,24 @@ def cap_retreat(
     far = np.nonzero(distance > start_m)[0]
     if len(far) == 0:
         return retreat
-    flat = flatness(points[far], normals[far], glints, lean, tree)
+    flat = _flatness(points[far], normals[far], glints, lean, tree)
     retreat[far] = slope * flat * (distance[far] - start_m)
     return retreat
 
 
-def flatness(
+def _flatness(
     points: Floats,
     normals: Floats,
     glints: Glints,
     lean: tuple[float, float],
-    tree: KDTree | None = None,
+    tree: KDTree,
 ) -> Floats:
     """How far the glints around say that a cap has an edge, not that it rounds off, (n_points,).
 
     From 0, round, to 1, flat; arguments as of `cap_retreat`. tree: of the glints' positions.
     """
     neighbors = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
-    _, around = (tree or KDTree(glints.positions)).query(points, k=neighbors)
+    _, around = tree.query(points, k=neighbors)
     cosine = np.einsum("nkj,nj->nk", glints.normals[around], normals)
     low, high = lean
     leaning = np.quantile(cosine, _QUANTILE, axis=1)
