@@ -36,7 +36,7 @@ _PLASTIC = "dielectric"
 # element of a surface; for rays in plastic, or that touch the object twice, a pair and a sample;
 # for walls as waves an antenna and square metre of walls.
 _PAIR_S, _RAY_PAIR_S, _RAY_SAMPLE_S, _WAVE_S = 0.45e-9, 0.6e-9, 10e-6, 28e-3
-_LEAST_PLANES, _LEAST_APERTURE_M, _COARSEST_M = 6, 0.06, 0.005
+_LEAST_PLANES, _FEW_PLANES, _LEAST_APERTURE_M, _COARSEST_M = 6, 8, 0.06, 0.005
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -210,10 +210,13 @@ def _n_antennas(scan: ScanSpec) -> int:
 
 
 def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
-    """Spec with a coarser raster, then fewer and smaller planes, where it exceeds the budget."""
+    """Spec that does not exceed the budget: fewer and smaller planes, then a coarser raster.
+
+    The raster gets coarser only where few planes are left: it decides where grating lobes are.
+    """
     while simulation_seconds(spec, thing) > budget_s:
         scan = spec.scan
-        if scan.spacing_m < _COARSEST_M:
+        if scan.n_planes <= _FEW_PLANES and scan.spacing_m < _COARSEST_M:
             smaller = replace(scan, spacing_m=min(_COARSEST_M, scan.spacing_m + 0.001))
         else:
             width, height = (max(_LEAST_APERTURE_M, 0.97 * side) for side in scan.aperture_m)
