@@ -34,8 +34,7 @@ ROWS = [
     *sweep(
         RUN + " --preset best {}",
         """
-        refine.links.chord-m 0 -1 nan
-        refine.rim.rounds -1
+        refine.rim.dynamic-range-db 0 -1 nan
         refine.rim.sizes-m 0|nan|-0.05
         refine.silhouettes.spacing-m 0 nan 1e-9
         heatmaps.n-rounds -1
@@ -151,10 +150,7 @@ ROWS = [
         """
         refine.max-contradicted -1 2
         refine.rim-weight -1 inf
-        refine.links.reach-m 0 nan
         refine.few-planes-voxel-scales 0 1e9
-        refine.links.angle-rad 0 9
-        refine.links.strong-db 0 nan
         refine.rim.dynamic-range-db 0 nan
         refine.silhouettes.max-tilt-deg 0 90
         refine.silhouettes.min-free 0 1 nan

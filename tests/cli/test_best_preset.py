@@ -92,7 +92,9 @@ def test_the_heat_map_fit_says_what_it_reached(built):
 
 
 def test_a_setting_of_the_selection_leaves_the_glints(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--refine.links.chord-m", "0.0008") == 0
+    assert (
+        run(scene, finished, "--resume", "--overwrite", "--refine.rim.dynamic-range-db", "28") == 0
+    )
     assert stages(finished) == [
         *(("reused", n) for n in FIRST),
         *(("done", n) for n in AFTERWARDS),
