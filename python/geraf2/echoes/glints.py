@@ -15,20 +15,21 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Label, LabelledPeaks, label_peaks
+from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 
-# Uncertainties against the echo's strength a relative to the strong ones (98 % quantile), fitted
-# to simulated figures: normals err 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB; positions
-# 0.4 mm and 1.2 mm (median of absolute errors).
+# Normals against the echo's strength a relative to the strong ones (98 % quantile), fitted to
+# simulated figures: 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB.
 _NORMAL_SIGMA_RAD = 0.03
-_POSITION_SIGMA_M = 4e-4
+# Of a range where no echoes merge: positions of the antennas and the walls' delay [m].
+_POSITION_SIGMA_M = 2e-4
 
 
-GLINTS_VERSION = 16
+GLINTS_VERSION = 17
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
@@ -183,23 +184,25 @@ def box_volume_m3(prior: LosPrior) -> float:
 
 
 def as_glints(
-    peaks: PeakSet, found: Candidates, probability: Floats, strong: float | None = None
+    peaks: PeakSet, found: Candidates, probability: Floats, known: Glints | None = None
 ) -> Glints:
-    """Candidates (n,) as glints; their uncertainty follows from their strength.
+    """Candidates (n,) as glints, freed of the bias of merged echoes, with uncertainties.
 
     peaks: of the candidates.
     probability: of each to be a return of the content, (n,).
-    strong: strength of the strong ones; the 98 % quantile of these when None.
+    known: glints found before: neighbours, and the scale of strengths; else these are their own.
     """
     raw = peaks.select(found.peaks)
-    reference = strong_level(raw.magnitudes) if strong is None else strong
-    relative = np.minimum(1.0, raw.magnitudes / reference)
+    others = None if known is None else (known.positions, known.normals)
+    deviation = tangent_deviation(found.positions, found.normals, others)
+    strong = strong_level(raw.magnitudes if known is None else known.strengths)
+    relative = np.minimum(1.0, raw.magnitudes / strong)
     noise = raw.noise / raw.magnitudes
     return Glints(
-        positions=found.positions,
+        positions=found.positions - (BIAS_SHARE * deviation)[:, None] * found.normals,
         normals=found.normals,
         strengths=raw.magnitudes,
-        position_sigma_m=_POSITION_SIGMA_M * np.sqrt(1.0 + (0.15 / relative) ** 2 + noise**2),
+        position_sigma_m=np.hypot(_POSITION_SIGMA_M, SIGMA_SHARE * deviation),
         normal_sigma_rad=_NORMAL_SIGMA_RAD * np.sqrt(1.0 + (0.3 / relative) ** 2 + noise**2),
         poses=raw.planes,
         probability=probability,

@@ -11,7 +11,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, Decibels, LengthM
 from geraf2._types import Progress
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, as_glints, box_volume_m3, candidates_around
 from geraf2.echoes.labels import continuing
 from geraf2.imaging.peaks import collect_peaks
@@ -64,5 +64,4 @@ def find_rim_glints(
     keep = inside & (probability > look.least_probability)
     if not keep.any():
         return glints.select(np.zeros(len(glints), dtype=bool))
-    strong = strong_level(glints.strengths)
-    return as_glints(peaks, found.select(keep), probability[keep], strong)
+    return as_glints(peaks, found.select(keep), probability[keep], glints)
