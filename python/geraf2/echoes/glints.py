@@ -33,10 +33,10 @@ GLINTS_VERSION = 17
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
-_FEWEST = 100
+_FEWEST = 200
 """Glints of which a surface can be drawn; where fewer reach the least probability, the likeliest
 ones are taken down to `_LEAST_OF_FEW`."""
-_LEAST_OF_FEW = 0.05
+_LEAST_OF_FEW = 0.15
 
 # Share of peaks that a coarse raster shows elsewhere of which the user is told.
 _TOLD_SHARE = 0.01
@@ -48,7 +48,7 @@ class GlintConfig(Bounded):
 
     subaperture: SubapertureConfig = field(default_factory=SubapertureConfig)
     """Size and sampling of the images."""
-    dynamic_range_db: Decibels = 26.0
+    dynamic_range_db: Decibels = 22.0
     """Peaks weaker than the image's largest by more are dropped [dB]: side lobes of the Hann window
     lie at -31 dB."""
     noise_margin_db: SignedDb = DETECTION_DB

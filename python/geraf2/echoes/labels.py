@@ -22,7 +22,7 @@ from geraf2.imaging.peaks import PeakSet
 
 _OFFSET_SIGMA_M = 1.4e-3
 """Standard deviation of a point along its normal [m]. This and all that follows is estimated on
-seeds 0 to 39 of the population, by the likelihood of the true labels."""
+seeds 0 to 32 of the population, by the likelihood of the true labels."""
 _BEND_PER_M2 = 60.0
 """Offset of two points of a smooth surface over the third power of their distance [1/m^2]."""
 _NORMAL_SIGMA_RAD = 0.25
