@@ -97,7 +97,7 @@ def test_its_phase_mends_channels_and_an_oscillator_that_walks(clean):
     capture = spoilt(clean, 10.0, phases=phases)
     found = find_leakage(capture, PRIOR)
     assert found.method == "reference"
-    assert found.gain > 0.1
+    assert "held-out log-likelihood +" in found.reason
     error = np.concatenate(found.phases_rad) - np.concatenate(phases)
     error = np.angle(np.exp(1j * error) / np.exp(1j * error).mean())
     # Noise, 33 dB below the leakage in the fit, and the echoes' share: a degree.

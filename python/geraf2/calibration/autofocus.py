@@ -19,8 +19,9 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from geraf2._bounds import Bounded, LengthM, Share
+from geraf2._bounds import Bounded, LengthM
 from geraf2._types import Bools, Floats
+from geraf2.calibration.acceptance import N_INDEPENDENT, Gain, coherence_nats
 from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
@@ -37,12 +38,7 @@ _MIN_BIN_WEIGHT = 0.1
 _MIN_MODE = 0.05
 # Phases are never better than this: 0.1 rad squared.
 _MIN_PHASE_VARIANCE = 0.01
-# Of an echo's 24 sums 18 are left by what it may do; sub-apertures 3 cm apart share their antennas
-# with six others. What is known is then worth as much against `AutofocusConfig.sigma_m`.
-_N_INDEPENDENT = 4.0
 _DEGREE = 3
-# Gain over its standard error, planes taken as independent.
-_MIN_SURENESS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,9 +49,6 @@ class AutofocusConfig(Bounded):
     """Of the spline along the antennas of each plane; at least 4."""
     sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
-    min_gain: Share = 0.006
-    """Relative gain in coherence of held-out echoes from which on displacements count: up to 0.4 %
-    without any, as sub-apertures that overlap share antennas; 1.0 to 1.8 % for 0.2 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,8 +62,8 @@ class AntennaDrift:
     coherence_before: float
     """Mean |sum z| / sum |z| of echoes that were not used for the estimate."""
     coherence_after: float
-    is_significant: bool
-    """Whether the coherence of those echoes grew by as much as asked."""
+    gain: Gain
+    """Of those echoes."""
 
     def displacements(self, pose: int, n_antennas: int) -> Floats:
         """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
@@ -123,32 +116,21 @@ def focus_antennas(
         trial, _ = _estimate(len(bases), own, config)
         # The shift, slope and bend that each echo is free to have are taken off both times.
         judged += [
-            (pose, before, after)
+            (before, after)
             for pose, linear in others.items()
             for before, after in zip(
                 linear.coherence(np.zeros(n)), linear.coherence(trial[pose]), strict=True
             )
         ]
     coefficients, sigma = _estimate(len(bases), every, config)
-    before, after, sureness = _gain(judged)
+    before, after = np.array(judged).reshape(-1, 2).T
     return AntennaDrift(
         coefficients_m=coefficients,
         sigma_m=sigma,
-        coherence_before=before,
-        coherence_after=after,
-        is_significant=after > (1.0 + config.min_gain) * before and sureness > _MIN_SURENESS,
+        coherence_before=float(before.mean()) if len(before) else 0.0,
+        coherence_after=float(after.mean()) if len(after) else 0.0,
+        gain=Gain.of(coherence_nats(before, after)),
     )
-
-
-def _gain(judged: list[tuple[int, float, float]]) -> tuple[float, float, float]:
-    """Mean coherence before and after, and the gain over its standard error by poses."""
-    if not judged:
-        return 0.0, 0.0, 0.0
-    poses, before, after = (np.asarray(column) for column in zip(*judged, strict=True))
-    each = np.array([(after - before)[poses == pose].mean() for pose in np.unique(poses)])
-    error = float(each.std(ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0
-    sureness = float(each.mean()) / max(error, 1e-12)
-    return float(before.mean()), float(after.mean()), sureness
 
 
 def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
@@ -246,7 +228,7 @@ class _Linear:
         design = self._less_free(self.root[..., None] * self.phase)
         # Phase noise of the echo itself, from what no displacement explains so far.
         variance = np.maximum((residual**2).sum(axis=1), _MIN_PHASE_VARIANCE)
-        scale = np.sqrt(_N_INDEPENDENT / variance)
+        scale = np.sqrt(N_INDEPENDENT / variance)
         design = (scale[:, None, None] * design).reshape(-1, design.shape[2])
         return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from geraf2._types import Floats
-from geraf2.calibration.channel_phase import with_phases
+from geraf2.calibration.channel_phase import phase_gain, with_phases
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.echoes.echo_phases import EchoPhases, collect_phases
+from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.imaging.peaks import KeptPeaks
@@ -55,9 +55,6 @@ _MIN_TAIL_DB = -8.0
 # A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
 # than 5 cm does not matter.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
-# Energy that strong echoes must gain before phases are touched. An oscillator that walks by 40
-# degrees over a plane costs 1.2 %; a walk that is only the leakage's would take as much.
-_MIN_GAIN = 0.003
 # Phases that spread by less than two degrees are left alone: they cost 0.005 dB.
 _MIN_PHASE_RAD = float(np.deg2rad(2.0))
 # Antennas over which the smooth part of the phase is taken: the oscillator walks a degree in them.
@@ -87,8 +84,6 @@ class Leakage:
     """Share of the leakage that is the same for all antennas but for a factor."""
     tail_db: float = -np.inf
     """Energy of what goes with it at the delays of the box, over its own [dB]."""
-    gain: float = 0.0
-    """What strong echoes gain in energy by taking its phase off."""
     phase_rms_deg: float = 0.0
     """Root mean square of the phases taken off, each pose's mean apart [degrees]."""
     clipped: float = 0.0
@@ -99,6 +94,14 @@ class Leakage:
     """Of each pose: coefficients of the basis, (n_antennas, rank)."""
     phases_rad: tuple[Floats, ...] = ()
     """Of each pose: phase taken off each antenna, (n_antennas,) [rad]; empty: none."""
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Level [dB], steadiness and rms of the phases [rad], as far as they are finite."""
+        numbers = {"level_db": self.level_db, "steadiness": self.steadiness}
+        if self.method == "reference":
+            numbers["phase_rms_rad"] = float(np.deg2rad(self.phase_rms_deg))
+        return {name: value for name, value in numbers.items() if np.isfinite(value)}
 
     def __str__(self) -> str:
         if self.method == "none":
@@ -416,33 +419,16 @@ def _judged(
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-
-    def echoes(phases: list[Floats]) -> list[EchoPhases]:
-        turned = with_phases(clean, [-phase for phase in phases])
-        return collect_phases(turned, peaks.of(turned))
-
-    unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
     reasons: list[str] = []
-    candidates = _candidates(capture, references)
-    first = echoes(unturned) if candidates else []
-    for kind, phases in candidates.items():
-        # Echoes that either finds: of wrong phases some are ghosts, which right ones weaken.
+    for kind, phases in _candidates(capture, references).items():
         some = [phases[number] for number in chosen]
-        second, back = echoes(some), [-phase for phase in some]
-        without = np.concatenate([_focused(first, unturned), _focused(second, back)])
-        with_it = np.concatenate([_focused(first, some), _focused(second, unturned)])
-        change, total = with_it - without, float(without.sum())
-        gain = float(change.sum()) / max(total, 1e-30)
-        sure = change.sum() > 3.0 * change.std() * np.sqrt(len(change))
-        reasons.append(
-            f"with its {kind} taken off, strong echoes change by {100 * gain:+.1f} % of energy"
-        )
-        if gain > _MIN_GAIN and sure:
+        gain, _, _ = phase_gain(clean, some, lambda c: collect_phases(c, peaks.of(c)))
+        reasons.append(f"with its {kind} removed, {gain}")
+        if gain.is_sure:
             return replace(
                 found,
                 method="reference",
                 reason=reasons[-1],
-                gain=gain,
                 phase_rms_deg=float(np.rad2deg(_spread(phases))),
                 phases_rad=tuple(phases),
             )
@@ -472,19 +458,3 @@ def _spread(phases: list[Floats]) -> float:
     """Root mean square of phases about the mean of their pose [rad]."""
     units = [np.exp(1j * phase) for phase in phases if len(phase)]
     return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))
-
-
-def _focused(echoes: list[EchoPhases], phases: list[Floats]) -> Floats:
-    """Energy of each echo with phases taken off, (n_echoes,).
-
-    A phase that grows over the aperture turns an echo by less than the width of its peak; it is
-    looked for where it then comes from.
-    """
-    found = np.zeros(len(echoes))
-    for number, echo in enumerate(echoes):
-        values = echo.values * np.exp(-1j * phases[echo.pose][echo.antennas])
-        size = np.ptp(echo.places_m, axis=0).max()
-        turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * np.linspace(-0.5, 0.5, 7))
-        sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
-        found[number] = sums.max() ** 2
-    return found
