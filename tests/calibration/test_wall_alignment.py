@@ -163,7 +163,8 @@ def log_posterior(problem, values, walls, some):
         residual += list((units @ direction - side * np.array(slope)) / direction_sigma)
         # Student-t of four degrees of freedom in three dimensions; four echoes count as one.
         total -= 0.25 * 3.5 * np.log1p(np.dot(residual, residual) / 4.0)
-    return total - 0.5 * ((values[some] / problem.sigmas[some]) ** 2).sum()
+    delay, *others = values[some] / problem.sigmas[some]
+    return total - 2.5 * np.log1p(delay**2 / 4.0) - 0.5 * np.square(others).sum()
 
 
 def test_normal_equations_are_derivatives_of_the_log_posterior(problem):
@@ -205,7 +206,7 @@ def test_the_common_offset_is_half_the_delay(capture):
 
 def test_without_walls_the_error_says_so(capture):
     del capture
-    with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 12"):
+    with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 8"):
         aligned(carton_capture(n_poses=3, wall=0.0), PRIOR)
 
 

@@ -1,9 +1,9 @@
-"""Slow errors of the antennas' recorded places, found by focusing.
+"""Slow errors of the antennas' recorded positions, found by focusing.
 
 Gauss-Newton steps on the phases of the matched filter's terms. A displacement delta of antenna i
 changes its term by exp(-2 j k u_i . delta), with u_i the direction to the echo: the matched
 filter's gradient to positions. Displacements are cubic splines along the trajectory of each pose,
-in its looking direction, which counts most; what shifts, turns or bends an echo as a whole is
+in its viewing direction, which counts most; what shifts, turns or bends an echo as a whole is
 free for every echo, since a surface may lie anywhere, face anywhere and be curved
 (docs/math/calibration.md#positions).
 """
@@ -26,7 +26,7 @@ from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 DRIFT_SIZE_M = 0.10
-"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift is taken for an echo's bend."""
+"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift is interpreted as an echo's bend."""
 
 _N_ROUNDS = 6
 # Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge
@@ -34,7 +34,7 @@ _N_ROUNDS = 6
 _MAX_BINS = 24
 _MIN_PER_BIN = 8
 _MIN_BIN_WEIGHT = 0.1
-# Shifts, slopes and bends that the sums cannot tell from each other.
+# Shifts, slopes and bends that the sums cannot distinguish.
 _MIN_MODE = 0.05
 # Phases are never better than this: 0.1 rad squared.
 _MIN_PHASE_VARIANCE = 0.01
@@ -53,10 +53,10 @@ class AutofocusConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AntennaDrift:
-    """Displacements of the antennas; to be added to the recorded places."""
+    """Displacements of the antennas; to be added to the recorded positions."""
 
     coefficients_m: Floats
-    """Of the splines, along each pose's looking direction, (n_poses, n_coefficients) [m]."""
+    """Of the splines, along each pose's viewing direction, (n_poses, n_coefficients) [m]."""
     sigma_m: float
     """Root mean square of their standard uncertainties [m]."""
     coherence_before: float
@@ -66,7 +66,7 @@ class AntennaDrift:
     """Of those echoes."""
 
     def displacements(self, pose: int, n_antennas: int) -> Floats:
-        """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
+        """Displacement of each antenna along the pose's viewing direction, (n_antennas,) [m]."""
         basis = trajectory_basis(n_antennas, self.coefficients_m.shape[1])
         return np.asarray(basis @ self.coefficients_m[pose])
 
@@ -95,7 +95,7 @@ def focus_antennas(
 
     Estimated three times: from each half of the echoes, which is judged by the other, and from all.
 
-    echoes: its strong echoes, phases of channels taken off.
+    echoes: its strong echoes, without phases of channels.
     config: what displacements to expect.
     """
     config = config or AutofocusConfig()
@@ -114,7 +114,7 @@ def focus_antennas(
     judged = []
     for own, others in (halves, halves[::-1]):
         trial, _ = _estimate(len(bases), own, config)
-        # The shift, slope and bend that each echo is free to have are taken off both times.
+        # The shift, slope and bend that each echo is free to have are removed both times.
         judged += [
             (before, after)
             for pose, linear in others.items()
@@ -134,7 +134,7 @@ def focus_antennas(
 
 
 def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
-    """Capture with antennas displaced by splines along each pose's looking direction.
+    """Capture with antennas displaced by splines along each pose's viewing direction.
 
     coefficients_m: of the splines, (n_poses, n_coefficients) [m].
     """
@@ -210,8 +210,8 @@ class _Linear:
             modes[number, :n_bins], phase[number, :n_bins] = binned[:, :6], binned[:, 6:]
         root = np.sqrt(weights / weights.sum(axis=1, keepdims=True))
         left, strength, _ = np.linalg.svd(root[..., None] * modes, full_matrices=False)
-        told = strength > _MIN_MODE * strength[:, :1]
-        return cls(sums=sums, phase=phase, free=left * told[:, None], root=root)
+        known = strength > _MIN_MODE * strength[:, :1]
+        return cls(sums=sums, phase=phase, free=left * known[:, None], root=root)
 
     def select(self, keep: Bools) -> "_Linear":
         """Keep some of the echoes, by mask."""
@@ -233,7 +233,7 @@ class _Linear:
         return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 
     def coherence(self, coefficients: Floats) -> Floats:
-        """|sum z| / sum |z| over bins, with what the echo may do taken off, (n_echoes,)."""
+        """|sum z| / sum |z| over bins, without what the echo may do, (n_echoes,)."""
         residual = self.residual(coefficients) / np.where(self.root > 0.0, self.root, 1.0)
         return np.asarray(np.abs((self.root**2 * np.exp(1j * residual)).sum(axis=1)))
 

@@ -27,7 +27,7 @@ _N_NEIGHBORS = 24
 _SAME_PLACE_M = 1e-5
 _N_ROUNDS = 20
 _MIN_SAMPLES = 30
-# Channels that take turns are looked for in this many echoes at least.
+# Channels that take turns are searched in this many echoes at least.
 _MIN_ECHOES = 8
 _MAX_TURNS = 16
 # Neighbours are more alike by this share with the phases: those of 3 degrees rms do as much.
@@ -37,7 +37,7 @@ _TILTS = np.linspace(-0.5, 0.5, 7)  # of an echo over its sub-aperture [turns]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelPhases:
-    """Phase of each channel; to be taken off the signal."""
+    """Phase of each channel; to be removed from the signal."""
 
     phases_rad: Floats
     """Mean zero, as a common phase has no effect, (n_channels,) [rad]."""
@@ -55,7 +55,7 @@ def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
 def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
     """Channel of each antenna by the offset of its receiver from its transmitter.
 
-    The offsets of a virtual array repeat from place to place. None where they do not, or where
+    The offsets of a virtual array repeat from position to position. None where they do not, or where
     all antennas have the same.
     """
     local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]
@@ -118,7 +118,7 @@ def channels_of(poses: Sequence[Pose], n_turns: int) -> list[Ints] | None:
 def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> ChannelPhases:
     """Phase that each channel has in common against its neighbours.
 
-    Alternates between the sums of neighbours, with the phases so far taken off, and the phases;
+    Alternates between the sums of neighbours, without the phases so far, and the phases;
     converges for spreads up to a radian.
 
     echoes: strong echoes of the capture.
@@ -194,7 +194,7 @@ def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats
 
 
 def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:
-    """Capture with the channels' phases taken off the signal."""
+    """Capture with the channels' phases removed."""
     return with_phases(capture, [-phases_rad[channel] for channel in channels])
 
 

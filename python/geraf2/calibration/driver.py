@@ -52,13 +52,10 @@ from geraf2.scene import Capture, LosPrior
 CALIBRATION_VERSION = 9
 """Raised when the same capture gives other corrections."""
 
-# Planes, sub-apertures and echoes that channels are found from: 1 s of processor time for 36
-# planes at 3 mm.
+# Planes of which channels are found, sub-apertures, and echoes of each plane: 1 s of processor
+# time for 36 planes at 3 mm. Drift asks for twice as many where planes are few: 0.13 mm of 0.32 mm
+# are left with 60 echoes, 0.16 mm with 30.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
-# Of each plane that shows whether positions are off; then as many of all planes as take 1 s: of a
-# drift of 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
-_MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
-_SIZE_M = 0.08
 _Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
@@ -106,7 +103,7 @@ class Calibration:
     corrections: Corrections
     judgements: tuple[Judgement, ...]
     common_offset_sigma_m: float
-    """Standard deviation of a range offset that all planes share after the corrections, one way:
+    """Standard deviation of a range offset that all planes share after the corrections, one-way:
     delay, and turntable axis towards the radar [m]."""
     walls: WallAlignment | None = None
     """With the corrections that were applied; None where walls were not used or not seen."""
@@ -304,12 +301,10 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.some, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+        few = _strong_echoes(capture, self.peaks, self.some, DRIFT_SIZE_M)
         drift = focus_antennas(capture, few, config)
         if drift.gain.is_sure:
-            planes = range(len(capture.poses))
-            each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-            every = _strong_echoes(capture, self.peaks, planes, each, DRIFT_SIZE_M)
+            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), DRIFT_SIZE_M)
             drift = focus_antennas(capture, every, config)
         self.found["drift"] = drift
         rms_m = drift.rms_m(capture)
@@ -329,14 +324,13 @@ class _Run:
 
 
 def _strong_echoes(
-    capture: Capture,
-    peaks: KeptPeaks,
-    planes: Collection[int],
-    n_echoes: int = _N_ECHOES,
-    size_m: float = _SIZE_M,
+    capture: Capture, peaks: KeptPeaks, planes: Collection[int], size_m: float = 0.08
 ) -> list[EchoPhases]:
     found = peaks.of(capture, planes).thinned(_STEP_M)
-    return collect_phases(capture, found, size_m=size_m, n_echoes=n_echoes)
+    more = size_m == DRIFT_SIZE_M and len(planes) <= 2 * _N_POSES
+    return collect_phases(
+        capture, found, size_m=size_m, n_echoes=2 * _N_ECHOES if more else _N_ECHOES
+    )
 
 
 def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:

@@ -29,17 +29,14 @@ _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01,
 _DEGREES_OF_FREEDOM = 4.0  # of the Student-t of an echo: content and clutter are far outliers
 # Neighbouring sub-apertures overlap by a half in both directions: four echoes count as one.
 _OVERLAP = 4.0
-# Echoes that a wall's rim cuts are left out where that moves ranges by as much as they err anyhow.
-_MAX_RIM_BIAS_M = 0.0005
 _N_ROUNDS = 6
-_MAYBE_RAD, _MAYBE_M = 0.3, 0.04  # the same, before the box is known to be turned or moved
-_MAX_ANGLE_RAD, _MAX_OFFSET_M = (0.2, 0.08), (0.02, 0.004)  # in the first and the last round
-# A delay without a record, and the two-way path [m] over which each kind is searched.
-_FREE_DELAY_M = 1.0
+# Angle to the wall's normal and distance of an echo, in the first and the last round.
+_MAX_ANGLE_RAD, _MAX_OFFSET_M = (0.2, 0.08), (0.02, 0.004)
+# Two-way path that is searched where a delay was recorded, and where it was not.
 _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 Group = Literal["delay", "frame", "axis"]
-"""What is accepted on its own: delay; place of the prior; turntable axis and angles."""
+"""What is accepted on its own: delay; position of the prior; turntable axis and angles."""
 GROUPS: tuple[Group, ...] = ("delay", "frame", "axis")
 _PARTS: dict[Group, tuple[str, ...]] = {
     "delay": ("delay",),
@@ -57,7 +54,7 @@ class AlignmentConfig(Bounded):
     0.03 where a delay was recorded, and -0.3 to 1 where it was not (a delay of 0)."""
     keep_delay: bool = False
     """Hold the instrument delay; the axis may then also lie nearer or farther."""
-    delay_sigma_m: MarginM = 0.003
+    delay_sigma_m: MarginM = 0.002
     """Expected error of a recorded delay, on the two-way path [m]; an axis that is 1 mm nearer to
     the radar is the same."""
     translation_sigma_m: MarginM = 0.01
@@ -123,7 +120,7 @@ class WallAlignment:
 
     @property
     def offset_m(self) -> float:
-        """Range offset that all planes share, one way: delay and axis towards the radar [m]."""
+        """Range offset that all planes share, one-way: delay and axis towards the radar [m]."""
         return 0.5 * self.delay_m - float(self.axis_shift_m[0])
 
     @property
@@ -194,7 +191,7 @@ class WallProblem:
 
     One vector: half the delay [m], rotation [rad], translation, axis [m], angle [rad] and distance
     [m] of each pose, optical middles and shapes of the walls [m]; each has a Gaussian prior of
-    mean 0. A standard deviation of 0 holds an unknown.
+    mean 0, the delay a Student-t. A standard deviation of 0 holds an unknown.
     """
 
     def __init__(
@@ -210,27 +207,28 @@ class WallProblem:
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
         self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
-        parts = self._priors(config, recorded=config.is_recorded(capture))
+        # A delay that was not recorded may be any of those that are searched.
+        delay = 0.5 * config.delay_sigma_m if config.is_recorded(capture) else high - low
+        parts = self._priors(config, delay)
         self.sigmas = np.concatenate(list(parts.values()))
         ends = np.cumsum([len(part) for part in parts.values()])[:-1]
         self.parts = dict(zip(parts, np.split(np.arange(len(self.sigmas)), ends), strict=True))
-        near = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
-        off = near.offsets_m - np.array(self.middles.depths_m)[near.far]
-        size = self.echoes.magnitudes[near.index]
-        kinds = [(off[near.far == far], size[near.far == far]) for far in (0, 1)]
+        maybe = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
+        off = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
+        size = self.echoes.magnitudes[maybe.index]
+        kinds = [(off[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
         self.peak = find_wall_peak(kinds[0], kinds[1], (low, high))
-        maybe = wall_echoes(self.echoes, self.faces, _MAYBE_RAD)
-        self.maybe = maybe.select(np.abs(maybe.offsets_m - self.peak.offset_m) < _MAYBE_M)
+        # Twice as far: the box may be turned or moved.
+        self.maybe = maybe.select(np.abs(off - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
 
-    def _priors(self, config: AlignmentConfig, *, recorded: bool) -> dict[str, Floats]:
+    def _priors(self, config: AlignmentConfig, delay_m: float) -> dict[str, Floats]:
         """Give the standard deviation of each unknown."""
         n_poses = len(self.axes)
         several = 1.0 if n_poses > 1 else 0.0
-        delay = 0.5 * (config.delay_sigma_m if recorded else _FREE_DELAY_M)
         # Nearer by as much for all poses is a shorter delay: only one of them can be found.
         radial = config.axis_sigma_m * several if config.keep_delay else 0.0
         return {
-            "delay": np.array([0.0 if config.keep_delay else delay]),
+            "delay": np.array([0.0 if config.keep_delay else delay_m]),
             "rotation": np.full(3, config.rotation_sigma_rad),
             "translation": np.full(3, config.translation_sigma_m),
             "axis": np.array([radial, config.axis_sigma_m * several]),
@@ -269,14 +267,23 @@ class WallProblem:
         q = (residual**2).sum(axis=1)
         weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / _OVERLAP
         weighted = (weight[:, None, None] * design).reshape(-1, design.shape[2])
-        precision = self.sigmas[free] ** -2.0
+        scaled = values[free] / self.sigmas[free]
+        precision = self._tails(scaled, free) * self.sigmas[free] ** -2.0
         matrix = weighted.T @ design.reshape(weighted.shape) + np.diag(precision)
         return matrix, weighted.T @ residual.ravel() + precision * values[free]
+
+    def _tails(self, scaled: Floats, free: Bools) -> Floats:
+        """Weights of the priors: a delay was recorded wrongly or well, a Student-t."""
+        student = (_DEGREES_OF_FREEDOM + 1.0) / (_DEGREES_OF_FREEDOM + scaled**2)
+        return np.where(np.flatnonzero(free) == 0, student, 1.0)
 
     def log_prior(self, values: Floats) -> float:
         """Log-density of the unknowns' prior but for a constant [nats]."""
         free = self.sigmas > 0.0
-        return -0.5 * float(((values[free] / self.sigmas[free]) ** 2).sum())
+        square = (values[free] / self.sigmas[free]) ** 2
+        if free[0]:
+            square[0] = (_DEGREES_OF_FREEDOM + 1.0) * np.log1p(square[0] / _DEGREES_OF_FREEDOM)
+        return -0.5 * float(square.sum())
 
     def log_likelihood(self, values: Floats, walls: WallEchoes) -> Floats:
         """Student-t log-likelihood of each echo but for a constant, (n,) [nats]."""
@@ -331,7 +338,8 @@ class WallProblem:
         off = self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
         keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(off) < c + share * (d - c))
         axes = self.axes[self.echoes.planes[maybe.index]]
-        keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _MAX_RIM_BIAS_M
+        # Part of the aperture beyond the rim moves ranges by less than they err anyhow.
+        keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _RANGE_SIGMAS_M[0]
         return maybe.select(keep)
 
     def linearised(self, values: Floats, walls: WallEchoes) -> tuple[Floats, Floats]:

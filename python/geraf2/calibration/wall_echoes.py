@@ -28,14 +28,14 @@ _DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
 _STEP_M = 0.04
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
-_OFFSET_SIGMA_M, _OFFSET_STEP_M = 0.004, 0.001
+_OFFSET_SIGMA_M = 0.004
 # Where the content hides the far walls, this part of the largest density of near ones replaces
 # theirs: enough to find a delay from near walls alone, too little for a far wall interpreted as a
 # near one, behind which there is nothing.
 _MISSING_FAR_SHARE = 0.1
 # Near walls alone are the first peak of this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
-MIN_ECHOES = 12
+MIN_ECHOES = 8
 """Echoes within a centimetre of one offset that are walls."""
 
 
@@ -47,7 +47,7 @@ def wall_peaks(
 ) -> PeakSet:
     """Peaks of all planes at the prior's distance, or shifted by an unknown delay.
 
-    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one way [m].
+    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one-way [m].
     peaks: of the capture; farther from the prior than these reach, planes are imaged anew.
     """
     if all(pose.n_antennas == 0 for pose in capture.poses):
@@ -163,9 +163,9 @@ def find_wall_peak(
     far: those of far walls.
     search_m: smallest and largest offset [m].
 
-    Raises UserError: fewer than twelve echoes of near walls agree.
+    Raises UserError: fewer than eight echoes of near walls agree.
     """
-    n_steps = max(2, round((search_m[1] - search_m[0]) / _OFFSET_STEP_M) + 1)
+    n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
 
     def density(offsets_m: Floats, magnitudes: Floats) -> Floats:
