@@ -206,7 +206,7 @@ def test_the_common_offset_is_half_the_delay(capture):
 
 def test_without_walls_the_error_says_so(capture):
     del capture
-    with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 8"):
+    with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 12"):
         aligned(carton_capture(n_poses=3, wall=0.0), PRIOR)
 
 

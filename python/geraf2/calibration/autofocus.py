@@ -26,7 +26,7 @@ from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 DRIFT_SIZE_M = 0.10
-"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift is interpreted as an echo's bend."""
+"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift would be its bend."""
 
 _N_ROUNDS = 6
 # Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge

@@ -55,7 +55,7 @@ def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
 def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
     """Channel of each antenna by the offset of its receiver from its transmitter.
 
-    The offsets of a virtual array repeat from position to position. None where they do not, or where
+    The offsets of a virtual array repeat along the plane. None where they do not, or where
     all antennas have the same.
     """
     local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]

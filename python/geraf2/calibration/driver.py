@@ -52,9 +52,8 @@ from geraf2.scene import Capture, LosPrior
 CALIBRATION_VERSION = 9
 """Raised when the same capture gives other corrections."""
 
-# Planes of which channels are found, sub-apertures, and echoes of each plane: 1 s of processor
-# time for 36 planes at 3 mm. Drift asks for twice as many where planes are few: 0.13 mm of 0.32 mm
-# are left with 60 echoes, 0.16 mm with 30.
+# Planes of which channels are found and that show whether positions are off; step of sub-apertures
+# and echoes of each plane for channels: 1 s of processor time for 36 planes at 3 mm.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 _Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
@@ -301,10 +300,10 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.some, DRIFT_SIZE_M)
+        few = _strong_echoes(capture, self.peaks, self.some, drift=True)
         drift = focus_antennas(capture, few, config)
         if drift.gain.is_sure:
-            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), DRIFT_SIZE_M)
+            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), drift=True)
             drift = focus_antennas(capture, every, config)
         self.found["drift"] = drift
         rms_m = drift.rms_m(capture)
@@ -324,13 +323,13 @@ class _Run:
 
 
 def _strong_echoes(
-    capture: Capture, peaks: KeptPeaks, planes: Collection[int], size_m: float = 0.08
+    capture: Capture, peaks: KeptPeaks, planes: Collection[int], *, drift: bool = False
 ) -> list[EchoPhases]:
+    """Echoes of some planes; for drift more of them, over larger sub-apertures."""
     found = peaks.of(capture, planes).thinned(_STEP_M)
-    more = size_m == DRIFT_SIZE_M and len(planes) <= 2 * _N_POSES
-    return collect_phases(
-        capture, found, size_m=size_m, n_echoes=2 * _N_ECHOES if more else _N_ECHOES
-    )
+    if drift:
+        return collect_phases(capture, found, size_m=DRIFT_SIZE_M)
+    return collect_phases(capture, found, n_echoes=_N_ECHOES)
 
 
 def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:

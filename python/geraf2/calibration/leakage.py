@@ -117,7 +117,7 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(method="none", reason="delays are too coarse to distinguish leakage from the box")
+        return Leakage(method="none", reason="delays are too coarse to part leakage from the box")
     basis, taken = fit
     coefficients = tuple(pose.signal @ taken for pose in capture.poses)
     in_noise = float((np.abs(taken) ** 2).sum())

@@ -19,7 +19,7 @@ from geraf2.scene import Capture, LosPrior, Wall
 UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
 """Optical middle of a near and of a far wall behind its outer face, each with its standard
 deviation, where nothing is known of the walls: board of 2 to 7 mm, index 1.2 to 1.4 [m]."""
-MIDDLE_SIGMA_M = 2.5e-4
+MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a wall whose thickness and permittivity are known: three
 independent simulators give -0.37 to 0.13 mm for near walls, -0.30 to 0.09 mm for far ones [m]."""
 
@@ -35,7 +35,7 @@ _OFFSET_SIGMA_M = 0.004
 _MISSING_FAR_SHARE = 0.1
 # Near walls alone are the first peak of this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
-MIN_ECHOES = 8
+MIN_ECHOES = 12
 """Echoes within a centimetre of one offset that are walls."""
 
 
@@ -163,7 +163,7 @@ def find_wall_peak(
     far: those of far walls.
     search_m: smallest and largest offset [m].
 
-    Raises UserError: fewer than eight echoes of near walls agree.
+    Raises UserError: fewer than twelve echoes of near walls agree.
     """
     n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)

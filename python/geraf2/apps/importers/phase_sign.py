@@ -27,8 +27,8 @@ from geraf2.scene import Pose, Waveform
 # Focused power of one sign over that of the other from which on the answer is trusted. White
 # noise alone stays below 1.25; an object in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
 _CLEAR_RATIO = 1.5
-# A quick check with few antennas and samples in steps of a whole range cell is an eighth of the work
-# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, a second one decides.
+# A quick check with few antennas and samples in steps of a whole range cell is an eighth of the
+# work for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, a second one decides.
 # From this ratio on the evidence goes before what the format states, too: the largest power of a
 # real plane is 2.7 times higher with the wrong sign.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
