@@ -108,15 +108,16 @@ class WallAlignment:
     """Change of each pose's angle, (n_poses,) [rad]."""
     shapes_m: Floats
     """How far each wall lies outside of the prior, by mode of `wall_faces`, (n_walls, n_modes)."""
-    n_echoes: int
-    rms_before_m: float
-    """Of the echoes' distance from the walls, less their median, before calibration [m]."""
-    rms_after_m: float
     peak: OffsetPeak
     offsets_before_m: Floats
     """Distance of each echo from its wall, less the median, before calibration [m]."""
     offsets_after_m: Floats
     """Distance of each echo from its wall after calibration, (n_echoes,) [m]."""
+
+    @property
+    def rms_m(self) -> tuple[float, float]:
+        """Of the middle 95 % of the echoes' distances from the walls, before and after [m]."""
+        return _rms(self.offsets_before_m), _rms(self.offsets_after_m)
 
     @property
     def offset_m(self) -> float:
@@ -394,7 +395,6 @@ class WallProblem:
         scale = _RANGE_SIGMAS_M[walls.far]
         after = scale * self.linearised(fit.values, walls)[0][:, 0]
         raw = scale * self.linearised(np.zeros(len(fit.values)), walls)[0][:, 0]
-        raw = raw - (np.median(raw) if len(raw) else 0.0)
         value = {name: fit.values[part] for name, part in self.parts.items()}
         sigmas = np.sqrt(np.diag(fit.covariance))
         sigma = {name: sigmas[part] for name, part in self.parts.items()}
@@ -410,16 +410,12 @@ class WallProblem:
             axis_shift_sigma_m=sigma["axis"],
             angles_rad=value["angles"],
             shapes_m=value["shapes"].reshape(-1, N_MODES),
-            n_echoes=len(after),
-            rms_before_m=_rms(raw),
-            rms_after_m=_rms(after),
             peak=self.peak,
-            offsets_before_m=raw,
+            offsets_before_m=raw - (np.median(raw) if len(raw) else 0.0),
             offsets_after_m=after,
         )
 
 
 def _rms(values: Floats) -> float:
-    """Root mean square of the middle 95 %."""
-    kept = np.sort(np.abs(values))[: max(1, int(0.95 * len(values)))]
-    return float(np.sqrt(np.mean(kept**2))) if len(values) else 0.0
+    kept = np.sort(np.abs(values))[: int(0.95 * len(values))]
+    return float(np.linalg.norm(kept) / np.sqrt(max(len(kept), 1)))

@@ -163,7 +163,7 @@ def find_wall_peak(
     far: those of far walls.
     search_m: smallest and largest offset [m].
 
-    Raises UserError: fewer than twelve echoes of near walls agree.
+    Raises UserError: fewer than twelve echoes of near walls agree, or only at the search's edge.
     """
     n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
@@ -184,7 +184,7 @@ def find_wall_peak(
         peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
         best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
-    if n_near < MIN_ECHOES:
+    if n_near < MIN_ECHOES or best in (0, n_steps - 1):  # an edge is no peak
         raise UserError(
             what="the walls of the box do not stand out",
             expected=f"at least {MIN_ECHOES} echoes along the prior's faces at one offset between "
