@@ -15,7 +15,7 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource, listed_images
 from geraf2.errors import UserError
-from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.arrays import read_npy
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 
 _NAME = "poses_bounds.npy"
@@ -46,12 +46,7 @@ def read_llff(path: Path) -> PhotoSource:
 
 
 def _rows(path: Path) -> Floats:
-    try:
-        with path.open("rb") as handle:
-            rows = np.load(handle, allow_pickle=False)
-    except BROKEN_ARRAY as error:
-        reason = " ".join(str(error).split())
-        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    rows = read_npy(path)
     if rows.ndim != 2 or rows.shape[1] != _N_NUMBERS or rows.dtype.kind not in "fiu":
         raise UserError(
             what="must hold 17 numbers for each image",
