@@ -15,6 +15,7 @@ from geraf2.evaluation import MeshMetrics
 from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import StageRecord
+from geraf2.io.text import read_object as read_json
 from geraf2.report import html
 from geraf2.surfaces.expected_error import ErrorModel
 from geraf2.surfaces.isosurface import surface_report
@@ -60,21 +61,10 @@ def read_object(path: Path, what: str) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise UserError(
-            what=f"cannot read {what}: {error}",
-            where=path,
-            hint="remove the file or run the stage again",
-        ) from error
-    if not isinstance(stored, dict):
-        raise UserError(
-            what=f"cannot read {what}",
-            where=path,
-            expected="a JSON object",
-            got=type(stored).__name__,
-        )
-    return stored
+        return read_json(path)
+    except UserError as error:
+        hint = "remove the file or run the stage again"
+        raise UserError(what=f"cannot read {what}: {error}", hint=hint) from error
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:

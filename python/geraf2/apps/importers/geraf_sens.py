@@ -21,12 +21,13 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import read_json_object, wrong_shape
+from geraf2.apps.importers._rows import wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest, SceneManifest
+from geraf2.io.text import read_object
 from geraf2.io.toml import nearest
 from geraf2.records import RawPose
 
@@ -275,7 +276,7 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
     for path in candidates:
         if not path.is_file():
             continue
-        values = read_json_object(path)
+        values = read_object(path)
         _require_known(values, path)
         return values
     return {}
