@@ -2,7 +2,7 @@
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
@@ -14,6 +14,7 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
@@ -72,6 +73,19 @@ class TriangleMesh:
     def corners(self) -> Floats:
         """Of each triangle, (n_faces, 3, 3) [m]."""
         return self.vertices[self.faces]
+
+    @classmethod
+    def joined(cls, meshes: Sequence["TriangleMesh"]) -> "TriangleMesh":
+        """One mesh of the triangles of several, without their errors and evidence."""
+        starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        return cls(
+            vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+            faces=np.concatenate([m.faces + n for m, n in zip(meshes, starts[:-1], strict=True)]),
+        )
+
+    def moved(self, transform: Floats) -> "TriangleMesh":
+        """Mesh after a rigid transform, (4, 4)."""
+        return replace(self, vertices=apply_rigid(transform, self.vertices))
 
     def with_faces(self, faces: Ints) -> "TriangleMesh":
         """Mesh of other faces between the vertices, of which only those in use are kept."""

@@ -328,13 +328,8 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
         caption = "Share of surface samples nearer to the other surface than a distance (exact)."
         alt = "Curves of the share of samples over the distance, in both directions"
         parts.append(html.picture(curves, caption, max_width_px=620, alt=alt))
-    return [
-        Section(
-            "evaluation",
-            "Distance to the truth",
-            parts=(*parts, *html.metrics_section(run.metrics)),
-        )
-    ]
+    parts.append(html.part("metrics_tables", run.metrics))
+    return [Section("evaluation", "Distance to the truth", parts=tuple(parts))]
 
 
 def _renderings(folder: Path) -> list[Section]:
@@ -353,7 +348,7 @@ def _renderings(folder: Path) -> list[Section]:
         (angle, *(f"{record[column][angle]:.1f}" for column in columns))
         for angle in record["psnr_db"]
     ]
-    parts = [html.table("Rendered against measured", tuple(names), rows)]
+    parts = [html.part("table", "Rendered against measured", tuple(names), rows)]
     for angle in list(record["psnr_db"])[:_MAX_RENDERED]:
         for kind in ("measured", "rendered"):
             path = views / f"angle_{float(angle):05.1f}_{kind}.png"
@@ -376,9 +371,7 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
     caption = "Terms of the loss over the steps of the training, means since the line before."
     alt = "Curves of the terms of the loss over the steps"
     picture = html.picture(figures / "losses.png", caption, max_width_px=720, alt=alt)
-    return [
-        Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,)),
-    ]
+    return [Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,))]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

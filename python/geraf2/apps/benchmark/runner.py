@@ -1,8 +1,8 @@
 """Runs rows; scenes and results are stored by a hash of their inputs."""
 
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,6 +16,7 @@ from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import read_object
 from geraf2.io.toml import write_toml
 from geraf2.pipeline.processes import Processes
 
@@ -104,7 +105,7 @@ class Runner:
 
     def known(self, row: Row) -> RowResult | None:
         """Return the stored result of a row; None without one."""
-        values = _read(self.place(row).run / RESULT_NAME)
+        values = read_record(self.place(row).run / RESULT_NAME)
         own = {
             entry.name: values[entry.name] for entry in fields(RowResult) if entry.name in values
         }
@@ -112,7 +113,7 @@ class Runner:
 
     def known_scene_seconds(self, row: Row) -> float | None:
         """Processor time of a row's scene [s]; None where unknown."""
-        seconds = _read(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
+        seconds = read_record(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
         return float(seconds) if isinstance(seconds, int | float) else None
 
     def place(self, row: Row) -> Place:
@@ -246,10 +247,8 @@ def _runner(out: str, seed: int, num_threads: int | None, cache: str | None) -> 
     return Runner(out=Path(out), seed=seed, num_threads=num_threads, cache=folder)
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> dict[str, Any]:
     """Contents of a record; empty where it is missing or broken."""
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}
+    with suppress(UserError):
+        return read_object(path)
+    return {}
