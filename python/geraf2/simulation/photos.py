@@ -9,6 +9,7 @@ from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh_colours import to_srgb
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.simulation.object_scene import ObjectScene
@@ -161,11 +162,7 @@ def expose(
     sigma = spec.noise_rms / _SRGB_STEPS_AT_GREY
     scale = np.sqrt((np.maximum(linear, 0.0) + _READ_NOISE) / (_GREY + _READ_NOISE))
     noisy = linear + sigma * scale * rng.standard_normal(linear.shape, dtype=np.float32)
-    clipped = np.clip(noisy, 0.0, 1.0)
-    srgb = np.where(
-        clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.power(clipped, 1.0 / 2.4) - 0.055
-    )
-    return np.asarray(np.round(255.0 * srgb), dtype=np.uint8)
+    return np.asarray(np.round(255.0 * to_srgb(np.clip(noisy, 0.0, 1.0))), dtype=np.uint8)
 
 
 def recorded_cameras(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tuple[Camera, ...]:

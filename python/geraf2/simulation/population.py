@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Floats
+from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import face_areas
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.population_settings import POPULATION, Population
@@ -82,7 +83,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
     )
     spec = SceneSpec(
         figure=FigureSpec(
-            name=f"random-{seed}", height_m=float(thing.extents_m[2]), center_m=_triple(center)
+            name=f"random-{seed}", height_m=float(thing.extents_m[2]), center_m=triple(center)
         ),
         walls=(wall,),
         waveform=RADARS[radar],
@@ -134,7 +135,7 @@ def _box(
         floor = -0.5 * size[2] + thickness + population.foot_gap_m
         center[2] = floor + 0.5 * thing.extents_m[2]
     wall = Wall(
-        size_m=_triple(size),
+        size_m=triple(size),
         thickness_m=thickness,
         permittivity=rng.uniform(*population.wall_permittivity),
         center_m=(0.0, 0.0, 0.0),
@@ -235,8 +236,3 @@ def _with_fewer_planes(scan: ScanSpec) -> ScanSpec:
         first = replace(scan.rings[0], n_poses=scan.rings[0].n_poses - 1)
         return replace(scan, rings=(first, *scan.rings[1:]))
     return replace(scan, n_poses=scan.n_poses - 1)
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z

@@ -16,7 +16,7 @@ from geraf2.io.manifest import (
 )
 from geraf2.io.toml import from_table
 
-# Other places of missing values, by format.
+# Other sources of missing values, by format.
 _OTHER_SOURCES = {
     "dca1000": ", or --config",
     "geraf-sens": ", or start_frequency_hz, chirp_slope_hz_per_s and adc_sample_rate_hz in "

@@ -16,7 +16,7 @@ from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource, listed_images
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
-from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.photo_files import PhotoRecord
 
 _NAME = "poses_bounds.npy"
 # Full size first; the others are smaller copies of the same names.
@@ -75,6 +75,5 @@ def _record(path: Path, image: Path, row: Floats) -> PhotoRecord:
         path=image,
         intrinsics=np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]),
         camera_to_world=pose,
-        distortion=np.zeros(N_DISTORTION),
         size=(int(width), int(height)),
     )
