@@ -9,6 +9,7 @@ import numpy as np
 
 from geraf2._bounds import Arg, Sides, Triple
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.container import LOS_NAME
@@ -97,8 +98,7 @@ def load_prior(
         raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
     if center.shape != (3,) or not np.isfinite(center).all():
         raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
-    (x, y, z), (mx, my, mz) = size.tolist(), center.tolist()
-    return with_walls(LosPrior.from_box((x, y, z), (mx, my, mz)), walls, listener)
+    return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, listener)
 
 
 def with_walls(

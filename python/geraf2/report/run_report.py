@@ -197,7 +197,7 @@ def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     run, path = read_run(folder), folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
-    copy = _stored_truth(path) if "scores" in run.metrics and path.is_file() else None
+    copy = stored_truth(path) if "scores" in run.metrics and path.is_file() else None
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
@@ -252,10 +252,11 @@ def _truth_copy(
     if not (scores_kept and path.is_file()):
         path.unlink(missing_ok=True)
         return None
-    return _stored_truth(path)
+    return stored_truth(path)
 
 
-def _stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
+def stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
+    """Thinned truth that an earlier report kept, and the distances to it [m]."""
     stored = read_npz(path, ("vertices", "faces", "distances_m"))
     return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 
