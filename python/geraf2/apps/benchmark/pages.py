@@ -91,7 +91,14 @@ def write_pages(
             write_text_atomic(rungs, csv_text(table.rungs[0], table.rungs[1:]))
     losses = lost_rows(suite, results)
     against = against_default(suite, results)
-    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
+    words = {
+        "note": _NOTE,
+        "losses": losses,
+        "against_title": _AGAINST,
+        "against": [_AGAINST_HEAD, *against],
+    }
+    text = html.rendered("benchmark.md", tables=tables, is_quick=suite.is_quick, **words)
+    write_text_atomic(out / MARKDOWN_NAME, text)
     sections = [
         (table, _pictures(out, table, of[table.name], suite, num_threads)) for table in tables
     ]
@@ -99,12 +106,9 @@ def write_pages(
     text = html.rendered(
         "benchmark.html",
         title="geraf2 benchmark",
-        note=_NOTE,
         facts=[("rows", len(results)), ("failed", sum(r.error is not None for _, r in results))],
-        against_title=_AGAINST,
-        against=[_AGAINST_HEAD, *against],
         sections=sections,
-        losses=losses,
+        **words,
     )
     write_text_atomic(page, text)
     return page
@@ -253,35 +257,6 @@ def _number(value: float | str | None, digits: int, factor: float) -> str:
     if isinstance(value, str):
         return value
     return "" if value is None else f"{factor * value:.{digits}f}"
-
-
-def _as_markdown(
-    tables: Sequence[Table],
-    losses: Sequence[str],
-    against: Sequence[tuple[str, ...]],
-    suite: Suite,
-) -> str:
-    form = " (short form: fewer planes and antennas, fewer rows)" if suite.is_quick else ""
-    parts = [f"# geraf2 benchmark{form}", "", _NOTE]
-    for table in tables:
-        parts += ["", f"## {table.experiment.title}", ""]
-        if table.experiment.note:
-            parts += [table.experiment.note, ""]
-        if table.rungs:
-            parts += [*_markdown_table(table.rungs[0], table.rungs[1:]), ""]
-        parts += _markdown_table(table.head, table.rows)
-        parts += [f"- failed: {line}" for line in table.failures]
-    if against:
-        parts += ["", f"## {_AGAINST}", "", *_markdown_table(_AGAINST_HEAD, against)]
-    parts += ["", "## Where fast loses", "", *(f"- {line}" for line in losses)]
-    if not losses:
-        parts.append("Nowhere.")
-    return "\n".join(parts) + "\n"
-
-
-def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
 
 
 def _pictures(
