@@ -341,15 +341,7 @@ def _renderings(folder: Path) -> list[Section]:
         record = read_object(views / run_folder.PSNR_NAME, "the rendered heat maps")
     if not record or record.get("mesh_digest") != file_digest(folder / run_folder.CONTENT_NAME):
         return []
-    columns, names = ["psnr_db"], ["angle [degrees]", "PSNR [dB]"]
-    if "surface_psnr_db" in record:
-        columns.append("surface_psnr_db")
-        names.append("of the surface alone [dB]")
-    rows = [
-        (angle, *(f"{record[column][angle]:.1f}" for column in columns))
-        for angle in record["psnr_db"]
-    ]
-    parts = [html.part("table", "Rendered against measured", tuple(names), rows)]
+    parts = [html.part("rendered_planes", record)]
     for angle in list(record["psnr_db"])[:_MAX_RENDERED]:
         for kind in ("measured", "rendered"):
             path = views / f"angle_{float(angle):05.1f}_{kind}.png"

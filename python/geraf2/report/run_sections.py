@@ -155,20 +155,14 @@ def _unexplained(stages: Mapping[str, StageRecord]) -> list[float]:
 
 
 def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
-    rows = []
-    for key, state in (("applied", "corrected"), ("left", "unchanged")):
-        for text in numbers.get(key, ()):
-            what, _, finding = str(text).partition(": ")
-            finding = finding.replace("+- ", "± ").replace("->", "→").replace("; left,", ";")
-            rows.append((what, state, finding))
-    if not rows:
+    if not (numbers.get("applied") or numbers.get("left")):
         return []
     note = (
         "Unknown parameters of the capture, with one standard uncertainty. Each is corrected only "
         "if held-out echoes fit better afterwards."
     )
-    table = html.part("table", "", ("effect", "", "found"), rows, text=True)
-    return [Section("calibration", "Calibration", note=note, parts=(table,))]
+    found = html.part("calibration", numbers)
+    return [Section("calibration", "Calibration", note=note, parts=(found,))]
 
 
 def provenance(
