@@ -16,7 +16,6 @@ if TYPE_CHECKING:
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _SCRIPTS = Path(__file__).parent / "viewer"
-_SCRIPT_NAMES = ("geometry.js", "data.js", "draw.js", "controls.js", "viewer.js")
 # Of pictures in pages: a third of the bytes of PNG, lines and letters still sharp.
 _QUALITY = 88
 
@@ -26,7 +25,7 @@ def _environment() -> "Environment":
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # noqa: PLC0415 - takes 0.1 s
 
     environment = Environment(
-        loader=FileSystemLoader(_TEMPLATES),
+        loader=FileSystemLoader((_TEMPLATES, _SCRIPTS)),
         autoescape=lambda name: name is None or not name.endswith(".md"),
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -42,23 +41,12 @@ def rendered(template: str, **context: Any) -> str:
     return _environment().get_template(template).render(version=__version__, **context)
 
 
-def safe(text: str) -> str:
-    """Mark a text as HTML, so that a template does not escape it."""
+def part(name: str, *arguments: Any, **named: Any) -> str:
+    """HTML of a macro of `parts.html`, which templates do not escape."""
     from markupsafe import Markup  # noqa: PLC0415 - as above
 
-    return Markup(text)
-
-
-def part(name: str, *arguments: Any, **named: Any) -> str:
-    """HTML of a macro of `parts.html`."""
     macro = getattr(_environment().get_template("parts.html").module, name)
-    return safe(str(macro(*arguments, **named)).strip())
-
-
-def scripts() -> str:
-    """JavaScript of the 3D view, for a script element."""
-    texts = [(_SCRIPTS / name).read_text(encoding="utf-8") for name in _SCRIPT_NAMES]
-    return safe('(() => {\n"use strict";\n' + "\n".join(texts) + "})();")
+    return Markup(str(macro(*arguments, **named)).strip())
 
 
 def picture(

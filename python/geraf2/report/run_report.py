@@ -185,9 +185,7 @@ def _page(
         sections=sections,
         answer=answer_of(run.content, run.glints, run.numbers, run.metrics),
         warnings=[line for line in dict.fromkeys(warnings) if line not in notes],
-        view=None if view is None else html.safe(view),
-        view_id="viewer",
-        scripts=html.scripts() if view else "",
+        view=view,
     )
 
 
@@ -201,10 +199,8 @@ def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
-        view=html.safe(scene_json(_view(run, copy, num_threads))),
-        view_id="viewer",
+        view=scene_json(_view(run, copy, num_threads)),
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
-        scripts=html.scripts(),
     )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.inspection.bodies import Body, part_of
-from geraf2.apps.inspection.result import PASS, Inspection, rotation_vector_deg
+from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import html
 from geraf2.report.canvas import TRUTH_COLOUR
@@ -47,19 +47,11 @@ def inspection_page(
     return html.rendered(
         "inspection.html",
         title=title,
-        passed=inspection.verdict == PASS,
-        lead=_lead(inspection),
-        failures=inspection.failures,
-        notes=inspection.notes,
-        tiles=_tiles(inspection),
-        view=html.safe(scene_json(scene)),
-        view_id="viewer",
-        fallback=_FALLBACK,
-        scripts=html.scripts(),
         found=inspection,
+        view=scene_json(scene),
+        fallback=_FALLBACK,
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
-        scene=inspection.scene[0],
     )
 
 
@@ -88,27 +80,3 @@ def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list
         colour_map="cividis",
     )
     return [*found, error]
-
-
-def _lead(inspection: Inspection) -> str:
-    n = len(inspection.parts)
-    parts = "One part" if n == 1 else f"{n} parts"
-    if not inspection.models and not inspection.failures:
-        return f"{parts} found."
-    state = "Pass" if inspection.verdict == PASS else "Fail"
-    present = sum(report.match.status == "present" for report in inspection.models)
-    of = f", {present} of {len(inspection.models)} models present" if inspection.models else ""
-    return f"{state}: {parts.lower()}{of}."
-
-
-def _tiles(inspection: Inspection) -> list[tuple[str, str]]:
-    tiles = [("parts", str(len(inspection.parts)))]
-    if inspection.models:
-        tiles.append(("tolerance", f"{1e3 * inspection.tolerance_m:g} mm"))
-    deviations = [r.deviation for r in inspection.models if r.deviation is not None]
-    if deviations:
-        tiles.append(
-            ("seen of the models", f"{100 * min(d.seen_fraction for d in deviations):.0f} %")
-        )
-        tiles.append(("rms deviation", f"{1e3 * max(d.rms_m for d in deviations):.2f} mm"))
-    return tiles
