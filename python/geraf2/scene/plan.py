@@ -163,6 +163,7 @@ class PlanePlan(Raster):
 def rows_columns(aperture_m: tuple[float, float], spacing_m: float) -> tuple[int, int]:
     """Rows and columns of a plane of this width and height [m]."""
     width, height = aperture_m
+    # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
     return int(height / spacing_m + 1e-9) + 1, int(width / spacing_m + 1e-9) + 1
 
 

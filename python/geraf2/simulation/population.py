@@ -10,6 +10,7 @@ from geraf2._types import Floats
 from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import face_areas
 from geraf2.scene import Wall, Waveform
+from geraf2.scene.plan import rows_columns
 from geraf2.simulation.population_settings import POPULATION, Population
 from geraf2.simulation.random_objects import RandomObject, choose, random_object
 from geraf2.simulation.spec import (
@@ -202,12 +203,8 @@ def simulation_seconds(spec: SceneSpec, thing: RandomObject) -> float:
     of_antenna = n_samples * of_sample
     if spec.world.wall_waves:
         of_antenna += _WAVE_S * 2.0 * (x * y + y * z + z * x)
-    return _n_antennas(spec.scan) * of_antenna
-
-
-def _n_antennas(scan: ScanSpec) -> int:
-    n = np.floor(np.asarray(scan.aperture_m) / scan.spacing_m + 1e-9) + 1
-    return int(n[0] * n[1]) * scan.n_planes
+    rows, columns = rows_columns(spec.scan.aperture_m, spec.scan.spacing_m)
+    return rows * columns * spec.scan.n_planes * of_antenna
 
 
 def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
