@@ -50,10 +50,10 @@ def part(name: str, *arguments: Any, **named: Any) -> str:
 
 
 def picture(
-    path: AnyPath, caption: str, *, max_width_px: int | None = None, alt: str | None = None
+    path: AnyPath, caption: str = "", *, name: str = "", max_width_px: int | None = None
 ) -> str:
-    """Embedded picture; `alt` describes it in words, the caption by default."""
-    return part("picture", _source(path), caption, max_width_px, alt or caption)
+    """Embedded picture; `name` of one whose description `parts.html` has."""
+    return part("picture", _source(path), caption, name, max_width_px)
 
 
 def _source(path: AnyPath) -> str:
