@@ -262,6 +262,18 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
     metrics = json.loads((finished_run / "metrics.json").read_text())
     assert metrics["seed"] == 0
     assert metrics["n_samples"] == 10000
+    size = metrics["size"]
+    ratio, (x, y, z) = size["volume_ratio"], (1e3 * e for e in size["extent_errors_m"])
+    offset = 1e3 * metrics["surface_bias_m"]
+    assert re.search(rf"volume +{ratio:.3f} of the truth's", text)
+    assert re.search(re.escape(f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm"), text)
+    assert re.search(rf"offset +{re.escape(f'{offset:+.2f}')} mm along the normal", text)
+    page = (finished_run / "report.html").read_text()
+    f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
+    assert "F1 2 mm" in page
+    assert f"{f1[2]:.4f}" in page
+    assert f"<td>{ratio:.3f}</td>" in page
+    assert f"<td>{x:+.2f} / {y:+.2f} / {z:+.2f}</td>" in page
     parts = metrics["by_sight"]
     assert [part["part"] for part in parts] == ["in sight", "out of sight"]
     assert sum(part["area_fraction"] for part in parts) == pytest.approx(1.0)

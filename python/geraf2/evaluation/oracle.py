@@ -25,6 +25,8 @@ class OracleScore:
     """Best F1 at 15 mm."""
     f1_5mm: float
     """Best F1 at 5 mm over all thresholds."""
+    f1_2mm: float
+    """Best F1 at 2 mm over all thresholds."""
     chamfer_1e3_m2: float
     """Smallest Chamfer distance over all thresholds [1e-3 m^2]."""
 
@@ -76,5 +78,6 @@ def oracle_matched_filter(
         level=best_level,
         f1_15mm=best.f1(0.015),
         f1_5mm=max(metrics.f1(0.005) for _, metrics in scores),
+        f1_2mm=max(metrics.f1(0.002) for _, metrics in scores),
         chamfer_1e3_m2=min(metrics.chamfer_1e3_m2 for _, metrics in scores),
     )

@@ -177,11 +177,28 @@ def metrics_section(metrics: Mapping[str, Any]) -> list[str]:
                 millimetres(metrics["both_ways"]["median_m"]),
                 millimetres(metrics["floor_median_m"]),
             ),
-            ("bias, positive outside [mm]", millimetres(metrics["surface_bias_m"]), ""),
+            (
+                "offset along the normal, median, positive outside [mm]",
+                millimetres(metrics["surface_bias_m"]),
+                "",
+            ),
+            *_size_rows(metrics.get("size")),
         ],
     )
     parts = [scores, overall, distances, sight_table(metrics), forecast_table(metrics)]
     return [f'<div class="tables">{"".join(parts)}</div>']
+
+
+def _size_rows(size: Mapping[str, Any] | None) -> list[tuple[str, str, str]]:
+    """Rows of volume and extents; none for metrics of a version without them."""
+    if size is None:
+        return []
+    ratio = size["volume_ratio"]
+    errors = " / ".join(f"{1e3 * error:+.2f}" for error in size["extent_errors_m"])
+    return [
+        ("volume over the true one", "not closed" if ratio is None else f"{ratio:.3f}", ""),
+        ("error of the extents x / y / z [mm]", errors, ""),
+    ]
 
 
 def forecast_table(metrics: Mapping[str, Any]) -> str:

@@ -123,7 +123,7 @@ def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowRes
     best = oracle_matched_filter(
         total.heat, grid, prior, truth, crop_m=config.crop_m, seed=seed, num_threads=num_threads
     )
-    scores = [(best.f1_15mm, best.f1_5mm, best.chamfer_1e3_m2)]
+    scores = [(best.f1_15mm, best.f1_5mm, best.f1_2mm, best.chamfer_1e3_m2)]
     counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
     otsu = float(threshold_otsu(total.heat[counted]))
     hottest = float(total.heat[counted].max())
@@ -132,9 +132,11 @@ def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowRes
         mesh, _ = cropped_content(sdf, prior, config.crop_m, num_threads=num_threads)
         if mesh.faces.shape[0]:
             metrics = evaluate_mesh(mesh, truth, seed=seed, num_threads=num_threads)
-            scores.append((metrics.f1(0.015), metrics.f1(0.005), metrics.chamfer_1e3_m2))
-    f1_15mm, f1_5mm, chamfer = zip(*scores, strict=True)
-    return RowResult(f1_15mm=max(f1_15mm), f1_5mm=max(f1_5mm), chamfer_1e3_m2=min(chamfer))
+            f1 = metrics.f1(0.015), metrics.f1(0.005), metrics.f1(0.002)
+            scores.append((*f1, metrics.chamfer_1e3_m2))
+    *all_f1, chamfer = zip(*scores, strict=True)
+    f1_15mm, f1_5mm, f1_2mm = (max(values) for values in all_f1)
+    return RowResult(f1_15mm=f1_15mm, f1_5mm=f1_5mm, f1_2mm=f1_2mm, chamfer_1e3_m2=min(chamfer))
 
 
 def _result_of(metrics: MeshMetrics) -> RowResult:
@@ -142,11 +144,18 @@ def _result_of(metrics: MeshMetrics) -> RowResult:
         f"{of.n_components}, {'open' if of.n_holes is None else of.n_holes}"
         for of in (metrics.mesh, metrics.truth)
     )
+    x, y, z = metrics.size.extent_errors_m
     return RowResult(
         f1_15mm=metrics.f1(0.015),
         f1_5mm=metrics.f1(0.005),
         f1_3mm=metrics.f1(0.003),
+        f1_2mm=metrics.f1(0.002),
         chamfer_1e3_m2=metrics.chamfer_1e3_m2,
+        volume_ratio=metrics.size.volume_ratio,
+        extent_x_m=x,
+        extent_y_m=y,
+        extent_z_m=z,
+        offset_m=metrics.surface_bias_m,
         median_m=metrics.both_ways.median_m,
         same_topology=float(mesh == truth),
         topology=f"{mesh} ({truth})",
