@@ -128,6 +128,39 @@ def test_it_is_refused(row, place, capsys, time_limit):
     assert seconds < MOST_S
 
 
+def accepted_of(rows, place, capsys):
+    """Names of the rows that are not refused, one after the other in one folder."""
+    accepted = []
+    for row in rows:
+        kept = {change.path: (place / change.path).read_bytes() for change in row.changes}
+        for change in row.changes:
+            change.apply(place / change.path)
+        code, said = main(row.line.split()), capsys.readouterr()
+        for path, data in kept.items():
+            (place / path).write_bytes(data)
+        try:
+            require_refused(row, code, said.err, said.out)
+        except AssertionError as error:
+            accepted.append(f"{row.name}: {error}")
+    return accepted
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", [*map(bad, flags.LINES)], ids=flags.LINES)
+def test_every_flag_refuses_what_is_out_of_its_range(row, place, capsys):
+    before = content(place)
+    assert accepted_of(flags.walked(row.line), place, capsys) == []
+    assert content(place) == before
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", [bad(specs.SIMULATE)], ids=["spec"])
+def test_every_key_of_a_spec_refuses_what_is_out_of_its_range(row, place, capsys):
+    before = content(place)
+    assert accepted_of(specs.walked(), place, capsys) == []
+    assert content(place) == before
+
+
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", [*map(bad, GOOD)], ids=GOOD)
 def test_what_is_not_spoiled_is_accepted(row, place, capsys):

@@ -32,11 +32,6 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"geraf2 {__version__}\n"
 
 
-def test_an_unknown_command_is_one_line(capsys):
-    assert main(["frobnicate"]) == 2
-    assert capsys.readouterr().err.startswith("geraf2: error: unknown command 'frobnicate'")
-
-
 def test_progress_where_no_one_watches_is_a_line_a_minute(monkeypatch, capsys):
     now = [0.0]
     clock = SimpleNamespace(monotonic=lambda: now[0], perf_counter=lambda: now[0])

@@ -145,14 +145,6 @@ def test_the_run_of_another_scene_is_left_alone(finished_run, scene, tmp_path, c
     assert {path.name: path.stat().st_mtime_ns for path in finished_run.iterdir()} == before
 
 
-def test_a_folder_with_other_files_is_left_alone(scene, tmp_path, capsys):
-    (tmp_path / "notes").mkdir()
-    (tmp_path / "notes" / "diary.txt").write_text("mine")
-    assert run(scene, tmp_path / "notes", *BOX) == 2
-    assert "holds files but no run of geraf2" in the_error(capsys)
-    assert [path.name for path in (tmp_path / "notes").iterdir()] == ["diary.txt"]
-
-
 @pytest.mark.parametrize(
     ("flags", "text"),
     [
@@ -240,18 +232,6 @@ def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):
     error = the_error(capsys)
     assert "no glint inside the box" in error
     assert "check" in error
-
-
-def test_an_implausible_scene_is_refused_before_anything_is_written(scene, tmp_path, capsys):
-    capture = load_capture(scene)
-    first = capture.poses[0]
-    signal = first.signal.copy()
-    signal[0, 0] = np.nan
-    bad = replace(capture, poses=(replace(first, signal=signal), *capture.poses[1:]))
-    save_capture(bad, tmp_path / "bad")
-    assert run(tmp_path / "bad", tmp_path / "out", *BOX) == 2
-    assert "1 samples are NaN or infinite" in the_error(capsys)
-    assert not (tmp_path / "out").exists()
 
 
 def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, capsys):
@@ -362,26 +342,3 @@ def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):
     assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 7
     assert main(["evaluate", str(finished_run), *truth, "--seed", "3"]) == 0
     assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 3
-
-
-@pytest.mark.parametrize(
-    ("flags", "text"),
-    [
-        (["--truth", "absent.ply"], "absent.ply: the mesh file does not exist"),
-        (["--truth", "TRUTH", "--n-samples", "0"], "--n-samples must be at least 1"),
-        (["--truth", "TRUTH", "--seed", "-1"], "--seed must be at least 0"),
-    ],
-)
-def test_impossible_evaluations_are_one_line(finished_run, scene, capsys, flags, text):
-    flags = [flag.replace("TRUTH", str(scene / "truth.ply")) for flag in flags]
-    assert main(["evaluate", str(finished_run), *flags]) == 2
-    assert text in the_error(capsys)
-
-
-def test_a_folder_without_a_run_cannot_be_evaluated(scene, tmp_path, capsys):
-    truth = str(scene / "truth.ply")
-    assert main(["evaluate", str(tmp_path), "--truth", truth]) == 2
-    assert "is no run folder" in the_error(capsys)
-    RunFolder.open(tmp_path / "out", scene_digest="x", scene_name="scene")
-    assert main(["evaluate", str(tmp_path / "out"), "--truth", truth]) == 2
-    assert "has no mesh_content.ply yet" in the_error(capsys)

@@ -15,7 +15,6 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import (
-    SilhouetteConfig,
     Silhouettes,
     find_silhouettes,
     sharpened,
@@ -340,17 +339,3 @@ def test_what_is_saved_is_read_again(tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(UserError, match="cannot read the arrays"):
         Silhouettes.load(path)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("spacing_m", 0.0),
-        ("aperture", -1.0),
-        ("min_free", 1.5),
-        ("max_tilt_deg", 0.0),
-    ],
-)
-def test_settings_out_of_range_are_refused(name, value):
-    with pytest.raises(ValueError, match=name):
-        SilhouetteConfig(**{name: value})

@@ -32,7 +32,7 @@ from geraf2.learned.trainer import (
     without_wall_pieces,
 )
 from geraf2.ops import _tensors, matched_filter
-from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
+from geraf2.pipeline.presets import CorrectedPaperPreset
 from geraf2.pipeline.stages.learned import TRAIN
 from geraf2.scene import Grid, Wall
 from helpers.carton import PRIOR
@@ -416,14 +416,6 @@ def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
     joined = field(content, ball(0.026, 0.018))
     kept = without_wall_pieces(joined, outside, crop_m, detail_m)
     np.testing.assert_array_equal(kept.values, joined.values)
-
-
-def test_a_preset_of_a_table_keeps_its_form():
-    preset = preset_of_table({"preset": "paper-corrected", "paper": {"n_cells": 8}}, "t.toml")
-    assert preset == CorrectedPaperPreset(paper=CorrectedPaperConfig(n_cells=8))
-    assert preset.paper.two_way == "unbiased"
-    few = preset_of_table({"preset": "paper", "paper": {"stage2": {"n_steps": 9}}}, "t.toml")
-    assert few.paper.stage2 == replace(PaperConfig().stage2, n_steps=9)
 
 
 def test_a_term_that_is_not_finite_is_named(capture, maps):

@@ -89,12 +89,3 @@ def test_mesh_paths_are_relative_to_the_file(tmp_path):
     file = tmp_path / "spec.toml"
     file.write_text('[figure]\nmesh = "things/cup.ply"\n')
     assert load_spec(file).figure.mesh == str(tmp_path / "things" / "cup.ply")
-
-
-def test_missing_and_broken_files_are_named(tmp_path):
-    with pytest.raises(UserError, match="no such file"):
-        load_spec(tmp_path / "nothing.toml")
-    file = tmp_path / "spec.toml"
-    file.write_text("[figure\n")
-    with pytest.raises(UserError, match="not valid TOML"):
-        load_spec(file)
