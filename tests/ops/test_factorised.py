@@ -166,20 +166,6 @@ def test_gradients_to_positions_are_those_of_exact():
     assert torch.equal(*found)
 
 
-@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
-def test_thread_count_changes_no_bit(n_antennas):
-    signal, tx, rx, waveform = make_case(n_antennas)
-    images, gradients = [], []
-    for threads in (1, 2, 3):
-        x = torch.from_numpy(signal).requires_grad_(True)
-        image = image_of((x, tx, rx, waveform), num_threads=threads)
-        image.backward(torch.ones_like(image) * (1 + 2j))
-        images.append(image.detach())
-        gradients.append(x.grad)
-    assert all(torch.equal(images[0], other) for other in images[1:])
-    assert all(torch.equal(gradients[0], other) for other in gradients[1:])
-
-
 @pytest.mark.parametrize(
     ("n_antennas", "spacing_m", "shape"),
     [

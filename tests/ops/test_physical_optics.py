@@ -193,13 +193,6 @@ def test_a_wall_delays_and_weakens_as_fresnel_says(angle_deg):
         assert delay == pytest.approx(2 * slab.one_way_delay_m)
 
 
-def test_one_and_four_threads_agree_exactly():
-    elements, antennas, weights = make_elements(), make_antennas(), make_weights()
-    one = physical_optics(elements, weights, antennas, WAVEFORM, num_threads=1)
-    four = physical_optics(elements, weights, antennas, WAVEFORM, num_threads=4)
-    assert np.array_equal(one, four)
-
-
 def test_elements_facing_away_and_empty_sets_give_silence():
     antennas = make_antennas()
     hidden = SurfaceElements(points=np.zeros((1, 3)), normals=np.array([[-1.0, 0.0, 0.0]]))
