@@ -19,6 +19,8 @@ LINES = (
     "los 0.2x0.2x0.2 out",
     "benchmark out --list",
     "demo out",
+    "inspect run",
+    "batch scene out --box 0.16 0.16 0.16 --list",
     IMPORT,
 )
 """Command lines whose flags are walked."""

@@ -1,6 +1,5 @@
 """Import from the command line: signs, faults, nothing left behind."""
 
-import errno
 import json
 from dataclasses import replace
 
@@ -8,7 +7,6 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.io import scene_writer
 from geraf2.scene import load_capture
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
@@ -96,22 +94,6 @@ def test_a_constant_signal_is_refused(source, capsys):
         for name in ("adcr", "adci"):
             edit(frame / f"{name}.npy", np.zeros_like)
     assert_refused(source, capsys, "signal is constant")
-
-
-def test_a_full_disk_leaves_no_half_scene(source, capsys, monkeypatch):
-    def full(*_):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(scene_writer, "write_toml", full)
-    assert_refused(source, capsys, "No space left on device")
-
-
-def test_ctrl_c_leaves_no_half_scene(source, capsys, monkeypatch):
-    def interrupt(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(scene_writer, "write_toml", interrupt)
-    assert_refused(source, capsys, "interrupted", code=130)
 
 
 def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):

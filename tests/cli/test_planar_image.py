@@ -107,14 +107,6 @@ def test_the_sign_can_be_forced(tmp_path, capsys):
     assert np.array_equal(other.poses[0].signal, forced.poses[0].signal.conj())
 
 
-def test_a_constant_plane_is_refused(tmp_path, capsys):
-    data = np.full((1, 9, 9), 0.2 + 0.1j)
-    source = write_hologram(tmp_path / "flat.npy", frequencies=22e9, data=data)
-    assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 2
-    assert "the signal is constant" in capsys.readouterr().err
-    assert not (tmp_path / "scene").exists()
-
-
 def one_frequency(positions):
     """The letter 0.1 m before antennas anywhere, as a capture."""
     points = np.column_stack([np.full(len(LETTER), 0.1), LETTER])

@@ -19,20 +19,14 @@ from geraf2.freespace.silhouettes import (
     find_silhouettes,
     sharpened,
 )
-from geraf2.scene import Capture, Grid, Pose, Wall, Waveform
+from geraf2.scene import Capture, Grid, Pose, Wall
 from geraf2.surfaces import refinement
 from geraf2.surfaces.refinement import RefineConfig, cut_to_silhouettes
 from helpers.glint_sets import glints_on_sphere
+from helpers.synthetic import WAVEFORM
 from reference import wall_shadow
 
 WALL = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
-WAVEFORM = Waveform(
-    start_frequency_hz=77.37e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=625e3,
-    n_samples=32,
-    path_bias_m=0.15,
-)
 STANDOFF_M = 0.4
 INNER_M = 0.106
 Y, Z = np.arange(-0.069, 0.07, 0.003), np.arange(-0.12, 0.121, 0.003)

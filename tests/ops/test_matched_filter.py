@@ -15,21 +15,12 @@ import pytest
 import torch
 
 from geraf2.ops import matched_filter, simd_level
-from geraf2.scene import Grid, Waveform
+from geraf2.scene import Grid
+from helpers.synthetic import waveform_of
 from reference import matched_filter as reference
 from reference.closeness import assert_close
 
 METHODS = ("exact", "block", "auto")
-
-
-def make_waveform(n_samples=32, path_bias_m=0.15):
-    return Waveform(
-        start_frequency_hz=77.3704e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=10e6 * n_samples / 512,
-        n_samples=n_samples,
-        path_bias_m=path_bias_m,
-    )
 
 
 def make_case(n_antennas=37, n_samples=32, n_points=200, spread_m=0.02, seed=0):
@@ -50,7 +41,7 @@ def make_case(n_antennas=37, n_samples=32, n_points=200, spread_m=0.02, seed=0):
         torch.from_numpy(tx),
         torch.from_numpy(rx),
         torch.from_numpy(points),
-        make_waveform(n_samples),
+        waveform_of(n_samples),
     )
 
 
@@ -332,7 +323,7 @@ def test_bad_input_is_named(name, kind):
         "tx": np.zeros((4, 3)),
         "rx": np.zeros((4, 3)),
         "points": np.zeros((2, 3)),
-        "waveform": make_waveform(),
+        "waveform": waveform_of(),
         **change,
     }
     if kind == "torch":
@@ -367,7 +358,7 @@ def test_block_agrees_with_exact_on_a_capture(shared_data):
     signal = (load["adcr"] + 1j * load["adci"]).astype(np.complex64)
     grid = Grid.cube((0.0, 0.0, 0.0), 0.06, 21)
     block, exact = (
-        matched_filter(signal, load["tpos"], load["rpos"], grid, make_waveform(), method=method)
+        matched_filter(signal, load["tpos"], load["rpos"], grid, waveform_of(), method=method)
         for method in ("block", "exact")
     )
     assert np.linalg.norm(block - exact) < 5e-4 * np.linalg.norm(exact)

@@ -4,16 +4,10 @@ import numpy as np
 import pytest
 
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Wall
+from helpers.synthetic import WAVEFORM
 from reference import physical_optics as reference
 
-WAVEFORM = Waveform(
-    start_frequency_hz=77.3704e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=625e3,
-    n_samples=32,
-    path_bias_m=0.15,
-)
 BOX = Wall(size_m=(0.22, 0.24, 0.26), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
 INNER = Wall(size_m=(0.1, 0.12, 0.12), thickness_m=0.003, permittivity=2.2)
 

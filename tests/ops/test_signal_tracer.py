@@ -11,22 +11,12 @@ import pytest
 import torch
 
 from geraf2.ops import matched_filter, signal_tracer
-from geraf2.scene import Waveform
+from helpers.synthetic import waveform_of
 from reference import signal_tracer as reference
 from reference.closeness import assert_close
 
 SPREADS_M = {"blocks": 0.02, "points": 0.6}
 """Half the edge of the cube of points: dense enough for blocks, or for none."""
-
-
-def make_waveform(n_samples=32, path_bias_m=0.15):
-    return Waveform(
-        start_frequency_hz=77.3704e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=10e6 * n_samples / 512,
-        n_samples=n_samples,
-        path_bias_m=path_bias_m,
-    )
 
 
 def make_case(
@@ -55,7 +45,7 @@ def make_case(
     normals = rng.normal(size=(n_points, 3)) + np.array([1.0, 0.0, 0.0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     tensors = [torch.from_numpy(a) for a in (amplitude, points, tx, rx)]
-    return tensors, torch.from_numpy(normals) if specular else None, make_waveform(n_samples)
+    return tensors, torch.from_numpy(normals) if specular else None, waveform_of(n_samples)
 
 
 KINDS = ("shared", "shared complex", "antenna", "antenna complex")
@@ -251,7 +241,7 @@ def test_no_silent_second_derivative():
 
 def test_a_mirror_sends_back_what_meets_it_head_on():
     # Monostatic, at the angle a to the normal, the factor is cos 2a; beyond 45 degrees nothing.
-    waveform = make_waveform(4)
+    waveform = waveform_of(4)
     tx = torch.zeros((1, 3), dtype=torch.float64)
     point = torch.tensor([[0.5, 0.0, 0.0]], dtype=torch.float64)
     amplitude = torch.ones(1, dtype=torch.float64)
@@ -358,7 +348,7 @@ def test_bad_input_is_named(name, kind):
         "points": np.zeros((2, 3)),
         "tx": np.zeros((4, 3)),
         "rx": np.zeros((4, 3)),
-        "waveform": make_waveform(),
+        "waveform": waveform_of(),
         **change,
     }
     if kind == "torch":

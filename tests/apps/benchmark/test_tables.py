@@ -6,7 +6,6 @@ import pytest
 
 from geraf2.apps.benchmark import Case, RowResult, load_suite, rows_of
 from geraf2.apps.benchmark.pages import lost_rows, make_table
-from geraf2.io.toml import merged
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +22,6 @@ def results_of(suite, **figures):
         error = None if f1 is not None else "it broke"
         out.append((row, RowResult(f1_5mm=f1, chamfer_1e3_m2=chamfer, error=error)))
     return out
-
-
-def test_tables_are_merged_key_by_key():
-    low = {"scan": {"n_poses": 36, "spacing_m": 0.004}, "walls": [1]}
-    assert merged(low, {"scan": {"n_poses": 6}, "walls": [2]}) == {
-        "scan": {"n_poses": 6, "spacing_m": 0.004},
-        "walls": [2],
-    }
-    assert low["scan"]["n_poses"] == 36
 
 
 def test_a_case_changes_constants_of_its_method_alone(suite):
