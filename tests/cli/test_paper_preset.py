@@ -19,34 +19,15 @@ from geraf2.scene import load_capture
 from helpers.console import the_error
 from helpers.small_scene import BOX
 
-TINY = [
-    "--preset",
-    "paper",
-    "--paper.n-cells",
-    "8",
-    "--paper.n-samples",
-    "10",
-    "--paper.n-antennas",
-    "16",
-    "--paper.n-clusters",
-    "1",
-    "--paper.stage1.n-steps",
-    "4",
-    "--paper.stage2.n-steps",
-    "4",
-    "--paper.grid-n",
-    "9",
-    "17",
-    "--paper.mesh-n",
-    "33",
-    "--paper.checkpoint-every",
-    "3",
-    "--no-report",
-]
+TINY = (
+    "--preset paper --paper.n-cells 8 --paper.n-samples 10 --paper.n-antennas 16 "
+    "--paper.n-clusters 1 --paper.stage1.n-steps 4 --paper.stage2.n-steps 4 --paper.grid-n 9 17 "
+    "--paper.mesh-n 33 --paper.checkpoint-every 3 --no-report"
+)
 
 
 def run(scene, out, *more):
-    return main(["reconstruct", str(scene), str(out), *BOX, *TINY, *more])
+    return main(["reconstruct", str(scene), str(out), *BOX, *TINY.split(), *more])
 
 
 def fields(folder):

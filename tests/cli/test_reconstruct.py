@@ -87,29 +87,26 @@ def stopping_at(stage, error, monkeypatch):
     monkeypatch.setattr(RunFolder, "mark_done", mark_done)
 
 
-@pytest.mark.parametrize("stage", ["glints", "sdf", "mesh"])
-def test_ctrl_c_then_resume_is_an_uninterrupted_run(
-    stage, scene, tmp_path, built_run, monkeypatch, capsys
+@pytest.mark.parametrize(
+    ("stage", "stop", "said"),
+    [
+        ("sdf", (KeyboardInterrupt(), 130), "interrupted; finished stages are kept, --resume"),
+        ("mesh", (OSError(errno.ENOSPC, "No space left on device"), 2), "the disk is full"),
+    ],
+)
+def test_what_stops_a_run_is_one_line_and_resume_gives_the_uninterrupted_one(
+    stage, stop, said, scene, tmp_path, built_run, monkeypatch, capsys
 ):
+    out, (error, code) = tmp_path / "out", stop
     with monkeypatch.context() as patched:
-        stopping_at(stage, KeyboardInterrupt(), patched)
-        assert run(scene, tmp_path / "out", *BOX) == 130
-    assert the_error(capsys) == "geraf2: interrupted; finished stages are kept, --resume continues"
-    assert events(tmp_path / "out")[-1]["event"] == "the run stopped: interrupted"
-    assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
-    assert digests(tmp_path / "out") == digests(built_run)
-
-
-def test_a_full_disk_is_one_line_and_resume_goes_on(
-    scene, tmp_path, built_run, monkeypatch, capsys
-):
-    with monkeypatch.context() as patched:
-        stopping_at("mesh", OSError(errno.ENOSPC, "No space left on device"), patched)
-        assert run(scene, tmp_path / "out", *BOX) == 2
-    assert "the disk is full" in the_error(capsys)
-    assert set(RunFolder.read(tmp_path / "out").stages) == {"calibration", "glints", "sdf"}
-    assert run(scene, tmp_path / "out", *BOX, "--resume") == 0
-    assert digests(tmp_path / "out") == digests(built_run)
+        stopping_at(stage, error, patched)
+        assert run(scene, out, *BOX) == code
+    assert said in the_error(capsys)
+    assert events(out)[-1]["event"].startswith("the run stopped")
+    done = ("calibration", "glints", "sdf", "mesh")
+    assert tuple(RunFolder.read(out).stages) == done[: done.index(stage)]
+    assert run(scene, out, *BOX, "--resume") == 0
+    assert digests(out) == digests(built_run)
 
 
 def test_a_changed_setting_runs_only_what_depends_on_it(finished_run, scene):
@@ -140,10 +137,8 @@ def test_the_number_of_threads_changes_nothing(scene, tmp_path, built_run):
     [
         (["--box", "20", "20", "20"], "is it in centimetres"),
         (["--box", "1", "1", "1"], "the box contains the antennas of 9 planes"),
-        (["--box", "0.06", "0.06", "0.06"], "% of the echo energy comes from"),
         (["--box", "0.1", "0.1", "0.1"], "% of the echo energy comes from"),
         ([*BOX, "--box-center", "0", "0", "0.5"], "probably in another frame"),
-        ([*BOX, "--box-center", "0.09", "0", "0"], "% of the echo energy comes from"),
     ],
 )
 def test_an_impossible_prior_is_one_line(scene, tmp_path, capsys, flags, text):
@@ -165,7 +160,6 @@ def write_box(path, change):
             lambda m: replace(m, vertices=m.vertices + [0, 0, 0.6]),  # noqa: RUF005 - an array
             "probably in another frame",
         ),
-        (lambda m: replace(m, vertices=0.4 * m.vertices), "% of the echo energy comes from"),
     ],
 )
 def test_an_unfit_mesh_is_one_line(scene, tmp_path, capsys, change, text):
@@ -285,11 +279,10 @@ def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, scene, mo
     assert "the truth" not in page
 
 
-@pytest.mark.parametrize("more", [["--resume"], []])
-def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene, more):
+def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
     names = ("metrics.json", "figures/errors.png", "figures/mesh.png", "figures/slices.png")
     before = [(evaluated_run / name).read_bytes() for name in names]
-    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST, *more]) == 0
+    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST]) == 0
     assert [(evaluated_run / name).read_bytes() for name in names] == before
     assert (evaluated_run / "views" / "psnr.json").is_file()
     page = (evaluated_run / "report.html").read_text()
