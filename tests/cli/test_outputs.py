@@ -21,9 +21,7 @@ def contents(folder):
     "flags",
     [
         [*BOX, *FAST, "--fit.bending-weight", "0.5"],
-        ["--box", "0.21", "0.21", "0.21", *FAST],
         [*BOX, "--preset", "back-projection"],
-        [*BOX, *FAST, "--calibrate", "no"],
         [*BOX, *FAST, "--resume", "--fit.bending-weight", "0.5"],
     ],
 )
