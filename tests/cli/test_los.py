@@ -220,13 +220,6 @@ def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
     assert len(tiny_training) == 1
     prior = load_prior(out / "los")
     np.testing.assert_allclose(prior.vertices, read_mesh(out / "los" / "los.ply").vertices)
-
-
-@pytest.mark.slow
-def test_render_reads_the_prior_that_the_run_trained(photo_folder, tiny_training, scene, tmp_path):
-    out = tmp_path / "run"
-    command = ("reconstruct", scene, out, "--los", photo_folder, *FAST, "--no-report")
-    assert run(*command) == 0
     assert run("render", out, "--angles", 0, *COARSE_RENDER) == 0
     assert (out / "views" / "angle_000.0.npz").is_file()
     assert len(tiny_training) == 1

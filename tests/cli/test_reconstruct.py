@@ -291,27 +291,24 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
     assert "Share of surface samples" in page
 
 
-def test_evaluate_knows_the_planes_without_the_scene(scene, tmp_path):
+def test_evaluate_knows_the_planes_without_the_scene(finished_run, scene, tmp_path):
     """The run folder says where its antennas were; of planes that it left out nothing counts."""
-    shares, truth = [], tmp_path / "gone" / "truth.ply"
-    for name, flags in (("all", []), ("half", ["--hold-out", "0", "40", "80", "120", "160"])):
-        assert run(scene, tmp_path / name, *BOX, "--calibrate", "no", *flags) == 0
+    half, truth = tmp_path / "half", tmp_path / "gone" / "truth.ply"
+    assert run(scene, half, *BOX, "--hold-out", "0", "40", "80", "120", "160") == 0
     scene.rename(tmp_path / "gone")
-    for name in ("all", "half"):
-        parts = evaluate(tmp_path / name, truth, n_samples=500, report=False).by_sight
-        shares.append(parts[0].area_fraction)
+    few = {"n_samples": 500, "report": False}
+    shares = [evaluate(f, truth, **few).by_sight[0].area_fraction for f in (finished_run, half)]
     assert 0.0 < shares[1] < shares[0]
-    (tmp_path / "all" / "planes.json").write_text('{"corners_m": [[1, 2]]}')
+    (half / "planes.json").write_text('{"corners_m": [[1, 2]]}')
     with pytest.raises(UserError, match=r"planes.json: cannot be read as the planes of a run"):
-        evaluate(tmp_path / "all", truth, n_samples=500, report=False)
-    (tmp_path / "all" / "planes.json").unlink()
-    assert evaluate(tmp_path / "all", truth, n_samples=500, report=False).by_sight == ()
+        evaluate(half, truth, **few)
+    (half / "planes.json").unlink()
+    assert evaluate(half, truth, **few).by_sight == ()
 
 
 def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):
     assert run(scene, finished_run, *BOX, "--resume", "--seed", "7") == 0
-    truth = ["--truth", str(scene / "truth.ply"), "--n-samples", "500"]
-    assert main(["evaluate", str(finished_run), *truth]) == 0
-    assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 7
-    assert main(["evaluate", str(finished_run), *truth, "--seed", "3"]) == 0
-    assert json.loads((finished_run / "metrics.json").read_text())["seed"] == 3
+    few = {"truth": scene / "truth.ply", "n_samples": 500, "report": False}
+    for seed, expected in ((None, 7), (3, 3)):
+        assert evaluate(finished_run, **few, seed=seed).seed == expected
+        assert json.loads((finished_run / "metrics.json").read_text())["seed"] == expected
