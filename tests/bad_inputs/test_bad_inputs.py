@@ -27,7 +27,8 @@ from bad_inputs.table import bad, toml
 from bad_inputs.things import make_things, named
 from geraf2.cli.main import main
 
-MOST_S = 10.0
+MOST_CPU_S, MOST_S = 10.0, 60.0
+"""Processor time; and wall time, of a machine that others use, too."""
 TABLES = (commands, flags, scenes, meshes, importers, photos, runs, specs)
 ROWS = {
     f"{table.__name__.rpartition('.')[2]}_{number} {row.name}"[:150]: row
@@ -119,13 +120,13 @@ def require_refused(row, code, err, out=""):
 def test_it_is_refused(row, place, capsys, time_limit):
     for change in row.changes:
         change.apply(place / change.path)
-    before, start = content(place), time.perf_counter()
+    before, start = content(place), time.process_time()
     code = main(row.line.split())
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     said = capsys.readouterr()
     require_refused(row, code, said.err, said.out)
     assert content(place) == before
-    assert seconds < MOST_S
+    assert seconds < MOST_CPU_S
 
 
 def accepted_of(rows, place, capsys):
