@@ -71,7 +71,6 @@ ROWS = [
         fit.margin-m inf
         fit.cap-lean -9 -9|0.2
         fit.max-voxels 1e6 none
-        fit.strong-quantile 2 -0.1
         glints.subaperture.size-m 0
         glints.subaperture.rim-sizes-m 0
         preset hybrid bestt Glint
