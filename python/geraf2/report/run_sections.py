@@ -16,7 +16,7 @@ from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import StageRecord
 from geraf2.report import html
-from geraf2.surfaces.expected_error import ErrorModel
+from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
@@ -264,7 +264,7 @@ def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
     """Section with definitions of the terms in this report."""
-    model = ErrorModel()
+    model = SupportModel()
     entries: dict[str, str] = {}
     if _unexplained(stages):
         entries["heat maps not explained"] = (
@@ -278,9 +278,10 @@ def definitions(
         )
     if content is not None and content.expected_error_m is not None:
         entries["expected error"] = (
-            "one standard deviation of the distance to the true surface, from the nearby glints: "
-            "distance and direction of the nearest one, and distance between their planes; about "
-            "two thirds of the surface should be nearer than that, 95 % nearer than twice that"
+            "one standard deviation of the distance to the true surface: spread of surfaces that "
+            "are fitted again with errors of the glints, offsets they share and an unknown bend, "
+            "larger where few glints agree; about two thirds of the surface should be nearer than "
+            "that, 95 % nearer than twice that"
         )
         entries["rests on"] = (
             "outline: the edge of a shadow on the box's far walls; guessed: filled smoothly, "
