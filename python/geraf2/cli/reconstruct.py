@@ -5,18 +5,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from geraf2._bounds import Degrees, Seed, Sides, Triple
+from geraf2._bounds import CountOrZero, Degrees, Seed, Sides, Triple
 from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
 from geraf2.cli._fields import Arg, Positional
 from geraf2.cli._flags import help_text, value_of
 from geraf2.errors import UserError
-from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
+from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.surfaces.samples import size_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +59,8 @@ class Config:
     """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
     """Leave out the report and its pictures."""
+    samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
+    """Also write so many surfaces that the scan allows, into samples.npz."""
     seed: Seed = 0
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
     threads: Threads = None
@@ -83,7 +86,7 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     same = preset is None or preset == record.config.preset
     values: dict[str, Any] = {
         name: getattr(record.options, name)
-        for name in ("hold_out", "calibrate", "trust_los", "seed")
+        for name in ("hold_out", "calibrate", "trust_los", "seed", "samples")
     }
     values |= {
         "photos": record.options.photos,
@@ -114,6 +117,7 @@ def main(config: Config) -> int:
                 calibrate=config.calibrate,
                 trust_los=config.trust_los,
                 seed=config.seed,
+                samples=config.samples,
                 photos=config.photos,
             ),
             resume=config.resume,
@@ -131,5 +135,8 @@ def _print_outcome(result: Reconstruction) -> None:
     say("stages   " + ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items()))
     report = [("report", str(result.report))] if "report" in seconds else []
     names = [("content", CONTENT_NAME), ("box", BOX_NAME), ("both", MESH_NAME)]
+    if "samples" in seconds:
+        names.append(("samples", SAMPLES_NAME))
     paths = [(label, str(result.path / name)) for label, name in names]
+    rows(size_lines(result.numbers.get("mesh", {})))
     rows([*paths, *report, ("log", str(result.path / LOG_NAME))])

@@ -12,6 +12,7 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.evaluation.alignment import rigid_alignment
 from geraf2.evaluation.forecast import ErrorForecast, error_forecast
 from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.triangles import face_areas, unit_normals
@@ -93,6 +94,8 @@ class MeshMetrics:
     """Median of both nearest distances of the truth against another sample of itself [m]."""
     expected_error: ErrorForecast | None
     """Expected against true errors of the mesh; None where it has none."""
+    expected_error_aligned: ErrorForecast | None
+    """The same after a rigid motion onto the truth: without errors of the frame."""
     by_sight: tuple[SightScore, ...]
     """Scores of the parts in sight and out of sight; empty where no scan was given."""
     mesh: SurfaceReport
@@ -151,6 +154,10 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
             "of samples of the mesh with an expected error: share whose exact distance to the "
             "truth is not larger (within_one), not larger than twice it (within_two), Spearman's "
             "rank correlation of both; over all and by what the vertices rest on"
+        ),
+        "expected_error_aligned": (
+            "the same after the rigid motion that brings the mesh's samples nearest to the truth "
+            "(point to plane, samples beyond 3 times the median distance left out)"
         ),
         "by_sight": (
             "scores of two parts: in sight are samples of the truth whose normal, prolonged, meets "
@@ -213,6 +220,9 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(floor)),
         expected_error=error_forecast(mesh, mesh_faces, weights, np.abs(exact_to_truth)),
+        expected_error_aligned=_aligned_forecast(
+            mesh, (on_mesh, mesh_faces, weights), truth, (on_truth, truth_faces), num_threads
+        ),
         by_sight=tuple(
             _sight_score(
                 name,
@@ -230,6 +240,22 @@ def evaluate_mesh(
         n_samples=n_samples,
         seed=seed,
     )
+
+
+def _aligned_forecast(
+    mesh: TriangleMesh,
+    on_mesh: tuple[Floats, Ints, Floats],
+    truth: TriangleMesh,
+    on_truth: tuple[Floats, Ints],
+    num_threads: int | None,
+) -> ErrorForecast | None:
+    if mesh.expected_error_m is None:
+        return None
+    (points, faces, weights), (true_points, true_faces) = on_mesh, on_truth
+    normals = unit_normals(truth.corners)[true_faces]
+    moved = rigid_alignment(points, true_points, normals).apply(points)
+    exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
+    return error_forecast(mesh, faces, weights, exact)
 
 
 def _require_comparable(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from geraf2._bounds import Bounded, Degrees, Seed
+from geraf2._bounds import Bounded, CountOrZero, Degrees, Seed
 from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
@@ -33,6 +33,8 @@ class RunOptions(Bounded):
     """Whether errors of the capture are found and corrected first."""
     seed: Seed = 0
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
+    samples: CountOrZero = 0
+    """Surfaces drawn from the posterior that are written to samples.npz; 0: none."""
     photos: LosOptions = field(default_factory=LosOptions)
     """Options of photos, where the prior is made of them."""
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 
+from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.echoes.glint_set import Glints
@@ -38,6 +39,8 @@ _TOLERANCE = 0.03
 _N_NEIGHBOURS = 32
 _LEAST_SLOPE = 0.5
 """Between two sheets a field of this spacing is flatter than the distance to either."""
+_BYTES_PER_MOVE = 44.0
+"""Of a vertex in a sample: arrays of doubles while they are scaled, and the result."""
 _CM = 100.0
 
 
@@ -191,8 +194,11 @@ class FieldPosterior:
 
     def draw(self, n_samples: int, rng: np.random.Generator) -> Floats:
         """Errors of the field, (n_samples, n_voxels) [m]."""
-        drawn = [self._respond(self.right_side(rng)) / _CM for _ in range(n_samples)]
-        return np.stack(drawn)
+        return np.stack([self.draw_one(rng) for _ in range(n_samples)])
+
+    def draw_one(self, rng: np.random.Generator) -> Floats:
+        """One error of the field, (n_voxels,) [m]."""
+        return np.asarray(self._respond(self.right_side(rng)) / _CM)
 
 
 def bending_force(
@@ -282,7 +288,8 @@ def draw_displacements(
     value, slopes = trilinear_rows(index, grid.shape, grid.spacing_m)
     field = coarse.values.astype(np.float64).ravel()
     slope = np.sqrt(sum((rows @ field) ** 2 for rows in slopes))
-    change = (value @ posterior.draw(n_samples, rng).T).T / np.maximum(slope, _LEAST_SLOPE)
+    slope = np.maximum(slope, _LEAST_SLOPE)
+    change = np.stack([value @ posterior.draw_one(rng) / slope for _ in range(n_samples)])
     common = _spread_draws(n_samples, rng)
     if n_samples > 1:  # few draws correlate by chance, and every vertex would have that error
         change -= common[:, None] * (common @ change / n_samples)
@@ -318,6 +325,8 @@ def sample_surface(
     if not len(mesh.vertices):
         nothing = replace(mesh, expected_error_m=np.zeros(0), evidence=kinds)
         return SurfaceSamples(nothing, np.zeros((n_samples, 0)), noise.common_sigma_m)
+    n_bytes = _BYTES_PER_MOVE * n_samples * len(mesh.vertices)
+    require_memory(n_bytes, f"{n_samples} samples are too many for this mesh")
     fitted = fitted_points(evidence, sdf, fit or FitConfig(), num_threads=num_threads)
     n_outline = len(fitted[0].positions) - len(evidence.seen)
     drawn = draw_displacements(

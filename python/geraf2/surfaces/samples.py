@@ -1,6 +1,6 @@
 """Samples of a reconstructed surface, and intervals of what is computed from it."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -85,3 +85,20 @@ class SurfaceSamples:
             "extents_95_percent_mm": ends[1:],
             "common_offset_sigma_mm": round(1e3 * self.common_sigma_m, 3),
         }
+
+
+def size_lines(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Name and text of each size of a run with its 95 % interval; [] without intervals.
+
+    numbers: of the stage `mesh` in run.json.
+    """
+    if "volume_95_percent_cm3" not in numbers:
+        return []
+    low, high = numbers["volume_95_percent_cm3"]
+    pairs = zip(numbers["extents_mm"], numbers["extents_95_percent_mm"], strict=True)
+    sides = " x ".join(f"{side:.1f} ± {0.5 * (high - low):.1f}" for side, (low, high) in pairs)
+    return [
+        ("size x, y, z", f"{sides} mm (95 %)"),
+        ("volume", f"{numbers['volume_cm3']:.1f} ± {0.5 * (high - low):.1f} cm^3 (95 %)"),
+        ("shared offset", f"one sigma {numbers['common_offset_sigma_mm']:.2f} mm, included"),
+    ]
