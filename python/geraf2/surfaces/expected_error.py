@@ -13,7 +13,7 @@ from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 
-_N_NEAREST = 64
+N_NEAREST = 64
 """Glints around a vertex that count: with 36 planes a patch of 6 to 8 mm."""
 
 
@@ -66,7 +66,7 @@ def nearness(mesh: TriangleMesh, glints: Glints, model: SupportModel | None = No
     n_vertices = mesh.vertices.shape[0]
     if not len(glints) or not n_vertices:
         return Nearness(support=np.zeros(n_vertices), seen=np.zeros(n_vertices, dtype=bool))
-    n_near = np.arange(1, min(_N_NEAREST, len(glints)) + 1)
+    n_near = np.arange(1, min(N_NEAREST, len(glints)) + 1)
     distance, nearest = KDTree(glints.positions).query(mesh.vertices, k=n_near)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     cosine = np.clip(np.einsum("vk,vjk->vj", normals, glints.normals[nearest]), -1.0, 1.0)

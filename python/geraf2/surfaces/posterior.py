@@ -21,6 +21,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from geraf2.surfaces.expected_error import (
+    N_NEAREST,
     SupportModel,
     conformal_factor,
     evidence_of_vertices,
@@ -32,11 +33,10 @@ from geraf2.surfaces.samples import SurfaceSamples
 
 N_SAMPLES = 24
 """Samples behind an expected error: their spread errs by 14 %."""
-_MAX_CELLS = 36
-"""Cells along a side of the grid; bounds the time of a large domain."""
+_CELLS = 36
+"""Cells along a side of the samples' grid: 5 to 8 mm each."""
 _TOLERANCE = 0.03
 """Of a sample's residual: a tenth of the spread's own error."""
-_N_NEIGHBOURS = 32
 _LEAST_SLOPE = 0.5
 """Between two sheets a field of this spacing is flatter than the distance to either."""
 _BYTES_PER_MOVE = 44.0
@@ -62,12 +62,8 @@ class NoiseModel:
     """Position of a point that an outline's edge touches [m]."""
     bend_density_m: float = 0.0035
     """Spectral density of the second derivatives of the objects' signed distance [m]."""
-    misfit_reach_m: float = 0.008
-    """Standard deviation of the weight of a neighbour's misfit over distance [m]."""
     misfit_cap_m: float = 0.005
     """A glint farther from the surface is of something else, and counts as if this far [m]."""
-    spacing_m: float = 0.006
-    """Voxels of the samples [m]."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
@@ -126,13 +122,13 @@ def point_noise(
 
 def local_misfit(glints: Glints, sdf: SdfGrid, model: NoiseModel) -> Floats:
     """Root mean square of the field at the glints around each, those alike count most, (n,) [m]."""
-    n_near = min(_N_NEIGHBOURS, len(glints))
+    n_near = min(N_NEAREST, len(glints))
     if n_near == 0:
         return np.zeros(0)
     off = np.clip(np.abs(sdf.sample(glints.positions)), 0.0, model.misfit_cap_m)
     distance, near = KDTree(glints.positions).query(glints.positions, k=np.arange(1, n_near + 1))
     cosine = np.einsum("nk,njk->nj", glints.normals, glints.normals[near])
-    weights = np.exp(-0.5 * (distance / model.misfit_reach_m) ** 2) * np.maximum(cosine, 0.0)
+    weights = np.exp(-0.5 * (distance / SupportModel().reach_m) ** 2) * np.maximum(cosine, 0.0)
     return np.asarray(np.sqrt((weights * off[near] ** 2).sum(axis=1) / weights.sum(axis=1)))
 
 
@@ -278,8 +274,8 @@ def draw_displacements(
     """
     model = model or NoiseModel()
     rng = np.random.default_rng(seed)
-    side = max(sdf.grid.shape) - 1
-    coarse = resample(sdf, max(model.spacing_m, side * sdf.grid.spacing_m / _MAX_CELLS))
+    cells = max(sdf.grid.shape) - 1
+    coarse = resample(sdf, sdf.grid.spacing_m * max(1.0, cells / _CELLS))
     posterior = FieldPosterior(
         coarse, *fitted, noise, bend_density_m=model.bend_density_m, num_threads=num_threads
     )
