@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import (
     FIT_NAME,
@@ -17,15 +17,14 @@ from geraf2.io.run_folder import (
     PLANES_NAME,
     RIM_NAME,
     SILHOUETTES_NAME,
+    RunFolder,
 )
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
+from geraf2.scene import LosPrior
 from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.refinement import SelectedGlints, evidence_of
 from geraf2.surfaces.samples import SurfaceSamples
-
-if TYPE_CHECKING:
-    from geraf2.pipeline.reconstruction import Reconstruction
 
 
 def require_posterior(config: PresetConfig, n_samples: int) -> None:
@@ -40,18 +39,26 @@ def require_posterior(config: PresetConfig, n_samples: int) -> None:
 
 
 def samples_of_run(
-    result: "Reconstruction", n_samples: int, *, seed: int = 0, num_threads: int | None = None
+    run: RunFolder,
+    mesh: TriangleMesh,
+    prior: LosPrior,
+    config: PresetConfig,
+    *,
+    n_samples: int,
+    seed: int = 0,
+    num_threads: int | None = None,
 ) -> SurfaceSamples:
-    """Draw surfaces that the scan of a finished run allows; UserError where there are none."""
-    config = result.record.config
+    """Draw surfaces that the scan of a finished run allows; UserError where there are none.
+
+    mesh: its content. prior: its box. config: constants of its preset.
+    """
     require_posterior(config, n_samples)
-    mesh = result.content_mesh
-    evidence, fit, field = _evidence(result, config)
+    evidence, fit, field = _evidence(run, config)
     samples = sample_surface(
         mesh,
-        SdfGrid.load(_file(result, field)),
+        SdfGrid.load(_file(run, field)),
         evidence,
-        result.prior,
+        prior,
         fit,
         n_samples=n_samples,
         seed=seed,
@@ -60,29 +67,29 @@ def samples_of_run(
     return replace(samples, mesh=mesh)  # with the expected error that the run wrote
 
 
-def _evidence(result: "Reconstruction", config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
+def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
     """Gather what the surface was fitted to, how, and the name of its field."""
     if isinstance(config, FastPreset):
-        glints = Glints.load(_file(result, GLINTS_NAME))
+        glints = Glints.load(_file(run, GLINTS_NAME))
         return Evidence(glints=glints, found_with=config.glints), config.fit, FIT_NAME
     assert isinstance(config, BestPreset)  # see require_posterior
-    shadows = result.run.written(SILHOUETTES_NAME)
+    shadows = run.written(SILHOUETTES_NAME)
     selected = SelectedGlints(
-        Glints.load(_file(result, LINKED_NAME)),
-        Glints.load(_file(result, RIM_NAME)),
+        Glints.load(_file(run, LINKED_NAME)),
+        Glints.load(_file(run, RIM_NAME)),
         Silhouettes.load(shadows) if shadows is not None else None,
     )
-    n_planes = len(load_planes(result.path / PLANES_NAME).corners_m)
+    n_planes = len(load_planes(run.path / PLANES_NAME).corners_m)
     evidence = evidence_of(selected, n_planes, config.refine, config.glints)
     return evidence, config.refine.fit, HEATMAP_SDF_NAME
 
 
-def _file(result: "Reconstruction", name: str) -> Path:
-    path = result.run.written(name)
+def _file(run: RunFolder, name: str) -> Path:
+    path = run.written(name)
     if path is None:
         raise UserError(
             what=f"the run has no {name} to draw samples from",
-            where=result.path,
+            where=run.path,
             hint="finish it with 'geraf2 reconstruct --resume'",
         )
     return path
