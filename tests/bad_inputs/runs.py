@@ -22,7 +22,7 @@ ROWS = [
         for change in (
             toml("run/config.toml", "fit.spacing_m", "nan"),
             toml("run/config.toml", "fit.spacing_m", "'4 mm'"),
-            toml("run/config.toml", "fit.strong_quantile", "2.0"),
+            toml("run/config.toml", "fit.bending_weight", "-2.0"),
             toml("run/config.toml", "fit.unknown", "1"),
             toml("run/config.toml", "glints.cluster_share", "2.0"),
             toml("run/config.toml", "glints.subaperture.step_m", "0.0"),

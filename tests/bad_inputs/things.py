@@ -108,7 +108,7 @@ def _scene_and_run(root):
     )
     geraf2.save_capture(capture, root / "scene")
     write_mesh(truth, root / "truth.ply")
-    fit = FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1)
+    fit = FitConfig(spacing_m=0.012, distance_rounds=1)
     geraf2.reconstruct(
         root / "scene",
         BOX,

@@ -24,7 +24,7 @@ figure = { height_m = 0.5 }
 
 [methods.fast]
 title = "geraf2"
-settings.fit = { spacing_m = 0.012, coarse_spacing_m = 0.016, distance_rounds = 1 }
+settings.fit = { spacing_m = 0.012, distance_rounds = 1 }
 [methods.back-projection]
 title = "points"
 preset = "back-projection"

@@ -11,7 +11,7 @@ from geraf2.pipeline.stages.calibration import corrected
 from geraf2.surfaces import FitConfig
 from helpers.carton import PRIOR, carton_capture
 
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02, coarse_spacing_m=0.02, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02, distance_rounds=1))
 
 
 @pytest.fixture(scope="module")

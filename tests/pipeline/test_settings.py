@@ -101,7 +101,7 @@ def run_stages(config, capture, prior, folder):
 
 
 def coarse(preset):
-    fit = {"spacing_m": 0.008, "coarse_spacing_m": 0.016, "distance_rounds": 1}
+    fit = {"spacing_m": 0.008, "distance_rounds": 1}
     if isinstance(preset, FastPreset):
         return replace(preset, fit=replace(preset.fit, **fit))
     heatmaps = replace(preset.heatmaps, n_steps=3, n_rounds=1, n_targets=50, node_spacing_m=0.01)

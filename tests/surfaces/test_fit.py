@@ -13,7 +13,7 @@ from helpers.synthetic import WAVEFORM
 RADIUS_M = 0.04
 CENTER = np.array([0.01, -0.005, 0.02])
 BOX = LosPrior.from_box((0.2, 0.2, 0.2))
-COARSE = FitConfig(spacing_m=0.006, coarse_spacing_m=0.012)
+COARSE = FitConfig(spacing_m=0.006)
 
 
 def glints_on(directions, strengths=None):
@@ -123,13 +123,13 @@ def test_weak_outliers_hardly_move_the_surface(capture):
 
 def test_progress_rises_to_one(capture):
     seen = []
-    config = FitConfig(spacing_m=0.01, coarse_spacing_m=0.02, distance_rounds=2)
+    config = FitConfig(spacing_m=0.01, distance_rounds=2)
     fit_sdf(glints_on(fibonacci_sphere(300)), capture, BOX, config, progress=seen.append)
     np.testing.assert_allclose(seen, [0.25, 0.5, 0.75, 1.0])
 
 
 def test_the_grid_stays_below_its_cap(capture):
-    config = FitConfig(spacing_m=0.002, coarse_spacing_m=0.004, max_voxels=8000, distance_rounds=0)
+    config = FitConfig(spacing_m=0.002, max_voxels=8000, distance_rounds=0)
     sdf = fit_sdf(glints_on(fibonacci_sphere(300)), capture, BOX, config)
     # the cap counts cells; one more voxel than cells a side
     assert sdf.grid.n_voxels <= 21**3

@@ -50,9 +50,8 @@ def test_with_few_planes_fits_on_several_voxels_are_made():
     scales = config.few_planes_voxel_scales
     assert config.fits_of(12) == config.fits_of(36) == [config.fit]
     few = config.fits_of(6)
-    for name in ("spacing_m", "coarse_spacing_m"):
-        voxels = [scale * getattr(config.fit, name) for scale in scales]
-        assert [getattr(fit, name) for fit in few] == pytest.approx(voxels)
+    voxels = [scale * config.fit.spacing_m for scale in scales]
+    assert [fit.spacing_m for fit in few] == pytest.approx(voxels)
 
 
 @pytest.mark.parametrize(
@@ -68,7 +67,7 @@ def test_settings_out_of_range_are_refused(setting, value):
         RefineConfig(**{setting: value})
 
 
-COARSE = FitConfig(spacing_m=0.008, coarse_spacing_m=0.012, distance_rounds=1)
+COARSE = FitConfig(spacing_m=0.008, distance_rounds=1)
 
 
 def ball_glints(n=400, seed=0):

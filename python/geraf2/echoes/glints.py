@@ -16,6 +16,7 @@ from geraf2.echoes.agreement import agreeing_pairs
 from geraf2.echoes.ambiguity import without_grating_lobes
 from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.links import CLUTTER, FEW_PLANES, linked_to_strong
+from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
 from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
 from geraf2.echoes.wall_paths import over_walls, shares_transmitters
 from geraf2.errors import UserError
@@ -25,18 +26,18 @@ from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
 
-# Uncertainties against the echo's strength a relative to the strong ones (98 % quantile), fitted
-# to simulated figures: normals err 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB; positions
-# 0.4 mm and 1.2 mm (median of absolute errors).
+# Normals against the echo's strength a relative to the strong ones (98 % quantile), fitted to
+# simulated figures: 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB.
 _NORMAL_SIGMA_RAD = 0.03
-_POSITION_SIGMA_M = 4e-4
+# Of a range where no echoes merge: positions of the antennas and the walls' delay [m].
+_POSITION_SIGMA_M = 2e-4
 
 
 # Least height over the noise among scatterers [dB].
 _CLUTTER_MARGIN_DB = 15.0
 
 
-GLINTS_VERSION = 15
+GLINTS_VERSION = 16
 """Raised when the same capture and settings give other glints, or others are dropped."""
 
 
@@ -302,19 +303,22 @@ def major_clusters(
     return np.asarray(keep[label])
 
 
-def with_uncertainty(raw: PeakSet, positions: Floats, strong: float | None = None) -> Glints:
-    """Glints at positions (n, 3) [m]; their uncertainty follows from their strength.
+def with_uncertainty(raw: PeakSet, positions: Floats, known: Glints | None = None) -> Glints:
+    """Glints at positions (n, 3) [m], freed of the bias of merged echoes, with uncertainties.
 
-    `strong` is the strength of the strong ones; the 98 % quantile of these when None.
+    known: glints found before: neighbours, and the scale of strengths; else these are their own.
     """
-    reference = strong_level(raw.magnitudes) if strong is None else strong
-    relative = np.minimum(1.0, raw.magnitudes / reference)
+    normals = -raw.directions
+    others = None if known is None else (known.positions, known.normals)
+    deviation = tangent_deviation(positions, normals, others)
+    strong = strong_level(raw.magnitudes if known is None else known.strengths)
+    relative = np.minimum(1.0, raw.magnitudes / strong)
     noise = raw.noise / raw.magnitudes
     return Glints(
-        positions=positions,
-        normals=-raw.directions,
+        positions=positions - (BIAS_SHARE * deviation)[:, None] * normals,
+        normals=normals,
         strengths=raw.magnitudes,
-        position_sigma_m=_POSITION_SIGMA_M * np.sqrt(1.0 + (0.15 / relative) ** 2 + noise**2),
+        position_sigma_m=np.hypot(_POSITION_SIGMA_M, SIGMA_SHARE * deviation),
         normal_sigma_rad=_NORMAL_SIGMA_RAD * np.sqrt(1.0 + (0.3 / relative) ** 2 + noise**2),
         poses=raw.planes,
     )

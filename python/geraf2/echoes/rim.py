@@ -12,7 +12,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, Decibels, LengthM, Rounds
 from geraf2._types import Bools, Floats, Progress
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, peaks_around, peaks_inside, with_uncertainty
 from geraf2.echoes.links import LinkConfig, smooth_pairs, spread
 from geraf2.errors import UserError
@@ -73,7 +73,7 @@ def find_rim_glints(
         raw, positions = peaks_inside(capture, prior, peaks, look, num_threads=num_threads)
     except UserError:  # nothing to be seen from the rim
         return glints.select(np.zeros(len(glints), dtype=bool))
-    found = with_uncertainty(raw, positions, strong_level(glints.strengths))
+    found = with_uncertainty(raw, positions, glints)
     centers = np.concatenate([mirror_centers(glints, capture.poses), raw.centers])
     everything = glints.join(found)
     known = np.arange(len(everything)) < len(glints)

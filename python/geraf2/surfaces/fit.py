@@ -18,12 +18,10 @@ from geraf2._bounds import (
     MarginM,
     NotNegative,
     Positive,
-    Power,
     Rounds,
-    Share,
 )
 from geraf2._types import Floats, Ints, Progress
-from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.glints import GlintConfig
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -38,10 +36,12 @@ from geraf2.scene.aperture import apertures_of
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
 _PLACES_AT_ONCE = 256
+# Voxels of the first solve over those of the second, which it only speeds up.
+_COARSE = 2.0
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 18
+FIT_VERSION = 19
 """Raised when the same glints and settings give another field, for best, too."""
 
 
@@ -51,18 +51,10 @@ class FitConfig(Bounded):
 
     spacing_m: CellM = 0.004
     """Voxel size [m]."""
-    coarse_spacing_m: CellM = 0.008
-    """Voxel size of the first solve [m]; only speeds up the second."""
     margin_m: LengthM = 0.035
     """Room around the glints [m]; the domain's faces are pulled to about this distance."""
     max_voxels: Annotated[int, Interval(ge=1000, le=10**9)] = 4_000_000
     """Largest grid; above it the voxels grow."""
-    strong_quantile: Share = 0.98
-    """Strengths above this quantile count alike."""
-    position_power: Power = 0.5
-    """Position weights grow with strength to this power."""
-    normal_power: Power = 1.1
-    """Normal weights grow with strength to this power; thin parts echo weakly."""
     position_weight: Positive = 30.0
     """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
     bending_weight: Positive = 0.4
@@ -203,7 +195,7 @@ def _first_solves(
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
     report(1)
-    start = resample(coarse, grid.spacing_m * (config.spacing_m / config.coarse_spacing_m))
+    start = resample(coarse, grid.spacing_m / _COARSE)
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     tolerance = _ROUGH if config.distance_rounds else _FINE
     sdf = system.solve(tolerance=tolerance)
@@ -247,9 +239,9 @@ def _weigh(
     evidence: Evidence, config: FitConfig, touched: Tangents | None = None
 ) -> OrientedPoints:
     glints, together = evidence.glints, evidence.seen
-    strong = float(np.quantile(glints.strengths, config.strong_quantile))
-    relative = np.minimum(1.0, together.strengths / strong)
-    position, normal = relative**config.position_power, relative**config.normal_power
+    relative = np.minimum(1.0, together.strengths / strong_level(glints.strengths))
+    # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
+    position, normal = np.sqrt(relative), relative
     for weights in (position, normal):
         weights[len(glints) :] *= evidence.rim_weight
     groups: list[Glints | Tangents] = [together]
@@ -270,9 +262,9 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
     center = 0.5 * (low + high)
-    spacing = config.coarse_spacing_m
+    spacing = _COARSE * config.spacing_m
     cells = max(4, int(np.ceil(2.0 * half / spacing)))
-    fine_cells = cells * config.coarse_spacing_m / config.spacing_m
+    fine_cells = cells * _COARSE
     if fine_cells**3 > config.max_voxels:
         grow = fine_cells / config.max_voxels ** (1.0 / 3.0)
         spacing, cells = spacing * grow, max(4, int(np.ceil(cells / grow)))

@@ -43,9 +43,7 @@ class RefineConfig(Bounded):
     """Glints of smaller sub-apertures at the rim."""
     silhouettes: SilhouetteConfig = field(default_factory=SilhouetteConfig)
     """Outline of the content against the box's far walls."""
-    fit: FitConfig = field(
-        default_factory=lambda: FitConfig(spacing_m=0.003, coarse_spacing_m=0.006)
-    )
+    fit: FitConfig = field(default_factory=lambda: FitConfig(spacing_m=0.003))
     """How the surface is drawn through both; on voxels that resolve what the rim adds."""
     few_planes_voxel_scales: Annotated[
         tuple[Annotated[float, Interval(ge=0.1, le=10.0)], ...], MinLen(1)
@@ -73,14 +71,8 @@ class RefineConfig(Bounded):
         """Fits whose mean is taken, for a scan of so many planes."""
         if n_poses >= FEW_PLANES:
             return [self.fit]
-        return [
-            replace(
-                self.fit,
-                spacing_m=scale * self.fit.spacing_m,
-                coarse_spacing_m=scale * self.fit.coarse_spacing_m,
-            )
-            for scale in self.few_planes_voxel_scales
-        ]
+        scales = self.few_planes_voxel_scales
+        return [replace(self.fit, spacing_m=scale * self.fit.spacing_m) for scale in scales]
 
 
 class SelectedGlints(NamedTuple):

@@ -22,7 +22,7 @@ from geraf2.surfaces import FitConfig
 pytest.importorskip("obstore", reason="object stores need the package obstore")
 
 BOX = geraf2.examples.BOX_M
-COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, coarse_spacing_m=0.016, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=1))
 QUIET = geraf2.RunOptions(calibrate="no")
 
 

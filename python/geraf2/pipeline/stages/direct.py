@@ -52,9 +52,7 @@ from geraf2.surfaces.refinement import (
 )
 
 # Fit through first surfaces, only to stop lines of sight.
-_FIRST_SURFACE = FitConfig(
-    spacing_m=0.006, coarse_spacing_m=0.012, distance_rounds=1, absence_weight=0.0
-)
+_FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1, absence_weight=0.0)
 
 
 class FoundGlints(NamedTuple):

@@ -1,0 +1,65 @@
+"""Deviation of peaks from the planes they share with neighbours, and what is subtracted for it."""
+
+import numpy as np
+import pytest
+
+from geraf2.echoes.merging import tangent_deviation
+from helpers.specular import fibonacci_sphere
+
+
+def slow_twin(positions, normals):
+    """The definition, pair by pair; neighbours within 1 cm, at most the nearest 64."""
+    found = []
+    for i, (here, normal) in enumerate(zip(positions, normals, strict=True)):
+        distance = np.linalg.norm(positions - here, axis=1)
+        near = [j for j in np.argsort(distance)[:65] if j != i and distance[j] < 0.01]
+        heights = [abs((positions[j] - here) @ (normals[j] + normal)) / 2.0 for j in near]
+        found.append(np.median(heights) if heights else np.nan)
+    return np.array(found)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def scattered(rng, n=200, half_m=0.02):
+    normals = rng.normal(size=(n, 3))
+    return rng.uniform(-half_m, half_m, (n, 3)), normals / np.linalg.norm(normals, axis=1)[:, None]
+
+
+@pytest.mark.parametrize("n", [2, 30, 200, 900])
+def test_the_deviation_is_the_median_over_neighbours(rng, n):
+    positions, normals = scattered(rng, n)
+    expected = slow_twin(positions, normals)
+    known = np.isfinite(expected)
+    np.testing.assert_allclose(tangent_deviation(positions, normals)[known], expected[known])
+
+
+def test_points_of_a_smooth_surface_do_not_deviate():
+    directions = fibonacci_sphere(3000)
+    deviation = tangent_deviation(0.04 * directions, directions)
+    assert deviation.max() < 1e-9  # exact on a sphere
+
+
+def test_a_point_between_two_surfaces_deviates_by_its_height():
+    """A merged echo 2 mm outside of a plane that its neighbours lie on."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.008, 0.008, 9)] * 2), axis=-1).reshape(-1, 2)
+    positions = np.column_stack([grid, np.zeros(len(grid))])
+    positions = np.vstack([positions, [0.001, 0.001, 0.002]])
+    normals = np.tile([0.0, 0.0, 1.0], (len(positions), 1))
+    deviation = tangent_deviation(positions, normals)
+    assert deviation[-1] == pytest.approx(0.002)
+    assert deviation[:-1].max() < 1e-12
+
+
+def test_further_points_are_neighbours_only(rng):
+    positions, normals = scattered(rng)
+    new = tangent_deviation(positions[:50], normals[:50], (positions[50:], normals[50:]))
+    np.testing.assert_allclose(new, tangent_deviation(positions, normals)[:50])
+
+
+def test_a_point_without_neighbours_has_the_usual_deviation():
+    far = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    deviation = tangent_deviation(far, np.array([[0.0, 0.0, 1.0]] * 2))
+    assert deviation[0] == deviation[1] > 0.0
