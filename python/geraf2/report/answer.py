@@ -13,6 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
 _END_REACH_M = 0.0015
@@ -72,6 +73,12 @@ def answer_of(
         sure.append(
             f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
             f"95 % below {most:.1f} mm."
+        )
+    sizes = dict(size_lines(numbers.get("mesh", {})))
+    if sizes:
+        sure.append(
+            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
+            f"volume {sizes['volume']}."
         )
     seen = seen_vertices(content, glints)
     if seen is not None:
