@@ -16,7 +16,7 @@ aperture_m = [0.12, 0.14]
 wall_patch_m = 0.02
 antenna_block_m = 0.07
 """
-_COARSE = {"fit.spacing-m": "0.012", "fit.coarse-spacing-m": "0.016", "fit.distance-rounds": "1"}
+_COARSE = {"fit.spacing-m": "0.012", "fit.distance-rounds": "1"}
 FAST = ["--preset", "fast", *(w for name, v in _COARSE.items() for w in (f"--{name}", v))]
 QUICK_BEST = [
     *(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v)),
@@ -25,5 +25,5 @@ QUICK_BEST = [
 BOX = ["--box", "0.2", "0.2", "0.2"]
 COARSE_RENDER = [
     *("--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009"),
-    *("--echo.n-planes", "5", "--echo.n-nodes", "3", "--echo.n-targets", "500"),
+    *("--echo.n-planes", "3", "--echo.n-nodes", "3", "--echo.n-targets", "300"),
 ]

@@ -13,6 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
 _END_REACH_M = 0.0015
@@ -73,6 +74,12 @@ def answer_of(
             f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
             f"95 % below {most:.1f} mm."
         )
+    sizes = dict(size_lines(numbers.get("mesh", {})))
+    if sizes:
+        sure.append(
+            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
+            f"volume {sizes['volume']}."
+        )
     seen = seen_vertices(content, glints)
     if seen is not None:
         share = _share(vertex_areas(content.vertices, content.faces), seen, np.ones_like(seen))
@@ -123,6 +130,13 @@ def _others(quality: Mapping[str, Any]) -> str:
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     items = [(f"F1 {1e3 * s['threshold_m']:g} mm", f"{s['f1']:.3f}") for s in metrics["scores"]]
     items.append(("median error", f"{1e3 * metrics['surface_mesh_to_truth']['median_m']:.2f} mm"))
+    if (offset := metrics["surface_bias_m"]) is not None:
+        items.append(("offset along the normal", f"{1e3 * offset:+.2f} mm"))
+    if size := metrics.get("size"):
+        if size["volume_ratio"] is not None:
+            items.append(("volume over the true one", f"{size['volume_ratio']:.2f}"))
+        errors = ", ".join(f"{1e3 * error:+.1f}" for error in size["extent_errors_m"])
+        items.append(("error of size x, y, z [mm]", errors))
     return items
 
 

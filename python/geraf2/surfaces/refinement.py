@@ -137,6 +137,30 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
     return outlines.select(contradicted.mean(axis=1) <= config.max_contradicted)
 
 
+def evidence_of(
+    selected: SelectedGlints,
+    n_poses: int,
+    config: RefineConfig,
+    found_with: GlintConfig | None = None,
+) -> Evidence:
+    """Gather what the refined surface is fitted to, without outlines that glints contradict.
+
+    n_poses: planes of the scan. found_with: settings with which the glints were found.
+    """
+    outlines = selected.silhouettes
+    if outlines is not None:
+        outlines = uncontradicted(outlines, selected.seen, config)
+    return Evidence(
+        glints=selected.linked,
+        rim=selected.rim,
+        rim_weight=config.rim_weight_of(n_poses),
+        outlines=outlines,
+        outline_weight=config.outline_weight,
+        outline_clearance_m=config.outline_clearance_m,
+        found_with=found_with or GlintConfig(),
+    )
+
+
 def fit_refined(
     selected: SelectedGlints,
     capture: Capture,
@@ -161,18 +185,8 @@ def fit_refined(
     fits = config.fits_of(len(capture.poses))
     n_threads = resolve_num_threads(num_threads)
     share = max(1, n_threads // len(fits))
-    outlines = selected.silhouettes
-    if outlines is not None:
-        outlines = uncontradicted(outlines, selected.seen, config)
-    evidence = Evidence(
-        glints=selected.linked,
-        rim=selected.rim,
-        rim_weight=config.rim_weight_of(len(capture.poses)),
-        outlines=outlines,
-        outline_weight=config.outline_weight,
-        outline_clearance_m=config.outline_clearance_m,
-        found_with=found_with or GlintConfig(),
-    )
+    evidence = evidence_of(selected, len(capture.poses), config, found_with)
+    outlines = evidence.outlines
     with Workers(min(n_threads, len(fits))) as workers:
 
         def draw(fit: FitConfig) -> SdfGrid:

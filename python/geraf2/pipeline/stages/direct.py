@@ -49,9 +49,9 @@ from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.refinement import (
     SELECTION_VERSION,
     SelectedGlints,
+    evidence_of,
     fit_refined,
     select_glints,
-    uncontradicted,
 )
 
 # Fit through first surfaces, only to stop lines of sight.
@@ -268,21 +268,19 @@ HEATMAPS = Stage(
 def mesh_stage(
     inputs: tuple[Stage[Any], ...],
     field: Callable[[Job], SdfGrid],
-    evidence: Callable[[Job], Glints | float],
+    evidence: Callable[[Job], Evidence | float],
     settings: Callable[[Any], Any] = lambda _: None,
-    outlines: Callable[[Job], Silhouettes | None] = lambda _: None,
+    fit: Callable[[Any], FitConfig | None] = lambda _: None,
 ) -> Stage[Any]:
     """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
 
-    outlines: shadows that cut the surface.
+    evidence: what the field was fitted to. fit: how, of the preset's config.
     """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
         sdf, seen, threads = field(job), evidence(job), job.num_threads
-        if isinstance(seen, Glints):
-            meshes = extract_meshes(
-                sdf, seen, job.prior, outlines=outlines(job), num_threads=threads
-            )
+        if isinstance(seen, Evidence):
+            meshes = extract_meshes(sdf, seen, job.prior, fit(job.config), num_threads=threads)
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
         if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
@@ -307,10 +305,11 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """Size of the content's mesh, its evidence and its expected error."""
+    """Size of the content's mesh, its evidence, its expected error, and intervals of its sizes."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
-    return numbers | quality_numbers(content)
+    sizes = meshes.samples.size_numbers() if meshes.samples is not None else {}
+    return numbers | quality_numbers(content) | sizes
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
@@ -330,31 +329,28 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
         )
     run.forget_derived(ply_bytes(meshes.mesh_content, frame, job.made_from))
     names = []
-    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):
+    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes[:3], strict=True):
         for file in (name, name.removesuffix(".ply") + ".glb"):
             write_mesh(mesh, run.path / file, frame=frame, made_from=job.made_from)
             names += [file, file + ".json"]
     return names
 
 
-def _outlines(job: Job) -> Silhouettes | None:
-    """Shadows that the glints do not contradict; None where there are none."""
-    selected = job[SELECTION]
-    if selected.silhouettes is None:
-        return None
-    return uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
+def _selected_evidence(job: Job) -> Evidence:
+    return evidence_of(job[SELECTION], len(job.capture.poses), job.config.refine, job.config.glints)
 
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF],
-    lambda job: job[GLINTS].glints,
+    lambda job: Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
+    fit=lambda config: config.fit,
 )
 BEST_MESH = mesh_stage(
     (HEATMAPS, SELECTION),
     lambda job: job[HEATMAPS].sdf,
-    lambda job: job[SELECTION].seen,
-    outlines=_outlines,
+    _selected_evidence,
+    fit=lambda config: config.refine.fit,
 )
 FAST_STAGES: Stages = (GLINTS, SDF, FAST_MESH)
 BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, HEATMAPS, BEST_MESH)
