@@ -15,7 +15,7 @@ from geraf2.apps.benchmark.population_table import (
     preset_table,
 )
 from geraf2.apps.benchmark.rows import Row, RowResult
-from geraf2.apps.benchmark.runner import RESULT_VERSION, SCENE_VERSION, Runner
+from geraf2.apps.benchmark.runner import RESULT_VERSION, SCENE_VERSION, Runner, read_record
 from geraf2.apps.benchmark.suite import Case, Method
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -229,15 +229,7 @@ def append_result(path: Path, result: SeedResult) -> None:
 
 def _records(path: Path) -> dict[str, Any]:
     """Read the records of seeds that were drawn from this version of the population."""
-    known = _read(path)
+    known = read_record(path)
     drawn = known.get("seeds")
     is_current = known.get("version") == POPULATION_VERSION
     return drawn if is_current and isinstance(drawn, dict) else {}
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}
