@@ -18,6 +18,7 @@ from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.commands import reconstruct
 from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.reconstruction import load_run
 from geraf2.pipeline.stages import direct
 from geraf2.scene import LosPrior, load_capture, save_capture
 from helpers.console import the_error
@@ -73,6 +74,36 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
     assert digests(finished_run) == before
     reused = [e["stage"] for e in events(finished_run) if e["event"] == "reused"]
     assert reused == ["calibration", "glints", "sdf", "mesh"]
+
+
+def test_samples_are_written_listed_and_drawn_again(finished_run, scene, capsys):
+    assert run(scene, finished_run, *BOX, "--resume", "--samples", "6") == 0
+    assert "samples" in capsys.readouterr().out
+    record = RunFolder.read(finished_run)
+    assert set(record.stages["samples"].files) == {"samples.npz"}
+    with np.load(finished_run / "samples.npz") as stored:
+        moves = stored["displacements_m"]
+        content = read_mesh(finished_run / "mesh_content.ply")
+        assert moves.shape == (6, len(content.vertices))
+    again = load_run(finished_run).samples(6)
+    np.testing.assert_array_equal(again.displacements_m, moves)
+    assert again.mesh.expected_error_m == pytest.approx(content.expected_error_m)
+    mesh = record.stages["mesh"].numbers
+    low, high = mesh["volume_95_percent_cm3"]
+    assert low < mesh["volume_cm3"] < high
+    assert mesh["common_offset_sigma_mm"] > 0.0
+    # Without the flag nothing of an earlier mesh stays.
+    assert run(scene, finished_run, *BOX, "--resume") == 0
+    assert not (finished_run / "samples.npz").exists()
+
+
+def test_samples_need_a_posterior_and_two_draws(finished_run, scene, tmp_path, capsys):
+    with pytest.raises(UserError, match="samples must be at least 2"):
+        load_run(finished_run).samples(1)
+    arguments = ["reconstruct", str(scene), str(tmp_path / "out"), *BOX, "--samples", "4"]
+    assert main([*arguments, "--preset", "matched-filter"]) != 0
+    assert "'matched-filter' has no posterior" in the_error(capsys)
+    assert not (tmp_path / "out").exists()
 
 
 def stopping_at(stage, error, monkeypatch):
@@ -236,6 +267,9 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
     held = metrics["expected_error"]
     assert f"{100 * held['within_one']:.0f} % of the area within one sigma" in text
     assert [part["evidence"] for part in held["parts"]][:1] == ["seen"]
+    aligned = metrics["expected_error_aligned"]
+    assert f"{100 * aligned['within_two']:.0f} % within two, rank" in text
+    assert re.search(r"volume +[0-9.]+ ± [0-9.]+ cm\^3 \(95 %\)", text)
     mesh = RunFolder.read(finished_run).stages["mesh"]
     assert metrics["mesh_digest"] == mesh.files["mesh_content.ply"]
 

@@ -152,7 +152,11 @@ def test_a_mesh_says_what_it_is_of(made, name):
         RunRecord(
             prior=PriorSource(los=PriorSource().los),
             options=RunOptions(
-                hold_out=(90.0, 180.0), seed=5, trust_los=True, photos=LosOptions(unit="mm")
+                hold_out=(90.0, 180.0),
+                seed=5,
+                trust_los=True,
+                samples=4,
+                photos=LosOptions(unit="mm"),
             ),
             config=BestPreset(),
         ),
@@ -165,7 +169,7 @@ def test_the_command_of_a_run_repeats_it(record):
     assert config.box == record.prior.box
     assert config.box_center == record.prior.box_center
     assert config.settings == record.config
-    for name in ("hold_out", "calibrate", "trust_los", "seed", "photos"):
+    for name in ("hold_out", "calibrate", "trust_los", "seed", "samples", "photos"):
         assert getattr(config, name) == getattr(record.options, name)
 
 

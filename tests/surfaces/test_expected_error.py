@@ -7,11 +7,11 @@ import trimesh
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import (
-    ErrorModel,
+    SupportModel,
+    conformal_factor,
     nearness,
     quality_numbers,
     seen_vertices,
-    with_expected_error,
 )
 from helpers.glint_sets import glints_at
 
@@ -26,51 +26,31 @@ def plane():
     return TriangleMesh(vertices=np.array(sheet.vertices), faces=np.array(sheet.faces))
 
 
-def test_what_lies_near_is_what_the_docstring_says():
+def test_support_is_what_the_docstring_says():
     rng = np.random.default_rng(1)
-    mesh, model = plane(), ErrorModel()
+    mesh, model = plane(), SupportModel()
     points = mesh.vertices[rng.integers(0, len(mesh.vertices), 40)] + rng.normal(0, 2e-3, (40, 3))
     tilted = rng.normal((0, 0, 1), 0.4, (40, 3))
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    found = nearness(mesh, glints_at(points, tilted), model)
-    made = with_expected_error(mesh, glints_at(points, tilted), 1.5 * model.spacing_m)
+    glints = replace(glints_at(points, tilted), strengths=rng.uniform(0.1, 2.0, 40))
+    strong = np.quantile(glints.strengths, 0.98)
+    found = nearness(mesh, glints)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for vertex in range(0, len(mesh.vertices), 37):
-        reach, sums = np.inf, np.zeros(3)
-        for p, n in zip(points, tilted, strict=True):
-            offset = mesh.vertices[vertex] - p
-            cosine = normals[vertex] @ n
-            turn = model.turn_m * np.arccos(np.clip(cosine, -1, 1))
-            reach = min(reach, np.hypot(np.linalg.norm(offset), turn))
-            weight = np.exp(-(offset @ offset) / (2 * model.near_m**2)) * max(0.01, cosine)
-            off = [abs(p[2] - mesh.vertices[0, 2])]  # a glint's foot lies within the square ...
-            off.append(np.linalg.norm(np.maximum(np.abs(p[:2]) - PLANE_SIDE / 2, 0)))  # ... or not
-            off_surface = min(np.hypot(*off), model.misfit_cap_m)
-            sums += weight * np.array([1.0, (offset @ n) ** 2, off_surface**2])
-        assert found.reach_m[vertex] == pytest.approx(reach, rel=1e-9)
-        assert found.spread_m[vertex] == pytest.approx(np.sqrt(sums[1] / sums[0]), rel=1e-6)
-        assert found.misfit_m[vertex] == pytest.approx(np.sqrt(sums[2] / sums[0]), rel=1e-3)
-        expected = (model.overall * found.misfit_overall_m) ** 2
-        expected += sums[2] / sums[0] * sums[1] / sums[0] / model.spread_m**2
-        expected += sums[2] / sums[0] * (reach / model.reach_m) ** 2
-        expected = 1.5 * np.sqrt(expected)
-        assert made.expected_error_m[vertex] == pytest.approx(expected, rel=1e-3)
+        support = 0.0
+        for p, n, a in zip(points, tilted, glints.strengths, strict=True):
+            square = np.sum((mesh.vertices[vertex] - p) ** 2)
+            agreeing = max(0.0, normals[vertex] @ n) * min(1.0, a / strong)
+            support += agreeing * np.exp(-square / (2 * model.reach_m**2))
+        assert found.support[vertex] == pytest.approx(support, rel=1e-6)
 
 
-def test_the_error_grows_away_from_the_glints():
-    mesh = plane()
-    left = mesh.vertices[mesh.vertices[:, 0] < -0.008 + 1e-9]
-    up = np.tile([0, 0, 1.0], (len(left), 1))
-    made = with_expected_error(
-        mesh, glints_at(left + np.array([0, 0, 4e-4]), up), 0.003
-    )  # all 0.4 mm off
-    error, x = made.expected_error_m, mesh.vertices[:, 0]
-    assert error[x < -0.012].max() < 3e-4
-    assert error[x > 0.045].min() > 1.2e-3
-    twice = with_expected_error(mesh, glints_at(left + np.array([0, 0, 8e-4]), up), 0.003)
-    assert (twice.expected_error_m > 1.9 * error).all()
-    assert (made.evidence[x < -0.004] == Evidence.SEEN).all()
-    assert (made.evidence[x > 0.001] == Evidence.GUESSED).all()
+def test_the_factor_falls_with_support_and_is_one_where_it_is_full():
+    model = SupportModel()
+    factor = conformal_factor(np.array([0.0, 0.1, 1.0, model.full - model.least, 100.0]))
+    assert (np.diff(factor) < 0).all()
+    assert factor[3] == pytest.approx(1.0)
+    assert np.isfinite(factor).all()
 
 
 def test_seen_asks_for_a_similar_normal():
@@ -86,15 +66,14 @@ def test_seen_asks_for_a_similar_normal():
 
 def test_no_glints_and_no_mesh_are_not_errors():
     mesh = plane()
-    nothing = with_expected_error(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))), 0.003)
-    assert np.isfinite(nothing.expected_error_m).all()
-    assert (nothing.evidence == Evidence.GUESSED).all()
+    none = nearness(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))))
+    assert not none.support.any()
+    assert not none.seen.any()
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    made = with_expected_error(empty, glints_at([[0, 0, 0]], [[0, 0, 1]]), 0.003)
-    assert made.expected_error_m.shape == (0,)
-    assert quality_numbers(made) == {}
+    assert nearness(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).support.shape == (0,)
+    assert quality_numbers(empty) == {}
 
 
 def test_coefficients_are_checked():
     with pytest.raises(ValueError, match="reach_m must be finite and positive, got 0"):
-        ErrorModel(reach_m=0.0)
+        SupportModel(reach_m=0.0)

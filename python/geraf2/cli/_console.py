@@ -66,7 +66,7 @@ def print_findings(findings: Iterable[Finding]) -> None:
 
 def rows(pairs: list[tuple[str, str]]) -> None:
     """Print names and values in two columns."""
-    width = max(len(name) for name, _ in pairs)
+    width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         say(f"{name:<{width}}  {value}")
 

@@ -11,7 +11,9 @@ from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
 from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME
 from geraf2.pipeline.commands.evaluate import evaluate
+from geraf2.pipeline.reconstruction import load_run
 from geraf2.surfaces.isosurface import SurfaceReport
+from geraf2.surfaces.samples import size_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +43,8 @@ def main(config: Config) -> int:
         listener=CONSOLE,
     )
     print_metrics(metrics)
+    mesh = load_run(config.out).numbers.get("mesh", {})
+    rows(size_lines(mesh))
     say()
     for name, text in metrics.describe().items():
         say(f"{name}: {text}")
@@ -107,7 +111,12 @@ def _forecast(metrics: MeshMetrics) -> list[tuple[str, str]]:
         f"{100 * held.within_one:.0f} % of the area within one sigma, {100 * held.within_two:.0f} "
         f"% within two; rank correlation with the true error {held.rank_correlation:.2f}"
     )
-    return [("expected error", text), *([("rests on", parts)] if parts else [])]
+    found = [("expected error", text)]
+    if (aligned := metrics.expected_error_aligned) is not None:
+        text = f"{100 * aligned.within_one:.0f} % within one sigma, "
+        text += f"{100 * aligned.within_two:.0f} % within two, rank {aligned.rank_correlation:.2f}"
+        found.append(("rigidly aligned", text))
+    return [*found, *([("rests on", parts)] if parts else [])]
 
 
 def _part(part: SightScore) -> tuple[str, str]:

@@ -9,12 +9,13 @@ from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
 from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
-from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME
+from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.surfaces.samples import size_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,5 +94,8 @@ def _print_outcome(result: Reconstruction) -> None:
     say("stages   " + ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items()))
     report = [("report", str(result.report))] if "report" in seconds else []
     names = [("content", CONTENT_NAME), ("box", BOX_NAME), ("both", MESH_NAME)]
+    if "samples" in seconds:
+        names.append(("samples", SAMPLES_NAME))
     paths = [(label, str(result.path / name)) for label, name in names]
+    rows(size_lines(result.numbers.get("mesh", {})))
     rows([*paths, *report, ("log", str(result.path / LOG_NAME))])

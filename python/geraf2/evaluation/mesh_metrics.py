@@ -12,6 +12,7 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
+from geraf2.evaluation.alignment import rigid_alignment
 from geraf2.evaluation.forecast import ErrorForecast, error_forecast
 from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.triangles import face_areas, unit_normals
@@ -109,6 +110,8 @@ class MeshMetrics:
     """Median of both nearest distances of the truth against another sample of itself [m]."""
     expected_error: ErrorForecast | None
     """Expected against true errors of the mesh; None where it has none."""
+    expected_error_aligned: ErrorForecast | None
+    """The same after a rigid motion onto the truth: without errors of the frame."""
     by_sight: tuple[SightScore, ...]
     """Scores of the parts in sight and out of sight; empty where no scan was given."""
     mesh: SurfaceReport
@@ -187,6 +190,10 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
             "truth is not larger (within_one), not larger than twice it (within_two), Spearman's "
             "rank correlation of both; over all and by what the vertices rest on"
         ),
+        "expected_error_aligned": (
+            "the same after the rigid motion that brings the mesh's samples nearest to the truth "
+            "(point to plane, samples beyond 3 times the median distance left out)"
+        ),
         "by_sight": (
             "scores of two parts: in sight are samples of the truth whose normal, prolonged, meets "
             "a plane of antennas and nothing of the truth before; a sample of the mesh counts to "
@@ -242,6 +249,7 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(np.stack(floor))),
         expected_error=error_forecast(mesh, pair.mesh_faces, pair.weights, np.abs(exact_to_truth)),
+        expected_error_aligned=_aligned_forecast(mesh, pair, truth, num_threads),
         by_sight=_by_sight(truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads),
         mesh=reports[0],
         truth=reports[1],
@@ -327,6 +335,17 @@ def _size_errors(
         volume_ratio=volume / true_volume if volume is not None and true_volume else None,
         extent_errors_m=(x, y, z),
     )
+
+
+def _aligned_forecast(
+    mesh: TriangleMesh, pair: _Pair, truth: TriangleMesh, num_threads: int | None
+) -> ErrorForecast | None:
+    if mesh.expected_error_m is None:
+        return None
+    normals = unit_normals(truth.corners)[pair.truth_faces]
+    moved = rigid_alignment(pair.on_mesh, pair.on_truth, normals).apply(pair.on_mesh)
+    exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
+    return error_forecast(mesh, pair.mesh_faces, pair.weights, exact)
 
 
 def _require_comparable(

@@ -32,6 +32,8 @@ from geraf2.scene import LosPrior
 if TYPE_CHECKING:
     import trimesh
 
+    from geraf2.surfaces.samples import SurfaceSamples
+
 
 class Reconstruction:
     """Result of a run, read from its folder when it is asked for; lengths in metres.
@@ -100,6 +102,35 @@ class Reconstruction:
     def record(self) -> RunRecord:
         """Request of the run."""
         return RunRecord.read(self.path / CONFIG_NAME)
+
+    def samples(
+        self, n: int = 24, *, seed: int = 0, num_threads: int | None = None
+    ) -> "SurfaceSamples":
+        """Draw surfaces that the scan allows, all with the triangles of `content_mesh`.
+
+        n: number of surfaces, at least 2; each takes 10 to 25 ms of a core.
+        seed: of the draws.
+
+        Offsets that echoes share (one of the scan, one a plane, one a face of the box) are in them,
+        so any number of the mesh takes its uncertainty from its values over the samples. UserError
+        of a preset without glints.
+
+        >>> samples = geraf2.examples.small_run().samples(8)
+        >>> low, high = samples.interval(lambda mesh: mesh.vertices[:, 2].max())  # 95 % [m]
+        >>> samples.displacements_m.shape[0], bool(low < high)
+        (8, True)
+        """
+        from geraf2.pipeline.posterior import samples_of_run  # noqa: PLC0415 - imports the fits
+
+        return samples_of_run(
+            self.run,
+            self.content_mesh,
+            self.prior,
+            self.record.config,
+            n_samples=n,
+            seed=seed,
+            num_threads=num_threads,
+        )
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:

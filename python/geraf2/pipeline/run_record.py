@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from geraf2._bounds import Arg, Bounded, Degrees, Seed
+from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
 from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
@@ -34,6 +34,8 @@ class RunOptions(Bounded):
     where held-out data confirm it. no: take the scene as it is."""
     seed: Seed = 0
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
+    samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
+    """Also write so many surfaces that the scan allows, into samples.npz."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
     """Options of the photos of --los."""
 

@@ -13,6 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
 _END_REACH_M = 0.0015
@@ -73,6 +74,12 @@ def answer_of(
             f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
             f"95 % below {most:.1f} mm."
         )
+    sizes = dict(size_lines(numbers.get("mesh", {})))
+    if sizes:
+        sure.append(
+            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
+            f"volume {sizes['volume']}."
+        )
     seen = seen_vertices(content, glints)
     if seen is not None:
         share = _share(vertex_areas(content.vertices, content.faces), seen, np.ones_like(seen))
@@ -84,7 +91,7 @@ def answer_of(
         )
         unseen += _unseen(content, seen)
         unseen += _ends(content, seen, bool(numbers.get("selection", {}).get("outlines")))
-    sure += _unexplained(numbers)
+    sure += _labels(numbers) + _unexplained(numbers)
     if "scores" in metrics:
         distance = metrics["surface_mesh_to_truth"]
         sure.insert(
@@ -131,6 +138,14 @@ def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
         errors = ", ".join(f"{1e3 * error:+.1f}" for error in size["extent_errors_m"])
         items.append(("error of size x, y, z [mm]", errors))
     return items
+
+
+def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    counts = numbers.get("glints", {}).get("labels")
+    if not counts:
+        return []
+    each = ", ".join(f"{n:,} {label.replace('_', ' ')}" for label, n in counts.items())
+    return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
 
 
 def _unexplained(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:

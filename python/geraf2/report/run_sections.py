@@ -17,7 +17,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import StageRecord
 from geraf2.io.text import read_object as read_json
 from geraf2.report import html
-from geraf2.surfaces.expected_error import ErrorModel
+from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
@@ -220,7 +220,7 @@ def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
     """Section with definitions of the terms in this report."""
-    model, found = ErrorModel(), content is not None
+    model, found = SupportModel(), content is not None
     expected = content is not None and content.expected_error_m is not None
     unexplained, glints = bool(_unexplained(stages)), "glints" in stages
     more = metrics.get("definitions", {})

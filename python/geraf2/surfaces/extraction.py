@@ -9,10 +9,9 @@ from scipy.ndimage import binary_dilation
 from geraf2._types import Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.fields import SdfGrid
-from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
-from geraf2.surfaces.expected_error import with_expected_error
+from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.isosurface import (
     ComponentReport,
     drop_components,
@@ -20,8 +19,10 @@ from geraf2.surfaces.isosurface import (
     largest_components,
     signed_distances,
 )
+from geraf2.surfaces.posterior import sample_surface
+from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 3
+MESH_VERSION = 4
 """Raised when the same field gives another mesh, or another expected error."""
 _log = logging.getLogger(__name__)
 
@@ -35,25 +36,31 @@ class ExtractedMeshes(NamedTuple):
     """The box: the prior's outer surface, and the inner faces of walls of known thickness."""
     mesh_content: TriangleMesh
     """What is hidden, with the expected error of each vertex and what it rests on."""
+    samples: SurfaceSamples | None = None
+    """Samples of the content behind its expected error; None of a field without glints."""
 
 
 def extract_meshes(
     sdf: SdfGrid,
-    glints: Glints,
+    evidence: Glints | Evidence,
     prior: LosPrior,
+    fit: FitConfig | None = None,
     *,
-    outlines: Silhouettes | None = None,
     num_threads: int | None = None,
 ) -> ExtractedMeshes:
     """Zero level of the whole field, separated into box and content by the prior.
 
+    evidence, fit: what `sdf` was fitted to, and how.
+
     Content is the zero level of `sdf` inside the prior's innermost known face, without any
     threshold, less voids and fragments (:func:`content_surface`), each vertex with its expected
-    error (:func:`geraf2.surfaces.expected_error.with_expected_error`, which reads `outlines`, too).
+    error (:func:`geraf2.surfaces.posterior.sample_surface`).
     The box comes from the prior: it was given, not found. `mesh` holds both:
     f < 0 in the wall and in the content, f > 0 in the air between them.
     """
-    content, report = content_surface(sdf, glints, prior, num_threads=num_threads)
+    if isinstance(evidence, Glints):
+        evidence = Evidence(glints=evidence)
+    content, report = content_surface(sdf, evidence.seen, prior, num_threads=num_threads)
     if report.n_fragments or report.n_unsupported or report.n_voids:
         _log.info(
             "dropped %d fragments, %d pieces without any glint and %d voids, %.1f cm^2 in all",
@@ -62,15 +69,11 @@ def extract_meshes(
             report.n_voids,
             1e4 * report.dropped_area_m2,
         )
-    content = with_expected_error(
-        content,
-        glints,
-        sdf.grid.spacing_m,
-        outlines=outlines,
-        num_threads=num_threads,
+    samples = sample_surface(content, sdf, evidence, prior, fit, num_threads=num_threads)
+    box, content = box_surface(prior), samples.mesh
+    return ExtractedMeshes(
+        mesh=join_meshes(box, content), mesh_box=box, mesh_content=content, samples=samples
     )
-    box = box_surface(prior)
-    return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
 
 
 def content_surface(

@@ -211,6 +211,20 @@ def _first_solves(
     return _FirstFit(system, sdf, sure)
 
 
+def fitted_points(
+    evidence: Evidence, sdf: SdfGrid, config: FitConfig, *, num_threads: int | None = None
+) -> tuple[OrientedPoints, SdfTerms]:
+    """Points and terms of the last solve of :func:`fit_sdf`: glints, then where outlines touch.
+
+    sdf: field that the fit gave; it decides where edges of outlines touch the surface.
+    """
+    outlines, touched = evidence.outlines, None
+    if outlines is not None and len(outlines) and evidence.outline_weight > 0.0:
+        seen, clearance_m = evidence.seen.positions, evidence.outline_clearance_m
+        touched = tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
+    return _weigh(evidence, config, touched), _terms(config)
+
+
 def _terms(config: FitConfig) -> SdfTerms:
     return SdfTerms(
         position=config.position_weight,
@@ -227,7 +241,7 @@ def _weigh(
     glints, together = evidence.glints, evidence.seen
     relative = np.minimum(1.0, together.strengths / strong_level(glints.strengths))
     # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
-    position, normal = np.sqrt(relative), relative
+    position, normal = together.probability * (np.sqrt(relative), relative)
     for weights in (position, normal):
         weights[len(glints) :] *= evidence.rim_weight
     groups: list[Glints | Tangents] = [together]

@@ -163,6 +163,14 @@ def test_scores_of_a_cube_that_is_too_large():
     assert scores["f1_2mm"] == 0.0
     assert scores["f1_5mm"] == 1.0
     assert "within_one" not in scores
+    assert "volume_covered" not in scores
+    stated = {
+        "volume_95_percent_cm3": [990.0, 1200.0],
+        "extents_95_percent_mm": [[99.0, 109.0], [100.5, 107.0], [95.0, 101.0]],
+    }
+    scores = population_scores(mesh, truth, 0, stated=stated)
+    assert scores["volume_covered"] == 1.0
+    assert scores["extents_covered"] == pytest.approx(2 / 3)
 
 
 class StandIn(Runner):

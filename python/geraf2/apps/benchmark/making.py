@@ -80,7 +80,13 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
     cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
     if row.how.kind == "population":
         truth = read_mesh(scene / TRUTH_NAME)
-        scores = population_scores(result.content_mesh, truth, seed, num_threads=num_threads)
+        scores = population_scores(
+            result.content_mesh,
+            truth,
+            seed,
+            stated=result.numbers.get("mesh"),
+            num_threads=num_threads,
+        )
         return RowResult(f1_5mm=scores["f1_5mm"], cpu_seconds=cpu_seconds, scores=scores)
     metrics = evaluate(result, scene / TRUTH_NAME, report=False, num_threads=num_threads)
     expected_mm = result.numbers.get("mesh", {}).get("expected_error_median_mm")

@@ -25,6 +25,8 @@ METRICS = (
     ("within_one", "within one expected error", 3),
     ("within_two", "within two expected errors", 3),
     ("rank", "rank correlation of errors", 3),
+    ("volume_covered", "volume within its 95 % interval", 3),
+    ("extents_covered", "extents within their 95 % intervals", 3),
     ("cpu_seconds", "CPU seconds", 1),
 )
 """Names of scores, titles and digits."""

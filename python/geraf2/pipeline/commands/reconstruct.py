@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
+from typing import Any
 from weakref import finalize
 
 import numpy as np
@@ -25,11 +26,13 @@ from geraf2.io.run_folder import (
     PRIOR_NAME,
     REPORT_FILES,
     REPORT_NAME,
+    SAMPLES_NAME,
     RunFolder,
     stage_key,
 )
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
+from geraf2.pipeline.posterior import require_posterior
 from geraf2.pipeline.presets import (
     STAGE_NAMES,
     PresetConfig,
@@ -48,6 +51,10 @@ from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
+from geraf2.surfaces.samples import SurfaceSamples
+
+SAMPLES_STAGE = "samples"
+"""Name of the stage that `RunOptions.samples` asks for."""
 
 
 def reconstruct(
@@ -93,6 +100,8 @@ def reconstruct(
     started, options = time.perf_counter(), options or RunOptions()
     if isinstance(config, str):
         config = preset_type(config)()
+    if options.samples:
+        require_posterior(config, options.samples)
     scene = None if isinstance(capture, Capture) else Path(capture)
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
     request = _Request.of(loaded, prior, config, options, scene, listener or Listener())
@@ -112,7 +121,7 @@ def reconstruct(
         job, prior_name = _started(request, run, resume=resume, num_threads=num_threads)
         job = _calibrated(job, options, request.where)
         _keep_inputs(request, job)
-        _run_stages(job, prior_name, trust_los=options.trust_los, report=report)
+        _run_stages(job, prior_name, options, report=report)
         seconds = round(time.perf_counter() - started, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
@@ -288,13 +297,15 @@ def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
     return replace(job, capture=kept, inputs={**job.inputs, **more})
 
 
-def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) -> None:
+def _run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bool) -> None:
     stages, run = stages_of(job.config), job.run
+    if options.samples:
+        stages = (*stages, _samples_stage(stages[-1], options.samples))
     kept = {stage.name for stage in stages} if job.resume else set()
-    run.forget(STAGE_NAMES - kept, stale=True)
+    run.forget((STAGE_NAMES | {SAMPLES_STAGE}) - kept, stale=True)
     if not job.resume:
         run.forget(["report"])
-    if not (trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
+    if not (options.trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
         with job.listener.step("prior"):
             peaks = job.peaks.of(job.capture)
             require_echoes_inside(
@@ -304,8 +315,28 @@ def _run_stages(job: Job, prior_name: object, *, trust_los: bool, report: bool) 
         job.do(stage)
     run.drop_stale()
     if report:
-        job.do(_report_stage(stages[-1]))
+        job.do(_report_stage(stages_of(job.config)[-1]))
         run.keep(*REPORT_FILES)
+
+
+def _samples_stage(mesh: Stage[Any], n_samples: int) -> Stage[Any]:
+    def save(job: Job, samples: SurfaceSamples) -> list[str]:
+        samples.save(job.run.path / SAMPLES_NAME)
+        return [SAMPLES_NAME]
+
+    return Stage(
+        name=SAMPLES_STAGE,
+        version=1,
+        inputs=(mesh,),
+        settings=lambda _: n_samples,
+        seeded=True,
+        compute=lambda job, _: Reconstruction(job.run).samples(
+            n_samples, seed=job.seed, num_threads=job.num_threads
+        ),
+        save=save,
+        load=lambda job: None,
+        numbers=lambda samples: {"n_samples": len(samples), **samples.size_numbers()},
+    )
 
 
 def _report_stage(mesh: Stage[None]) -> Stage[None]:

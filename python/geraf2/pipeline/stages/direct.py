@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from geraf2._types import Floats, Ints, Progress
-from geraf2.echoes import Glints, find_glints
-from geraf2.echoes.glints import GLINTS_VERSION
-from geraf2.echoes.transparency import SeenThrough, describe, drop_back_faces
+from geraf2.echoes import Glints
+from geraf2.echoes.glints import GLINTS_VERSION, find_echoes
+from geraf2.echoes.labels import Label, LabelledPeaks
+from geraf2.echoes.transparency import SeenThrough, describe, first_surfaces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import ply_bytes, write_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
@@ -20,6 +22,7 @@ from geraf2.io.run_folder import (
     HEATMAP_SDF_NAME,
     LINKED_NAME,
     MESH_NAME,
+    PEAKS_NAME,
     RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
@@ -46,9 +49,9 @@ from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.refinement import (
     SELECTION_VERSION,
     SelectedGlints,
+    evidence_of,
     fit_refined,
     select_glints,
-    uncontradicted,
 )
 
 # Fit through first surfaces, only to stop lines of sight.
@@ -62,16 +65,20 @@ class FoundGlints(NamedTuple):
     """Of first surfaces."""
     seen_through: SeenThrough | None = None
     """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
+    labelled: LabelledPeaks | None = None
+    """All peaks at the ranges of the box; None of a stage that is read back."""
 
     def numbers(self) -> dict[str, Any]:
         """For run.json."""
         found: dict[str, Any] = {"n_glints": len(self.glints)}
+        if self.labelled is not None:
+            found["labels"] = self.labelled.counts()
         return found if self.seen_through is None else found | self.seen_through.numbers()
 
 
 def _find(job: Job, progress: Progress) -> FoundGlints:
     capture, prior, threads = job.capture, job.prior, job.num_threads
-    glints = find_glints(
+    glints, labelled, index = find_echoes(
         capture,
         prior,
         job.config.glints,
@@ -84,15 +91,9 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
         evidence = Evidence(glints=first, found_with=job.config.glints)
         return zero_level(fit_sdf(evidence, capture, prior, _FIRST_SURFACE, num_threads=threads))
 
-    found = FoundGlints(
-        *drop_back_faces(
-            glints,
-            len(capture.poses),
-            job.config.glints,
-            surface_through,
-            num_threads=threads,
-        )
-    )
+    first, body = first_surfaces(glints, surface_through, num_threads=threads)
+    labelled = labelled.relabelled(index[~first], Label.SEEN_THROUGH)
+    found = FoundGlints(glints.select(first), body, labelled)
     if found.seen_through is not None:
         job.listener.note(describe(found.seen_through.numbers()))
     return found
@@ -100,7 +101,10 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
 
 def _save_glints(job: Job, found: FoundGlints) -> list[str]:
     found.glints.save(job.run.path / GLINTS_NAME)
-    return [GLINTS_NAME]
+    if found.labelled is None:
+        return [GLINTS_NAME]
+    write_bytes_atomic(job.run.path / PEAKS_NAME, found.labelled.cloud_bytes())
+    return [GLINTS_NAME, PEAKS_NAME]
 
 
 GLINTS = Stage(
@@ -181,7 +185,7 @@ def _load_selection(job: Job) -> SelectedGlints:
 
 def _selection_settings(config: Any) -> list[Any]:
     refine = config.refine
-    return [refine.links, refine.rim, refine.silhouettes if refine.shadows else None]
+    return [refine.rim, refine.silhouettes if refine.shadows else None]
 
 
 SELECTION = Stage(
@@ -264,21 +268,19 @@ HEATMAPS = Stage(
 def mesh_stage(
     inputs: tuple[Stage[Any], ...],
     field: Callable[[Job], SdfGrid],
-    evidence: Callable[[Job], Glints | float],
+    evidence: Callable[[Job], Evidence | float],
     settings: Callable[[Any], Any] = lambda _: None,
-    outlines: Callable[[Job], Silhouettes | None] = lambda _: None,
+    fit: Callable[[Any], FitConfig | None] = lambda _: None,
 ) -> Stage[Any]:
     """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
 
-    outlines: shadows that cut the surface.
+    evidence: what the field was fitted to. fit: how, of the preset's config.
     """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
         sdf, seen, threads = field(job), evidence(job), job.num_threads
-        if isinstance(seen, Glints):
-            meshes = extract_meshes(
-                sdf, seen, job.prior, outlines=outlines(job), num_threads=threads
-            )
+        if isinstance(seen, Evidence):
+            meshes = extract_meshes(sdf, seen, job.prior, fit(job.config), num_threads=threads)
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
         if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
@@ -303,10 +305,11 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """Size of the content's mesh, its evidence and its expected error."""
+    """Size of the content's mesh, its evidence, its expected error, and intervals of its sizes."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
-    return numbers | quality_numbers(content)
+    sizes = meshes.samples.size_numbers() if meshes.samples is not None else {}
+    return numbers | quality_numbers(content) | sizes
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
@@ -326,31 +329,28 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
         )
     run.forget_derived(ply_bytes(meshes.mesh_content, frame, job.made_from))
     names = []
-    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes, strict=True):
+    for name, mesh in zip((MESH_NAME, BOX_NAME, CONTENT_NAME), meshes[:3], strict=True):
         for file in (name, name.removesuffix(".ply") + ".glb"):
             write_mesh(mesh, run.path / file, frame=frame, made_from=job.made_from)
             names += [file, file + ".json"]
     return names
 
 
-def _outlines(job: Job) -> Silhouettes | None:
-    """Shadows that the glints do not contradict; None where there are none."""
-    selected = job[SELECTION]
-    if selected.silhouettes is None:
-        return None
-    return uncontradicted(selected.silhouettes, selected.seen, job.config.refine)
+def _selected_evidence(job: Job) -> Evidence:
+    return evidence_of(job[SELECTION], len(job.capture.poses), job.config.refine, job.config.glints)
 
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF],
-    lambda job: job[GLINTS].glints,
+    lambda job: Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
+    fit=lambda config: config.fit,
 )
 BEST_MESH = mesh_stage(
     (HEATMAPS, SELECTION),
     lambda job: job[HEATMAPS].sdf,
-    lambda job: job[SELECTION].seen,
-    outlines=_outlines,
+    _selected_evidence,
+    fit=lambda config: config.refine.fit,
 )
 FAST_STAGES: Stages = (GLINTS, SDF, FAST_MESH)
 BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, HEATMAPS, BEST_MESH)

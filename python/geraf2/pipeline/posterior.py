@@ -1,0 +1,95 @@
+"""Samples of the surface of a run, drawn from what its folder holds."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from geraf2.echoes import Glints
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io.mesh import TriangleMesh
+from geraf2.io.planes import load_planes
+from geraf2.io.run_folder import (
+    FIT_NAME,
+    GLINTS_NAME,
+    HEATMAP_SDF_NAME,
+    LINKED_NAME,
+    PLANES_NAME,
+    RIM_NAME,
+    SILHOUETTES_NAME,
+    RunFolder,
+)
+from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
+from geraf2.scene import LosPrior
+from geraf2.surfaces.fit import Evidence, FitConfig
+from geraf2.surfaces.posterior import sample_surface
+from geraf2.surfaces.refinement import SelectedGlints, evidence_of
+from geraf2.surfaces.samples import SurfaceSamples
+
+
+def require_posterior(config: PresetConfig, n_samples: int) -> None:
+    """Raise UserError for a single sample, or a preset that has no posterior to draw from."""
+    if n_samples < 2:
+        raise UserError(what="samples must be at least 2", got=n_samples)
+    if not isinstance(config, FastPreset | BestPreset):
+        raise UserError(
+            what=f"preset {config.preset!r} has no posterior to draw samples from",
+            expected="best or fast",
+        )
+
+
+def samples_of_run(
+    run: RunFolder,
+    mesh: TriangleMesh,
+    prior: LosPrior,
+    config: PresetConfig,
+    *,
+    n_samples: int,
+    seed: int = 0,
+    num_threads: int | None = None,
+) -> SurfaceSamples:
+    """Draw surfaces that the scan of a finished run allows; UserError where there are none.
+
+    mesh: its content. prior: its box. config: constants of its preset.
+    """
+    require_posterior(config, n_samples)
+    evidence, fit, field = _evidence(run, config)
+    samples = sample_surface(
+        mesh,
+        SdfGrid.load(_file(run, field)),
+        evidence,
+        prior,
+        fit,
+        n_samples=n_samples,
+        seed=seed,
+        num_threads=num_threads,
+    )
+    return replace(samples, mesh=mesh)  # with the expected error that the run wrote
+
+
+def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
+    """Gather what the surface was fitted to, how, and the name of its field."""
+    if isinstance(config, FastPreset):
+        glints = Glints.load(_file(run, GLINTS_NAME))
+        return Evidence(glints=glints, found_with=config.glints), config.fit, FIT_NAME
+    assert isinstance(config, BestPreset)  # see require_posterior
+    shadows = run.written(SILHOUETTES_NAME)
+    selected = SelectedGlints(
+        Glints.load(_file(run, LINKED_NAME)),
+        Glints.load(_file(run, RIM_NAME)),
+        Silhouettes.load(shadows) if shadows is not None else None,
+    )
+    n_planes = len(load_planes(run.path / PLANES_NAME).corners_m)
+    evidence = evidence_of(selected, n_planes, config.refine, config.glints)
+    return evidence, config.refine.fit, HEATMAP_SDF_NAME
+
+
+def _file(run: RunFolder, name: str) -> Path:
+    path = run.written(name)
+    if path is None:
+        raise UserError(
+            what=f"the run has no {name} to draw samples from",
+            where=run.path,
+            hint="finish it with 'geraf2 reconstruct --resume'",
+        )
+    return path

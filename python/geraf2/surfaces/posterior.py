@@ -1,0 +1,352 @@
+"""Samples of the fitted signed distance: perturb the data and the bend, solve again.
+
+The fit minimises a quadratic energy, so an error of what it reads becomes an error of its field by
+one more solve with another right side (perturb-and-MAP: Papandreou and Yuille 2010; Orieux et al.
+2012). Derivation: docs/math/expected-error.md.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from geraf2._memory import require_memory
+from geraf2._types import Floats, Ints
+from geraf2._validation import require_each, require_positive
+from geraf2.echoes.glint_set import Glints
+from geraf2.fields import SdfGrid
+from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import LosPrior
+from geraf2.surfaces.expected_error import (
+    N_NEAREST,
+    SupportModel,
+    conformal_factor,
+    evidence_of_vertices,
+    nearness,
+)
+from geraf2.surfaces.fit import Evidence, FitConfig, fitted_points
+from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample, trilinear_rows
+from geraf2.surfaces.samples import SurfaceSamples
+
+N_SAMPLES = 24
+"""Samples behind an expected error: their spread errs by 14 %."""
+_CELLS = 36
+"""Cells along a side of the samples' grid: 5 to 8 mm each."""
+_TOLERANCE = 0.03
+"""Of a sample's residual: a tenth of the spread's own error."""
+_LEAST_SLOPE = 0.5
+"""Between two sheets a field of this spacing is flatter than the distance to either."""
+_BYTES_PER_MOVE = 44.0
+"""Of a vertex in a sample: arrays of doubles while they are scaled, and the result."""
+_CM = 100.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseModel:
+    """Standard deviations of what the fit reads; measured on glints of the population's scans."""
+
+    common_sigma_m: float = 0.0009
+    """Range offset that all glints share: delay of the radar, radius of the turntable [m]."""
+    plane_sigma_m: float = 0.0005
+    """Range offset that the glints of one plane share [m]."""
+    face_sigma_m: float = 0.0003
+    """Range offset that the glints behind one face of the box share: thickness of its wall [m]."""
+    point_sigma_m: float = 0.0009
+    """Position of one glint beside its own sigma: echoes that merge [m]."""
+    normal_sigma_rad: float = 0.17
+    """Direction of one glint beside its own sigma: curvature over a sub-aperture [rad]."""
+    outline_sigma_m: float = 0.002
+    """Position of a point that an outline's edge touches [m]."""
+    bend_density_m: float = 0.0035
+    """Spectral density of the second derivatives of the objects' signed distance [m]."""
+    misfit_cap_m: float = 0.005
+    """A glint farther from the surface is of something else, and counts as if this far [m]."""
+
+    def __post_init__(self) -> None:
+        require_each(require_positive, self, *self.__dataclass_fields__)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PointNoise:
+    """Errors of oriented points, each of its own and shared."""
+
+    position_sigma_m: Floats
+    """Along the normal, (n,) [m]."""
+    normal_sigma_rad: Floats
+    """Of each component of the normal, (n,) [rad]."""
+    shared_sigma_m: Floats
+    """Of each offset that several points share, (n_groups,) [m]."""
+    groups: Ints
+    """Offsets of each point, (n, n_shared); -1: none."""
+
+    def draw(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
+        """One error of every position along its normal, (n,) [m], and of its normal, (n, 3)."""
+        n = len(self.position_sigma_m)
+        position = self.position_sigma_m * rng.standard_normal(n)
+        offsets = np.append(self.shared_sigma_m * rng.standard_normal(len(self.shared_sigma_m)), 0)
+        position += offsets[self.groups].sum(axis=1)
+        return position, self.normal_sigma_rad[:, None] * rng.standard_normal((n, 3))
+
+
+def point_noise(
+    glints: Glints, n_outline: int, sdf: SdfGrid, prior: LosPrior, model: NoiseModel | None = None
+) -> PointNoise:
+    """Errors of the points of a fit: glints first, then points that outlines touch.
+
+    sigma_i^2 = position_sigma_i^2 + point^2 + m_i^2, with m_i the root mean square of f at the
+    glints around, weighted as in docs/math/expected-error.md.
+
+    glints: that the surface was drawn through, those of the rim too.
+    n_outline: number of points that outlines touch.
+    sdf: fitted field.
+    prior: a glint belongs to the face of the box that its normal, prolonged, meets.
+    """
+    model = model or NoiseModel()
+    misfit = local_misfit(glints, sdf, model)
+    position = np.sqrt(glints.position_sigma_m**2 + model.point_sigma_m**2 + misfit**2)
+    normal = np.hypot(glints.normal_sigma_rad, model.normal_sigma_rad)
+    planes = np.unique(glints.poses, return_inverse=True)[1]
+    n_planes = int(planes.max()) + 1 if len(planes) else 0
+    groups = np.stack([planes, n_planes + faces_met(glints, prior)], axis=1)
+    none = np.full((n_outline, 2), -1, dtype=np.int64)
+    return PointNoise(
+        position_sigma_m=np.append(position, np.full(n_outline, model.outline_sigma_m)),
+        normal_sigma_rad=np.append(normal, np.full(n_outline, model.normal_sigma_rad)),
+        shared_sigma_m=np.repeat([model.plane_sigma_m, model.face_sigma_m], [n_planes, 6]),
+        groups=np.concatenate([groups, none]),
+    )
+
+
+def local_misfit(glints: Glints, sdf: SdfGrid, model: NoiseModel) -> Floats:
+    """Root mean square of the field at the glints around each, those alike count most, (n,) [m]."""
+    n_near = min(N_NEAREST, len(glints))
+    if n_near == 0:
+        return np.zeros(0)
+    off = np.clip(np.abs(sdf.sample(glints.positions)), 0.0, model.misfit_cap_m)
+    distance, near = KDTree(glints.positions).query(glints.positions, k=np.arange(1, n_near + 1))
+    cosine = np.einsum("nk,njk->nj", glints.normals, glints.normals[near])
+    weights = np.exp(-0.5 * (distance / SupportModel().reach_m) ** 2) * np.maximum(cosine, 0.0)
+    return np.asarray(np.sqrt((weights * off[near] ** 2).sum(axis=1) / weights.sum(axis=1)))
+
+
+def faces_met(glints: Glints, prior: LosPrior) -> Ints:
+    """Side of the box that each normal, prolonged, meets, (n,): -x, x, -y, y, -z, z as 0 to 5."""
+    directions = glints.normals
+    if len(glints):
+        box = MeshScene(prior.vertices, prior.faces)
+        triangle = box.closest_hit(glints.positions, directions)[1]
+        corners = np.asarray(prior.vertices)[np.asarray(prior.faces)[np.maximum(triangle, 0)]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        directions = np.where((triangle >= 0)[:, None], normals, directions)
+    axis = np.abs(directions).argmax(axis=1)
+    positive = np.take_along_axis(directions, axis[:, None], axis=1)[:, 0] > 0.0
+    return np.asarray(2 * axis + positive, dtype=np.int64)
+
+
+class FieldPosterior:
+    """Errors of a fitted field on a coarse grid, one solve each."""
+
+    def __init__(
+        self,
+        sdf: SdfGrid,
+        points: OrientedPoints,
+        terms: SdfTerms,
+        noise: PointNoise,
+        *,
+        bend_density_m: float,
+        tolerance: float = _TOLERANCE,
+        num_threads: int | None = None,
+    ) -> None:
+        """Prepare the solves on the grid of `sdf`; its values do not matter.
+
+        points, terms: of the fit. noise: errors of the points.
+        bend_density_m: of the bend that the prior denies, see `NoiseModel`.
+        """
+        self.grid, self._noise = sdf.grid, noise
+        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
+        self._respond = system.responder(tolerance=tolerance)
+        shape, spacing = sdf.grid.shape, sdf.grid.spacing_m * _CM
+        index = (points.positions - np.asarray(sdf.grid.origin_m)) / sdf.grid.spacing_m
+        value, slopes = trilinear_rows(index, shape, spacing)
+        self._value = value.T.tocsr().multiply(terms.position * points.position_weights).tocsr()
+        weights = terms.normal * points.normal_weights
+        self._slopes = [rows.T.tocsr().multiply(weights).tocsr() for rows in slopes]
+        volume = float(np.prod(np.asarray(shape) - 1)) * spacing**3
+        self._bend = float(np.sqrt(terms.bending * bend_density_m * _CM / volume))
+        self._bending = terms.bending
+
+    def right_side(self, rng: np.random.Generator) -> Floats:
+        """One draw of what the errors add to the right side of the fit, (n_voxels,)."""
+        position, normal = self._noise.draw(rng)
+        right = self._value @ (position * _CM)
+        for rows, error in zip(self._slopes, normal.T, strict=True):
+            right += rows @ error
+        spacing = self.grid.spacing_m * _CM
+        root = bending_force(self.grid.shape, spacing, self._bending, rng)
+        return np.asarray(right + self._bend * root.ravel())
+
+    def draw(self, n_samples: int, rng: np.random.Generator) -> Floats:
+        """Errors of the field, (n_samples, n_voxels) [m]."""
+        return np.stack([self.draw_one(rng) for _ in range(n_samples)])
+
+    def draw_one(self, rng: np.random.Generator) -> Floats:
+        """One error of the field, (n_voxels,) [m]."""
+        return np.asarray(self._respond(self.right_side(rng)) / _CM)
+
+
+def bending_force(
+    shape: tuple[int, int, int], spacing: float, bending: float, rng: np.random.Generator
+) -> Floats:
+    """Draw L^T e with e white of unit variance, where L^T L is the matrix of the bending energy.
+
+    Stencils as those of `geraf2.ops.grid_energy.GridEnergy`: second differences on lines, mixed
+    ones, counted twice, on cell faces, each kind averaged over its own number.
+    """
+    force = np.zeros(shape)
+
+    def inner(axes: tuple[int, ...], starts: tuple[int, ...], lengths: list[int]) -> Floats:
+        cut = [slice(None)] * 3
+        for axis, start in zip(axes, starts, strict=True):
+            cut[axis] = slice(start, start + lengths[axis])
+        return force[tuple(cut)]
+
+    for axis in range(3):
+        lengths = list(shape)
+        lengths[axis] -= 2
+        if lengths[axis] > 0:
+            scale = np.sqrt(bending / np.prod(lengths)) / spacing**2
+            noise = scale * rng.standard_normal(lengths)
+            for start, factor in enumerate((1.0, -2.0, 1.0)):
+                part = inner((axis,), (start,), lengths)
+                part += factor * noise
+    for axes in combinations(range(3), 2):
+        lengths = [n - (axis in axes) for axis, n in enumerate(shape)]
+        scale = np.sqrt(2.0 * bending / np.prod(lengths)) / spacing**2
+        noise = scale * rng.standard_normal(lengths)
+        for first in (0, 1):
+            for second in (0, 1):
+                part = inner(axes, (first, second), lengths)
+                part += noise if first == second else -noise
+    return force
+
+
+class Displacements(NamedTuple):
+    """Samples of a surface's error along its normals, outwards."""
+
+    own_m: Floats
+    """Of each vertex, (n_samples, n_vertices) [m]."""
+    common_m: Floats
+    """Offset that all share, (n_samples,) [m]."""
+    common_sigma_m: float
+    """Standard deviation of that offset [m]."""
+
+    @property
+    def spread_m(self) -> Floats:
+        """Standard deviation of the sum, (n_vertices,) [m]."""
+        return np.asarray(np.sqrt(np.mean(self.own_m**2, axis=0) + self.common_sigma_m**2))
+
+
+def draw_displacements(
+    vertices: Floats,
+    sdf: SdfGrid,
+    fitted: tuple[OrientedPoints, SdfTerms],
+    noise: PointNoise,
+    n_samples: int,
+    *,
+    model: NoiseModel | None = None,
+    seed: int = 0,
+    num_threads: int | None = None,
+) -> Displacements:
+    """Draw how far the true surface lies outside each vertex, without any conformal factor.
+
+        u(v) = c - df(v) / max(|grad f(v)|, 1/2)
+
+    df is a sample of the field's error and c that of the offset which all glints share: a constant
+    added to f passes the energy, so it needs no solve. Its draws are the quantiles of a normal
+    distribution in random order, and df is made uncorrelated with them: few samples then have the
+    spread of many.
+
+    vertices: of the zero level of `sdf`, (n_vertices, 3) [m].
+    sdf: fitted field. fitted: points and terms of the fit. noise: of these points.
+    """
+    model = model or NoiseModel()
+    rng = np.random.default_rng(seed)
+    cells = max(sdf.grid.shape) - 1
+    coarse = resample(sdf, sdf.grid.spacing_m * max(1.0, cells / _CELLS))
+    posterior = FieldPosterior(
+        coarse, *fitted, noise, bend_density_m=model.bend_density_m, num_threads=num_threads
+    )
+    grid = coarse.grid
+    index = (vertices - np.asarray(grid.origin_m)) / grid.spacing_m
+    value, slopes = trilinear_rows(index, grid.shape, grid.spacing_m)
+    field = coarse.values.astype(np.float64).ravel()
+    slope = np.sqrt(sum((rows @ field) ** 2 for rows in slopes))
+    slope = np.maximum(slope, _LEAST_SLOPE)
+    change = np.stack([value @ posterior.draw_one(rng) / slope for _ in range(n_samples)])
+    common = _spread_draws(n_samples, rng)
+    if n_samples > 1:  # few draws correlate by chance, and every vertex would have that error
+        change -= common[:, None] * (common @ change / n_samples)
+        change *= np.sqrt(n_samples / (n_samples - 1))
+    return Displacements(-change, model.common_sigma_m * common, model.common_sigma_m)
+
+
+def sample_surface(
+    mesh: TriangleMesh,
+    sdf: SdfGrid,
+    evidence: Evidence,
+    prior: LosPrior,
+    fit: FitConfig | None = None,
+    *,
+    n_samples: int = N_SAMPLES,
+    seed: int = 0,
+    num_threads: int | None = None,
+) -> SurfaceSamples:
+    """Draw surfaces from the posterior of a fit; the mesh gets its errors and evidence.
+
+    mesh: zero level of `sdf`, or its parts.
+    sdf: field of the fit. evidence, fit: what it was fitted to, and how.
+    prior: box, whose faces delay the echoes behind them.
+    n_samples, seed: of the draws.
+
+    Each sample moves a vertex along its normal by its conformal factor times a draw of
+    :func:`draw_displacements`. The expected error is the spread of the
+    samples. Not differentiable.
+    """
+    model, noise = SupportModel(), NoiseModel()
+    near = nearness(mesh, evidence.seen, model)
+    kinds = evidence_of_vertices(mesh, near, evidence.outlines, model)
+    if not len(mesh.vertices):
+        nothing = replace(mesh, expected_error_m=np.zeros(0), evidence=kinds)
+        return SurfaceSamples(nothing, np.zeros((n_samples, 0)), noise.common_sigma_m)
+    n_bytes = _BYTES_PER_MOVE * n_samples * len(mesh.vertices)
+    require_memory(n_bytes, f"{n_samples} samples are too many for this mesh")
+    fitted = fitted_points(evidence, sdf, fit or FitConfig(), num_threads=num_threads)
+    n_outline = len(fitted[0].positions) - len(evidence.seen)
+    drawn = draw_displacements(
+        mesh.vertices,
+        sdf,
+        fitted,
+        point_noise(evidence.seen, n_outline, sdf, prior, noise),
+        n_samples,
+        model=noise,
+        seed=seed,
+        num_threads=num_threads,
+    )
+    factor = conformal_factor(near.support, model)
+    return SurfaceSamples(
+        replace(mesh, expected_error_m=factor * drawn.spread_m, evidence=kinds),
+        (factor * (drawn.own_m + drawn.common_m[:, None])).astype(np.float32),
+        noise.common_sigma_m,
+    )
+
+
+def _spread_draws(n: int, rng: np.random.Generator) -> Floats:
+    """Draw n quantiles of a normal distribution in random order: mean 0, mean square 1, (n,)."""
+    from scipy.special import ndtri  # noqa: PLC0415 - other commands save its import
+
+    draws = ndtri((np.arange(n) + 0.5) / n)
+    scale = float(np.sqrt(np.mean(draws**2))) if n > 1 else 1.0
+    return rng.permutation(draws / scale) if n > 1 else rng.standard_normal(1)

@@ -1,0 +1,104 @@
+"""Samples of a reconstructed surface, and intervals of what is computed from it."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import AnyPath, Floats
+from geraf2.geometry.triangles import enclosed_volume_m3, vertex_normals
+from geraf2.io.atomic import write_npz_atomic
+from geraf2.io.mesh import TriangleMesh
+
+NORMAL_95 = 1.96
+"""Half of the interval that holds 95 % of a normal distribution, in standard deviations."""
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSamples:
+    """Surfaces that the scan allows, all with the triangles of one mesh.
+
+    Shared offsets are in them, so neighbours move together: a number that depends on the whole
+    mesh takes its uncertainty from its values over the samples.
+    """
+
+    mesh: TriangleMesh
+    """Reconstructed surface, with the expected error of each vertex and its evidence."""
+    displacements_m: Floats
+    """How far each sample moves each vertex outwards along its normal, (n_samples, n_vertices)
+    [m]."""
+    common_sigma_m: float
+    """Standard deviation of the range offset that all echoes of the scan share [m]."""
+
+    def __len__(self) -> int:
+        return len(self.displacements_m)
+
+    def meshes(self) -> Iterator[TriangleMesh]:
+        """Each sample as a mesh."""
+        normals = vertex_normals(self.mesh.vertices, self.mesh.faces)
+        for moved in self.displacements_m:
+            yield replace(self.mesh, vertices=self.mesh.vertices + moved[:, None] * normals)
+
+    def interval(
+        self, quantity: Callable[[TriangleMesh], Any], *, deviations: float = NORMAL_95
+    ) -> tuple[Floats, Floats]:
+        """Low and high end of a quantity of the surface: its value plus and minus 1.96 sigma.
+
+        quantity: number or array of a mesh, for example its volume.
+        deviations: half of the interval in standard deviations of the samples.
+        """
+        if len(self) < 2:
+            msg = f"an interval needs at least 2 samples, got {len(self)}"
+            raise ValueError(msg)
+        middle = np.asarray(quantity(self.mesh), dtype=np.float64)
+        values = np.stack([np.asarray(quantity(mesh)) for mesh in self.meshes()])
+        half = deviations * values.std(axis=0, ddof=1)
+        return middle - half, middle + half
+
+    def save(self, path: AnyPath) -> None:
+        """Write `samples.npz`: vertices, faces, normals, displacements_m, common_offset_sigma_m."""
+        arrays = {
+            "vertices": self.mesh.vertices,
+            "faces": self.mesh.faces,
+            "normals": vertex_normals(self.mesh.vertices, self.mesh.faces),
+            "displacements_m": self.displacements_m,
+            "common_offset_sigma_m": np.array(self.common_sigma_m),
+        }
+        write_npz_atomic(path, arrays)
+
+    def size_numbers(self) -> dict[str, Any]:
+        """Volume [cm^3] and extents [mm] with their 95 % intervals; {} of an empty surface."""
+        if not len(self.mesh.faces) or len(self) < 2:
+            return {}
+
+        def sizes(mesh: TriangleMesh) -> Floats:
+            volume = 1e6 * enclosed_volume_m3(mesh.vertices, mesh.faces)
+            return np.array([volume, *(1e3 * np.ptp(mesh.vertices, axis=0))])
+
+        middle, (low, high) = sizes(self.mesh), self.interval(sizes)
+        ends = [[round(float(a), 2), round(float(b), 2)] for a, b in zip(low, high, strict=True)]
+        return {
+            "volume_cm3": round(float(middle[0]), 2),
+            "volume_95_percent_cm3": ends[0],
+            "extents_mm": [round(float(side), 2) for side in middle[1:]],
+            "extents_95_percent_mm": ends[1:],
+            "common_offset_sigma_mm": round(1e3 * self.common_sigma_m, 3),
+        }
+
+
+def size_lines(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Name and text of each size of a run with its 95 % interval; [] without intervals.
+
+    numbers: of the stage `mesh` in run.json.
+    """
+    if "volume_95_percent_cm3" not in numbers:
+        return []
+    low, high = numbers["volume_95_percent_cm3"]
+    pairs = zip(numbers["extents_mm"], numbers["extents_95_percent_mm"], strict=True)
+    sides = " x ".join(f"{side:.1f} ± {0.5 * (high - low):.1f}" for side, (low, high) in pairs)
+    return [
+        ("size x, y, z", f"{sides} mm (95 %)"),
+        ("volume", f"{numbers['volume_cm3']:.1f} ± {0.5 * (high - low):.1f} cm^3 (95 %)"),
+        ("shared offset", f"one sigma {numbers['common_offset_sigma_mm']:.2f} mm, included"),
+    ]
