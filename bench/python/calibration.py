@@ -29,6 +29,7 @@ import tomli_w
 from scipy.spatial.transform import Rotation
 
 from geraf2.calibration.wall_alignment import GROUPS, AlignmentConfig, WallProblem
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.scene import Capture, LosPrior, Wall
 from geraf2.simulation import (
@@ -68,7 +69,9 @@ def coverage(n_scans: int) -> None:
             capture.waveform, path_bias_m=capture.waveform.path_bias_m + float(errors[0])
         )
         moved = replace(prior, vertices=turn.apply(prior.vertices) + shift)
-        problem = WallProblem.of(replace(capture, waveform=late), moved, AlignmentConfig())
+        problem = WallProblem(
+            replace(capture, waveform=late), moved, AlignmentConfig(), KeptPeaks(moved)
+        )
         found = problem.result(problem.fit(GROUPS))
         off = [
             found.delay_m + errors[0],

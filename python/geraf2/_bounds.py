@@ -1,4 +1,4 @@
-"""Bounds of numbers in the types of the fields that hold them: once, for flags, TOML and Python.
+"""Notes in the types of fields: bounds of numbers, once for flags, TOML and Python, and flags.
 
 A record that is made in Python checks itself (:class:`Bounded`); flags make it so, and TOML files
 are checked by the same types (`geraf2.io.toml`). Bounds are broad: they keep out what crashes,
@@ -7,6 +7,7 @@ fills the memory or never ends, not a poor choice.
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from numbers import Integral, Real
 from types import NoneType, UnionType
@@ -48,6 +49,20 @@ ThreadCount = Annotated[int, Interval(ge=1, le=1024)]
 """A thousand threads are more than any machine has cores; a million end the process."""
 
 Check = Callable[[str, Any], None]
+
+
+@dataclass(frozen=True)
+class Arg:
+    """How a field appears on the command line; part of its `Annotated`."""
+
+    metavar: str | None = None
+    """Placeholder of the value; derived from the type when not given."""
+    name: str | None = None
+    """Name instead of the field's; "" of a group: its flags have no group's name."""
+    hidden: bool = False
+    """Whether a group is read, but not shown by `--help`."""
+    see: str = ""
+    """Command that explains the flags of a group; `--help` lists only their names."""
 
 
 class BoundsError(UserError, ValueError):

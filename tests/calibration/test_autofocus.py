@@ -35,7 +35,7 @@ def test_a_slow_drift_is_found_but_for_what_surfaces_explain():
         n_poses=4, errors=lambda number, axes, n: drift_m(n, number)[:, None] * axes[0]
     )
     found = estimate(capture)
-    assert found.is_significant
+    assert found.gain.is_sure
     assert found.coherence_after > found.coherence_before
     before, after = [], []
     for number, pose in enumerate(capture.poses):
@@ -50,7 +50,7 @@ def test_a_slow_drift_is_found_but_for_what_surfaces_explain():
 
 
 def test_right_positions_are_left_alone():
-    assert not estimate(carton_capture(n_poses=4)).is_significant
+    assert not estimate(carton_capture(n_poses=4)).gain.is_sure
 
 
 def test_the_splines_sum_to_one():

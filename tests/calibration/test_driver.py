@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from geraf2.calibration.acceptance import Gain, coherence_nats, judge
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
-from geraf2.calibration.judgement import judge
 from geraf2.calibration.leakage import Leakage
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.echo_phases import collect_phases, response_at
@@ -215,15 +215,46 @@ def test_walls_that_do_not_stand_out_are_an_error_to_one_who_asks(capture):
 
 
 @pytest.mark.parametrize(
-    ("significant", "gain", "against"),
+    ("nats", "is_modelled", "applied"),
     [
-        (True, 0.02, ""),
-        (True, 0.0, "held-out echoes fit no better"),
-        (False, 0.02, "not significant"),
+        ([5.0], True, True),  # a Gaussian value 3.2 standard deviations off
+        ([4.4], True, False),  # 2.97
+        ([10.0, -8.0] * 30, False, False),  # 60 of 70: what some gain others lose
+        ([2.0, 1.0] * 30, False, True),
+        ([-1.0] * 30, False, False),
+        ([], False, False),
     ],
 )
-def test_a_correction_is_accepted_if_it_is_significant_and_held_out_echoes_confirm_it(
-    significant, gain, against
+def test_a_correction_is_accepted_if_held_out_data_gain_three_standard_errors(
+    nats, is_modelled, applied
 ):
-    found = judge("delay", "1 mm", significant=significant, gain=gain, least_gain=0.01)
-    assert (found.applied, found.against) == (not against, against)
+    gain = Gain.of(np.array(nats), is_modelled=is_modelled)
+    found = judge("delay", "1 mm", {"delay_m": 0.001}, gain)
+    assert found.applied is applied
+    assert found.against == ("" if applied else "held-out echoes fit no better")
+    assert found.numbers["gain"] == pytest.approx(sum(nats))
+
+
+def test_a_scan_with_no_error_gains_five_nats_as_seldom_as_three_sigma():
+    """Ratio of two Gaussian likelihoods that differ by a shift d: -d^2 / 2 +- d without it."""
+    rng = np.random.default_rng(0)
+    shift = 3.0
+    noise = rng.normal(size=200_000)
+    nats = 0.5 * noise**2 - 0.5 * (noise - shift) ** 2
+    assert nats.mean() == pytest.approx(-0.5 * shift**2, abs=0.05)
+    assert np.mean(nats > 4.5) == pytest.approx(0.00135, abs=4e-4)
+
+
+def test_coherence_is_the_likelihood_of_constant_phasors_in_one_noise():
+    """Twin: log-likelihood of four Gaussian terms an echo about its mean, of pooled power."""
+    rng = np.random.default_rng(1)
+    sizes = np.array([1.0, 3.0, 0.5])
+    noise = np.exp(1j * rng.normal(size=(3, 400)) * np.array([[0.30], [0.31], [0.6]]))
+    less = np.exp(0.99j * np.angle(noise))
+    before, after = (np.abs(z.mean(axis=1)) for z in (noise, less))
+    left = [
+        sizes**2 * np.mean(np.abs(z - z.mean(axis=1, keepdims=True)) ** 2, axis=1)
+        for z in (noise, less)
+    ]
+    twin = 4.0 * len(sizes) * np.log(left[0].sum() / left[1].sum())
+    assert coherence_nats(before, after, sizes**2).sum() == pytest.approx(twin, rel=1e-3)

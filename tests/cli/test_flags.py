@@ -4,7 +4,8 @@ from typing import Annotated, Literal
 
 import pytest
 
-from geraf2.cli._fields import Arg, Positional
+from geraf2._bounds import Arg
+from geraf2.cli._fields import Positional
 from geraf2.cli._flags import help_text, parse, value_of
 from geraf2.errors import UserError
 

@@ -78,7 +78,7 @@ def test_importing_again_changes_nothing_and_another_capture_is_refused(source, 
 
 def test_parameters_may_come_from_a_toml_file(tmp_path, capture, capsys):
     source = write_geraf_sens(tmp_path / "capture", capture, parameters=None)
-    assert_refused(source, capsys, "start_frequency_hz is not known", "--radar")
+    assert_refused(source, capsys, "start_frequency_hz, ", "are not known", "--radar")
     radar = tmp_path / "radar.toml"
     radar.write_text(
         "start_frequency_hz = 77.3704e9\nchirp_slope_hz_per_s = 70.15e12\n"

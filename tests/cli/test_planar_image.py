@@ -99,7 +99,7 @@ def test_the_sign_can_be_forced(tmp_path, capsys):
     assert "--phase-sign: must be -1 or +1, got 2" in capsys.readouterr().err
     assert main([*command, "-1"]) == 0
     shown, warned = capsys.readouterr()
-    assert "exp(-j...): as told" in shown
+    assert "exp(-j...): as given" in shown
     assert "that --phase-sign does not have; --phase-sign +1 takes that one" in warned
     forced = load_capture(tmp_path / "scene")
     assert forced.provenance["phase_sign"] == "-1"

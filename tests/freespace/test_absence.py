@@ -135,9 +135,7 @@ def test_what_is_hidden_is_not_refuted(apertures, sphere):
 def test_near_the_wall_nothing_is_missed():
     """What flashes there is taken for the wall's echo, so that its absence says nothing."""
     capture = Capture(waveform=WAVEFORM, poses=poses())
-    config = FitConfig(
-        spacing_m=0.006, absence_margin_m=MARGIN_M, absence_weight=3.0
-    )
+    config = FitConfig(spacing_m=0.006, absence_margin_m=MARGIN_M, absence_weight=3.0)
     wide = LosPrior.from_box((0.3, 0.3, 0.3))
     # One wall of the box is 8 mm beyond the patch without glints.
     close = LosPrior.from_box((0.3, 0.3, 0.3), center_m=(RADIUS_M + 0.008 - 0.15, 0.0, 0.0))
@@ -159,9 +157,7 @@ def test_near_the_wall_nothing_is_missed():
 def test_where_an_outlines_edge_touches_nothing_is_absent():
     """Of a patch without glints, that faces an antenna."""
     capture, box = Capture(waveform=WAVEFORM, poses=poses()), LosPrior.from_box((0.3, 0.3, 0.3))
-    config = FitConfig(
-        spacing_m=0.006, absence_margin_m=MARGIN_M, absence_weight=3.0
-    )
+    config = FitConfig(spacing_m=0.006, absence_margin_m=MARGIN_M, absence_weight=3.0)
     alone = Evidence(glints=patch_removed())
     # Its edge is 2 mm outside of the patch, and 9 mm outside of everything else.
     reaches = outlines([1], [RADIUS_M + 0.002, 2.0 * RADIUS_M, RADIUS_M + 0.009])

@@ -6,6 +6,7 @@ import numpy as np
 
 from geraf2.calibration.wall_alignment import GROUPS, AlignmentConfig, WallProblem
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior, Pose, Wall
 from helpers.specular import antennas, raster
 from helpers.synthetic import WAVEFORM
@@ -18,8 +19,8 @@ SPHERES = (np.array([[0.02, 0.01, 0.02], [-0.025, 0.0, -0.03]]), np.array([0.03,
 
 
 def aligned(capture, prior, config=None):
-    """What the walls say of all unknowns together, without a judgement."""
-    problem = WallProblem.of(capture, prior, config or AlignmentConfig())
+    """Estimate of all unknowns together, without a judgement."""
+    problem = WallProblem(capture, prior, config or AlignmentConfig(), KeptPeaks(prior))
     return problem.result(problem.fit(GROUPS))
 
 

@@ -66,6 +66,8 @@ def test_corrections_are_said_kept_and_taken_up_again(wrong, tmp_path):
 def test_without_errors_nothing_changes(capture, tmp_path):
     found, plain = run(capture, tmp_path / "auto"), run(capture, tmp_path / "no", "no")
     assert found.numbers["calibration"]["applied"] == []
+    # Of a scan without errors, the walls' middles remain, one-way.
+    assert 0.1 < found.numbers["calibration"]["common_offset_sigma_mm"] < 0.5
     kept, others = digests(found), digests(plain)
     del kept["calibration"]
     # Files of meshes say which command made them.

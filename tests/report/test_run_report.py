@@ -166,7 +166,7 @@ def test_broken_artefacts_are_user_errors(run, tmp_path):
         read_run(tmp_path / "nowhere")
     for text, message in (
         ("{", r"metrics\.json: cannot read the metrics"),
-        ("[1]", "expected a JSON object, got list"),
+        ("[1]", "is no JSON object, got list; remove the file"),
     ):
         (run / "metrics.json").write_text(text)
         with pytest.raises(UserError, match=message):
@@ -222,9 +222,9 @@ def test_scores_are_split_by_what_the_scan_could_see():
     score = {"threshold_m": 0.005, "f1": 0.9, "precision": 1.0, "recall": 0.8}
     part = {"part": "in sight", "area_fraction": 0.62, "scores": [score]}
     metrics = {"by_sight": [{**part, "surface_truth_to_mesh": {"median_m": 0.00037}}]}
-    text = html.sight_table(metrics)
+    text = html.part("sight_table", metrics["by_sight"])
     assert "<td>in sight</td><td>62</td><td>0.900</td><td>0.37</td>" in text
-    assert html.sight_table({"by_sight": []}) == ""
+    assert html.part("sight_table", []) == ""
 
 
 def test_a_result_shows_itself_in_a_browser(run, monkeypatch):

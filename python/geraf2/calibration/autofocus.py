@@ -1,9 +1,9 @@
-"""Slow errors of the antennas' recorded places, found by focusing.
+"""Slow errors of the antennas' recorded positions, found by focusing.
 
 Gauss-Newton steps on the phases of the matched filter's terms. A displacement delta of antenna i
 changes its term by exp(-2 j k u_i . delta), with u_i the direction to the echo: the matched
 filter's gradient to positions. Displacements are cubic splines along the trajectory of each pose,
-in its looking direction, which counts most; what shifts, turns or bends an echo as a whole is
+in its viewing direction, which counts most; what shifts, turns or bends an echo as a whole is
 free for every echo, since a surface may lie anywhere, face anywhere and be curved
 (docs/math/calibration.md#positions).
 """
@@ -19,13 +19,14 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from geraf2._bounds import Bounded, LengthM, Share
+from geraf2._bounds import Bounded, LengthM
 from geraf2._types import Bools, Floats
+from geraf2.calibration.acceptance import N_INDEPENDENT, Gain, coherence_nats
 from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 DRIFT_SIZE_M = 0.10
-"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift is taken for an echo's bend."""
+"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift would be its bend."""
 
 _N_ROUNDS = 6
 # Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge
@@ -33,16 +34,11 @@ _N_ROUNDS = 6
 _MAX_BINS = 24
 _MIN_PER_BIN = 8
 _MIN_BIN_WEIGHT = 0.1
-# Shifts, slopes and bends that the sums cannot tell from each other.
+# Shifts, slopes and bends that the sums cannot distinguish.
 _MIN_MODE = 0.05
 # Phases are never better than this: 0.1 rad squared.
 _MIN_PHASE_VARIANCE = 0.01
-# Of an echo's 24 sums 18 are left by what it may do; sub-apertures 3 cm apart share their antennas
-# with six others. What is known is then worth as much against `AutofocusConfig.sigma_m`.
-_N_INDEPENDENT = 4.0
 _DEGREE = 3
-# Gain over its standard error, planes taken as independent.
-_MIN_SURENESS = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,27 +49,24 @@ class AutofocusConfig(Bounded):
     """Of the spline along the antennas of each plane; at least 4."""
     sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
-    min_gain: Share = 0.006
-    """Relative gain in coherence of held-out echoes from which on displacements count: up to 0.4 %
-    without any, as sub-apertures that overlap share antennas; 1.0 to 1.8 % for 0.2 mm."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AntennaDrift:
-    """Displacements of the antennas; to be added to the recorded places."""
+    """Displacements of the antennas; to be added to the recorded positions."""
 
     coefficients_m: Floats
-    """Of the splines, along each pose's looking direction, (n_poses, n_coefficients) [m]."""
+    """Of the splines, along each pose's viewing direction, (n_poses, n_coefficients) [m]."""
     sigma_m: float
     """Root mean square of their standard uncertainties [m]."""
     coherence_before: float
     """Mean |sum z| / sum |z| of echoes that were not used for the estimate."""
     coherence_after: float
-    is_significant: bool
-    """Whether the coherence of those echoes grew by as much as asked."""
+    gain: Gain
+    """Of those echoes."""
 
     def displacements(self, pose: int, n_antennas: int) -> Floats:
-        """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
+        """Displacement of each antenna along the pose's viewing direction, (n_antennas,) [m]."""
         basis = trajectory_basis(n_antennas, self.coefficients_m.shape[1])
         return np.asarray(basis @ self.coefficients_m[pose])
 
@@ -102,7 +95,7 @@ def focus_antennas(
 
     Estimated three times: from each half of the echoes, which is judged by the other, and from all.
 
-    echoes: its strong echoes, phases of channels taken off.
+    echoes: its strong echoes, without phases of channels.
     config: what displacements to expect.
     """
     config = config or AutofocusConfig()
@@ -121,38 +114,27 @@ def focus_antennas(
     judged = []
     for own, others in (halves, halves[::-1]):
         trial, _ = _estimate(len(bases), own, config)
-        # The shift, slope and bend that each echo is free to have are taken off both times.
+        # The shift, slope and bend that each echo is free to have are removed both times.
         judged += [
-            (pose, before, after)
+            (before, after)
             for pose, linear in others.items()
             for before, after in zip(
                 linear.coherence(np.zeros(n)), linear.coherence(trial[pose]), strict=True
             )
         ]
     coefficients, sigma = _estimate(len(bases), every, config)
-    before, after, sureness = _gain(judged)
+    before, after = np.array(judged).reshape(-1, 2).T
     return AntennaDrift(
         coefficients_m=coefficients,
         sigma_m=sigma,
-        coherence_before=before,
-        coherence_after=after,
-        is_significant=after > (1.0 + config.min_gain) * before and sureness > _MIN_SURENESS,
+        coherence_before=float(before.mean()) if len(before) else 0.0,
+        coherence_after=float(after.mean()) if len(after) else 0.0,
+        gain=Gain.of(coherence_nats(before, after)),
     )
 
 
-def _gain(judged: list[tuple[int, float, float]]) -> tuple[float, float, float]:
-    """Mean coherence before and after, and the gain over its standard error by poses."""
-    if not judged:
-        return 0.0, 0.0, 0.0
-    poses, before, after = (np.asarray(column) for column in zip(*judged, strict=True))
-    each = np.array([(after - before)[poses == pose].mean() for pose in np.unique(poses)])
-    error = float(each.std(ddof=1)) / np.sqrt(len(each)) if len(each) > 1 else 0.0
-    sureness = float(each.mean()) / max(error, 1e-12)
-    return float(before.mean()), float(after.mean()), sureness
-
-
 def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
-    """Capture with antennas displaced by splines along each pose's looking direction.
+    """Capture with antennas displaced by splines along each pose's viewing direction.
 
     coefficients_m: of the splines, (n_poses, n_coefficients) [m].
     """
@@ -228,8 +210,8 @@ class _Linear:
             modes[number, :n_bins], phase[number, :n_bins] = binned[:, :6], binned[:, 6:]
         root = np.sqrt(weights / weights.sum(axis=1, keepdims=True))
         left, strength, _ = np.linalg.svd(root[..., None] * modes, full_matrices=False)
-        told = strength > _MIN_MODE * strength[:, :1]
-        return cls(sums=sums, phase=phase, free=left * told[:, None], root=root)
+        known = strength > _MIN_MODE * strength[:, :1]
+        return cls(sums=sums, phase=phase, free=left * known[:, None], root=root)
 
     def select(self, keep: Bools) -> "_Linear":
         """Keep some of the echoes, by mask."""
@@ -246,12 +228,12 @@ class _Linear:
         design = self._less_free(self.root[..., None] * self.phase)
         # Phase noise of the echo itself, from what no displacement explains so far.
         variance = np.maximum((residual**2).sum(axis=1), _MIN_PHASE_VARIANCE)
-        scale = np.sqrt(_N_INDEPENDENT / variance)
+        scale = np.sqrt(N_INDEPENDENT / variance)
         design = (scale[:, None, None] * design).reshape(-1, design.shape[2])
         return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 
     def coherence(self, coefficients: Floats) -> Floats:
-        """|sum z| / sum |z| over bins, with what the echo may do taken off, (n_echoes,)."""
+        """|sum z| / sum |z| over bins, without what the echo may do, (n_echoes,)."""
         residual = self.residual(coefficients) / np.where(self.root > 0.0, self.root, 1.0)
         return np.asarray(np.abs((self.root**2 * np.exp(1j * residual)).sum(axis=1)))
 

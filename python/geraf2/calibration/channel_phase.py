@@ -5,7 +5,7 @@ antenna's part of an echo is compared with the sum of those around it, and what 
 channel have in common is the channel's (docs/math/calibration.md#channels).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
-from geraf2.echoes.echo_phases import EchoPhases, mean_coherence
+from geraf2.calibration.acceptance import Gain, coherence_nats
+from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.errors import UserError
 from geraf2.scene import Capture, Pose
 
@@ -26,16 +27,17 @@ _N_NEIGHBORS = 24
 _SAME_PLACE_M = 1e-5
 _N_ROUNDS = 20
 _MIN_SAMPLES = 30
-# Channels that take turns are looked for in this many echoes at least.
+# Channels that take turns are searched in this many echoes at least.
 _MIN_ECHOES = 8
 _MAX_TURNS = 16
 # Neighbours are more alike by this share with the phases: those of 3 degrees rms do as much.
 _MIN_TURN_GAIN = 0.002
+_TILTS = np.linspace(-0.5, 0.5, 7)  # of an echo over its sub-aperture [turns]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelPhases:
-    """Phase of each channel; to be taken off the signal."""
+    """Phase of each channel; to be removed from the signal."""
 
     phases_rad: Floats
     """Mean zero, as a common phase has no effect, (n_channels,) [rad]."""
@@ -43,15 +45,6 @@ class ChannelPhases:
     """Standard uncertainty, (n_channels,) [rad]."""
     n_samples: Ints
     """Echoes and antennas that each rests on, (n_channels,)."""
-    coherence_before: float
-    """Mean |sum z| / sum |z| of the strong echoes."""
-    coherence_after: float
-
-    @property
-    def is_significant(self) -> bool:
-        """Whether the phases are more than their uncertainty."""
-        spread = float(np.sqrt(np.mean(self.phases_rad**2)))
-        return spread > 3.0 * float(np.sqrt(np.mean(self.sigma_rad**2)))
 
 
 def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
@@ -62,7 +55,7 @@ def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
 def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
     """Channel of each antenna by the offset of its receiver from its transmitter.
 
-    The offsets of a virtual array repeat from place to place. None where they do not, or where
+    The offsets of a virtual array repeat along the plane. None where they do not, or where
     all antennas have the same.
     """
     local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]
@@ -125,7 +118,7 @@ def channels_of(poses: Sequence[Pose], n_turns: int) -> list[Ints] | None:
 def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> ChannelPhases:
     """Phase that each channel has in common against its neighbours.
 
-    Alternates between the sums of neighbours, with the phases so far taken off, and the phases;
+    Alternates between the sums of neighbours, without the phases so far, and the phases;
     converges for spreads up to a radian.
 
     echoes: strong echoes of the capture.
@@ -156,28 +149,52 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
         if np.abs(change - change.mean()).max() < 1e-4:
             break
     phases = np.angle(np.exp(1j * (phases - phases.mean())))
-    after = corrected_echoes(echoes, channels, phases)
     return ChannelPhases(
         phases_rad=phases,
         sigma_rad=_sigma(parts, phases),
         n_samples=n_samples,
-        coherence_before=mean_coherence(echoes),
-        coherence_after=mean_coherence(after),
     )
 
 
-def corrected_echoes(
-    echoes: list[EchoPhases], channels: list[Ints], phases: Floats
-) -> list[EchoPhases]:
-    """Echoes with the channels' phases taken off."""
-    return [
-        replace(e, values=e.values * np.exp(-1j * phases[channels[e.pose][e.antennas]]))
-        for e in echoes
-    ]
+def phase_gain(
+    capture: Capture, phases_rad: Sequence[Floats], echoes_of: Callable[[Capture], list[EchoPhases]]
+) -> tuple[Gain, float, float]:
+    """Gain of echoes by removing phases in whose estimate they took no part.
+
+    Echoes found with and without are asked both: wrong phases make echoes, which right ones weaken.
+
+    capture: the planes that are asked. phases_rad: of each antenna of each of its poses, [(n,)].
+    echoes_of: finds strong echoes. Also returns their mean coherence without and with.
+    """
+    back = [-phase for phase in phases_rad]
+    none = [np.zeros(len(phase)) for phase in phases_rad]
+    first, second = echoes_of(capture), echoes_of(with_phases(capture, back))
+    without = np.concatenate([_coherence(first, none), _coherence(second, back)])
+    with_them = np.concatenate([_coherence(first, phases_rad), _coherence(second, none)])
+    sizes = np.array([float(np.abs(echo.values).sum()) for echo in [*first, *second]])
+    gain = Gain.of(coherence_nats(without, with_them, sizes**2))
+    before, after = (float(c.mean()) if len(c) else 0.0 for c in (without, with_them))
+    return gain, before, after
+
+
+def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats:
+    """Coherence of each echo without phases, (n_echoes,).
+
+    A phase that grows over the aperture turns an echo by less than the width of its peak; the
+    echo is searched where it then comes from.
+    """
+    found = np.zeros(len(echoes))
+    for number, echo in enumerate(echoes):
+        values = echo.values * np.exp(-1j * phases_rad[echo.pose][echo.antennas])
+        size = np.ptp(echo.places_m, axis=0).max()
+        turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * _TILTS)
+        sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
+        found[number] = sums.max() / max(float(np.abs(values).sum()), 1e-30)
+    return found
 
 
 def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:
-    """Capture with the channels' phases taken off the signal."""
+    """Capture with the channels' phases removed."""
     return with_phases(capture, [-phases_rad[channel] for channel in channels])
 
 

@@ -1,4 +1,4 @@
-"""What is taken off a capture, as numbers that can be kept and applied again."""
+"""Corrections of a capture as numbers that can be kept and applied again."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -21,14 +21,14 @@ _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leak
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corrections:
-    """Everything that is taken off a capture; None and 0 leave it as it is."""
+    """Everything that is corrected; None and 0 leave the capture as it is."""
 
     leakage: Leakage | None = None
     """What reaches the receiver without having been in the box."""
     channel_phases_rad: Floats | None = None
-    """Of each channel; to be taken off, (n_channels,) [rad]."""
+    """Of each channel; to be removed, (n_channels,) [rad]."""
     n_turns: int = 0
-    """Antenna i is of channel i modulo this; 0: channels are told by their offsets."""
+    """Antenna i is of channel i modulo this; 0: channels are known by their offsets."""
     delay_m: float = 0.0
     """Change of the instrument delay, two-way path [m]."""
     axis_shift_m: Floats | None = None
@@ -36,13 +36,13 @@ class Corrections:
     angles_rad: Floats | None = None
     """Change of each pose's angle, (n_poses,) [rad]; goes with the axis."""
     drift_coefficients_m: Floats | None = None
-    """Displacement of antennas along the looking direction, splines, (n_poses, n) [m]."""
+    """Displacement of antennas along the viewing direction, splines, (n_poses, n) [m]."""
     prior_to_capture: Floats | None = None
     """Rigid transform of the prior, (4, 4)."""
 
     @property
     def are_none(self) -> bool:
-        """Whether nothing is taken off, and the prior stays."""
+        """Whether nothing changes, the prior included."""
         return not any(np.any(value) for value in self._arrays().values())
 
     def applied(self, capture: Capture) -> Capture:
@@ -52,7 +52,7 @@ class Corrections:
         if self.channel_phases_rad is not None:
             channels = channels_of(capture.poses, self.n_turns)
             if channels is None:
-                raise UserError(what="the antennas' offsets do not tell channels apart")
+                raise UserError(what="the antennas' offsets do not distinguish channels")
             capture = with_channel_phases(capture, channels, self.channel_phases_rad)
         if self.delay_m != 0.0:
             capture = with_delay(capture, self.delay_m)
@@ -67,7 +67,7 @@ class Corrections:
         return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
 
     def _arrays(self) -> dict[str, Array]:
-        """All values by name; what is left as it is has none."""
+        """All values by name; what is unchanged has none."""
         nothing = np.zeros(0)
         names = [entry.name for entry in fields(self) if entry.name != "leakage"]
         values = {name: getattr(self, name) for name in names}

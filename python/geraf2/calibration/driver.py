@@ -1,7 +1,7 @@
-"""Calibration of a capture from itself: each correction is judged by data that took no part in it.
+"""Calibration of a capture from itself; data that took no part in an estimate accept it.
 
-What does not make such data fit better is dropped, so that a scan without errors comes out as it
-went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
+What does not make such data more likely is not applied, so that a scan without errors comes out as
+it went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
 the frame in which the antennas' positions were recorded (docs/math/calibration.md#acceptance).
 """
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, ChannelCount, PlaceM
 from geraf2._types import Progress
+from geraf2.calibration.acceptance import Judgement, judge, nothing_found
 from geraf2.calibration.autofocus import (
     DRIFT_SIZE_M,
     AntennaDrift,
@@ -27,7 +28,7 @@ from geraf2.calibration.channel_phase import (
     estimate_channel_phases,
     find_turns,
     offset_channels,
-    with_channel_phases,
+    phase_gain,
 )
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.instrument_delay import (
@@ -35,43 +36,25 @@ from geraf2.calibration.instrument_delay import (
     delay_from_reflector,
     delay_from_sharpness,
 )
-from geraf2.calibration.judgement import (
-    Judgement,
-    judge_channels,
-    judge_drift,
-    judge_groups,
-    judge_leakage,
-    nothing_found,
-)
 from geraf2.calibration.leakage import find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
-    MIN_FAR,
-    NEAR_SEARCH_M,
-    WIDE_SEARCH_M,
     AlignmentConfig,
     Group,
     WallAlignment,
     WallProblem,
-    delay_search,
 )
-from geraf2.echoes.echo_phases import EchoPhases, collect_phases, mean_coherence
+from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 8
+CALIBRATION_VERSION = 9
 """Raised when the same capture gives other corrections."""
 
-# Planes, sub-apertures and echoes that channels are looked for in: 1 s of processor time for 36
-# planes at 3 mm.
-_N_POSES = 8
-_STEP_M = 0.03
-_N_ECHOES = 30
-# Of each plane that shows whether positions are off; then as many of all planes as take 1 s: of a
-# drift of 0.32 mm 0.13 mm are left with 60, 0.16 mm with 30.
-_MAX_DRIFT_ECHOES, _N_ALL_ECHOES = 60, 1000
-_SIZE_M = 0.08
+# Planes of which channels are found and that show whether positions are off; step of sub-apertures
+# and echoes of each plane for channels: 1 s of processor time for 36 planes at 3 mm.
+_N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 _Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
@@ -81,7 +64,7 @@ class CalibrationConfig(Bounded):
     """What is calibrated."""
 
     leakage: bool = True
-    """Subtract what reaches the receivers without having been in the box."""
+    """Subtract direct leakage between transmitter and receiver."""
     delay_from: DelaySource = "walls"
     """What the instrument delay is found from; "kept" leaves it."""
     reflector_m: tuple[PlaceM, PlaceM, PlaceM] | None = None
@@ -118,14 +101,17 @@ class Calibration:
     """In the frame of the capture."""
     corrections: Corrections
     judgements: tuple[Judgement, ...]
+    common_offset_sigma_m: float
+    """Standard deviation of a range offset that all planes share after the corrections, one-way:
+    delay, and turntable axis towards the radar [m]."""
     walls: WallAlignment | None = None
     """With the corrections that were applied; None where walls were not used or not seen."""
     curve: DelayCurve | None = None
     """Where the delay came from a reflector or from sharpness."""
     channels: ChannelPhases | None = None
-    """None where channels were not looked for or cannot be told apart."""
+    """None where channels were not searched or cannot be distinguished."""
     drift: AntennaDrift | None = None
-    """None where positions were not looked for."""
+    """None where positions were not estimated."""
 
     def applied(self, name: str) -> bool:
         """Whether the correction of this name was applied."""
@@ -143,9 +129,9 @@ def calibrate(
 ) -> Calibration:
     """Capture and prior without the errors that the data show; nothing else is changed.
 
-    Leakage; phases of channels, told by the antennas' offsets or by turns; the instrument delay,
-    the prior's place, the turntable axis and the poses' angles from the walls; slow errors of
-    positions. Where no delay is recorded, channels are found with that of the walls.
+    Linear steps first: leakage, phases of channels. Then delay, the prior's position, turntable
+    axis and angles in one estimate from the walls; slow errors of positions. Where no delay is
+    recorded, channels are found with that of the walls.
 
     prior: outside of the box, roughly in the capture frame.
     config: what is calibrated; all of it when None.
@@ -169,6 +155,7 @@ def calibrate(
         prior=own.moved_prior(prior),
         corrections=own,
         judgements=tuple(run.judgements),
+        common_offset_sigma_m=run.offset_sigma_m,
         **run.found,
     )
 
@@ -177,11 +164,7 @@ class _Run:
     """Steps of one calibration, each on the capture that the ones before it corrected."""
 
     def __init__(
-        self,
-        capture: Capture,
-        prior: LosPrior,
-        config: CalibrationConfig,
-        peaks: KeptPeaks,
+        self, capture: Capture, prior: LosPrior, config: CalibrationConfig, peaks: KeptPeaks
     ) -> None:
         self.capture, self.prior, self.config = capture, prior, config
         self.peaks = peaks
@@ -190,6 +173,9 @@ class _Run:
         self.found = dict[str, Any]()  # of `Calibration`, what is kept beside the corrections
         n_poses = len(capture.poses)
         self.some = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
+        held = config.delay_from != "walls"
+        self.alignment = replace(config.alignment, keep_delay=held)
+        self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
     def add(self, step: _Step) -> None:
         """Keep a step and correct the capture by it."""
@@ -200,14 +186,17 @@ class _Run:
         """Find leakage, whose delays are shorter than those of the box."""
         if not self.config.leakage:
             return {}
-        leakage = find_leakage(self.capture, self.prior, self.peaks)
-        self.judgements.append(judge_leakage(leakage))
-        return {} if leakage.method == "none" else {"leakage": leakage}
+        found = find_leakage(self.capture, self.prior, self.peaks)
+        applied = found.method != "none"
+        self.judgements.append(
+            Judgement(name="leakage", applied=applied, text=str(found), numbers=found.numbers)
+        )
+        return {"leakage": found} if applied else {}
 
     def delay(self) -> _Step:
         """Instrument delay that is not the walls'; it was asked for, and is applied."""
         config, capture = self.config, self.capture
-        search = delay_search(capture, config.alignment.delay_search_m)
+        search = config.alignment.search_m(capture)
         if config.delay_from == "reflector":
             place = np.asarray(config.reflector_m, dtype=np.float64)
             curve = delay_from_reflector(capture, place, search)
@@ -216,21 +205,21 @@ class _Run:
             curve = delay_from_sharpness(capture, self.prior.bounds.mean(axis=0), reach, search)
         else:
             return {}
-        self.found["curve"] = curve
+        self.found["curve"], self.offset_sigma_m = curve, 0.5 * curve.sigma_m
         text = f"{1e3 * curve.delay_m:+.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
         numbers = {"delay_m": curve.delay_m, "sigma_m": curve.sigma_m}
         self.judgements.append(Judgement(name="delay", applied=True, text=text, numbers=numbers))
         return {"delay_m": curve.delay_m}
 
     def channels(self) -> _Step:
-        """Phases of channels, which take turns or are told by offsets."""
+        """Phases of channels, which take turns or have offsets of their own."""
         if not self.config.channels:
             return {}
         capture = self.capture
-        if self.config.delay_from == "walls" and capture.waveform.path_bias_m == 0.0:
+        if not self.alignment.keep_delay and not self.alignment.is_recorded(capture):
             # Without a delay echoes lie elsewhere; that of the walls is found again afterwards.
             with suppress(UserError):
-                problem = _wall_problem(capture, self.prior, self.alignment(), self.peaks)
+                problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
         echoes = _strong_echoes(capture, self.peaks, self.some)
@@ -241,59 +230,64 @@ class _Run:
             self.judgements.append(nothing_found("channels", text, "nothing to correct"))
             return {}
         index = channels_of(capture.poses, n_turns) or []
-        poses = sorted({echo.pose for echo in echoes})
-        half = [echo for echo in echoes if echo.pose in poses[::2]]
-        rest = [echo for echo in echoes if echo.pose not in poses[::2]]
+        held_out = sorted({echo.pose for echo in echoes})[1::2]
         try:
             phases = estimate_channel_phases(echoes, index)
+            half = [echo for echo in echoes if echo.pose not in held_out]
             trial = estimate_channel_phases(half, index).phases_rad
         except UserError as error:
             text = str(error).partition(",")[0]
             self.judgements.append(nothing_found("channels", text, "nothing to go by", error))
             return {}
         self.found["channels"] = phases
-        # Wrong phases make echoes where there are none, so they are looked for again.
-        better = with_channel_phases(capture, index, trial)
-        before = mean_coherence(rest)
-        after = mean_coherence(_strong_echoes(better, self.peaks, poses[1::2]))
-        found = judge_channels(phases, n_turns, before, after)
-        self.judgements.append(found)
-        if not found.applied:
+        rest = replace(capture, poses=tuple(capture.poses[number] for number in held_out))
+        gain, before, after = phase_gain(
+            rest,
+            [trial[index[number]] for number in held_out],
+            lambda some: _strong_echoes(some, self.peaks, range(len(held_out))),
+        )
+        kind = f"{n_turns} that take turns" if n_turns else f"{len(trial)} by offset"
+        rms, sigma = (float(np.sqrt(np.mean(v**2))) for v in (phases.phases_rad, phases.sigma_rad))
+        text = (
+            f"{kind}, {np.rad2deg(rms):.1f} degrees rms +- {np.rad2deg(sigma):.1f}; "
+            f"coherence of held-out echoes {before:.3f} -> {after:.3f}"
+        )
+        numbers = {"n": len(trial), "rms_rad": rms, "sigma_rad": sigma}
+        numbers |= {"coherence_before": before, "coherence": after}
+        self.judgements.append(judge("channels", text, numbers, gain))
+        if not gain.is_sure:
             return {}
         return {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
 
-    def alignment(self) -> AlignmentConfig:
-        """Return what may be off, by the source of the delay."""
-        held = self.config.delay_from != "walls"
-        return replace(self.config.alignment, keep_delay=held)
-
     def walls(self) -> _Step:
-        """Find delay, frame and axis, one after the other, each judged by held-out echoes."""
+        """Estimate delay, frame and axis together; each is judged beside the others."""
         groups: list[Group] = [
             group
             for group in GROUPS
-            if (self.config.delay_from == "walls" if group == "delay" else self.config.frame)
+            if (not self.alignment.keep_delay if group == "delay" else self.config.frame)
         ]
         if not groups:
             return {}
         try:
-            problem = _wall_problem(self.capture, self.prior, self.alignment(), self.peaks)
-            judgements, chosen, fit = judge_groups(problem, groups)
-            found = problem.result(fit)
-            if found.n_echoes == 0:
-                raise UserError(
-                    what="the walls of the box do not stand out",
-                    expected="echoes along the prior's faces",
-                    got=0,
-                    hint="check that the prior lies in the scan's frame and in metres; widen "
-                    "--delay-search LOW HIGH where the delay was not recorded",
-                )
+            problem = WallProblem(self.capture, self.prior, self.alignment, self.peaks)
         except UserError as error:
             text = "the walls of the box do not stand out"
             self.judgements.append(nothing_found(groups[0], text, "nothing to go by", error))
             return {}
-        self.judgements += judgements
+        gains = {
+            group: problem.gain([other for other in groups if other != group], group)
+            for group in groups
+        }
+        chosen = [group for group, gain in gains.items() if gain.is_sure]
+        every, found = (problem.result(problem.fit(some)) for some in (groups, chosen))
+        for group, gain in gains.items():
+            fit = found if gain.is_sure else every
+            self.judgements.append(judge(group, *_described(fit, group), gain))
         self.found["walls"] = found
+        if self.config.delay_from in ("walls", "kept"):
+            # What was found of it and not applied is left in the capture.
+            left_m = every.offset_m - found.offset_m
+            self.offset_sigma_m = float(np.hypot(left_m, every.offset_sigma_m))
         values: dict[Group, _Step] = {
             "delay": {"delay_m": found.delay_m},
             "frame": {"prior_to_capture": found.prior_to_capture},
@@ -306,65 +300,67 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.some, _MAX_DRIFT_ECHOES, DRIFT_SIZE_M)
+        few = _strong_echoes(capture, self.peaks, self.some, drift=True)
         drift = focus_antennas(capture, few, config)
-        if drift.is_significant:
-            planes = range(len(capture.poses))
-            each = min(max(_N_ALL_ECHOES // len(planes), _N_ECHOES), _MAX_DRIFT_ECHOES)
-            every = _strong_echoes(capture, self.peaks, planes, each, DRIFT_SIZE_M)
+        if drift.gain.is_sure:
+            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), drift=True)
             drift = focus_antennas(capture, every, config)
         self.found["drift"] = drift
-        found = judge_drift(drift, drift.rms_m(capture))
+        rms_m = drift.rms_m(capture)
+        numbers = {
+            "rms_m": rms_m,
+            "sigma_m": drift.sigma_m,
+            "coherence_before": drift.coherence_before,
+            "coherence": drift.coherence_after,
+        }
+        text = (
+            f"{1e3 * rms_m:.2f} mm rms +- {1e3 * drift.sigma_m:.2f}; coherence of held-out echoes "
+            f"{drift.coherence_before:.3f} -> {drift.coherence_after:.3f}"
+        )
+        found = judge("positions", text, numbers, drift.gain)
         self.judgements.append(found)
         return {"drift_coefficients_m": drift.coefficients_m} if found.applied else {}
 
 
 def _strong_echoes(
-    capture: Capture,
-    peaks: KeptPeaks,
-    planes: Collection[int],
-    n_echoes: int = _N_ECHOES,
-    size_m: float = _SIZE_M,
+    capture: Capture, peaks: KeptPeaks, planes: Collection[int], *, drift: bool = False
 ) -> list[EchoPhases]:
+    """Echoes of some planes; for drift more of them, over larger sub-apertures."""
     found = peaks.of(capture, planes).thinned(_STEP_M)
-    return collect_phases(capture, found, size_m=size_m, n_echoes=n_echoes)
+    if drift:
+        return collect_phases(capture, found, size_m=DRIFT_SIZE_M)
+    return collect_phases(capture, found, n_echoes=_N_ECHOES)
 
 
-def _wall_problem(
-    capture: Capture, prior: LosPrior, config: AlignmentConfig, peaks: KeptPeaks
-) -> WallProblem:
-    """Echoes of walls near the recorded delay; farther where none was recorded, and both walls.
-
-    UserError where no wall stands out.
-    """
-    near = config.delay_search_m or NEAR_SEARCH_M
-    searches = [near]
-    wide = config.delay_search_m is None and not config.keep_delay
-    if wide and capture.waveform.path_bias_m == 0.0:
-        searches.append(WIDE_SEARCH_M)
-    found, failure = None, None
-    for search in searches:
-        try:
-            problem = WallProblem.of(
-                capture,
-                prior,
-                replace(config, delay_search_m=search),
-                peaks,
-                num_threads=peaks.num_threads,
-            )
-        except UserError as error:
-            failure = failure or error
-            continue
-        if problem.peak.n_far >= MIN_FAR:
-            return problem
-        found = found or (problem if search == near else None)
-    if found is None:
-        raise failure or UserError(what="the walls of the box do not stand out")
-    return found
+def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
+    """Estimate of a group, in words and numbers."""
+    if group == "delay":
+        bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"
+        text = f"{1e3 * found.delay_m:+.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
+        numbers = {"delay_m": found.delay_m, "sigma_m": found.delay_sigma_m}
+        return text, numbers | {"bulge_m": found.bulge_m}
+    if group == "frame":
+        turn, shift = np.linalg.norm(found.rotation_rad), np.linalg.norm(found.translation_m)
+        sigmas = found.rotation_sigma_rad.max(), found.translation_sigma_m[:2].max()
+        text = (
+            f"box turned by {np.rad2deg(turn):.2f} degrees +- {np.rad2deg(sigmas[0]):.2f}, moved "
+            f"by {1e3 * shift:.1f} mm +- {1e3 * sigmas[1]:.1f}"
+        )
+        names = ("turn_rad", "turn_sigma_rad", "shift_m", "shift_sigma_m")
+        values = (turn, sigmas[0], shift, sigmas[1])
+        return text, dict(zip(names, map(float, values), strict=True))
+    across, sigma = found.axis_shift_m[1], found.axis_shift_sigma_m[1]
+    largest = np.abs(found.angles_rad).max()
+    text = (
+        f"turntable axis {1e3 * across:+.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
+        f"{np.rad2deg(largest):.3f} degrees"
+    )
+    found_numbers = {"across_m": across, "sigma_m": sigma, "largest_angle_rad": largest}
+    return text, {name: float(value) for name, value in found_numbers.items()}
 
 
 def _require_whole_turns(capture: Capture, n_channels: int) -> None:
-    """Every place has one antenna of each channel, so that they divide the antennas of a pose."""
+    """Each position has one antenna of each channel, so that they divide the antennas of a pose."""
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas % n_channels:
             raise UserError(

@@ -1,4 +1,4 @@
-"""Instrument delay from a reflector at a known place, or from how well the scene focuses."""
+"""Instrument delay from a reflector at a known position, or from how well the scene focuses."""
 
 from dataclasses import dataclass, replace
 
@@ -16,7 +16,7 @@ _MAX_ANTENNAS = 1024
 _MAX_POSES = 4
 _N_POINTS = 2000
 _SHARPNESS_STEP_M = 0.01
-# Twice the radius of curvature of what shines, 2 cm on a figure of 12 cm.
+# Twice the radius of curvature of a bright surface, 2 cm on an object of 12 cm.
 _CURVATURE_SIGMA_M = 0.04
 # Sharpness at the best delay over its median; noise alone reaches 1.05.
 _MIN_SHARPNESS = 1.1
@@ -38,9 +38,9 @@ class DelayCurve:
 def delay_from_reflector(
     capture: Capture, place_m: Floats, search_m: tuple[float, float]
 ) -> DelayCurve:
-    """Delay at which the echo focused on a known place is strongest.
+    """Delay at which the echo focused on a known position is strongest.
 
-    The signals of each pose are focused on the place; what remains is a function of delay alone.
+    The signals of each pose are focused on it; what remains is a function of delay alone.
     Powers add over the poses.
 
     place_m: of a small reflector (a corner, a small sphere's surface), (3,) [m].
@@ -68,7 +68,7 @@ def delay_from_reflector(
     total = np.sum(powers, axis=0)
     quality = total / max(float(np.median(total)), 1e-300)
     best = int(total.argmax())
-    # Strong echoes of other places have another delay in every pose.
+    # Strong echoes of other positions have another delay in every pose.
     tops = np.array([(candidates[int(p.argmax())], p.max()) for p in powers])
     off = float(np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300))
     alone = off < 20.0 * step  # half a range cell
@@ -99,9 +99,9 @@ def delay_from_sharpness(
 ) -> DelayCurve:
     """Delay at which full-aperture images of the scene are sharpest.
 
-    A wavefront's curvature says how far away it started, whatever the delay. Smooth surfaces
+    A wavefront's curvature shows how far away it started, whatever the delay. Smooth surfaces
     focus at their centre of curvature and not at their surface, so that the delay comes out
-    too short by up to twice the radius; the uncertainty says centimetres.
+    too short by up to twice the radius; the uncertainty is centimetres.
 
     target: middle of the scene, (3,) [m].
     reach_m: radius of the scene [m].

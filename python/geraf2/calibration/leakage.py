@@ -1,9 +1,9 @@
-"""What reaches the receiver without having been in the box: found, and taken off.
+"""Direct leakage between transmitter and receiver: found, and subtracted.
 
-The direct path, what stands right before the antennas, and a constant of the converter have
-shorter delays than anything of the box, and may be much stronger. They are fitted per antenna by
-sinusoids of short delays and taken off. Where they are steady, they say as well which phase each
-antenna's samples have (docs/math/calibration.md#leakage).
+The direct path, objects right before the antennas, and a constant of the converter have shorter
+delays than anything of the box, and may be much stronger. Sinusoids of short delays are fitted to
+each antenna and subtracted. If they are steady, they also give the phase of each antenna's samples
+(docs/math/calibration.md#leakage).
 """
 
 from dataclasses import dataclass, replace
@@ -11,12 +11,11 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
 from geraf2._types import Floats
-from geraf2.calibration.channel_phase import with_phases
+from geraf2.calibration.channel_phase import phase_gain, with_phases
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.echoes.echo_phases import EchoPhases, collect_phases
+from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.imaging.peaks import KeptPeaks
@@ -24,14 +23,14 @@ from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _Complex = NDArray[np.complex64]
 LeakageMethod = Literal["none", "projected", "reference"]
-"""Left alone; short delays taken off; the leakage's phase taken off each antenna as well."""
+"""Unchanged; short delays subtracted; the leakage's phase removed from each antenna as well."""
 
 # Two-way path beyond the direct one up to which an echo is no content: 4 cm before the antennas.
 _NEAR_M = 0.08
 # The direct path may seem shorter than it is by as much, as the instrument delay is known to that.
 _BEFORE_M = 0.02
 # The fit may take this share of the energy of an echo of the box, whatever its delay. It costs
-# 0.04 dB; a box that begins so near that three sinusoids take more is left alone.
+# 0.04 dB; a box that begins so near that three sinusoids take more is left unchanged.
 _MAX_TAKEN = 0.01
 _MIN_RANK = 2
 # A sinusoid that has less of the leakage is left: then 55 dB less of it than there was stay.
@@ -41,7 +40,7 @@ _LEAST_SHARE = 1e-7
 _MIN_LEVEL_DB = -15.0
 # And energy over what noise alone has in the fit.
 _MIN_OVER_NOISE = 2.0
-# What the fit must not see goes on for as long behind the box: paths by way of its walls.
+# What the fit must not contain extends as far behind the box: multipath via its walls.
 _BEHIND_M = 0.5
 # Noise that is assumed in the fit, and echoes over it: they weigh what the fit should not see.
 _ECHO_OVER_NOISE = 1000.0
@@ -55,20 +54,10 @@ _MIN_TAIL_DB = -8.0
 # A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
 # than 5 cm does not matter.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
-# Energy that strong echoes must gain before phases are touched. An oscillator that walks by 40
-# degrees over a plane costs 1.2 %; a walk that is only the leakage's would take as much.
-_MIN_GAIN = 0.003
-# Phases that spread by less than two degrees are left alone: they cost 0.005 dB.
-_MIN_PHASE_RAD = float(np.deg2rad(2.0))
-# Antennas over which the smooth part of the phase is taken: the oscillator walks a degree in them.
-_SMOOTH_ANTENNAS = 33
 _N_POSES = 3
-# Clipped samples pile up on the extreme value: as many as on the values next to it, times this.
-_PILE, _NEAR_TOP, _N_BESIDE = 4.0, 0.98, 6
-# Steady leakage may be clipped and still be taken off: F1 at 5 mm 0.945 with 39 % of the samples
-# clipped, 0.942 with 65 %; with 84 % it is refused, without any it is 0.946. From a share of a
-# thousandth on it is said.
-_MAX_CLIPPED, _CLIPPED = 0.5, 1e-3
+# Steady leakage may be clipped and still be subtracted: F1 at 5 mm is 0.946 without, 0.945 with
+# 39 % of the samples clipped, and 0.942 with 65 %; with 84 % the scan is refused.
+_MAX_CLIPPED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,55 +66,47 @@ class Leakage:
 
     method: LeakageMethod
     reason: str
-    """Why this method, with figures."""
+    """Why this method, with values."""
     level_db: float = -np.inf
     """Energy of the leakage over that of all else but noise [dB]."""
     delays_m: tuple[float, float] = (0.0, 0.0)
-    """Shortest and longest two-way path taken off, instrument delay not counted; both 0: a
+    """Shortest and longest two-way path subtracted, instrument delay not counted; both 0: a
     background of any delays, the same at all antennas [m]."""
     steadiness: float = 0.0
     """Share of the leakage that is the same for all antennas but for a factor."""
     tail_db: float = -np.inf
     """Energy of what goes with it at the delays of the box, over its own [dB]."""
-    gain: float = 0.0
-    """What strong echoes gain in energy by taking its phase off."""
     phase_rms_deg: float = 0.0
-    """Root mean square of the phases taken off, each pose's mean apart [degrees]."""
-    clipped: float = 0.0
-    """Share of the samples at which the converter was full."""
+    """Root mean square of the removed phases, each pose's mean apart [degrees]."""
     basis: _Complex | None = None
     """Waveforms of the leakage, (n_samples, rank)."""
     coefficients: tuple[_Complex, ...] = ()
     """Of each pose: coefficients of the basis, (n_antennas, rank)."""
     phases_rad: tuple[Floats, ...] = ()
-    """Of each pose: phase taken off each antenna, (n_antennas,) [rad]; empty: none."""
+    """Of each pose: phase removed from each antenna, (n_antennas,) [rad]; empty: none."""
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Level [dB], steadiness and rms of the phases [rad], as far as they are finite."""
+        numbers = {"level_db": self.level_db, "steadiness": self.steadiness}
+        if self.method == "reference":
+            numbers["phase_rms_rad"] = float(np.deg2rad(self.phase_rms_deg))
+        return {name: value for name, value in numbers.items() if np.isfinite(value)}
 
     def __str__(self) -> str:
         if self.method == "none":
-            return f"left alone: {self.reason}"
+            return f"unchanged: {self.reason}"
         low, high = (1e3 * length for length in self.delays_m)
         where = f"at {low:.0f} to {high:.0f} mm of path" if high else "the same at all antennas"
-        what = "taken off" if self.method == "projected" else "taken off, and phases with it"
-        return (
-            f"{self.level_db:.1f} dB over the echoes, {where}, {what}: {self.reason}"
-            + self._clipping()
-        )
-
-    def _clipping(self) -> str:
-        if self.clipped < _CLIPPED:
-            return ""
-        percent = 100 * self.clipped
-        return f"; {percent:.0f} % of the samples are clipped, lower the receiver gain"
+        what = "subtracted" if self.method == "projected" else "subtracted, its phase removed"
+        return f"{self.level_db:.1f} dB over the echoes, {where}, {what}: {self.reason}"
 
 
-def find_leakage(
-    capture: Capture, prior: LosPrior | None = None, peaks: KeptPeaks | None = None
-) -> Leakage:
+def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = None) -> Leakage:
     """Find what has shorter delays than the box, and whether its phase helps.
 
     capture: the scan; its instrument delay must be right to 15 cm of path.
-    prior: outside of the box; the capture's outermost wall when not given. Without either nothing
-    is found, as any delay may be an echo's.
+    prior: outside of the box; any other delay may be an echo's.
 
     Raises UserError: the leakage is so strong that the converter was full for most samples.
     """
@@ -133,15 +114,10 @@ def find_leakage(
     poses = [pose for pose in capture.poses if pose.n_antennas]
     if not poses:
         return Leakage(method="none", reason="there are no antennas")
-    if prior is None and capture.walls:
-        wall = capture.walls[0]
-        prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
-    if prior is None:
-        return Leakage(method="none", reason="no box says which delays hold none of its echoes")
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(method="none", reason="delays are too coarse to tell leakage from the box")
+        return Leakage(method="none", reason="delays are too coarse to part leakage from the box")
     basis, taken = fit
     coefficients = tuple(pose.signal @ taken for pose in capture.poses)
     in_noise = float((np.abs(taken) ** 2).sum())
@@ -169,7 +145,6 @@ def find_leakage(
         level_db=level_db,
         delays_m=near,
         steadiness=steadiness,
-        clipped=clipped,
         basis=basis,
         coefficients=coefficients,
     )
@@ -190,21 +165,11 @@ def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
 
 
 def clipped_share(capture: Capture) -> float:
-    """Share of real and imaginary parts at which the converter was full.
-
-    Its extreme values then have many more samples than the values next to them; in any other
-    signal, quantised or not, about as many.
-    """
-    parts = [part for p in capture.poses for part in (p.signal.real, p.signal.imag) if part.size]
-    clipped, total = 0, sum(part.size for part in parts)
-    for sign in (1.0, -1.0):
-        top = max((float((sign * part).max()) for part in parts), default=0.0)
-        near = [(sign * part)[sign * part > _NEAR_TOP * top] for part in parts]
-        _, counts = np.unique(np.concatenate([np.zeros(1), *near]), return_counts=True)
-        beside = counts[1:-1][-_N_BESIDE:].max(initial=1)
-        if top > 0.0 and counts[-1] > _PILE * beside:
-            clipped += int(counts[-1])
-    return clipped / max(total, 1)
+    """Share of real and imaginary parts that have the largest or the smallest value of all."""
+    parts = [pose.signal.view(np.float32) for pose in capture.poses if pose.signal.size]
+    high, low = max(part.max() for part in parts), min(part.min() for part in parts)
+    full = sum(int(((part == high) | (part == low)).sum()) for part in parts)
+    return full / sum(part.size for part in parts)
 
 
 def _paths(
@@ -336,7 +301,7 @@ def _with_tail(
 
 
 def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
-    """Take off what is the same at all antennas, where no leakage before the box tells it."""
+    """Subtract what is the same at all antennas, where no leakage before the box shows it."""
     ones = [np.ones(pose.n_antennas, np.complex64) for pose in capture.poses]
     common = _in_common(capture, prior, ones)
     size = 0.0 if common is None else float(np.linalg.norm(common))
@@ -352,7 +317,6 @@ def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
         method="projected",
         reason="no echo of the box is",
         level_db=level_db,
-        clipped=clipped_share(capture),
         basis=basis,
         coefficients=coefficients,
     )
@@ -416,75 +380,32 @@ def _judged(
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-
-    def echoes(phases: list[Floats]) -> list[EchoPhases]:
-        turned = with_phases(clean, [-phase for phase in phases])
-        return collect_phases(turned, peaks.of(turned))
-
-    unturned = [np.zeros(pose.n_antennas) for pose in clean.poses]
-    reasons: list[str] = []
-    candidates = _candidates(capture, references)
-    first = echoes(unturned) if candidates else []
-    for kind, phases in candidates.items():
-        # Echoes that either finds: of wrong phases some are ghosts, which right ones weaken.
-        some = [phases[number] for number in chosen]
-        second, back = echoes(some), [-phase for phase in some]
-        without = np.concatenate([_focused(first, unturned), _focused(second, back)])
-        with_it = np.concatenate([_focused(first, some), _focused(second, unturned)])
-        change, total = with_it - without, float(without.sum())
-        gain = float(change.sum()) / max(total, 1e-30)
-        sure = change.sum() > 3.0 * change.std() * np.sqrt(len(change))
-        reasons.append(
-            f"with its {kind} taken off, strong echoes change by {100 * gain:+.1f} % of energy"
-        )
-        if gain > _MIN_GAIN and sure:
-            return replace(
-                found,
-                method="reference",
-                reason=reasons[-1],
-                gain=gain,
-                phase_rms_deg=float(np.rad2deg(_spread(phases))),
-                phases_rad=tuple(phases),
-            )
-    return replace(found, reason=", ".join(reasons) or "its phase is steady")
+    phases = _phases(capture, references)
+    some = [phases[number] for number in chosen]
+    gain, _, _ = phase_gain(clean, some, lambda c: collect_phases(c, peaks.of(c)))
+    reason = f"with its phase removed, {gain}"
+    if not gain.is_sure:
+        return replace(found, reason=reason)
+    return replace(
+        found,
+        method="reference",
+        reason=reason,
+        phase_rms_deg=float(np.rad2deg(_spread(phases))),
+        phases_rad=tuple(phases),
+    )
 
 
-def _candidates(capture: Capture, references: list[_Complex]) -> dict[str, list[Floats]]:
-    """Phases to take off: each antenna's own, or else what changes slowly from one to the next.
-
-    The direct path's own phase stays with the leakage.
-    """
+def _phases(capture: Capture, references: list[_Complex]) -> list[Floats]:
+    """Phase of each antenna; the direct path's own phase stays with the leakage."""
     k = 2.0 * np.pi / capture.waveform.center_wavelength_m
-    own, slow = [], []
+    found = []
     for pose, reference in zip(capture.poses, references, strict=True):
         apart = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
-        unit = np.exp(1j * (np.angle(reference) + k * apart))
-        own.append(np.angle(unit))
-        parts = uniform_filter1d([unit.real, unit.imag], _SMOOTH_ANTENNAS) if len(unit) else (0, 0)
-        slow.append(np.arctan2(parts[1], parts[0]) * np.ones(len(unit)))
-    rest = [phase - smooth for phase, smooth in zip(own, slow, strict=True)]
-    if _spread(own) < _MIN_PHASE_RAD:
-        return {}
-    return {"phase": own} | ({} if _spread(rest) < _MIN_PHASE_RAD else {"slow phase": slow})
+        found.append(np.angle(reference * np.exp(1j * k * apart)))
+    return found
 
 
 def _spread(phases: list[Floats]) -> float:
     """Root mean square of phases about the mean of their pose [rad]."""
     units = [np.exp(1j * phase) for phase in phases if len(phase)]
     return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))
-
-
-def _focused(echoes: list[EchoPhases], phases: list[Floats]) -> Floats:
-    """Energy of each echo with phases taken off, (n_echoes,).
-
-    A phase that grows over the aperture turns an echo by less than the width of its peak; it is
-    looked for where it then comes from.
-    """
-    found = np.zeros(len(echoes))
-    for number, echo in enumerate(echoes):
-        values = echo.values * np.exp(-1j * phases[echo.pose][echo.antennas])
-        size = np.ptp(echo.places_m, axis=0).max()
-        turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * np.linspace(-0.5, 0.5, 7))
-        sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
-        found[number] = sums.max() ** 2
-    return found

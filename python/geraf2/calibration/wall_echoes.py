@@ -1,9 +1,9 @@
 """Echoes of the box's walls, and the instrument delay at which they lie on the prior.
 
-A flat wall answers where it is seen along its normal. Whatever the instrument delay, the
-direction of such an echo is right, and its range less the distance to the prior's surface is the
-same for all of them, for the wall that the radar faces and for the one behind the content; the
-content's echoes have no such common offset (docs/math/calibration.md#delay-box-and-axis).
+A flat wall answers where it is seen along its normal. Whatever the instrument delay, the direction
+of such an echo is right. Its range less the distance to the prior's wall is common to all of them,
+near and far; echoes of the content have no such common offset
+(docs/math/calibration.md#delay-box-and-axis).
 """
 
 from dataclasses import dataclass, replace
@@ -11,35 +11,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.calibration.wall_faces import WallFaces
 from geraf2.errors import UserError
-from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior, Wall
 
-WALL_MIDDLE_M = 0.0025
-"""Optical middle of a wall behind its outer face where nothing is known of it [m]."""
-WALL_MIDDLE_SIGMA_M = 0.0015
-"""Its uncertainty: board of 2 to 7 mm [m]."""
-FAR_MIDDLE_M = -0.0004
-"""The same of the far wall, seen through the near one, for index 1.26 [m]."""
-FAR_MIDDLE_SIGMA_M = 0.0005
-"""Its uncertainty: index 1.2 to 1.4 [m]."""
+UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
+"""Optical middle of a near and of a far wall behind its outer face, each with its standard
+deviation, where nothing is known of the walls: board of 2 to 7 mm, index 1.2 to 1.4 [m]."""
+MIDDLE_SIGMA_M = 2e-4
+"""Standard deviation of the middle of a wall whose thickness and permittivity are known: three
+independent simulators give -0.37 to 0.13 mm for near walls, -0.30 to 0.09 mm for far ones [m]."""
 
-# The wall's echo is strong, but the figure's may be 20 dB stronger.
-_DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
 _STEP_M = 0.04
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
 _OFFSET_SIGMA_M = 0.004
-_OFFSET_STEP_M = 0.001
-# Where the content hides the far walls, this part of the largest density of near ones stands in for
-# them: enough to find a delay from near walls alone, too little for a far wall taken for a near
-# one, behind which there is nothing.
+# Where the content hides the far walls, this part of the largest density of near ones replaces
+# theirs: enough to find a delay from near walls alone, too little for a far wall interpreted as a
+# near one, behind which there is nothing.
 _MISSING_FAR_SHARE = 0.1
 # Near walls alone are the first peak of this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
-_MIN_ECHOES = 12
+MIN_ECHOES = 12
+"""Echoes within a centimetre of one offset that are walls."""
 
 
 def wall_peaks(
@@ -50,7 +45,7 @@ def wall_peaks(
 ) -> PeakSet:
     """Peaks of all planes at the prior's distance, or shifted by an unknown delay.
 
-    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one way [m].
+    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one-way [m].
     peaks: of the capture; farther from the prior than these reach, planes are imaged anew.
     """
     if all(pose.n_antennas == 0 for pose in capture.poses):
@@ -67,89 +62,80 @@ def wall_peaks(
             num_threads=peaks.num_threads,
         )
     found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
-    return found.select(found.levels_db >= -_DYNAMIC_RANGE_DB).thinned(_STEP_M)
+    return found.thinned(_STEP_M)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WallMiddles:
-    """How far behind the outer faces walls echo, and the uncertainties [m].
+    """How far behind the outer faces walls echo, and the standard deviations, near and far [m].
 
     Both faces of a wall lie in one range cell. With thickness t and index n a near wall echoes
     from n t / 2 behind its outer face, a far one, seen through the near one, from
     3 n t / 2 - 2 t behind its own: within 0.5 mm of it for all cardboard.
     """
 
-    near_m: float
-    near_sigma_m: float
-    far_m: float
-    far_sigma_m: float
+    depths_m: tuple[float, float]
+    sigmas_m: tuple[float, float]
 
     @classmethod
     def of(cls, walls: tuple[Wall, ...]) -> "WallMiddles":
         """Of the outermost wall, and of boxes within it; what is likely where nothing is known."""
         if not walls:
-            return cls(
-                near_m=WALL_MIDDLE_M,
-                near_sigma_m=WALL_MIDDLE_SIGMA_M,
-                far_m=FAR_MIDDLE_M,
-                far_sigma_m=FAR_MIDDLE_SIGMA_M,
-            )
+            near, far = UNKNOWN_MIDDLES_M
+            return cls(depths_m=(near[0], far[0]), sigmas_m=(near[1], far[1]))
         excess = [(float(np.sqrt(w.permittivity)) - 1.0) * w.thickness_m for w in walls]
-        near = 0.5 * (excess[0] + walls[0].thickness_m)
-        far = 1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:])
-        # Range error of a wall's echo, measured on simulated cartons; and a tenth of the wall.
-        sigma = float(np.hypot(2.5e-4, 0.1 * near))
-        return cls(near_m=near, near_sigma_m=sigma, far_m=far, far_sigma_m=sigma)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WallOffsets:
-    """Echoes along a face's normal, and how far behind the face they seem to lie."""
-
-    index: Ints
-    """Which echoes, (n,)."""
-    offsets_m: Floats
-    """Range less distance of the prior's surface, (n,) [m]."""
-    faces: Ints
-    """Triangle of the prior that the line of sight meets, (n,)."""
-    normals: Floats
-    """Outward normal there, (n, 3)."""
-
-    def select(self, keep: Bools) -> "WallOffsets":
-        """Subset by mask."""
-        return WallOffsets(
-            **{name: getattr(self, name)[keep] for name in self.__dataclass_fields__}
+        return cls(
+            depths_m=(
+                0.5 * (excess[0] + walls[0].thickness_m),
+                1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:]),
+            ),
+            sigmas_m=(MIDDLE_SIGMA_M, MIDDLE_SIGMA_M),
         )
 
 
-def wall_offsets(
-    echoes: PeakSet, scene: MeshScene, max_angle_rad: float, *, far: bool
-) -> WallOffsets:
-    """Keep echoes that come from along the normal of the face their line of sight meets.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WallEchoes:
+    """Pairs of a peak and a wall that it may be the specular return of."""
 
-    far: of the face through which the line leaves the prior, instead of the first it meets.
-    """
-    origins, directions = echoes.centers, echoes.directions
-    if far:  # looked at from behind
-        beyond = 2.0 * float(np.abs(origins).max(initial=0.0) + np.abs(scene.vertices).max())
-        back, face = scene.closest_hit(origins + beyond * directions, -directions)
-        distance = beyond - back
-    else:
-        distance, face = scene.closest_hit(origins, directions)
-    met = unit_normals(scene.vertices[scene.faces])[np.maximum(face, 0)]
-    cosine = (1.0 if far else -1.0) * np.einsum("ij,ij->i", directions, met)
-    keep = (face >= 0) & (cosine > np.cos(max_angle_rad))
-    return WallOffsets(
-        index=np.flatnonzero(keep),
-        offsets_m=(echoes.ranges_m - np.where(np.isfinite(distance), distance, 0.0))[keep],
-        faces=face[keep],
-        normals=met[keep],
+    index: Ints
+    """Which peaks, (n,)."""
+    walls: Ints
+    """Of `WallFaces`, (n,)."""
+    far: Ints
+    """1 where the wall is seen from behind, through the box, else 0, (n,)."""
+    offsets_m: Floats
+    """Range less distance of the wall along the line of sight, (n,) [m]."""
+
+    @property
+    def side(self) -> Floats:
+        """1 of a near wall, -1 of a far one, (n,)."""
+        return np.where(self.far > 0, -1.0, 1.0)
+
+    def select(self, keep: Bools) -> "WallEchoes":
+        """Subset by mask."""
+        return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+def wall_echoes(echoes: PeakSet, faces: WallFaces, max_angle_rad: float) -> WallEchoes:
+    """Peaks whose line of sight meets a wall along its normal, from outside or from behind."""
+    heights = echoes.centers @ faces.normals.T - (faces.centers * faces.normals).sum(axis=1)
+    cosines = -np.sign(heights) * (echoes.directions @ faces.normals.T)
+    index, walls = np.nonzero(cosines > np.cos(max_angle_rad))
+    distance = np.abs(heights)[index, walls] / cosines[index, walls]
+    met = echoes.centers[index] + distance[:, None] * echoes.directions[index]
+    inside = (np.abs(faces.places(walls, met)) <= 1.0).all(axis=1)
+    found = WallEchoes(
+        index=index,
+        walls=walls,
+        far=(heights[index, walls] < 0.0).astype(np.int64),
+        offsets_m=echoes.ranges_m[index] - distance,
     )
+    return found.select(np.asarray(inside))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OffsetPeak:
-    """Where the walls stand out among the offsets."""
+    """Offset at which the walls stand out."""
 
     offset_m: float
     n_near: int
@@ -157,15 +143,15 @@ class OffsetPeak:
     n_far: int
     """Of far walls."""
     candidates_m: Floats
-    """Offsets looked at, (n,) [m]."""
+    """Offsets tried, (n,) [m]."""
     density: Floats
-    """How much speaks for each, near and far walls together, 1 at the best, (n,)."""
+    """Density of near and far walls together at each, 1 at the best, (n,)."""
 
 
 def find_wall_peak(
     near: tuple[Floats, Floats], far: tuple[Floats, Floats], search_m: tuple[float, float]
 ) -> OffsetPeak:
-    """Offset at which the most speaks for near and far walls at once.
+    """Offset at which echoes of near and of far walls are densest together.
 
     The square root of a magnitude is an echo's weight: between a count, in which many weak ones
     win, and the power, of which one strong one has most. Densities of near and far walls are
@@ -173,11 +159,11 @@ def find_wall_peak(
 
     near: offsets of echoes from near walls, less the wall's middle [m], and magnitudes, each (n,).
     far: those of far walls.
-    search_m: smallest and largest offset to look at [m].
+    search_m: smallest and largest offset [m].
 
-    Raises UserError: fewer than twelve echoes of near walls agree.
+    Raises UserError: fewer than twelve echoes of near walls agree, or only at the search's edge.
     """
-    n_steps = max(2, round((search_m[1] - search_m[0]) / _OFFSET_STEP_M) + 1)
+    n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
 
     def density(offsets_m: Floats, magnitudes: Floats) -> Floats:
@@ -191,15 +177,15 @@ def find_wall_peak(
         return [int((np.abs(kind[0] - candidates[best]) < 0.01).sum()) for kind in (near, far)]
 
     best = int(score.argmax())
-    if counts(best)[1] < _MIN_ECHOES:  # the content may agree as well, but it comes later
+    if counts(best)[1] < MIN_ECHOES:  # the content, which may agree as well, is farther
         rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
         peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
         best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
-    if n_near < _MIN_ECHOES:
+    if n_near < MIN_ECHOES or best in (0, n_steps - 1):  # an edge is no peak
         raise UserError(
             what="the walls of the box do not stand out",
-            expected=f"at least {_MIN_ECHOES} echoes along the prior's faces at one offset between "
+            expected=f"at least {MIN_ECHOES} echoes along the prior's faces at one offset between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
             got=n_near,
             hint="check that the prior lies in the scan's frame and in metres; widen "

@@ -17,9 +17,8 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from geraf2._bounds import ThreadCount
+from geraf2._bounds import Arg, ThreadCount
 from geraf2._types import Progress as Report
-from geraf2.cli._fields import Arg
 from geraf2.errors import printable
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding

@@ -10,28 +10,25 @@ from dataclasses import MISSING, dataclass, fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
+from geraf2._bounds import Arg
 from geraf2.errors import UserError
 
 T = TypeVar("T")
 
 _METAVARS = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH"}
 _WRONG = {int: "not a whole number", float: "not a number"}
-
-
-@dataclass(frozen=True)
-class Arg:
-    """How a field appears on the command line; part of its `Annotated`."""
-
-    metavar: str | None = None
-    """Placeholder of the value; derived from the type when not given."""
-    name: str | None = None
-    """Name of a group, instead of the field's; "": its flags have no group's name."""
-    hidden: bool = False
-    """Whether a group is read, but not shown by `--help`."""
-    see: str = ""
-    """Command that explains the flags of a group; `--help` lists only their names."""
 
 
 class _InPlace:
@@ -111,9 +108,9 @@ def walk(
     for name, default, hint in fields_of(kind, defaults):
         notes = getattr(hint, "__metadata__", ())
         arg = next((note for note in notes if isinstance(note, Arg)), Arg())
-        here, word = (*path, name), name.replace("_", "-")
+        word = name.replace("_", "-") if arg.name is None else arg.name
+        here = (*path, name)
         if is_dataclass(default):
-            word = word if arg.name is None else arg.name
             inner = f"{prefix}{word}." if word else prefix
             inner_group = (inner.rstrip("."), kind, name, arg.see) if word else group
             is_hidden = hidden or arg.hidden
@@ -144,6 +141,12 @@ def fields_of(kind: type[Any], defaults: Mapping[str, Any]) -> Iterator[tuple[st
             value = make()
         if field.init:
             yield field.name, value, hints[field.name]
+
+
+def part_of(config: Any, kind: type[T]) -> T:
+    """Record of the fields that a config inherits from `kind`."""
+    values: Any = {field.name: getattr(config, field.name) for field in fields(cast("Any", kind))}
+    return kind(**values)
 
 
 def values_of(default: Any) -> Mapping[str, Any]:

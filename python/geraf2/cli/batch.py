@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Arg
 from geraf2.apps.batch import BatchFolder, BatchRequest, run
 from geraf2.apps.batch.plan import Plan
 from geraf2.cli._console import err, rows
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.cli.reconstruct import defaults
 from geraf2.pipeline.presets import BestPreset, PresetConfig
 

@@ -6,7 +6,7 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Seed, ThreadCount
+from geraf2._bounds import Arg, Seed, ThreadCount
 from geraf2.apps.benchmark import (
     Choice,
     Row,
@@ -21,7 +21,7 @@ from geraf2.apps.benchmark import (
 )
 from geraf2.apps.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
 from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows, say, warn
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.outputs import require_folder

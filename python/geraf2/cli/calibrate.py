@@ -1,15 +1,15 @@
 """`geraf2 calibrate`: delay, channel phases, frame, axis and antenna positions of a scene."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import ChannelCount, Sides, SignedM, Triple
+from geraf2._bounds import Arg, ChannelCount, SignedM, Triple
 from geraf2.calibration.autofocus import AutofocusConfig
 from geraf2.calibration.driver import CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Threads, rows, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional, part_of
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
 from geraf2.pipeline.commands.calibrate import CALIBRATION_FIGURE_NAME, calibrate, require_room
@@ -19,7 +19,7 @@ _MAX_SEARCH_M = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class Config(PriorSource):
     """Find errors of a scan's geometry and phases; writes a corrected scene, or reports them.
 
     It searches for leakage, the instrument delay, phases of channels, the position of the box, the
@@ -37,10 +37,6 @@ class Config:
     """Replace another scene in OUT."""
     los: Annotated[Path | None, Arg(metavar="MESH")] = None
     """Closed mesh of the outside of the box, metres; los.ply of the scene when not given."""
-    box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
-    """Or the outer side lengths of the box, axes along the frame's [m]."""
-    box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
-    """Where the middle of --box lies [m]."""
     delay_from: DelaySource | None = None
     """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
@@ -75,8 +71,7 @@ def main(config: Config) -> int:
     los = config.los
     if los is None and config.box is None and (config.scene / LOS_NAME).is_file():
         los = config.scene / LOS_NAME
-    source = PriorSource(los=los, box=config.box, box_center=config.box_center)
-    prior, name = source.load()
+    prior, name = replace(part_of(config, PriorSource), los=los).load()
     calibrated = calibrate(
         config.scene,
         prior,

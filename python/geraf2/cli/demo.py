@@ -6,9 +6,9 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Seed
+from geraf2._bounds import Arg, Seed
 from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import SampleCount, Seed
+from geraf2._bounds import Arg, SampleCount, Seed
 from geraf2.cli._console import CONSOLE, Threads, rows, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
 from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME

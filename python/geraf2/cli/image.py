@@ -5,8 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.pipeline.commands.image import (
     DEPTH_PICTURE_NAME,

@@ -4,17 +4,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers.import_capture import import_capture
-from geraf2.cli._console import CONSOLE, Threads, rows, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._console import CONSOLE, rows, say
+from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
 from geraf2.io.toml import from_table, read_toml
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config:
+class Config(ImportOptions):
     """Turn a capture of another format into a scene; checks it and finds the phase sign."""
 
     format: Positional[Annotated[str, Arg(metavar="FORMAT")]]
@@ -25,10 +26,6 @@ class Config:
     """Folder to make."""
     radar: Path | None = None
     """TOML file with radar parameters that the capture lacks; they go before its own."""
-    config: tuple[Path, ...] = ()
-    """Files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt, *.lua."""
-    positions: Path | None = None
-    """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     raster: Annotated[
         tuple[int, int, float, float] | None,
         Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
@@ -36,19 +33,8 @@ class Config:
     """The radar scanned a raster, row by row."""
     serpentine: bool = False
     """Every other row of the raster was scanned backwards."""
-    file_per_place: bool = False
-    """SRC holds one recording a position; a column 'file' of --positions names it, else their
-    numbers."""
-    static: bool = False
-    """The radar stood still: all frames are averaged."""
-    keep_good: bool = False
-    """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
-    phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
-    """The phase runs as exp(-j...) or exp(+j...), whatever format and image indicate."""
     overwrite: bool = False
     """Replace another scene in this folder."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -59,15 +45,7 @@ def main(config: Config) -> int:
         config.source,
         config.scene,
         radar=radar,
-        options=ImportOptions(
-            positions=config.positions,
-            config=config.config,
-            file_per_place=config.file_per_place,
-            static=config.static,
-            keep_good=config.keep_good,
-            phase_sign=config.phase_sign,
-            num_threads=config.threads,
-        ),
+        options=config,
         overwrite=config.overwrite,
         listener=CONSOLE,
     )

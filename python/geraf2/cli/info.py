@@ -7,6 +7,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.planning.planning import require_picture
@@ -18,7 +19,7 @@ from geraf2.cli._console import (
     say,
     warn,
 )
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene

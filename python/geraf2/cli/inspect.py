@@ -4,11 +4,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Arg
 from geraf2.apps.inspection.bodies import BodyReport, Measured
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
 from geraf2.apps.inspection.result import PASS, ModelReport, rotation_vector_deg
 from geraf2.cli._console import CONSOLE, Threads, rows, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import INSPECTION_NAME
 
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Triple
+from geraf2._bounds import Arg, Triple
 from geraf2.apps.photos.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
 from geraf2.cli._console import CONSOLE, Threads, rows
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.pipeline.los_options import LosOptions
 
 

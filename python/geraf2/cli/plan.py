@@ -7,13 +7,12 @@ from typing import Annotated
 
 import numpy as np
 
+from geraf2._bounds import Arg
 from geraf2.apps.planning.expected import Expected
 from geraf2.apps.planning.next_plane import NextPlane
 from geraf2.apps.planning.planning import (
     LikeScene,
-    PlanM,
     PlanOptions,
-    PlanSides,
     make_plan,
     make_plane,
     make_timed_plan,
@@ -23,7 +22,6 @@ from geraf2.apps.planning.planning import (
 )
 from geraf2.apps.planning.scan_time import TimedPlan
 from geraf2.cli._console import rows, say, warn
-from geraf2.cli._fields import Arg
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.io.scan_file import ScanFile, write_scan_file
@@ -41,10 +39,6 @@ class Config(PlanOptions):
     not given is suggested.
     """
 
-    box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
-    """Outer side lengths of the box, Z along the turntable's axis [m]."""
-    aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
-    """Width and height of a plane [m]."""
     figure: Path | None = None
     """PNG to draw."""
     like: Annotated[Path | None, Arg(metavar="SCENE")] = None

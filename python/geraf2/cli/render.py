@@ -6,8 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
+from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, rows, say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import VIEWS_FOLDER
 from geraf2.pipeline.commands.render import RenderOptions, render
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Seed
+from geraf2._bounds import Arg, Seed
 from geraf2.cli._console import CONSOLE, Threads, rows
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.pipeline.commands.simulate import simulate_scene
 from geraf2.simulation import load_spec

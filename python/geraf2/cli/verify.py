@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+from geraf2._bounds import Arg
 from geraf2.cli._console import say, warn
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.pipeline.commands.verify import verify
 
 

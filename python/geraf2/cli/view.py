@@ -7,9 +7,10 @@ from typing import Annotated
 
 from annotated_types import Interval
 
+from geraf2._bounds import Arg
 from geraf2.apps.viewing.server import LiveView
 from geraf2.cli._console import say
-from geraf2.cli._fields import Arg, Positional
+from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 
 

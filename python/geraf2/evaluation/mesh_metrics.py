@@ -202,6 +202,9 @@ def evaluate_mesh(
     exact_to_truth = signed_distances(truth, on_mesh, num_threads=num_threads)
     exact_to_mesh = np.abs(signed_distances(mesh, on_truth, num_threads=num_threads))
     truth_report = surface_report(truth)
+    aligned = _aligned_forecast(
+        mesh, (on_mesh, mesh_faces, weights), truth, (on_truth, truth_faces), num_threads
+    )
     seen = np.zeros(0, dtype=bool)
     if planes:
         normals = unit_normals(truth.corners)[truth_faces]
@@ -220,9 +223,7 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(floor)),
         expected_error=error_forecast(mesh, mesh_faces, weights, np.abs(exact_to_truth)),
-        expected_error_aligned=_aligned_forecast(
-            mesh, (on_mesh, mesh_faces, weights), truth, (on_truth, truth_faces), num_threads
-        ),
+        expected_error_aligned=aligned,
         by_sight=tuple(
             _sight_score(
                 name,

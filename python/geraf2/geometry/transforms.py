@@ -1,5 +1,7 @@
 """Rigid transforms, (4, 4) on columns (x, y, z, 1): made, applied and checked."""
 
+from collections.abc import Iterable
+
 import numpy as np
 
 from geraf2._types import Floats
@@ -80,3 +82,9 @@ def require_rigid(matrix: Floats, where: object) -> Floats:
             hint="one axis of the camera or of the world has the wrong sign",
         )
     return rigid(left @ right, matrix[:3, 3])
+
+
+def triple(values: Iterable[float]) -> tuple[float, float, float]:
+    """Three numbers as plain ones, for records."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z

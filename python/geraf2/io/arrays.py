@@ -16,8 +16,25 @@ from geraf2.errors import UserError
 
 _HEADER = (TypeError, EOFError, SyntaxError, TokenError)
 _ARCHIVE = (zlib.error, lzma.LZMAError, struct.error, zipfile.BadZipFile, RuntimeError)
+NPY_MAGIC = b"\x93NUMPY"
 BROKEN_ARRAY = (OSError, ValueError, *_HEADER, *_ARCHIVE)
 """What NumPy and zipfile raise where the bytes of an array are wrong (RuntimeError: encrypted)."""
+
+
+def read_npy(path: AnyPath, *, header_only: bool = False) -> Array:
+    """Array of an .npy file; UserError where it cannot be read. `header_only` maps its data."""
+    source = Path(path)
+    try:
+        with source.open("rb") as handle:
+            if handle.read(len(NPY_MAGIC)) != NPY_MAGIC:  # numpy.load would ask for pickles
+                raise UserError(
+                    what="cannot be read as a NumPy array: it is no .npy file", where=source
+                )
+        array: Array = np.load(source, mmap_mode="r" if header_only else None, allow_pickle=False)
+    except (*BROKEN_ARRAY, MemoryError) as error:
+        reason = " ".join(str(error).split()) or "the file is cut short"
+        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=source) from None
+    return array
 
 
 def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:

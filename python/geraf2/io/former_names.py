@@ -12,6 +12,7 @@ RENAMED = {
 """Present name of a setting, or of a section, by its former one; the first that matches counts."""
 REMOVED = frozenset(
     {
+        "autofocus.min_gain",
         "fit.absence_wall_m",
         "fit.coarse_spacing_m",
         "fit.continuation_weight",

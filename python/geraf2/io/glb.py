@@ -10,6 +10,7 @@ import numpy as np
 from geraf2 import __version__
 from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.geometry.triangles import vertex_normals
+from geraf2.io.mesh_colours import to_linear
 
 FRAME_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
 """Axes of the file in the frame, as columns: glTF is +Y up by its standard, frames are +Z up."""
@@ -35,10 +36,8 @@ def glb_bytes(
     # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
     normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
     # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
-    shown = srgb / 255.0
-    linear = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
     colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
-    colours[:, :3] = np.rint(255.0 * linear)
+    colours[:, :3] = np.rint(255.0 * to_linear(srgb / 255.0))
     float_type, uint8_type, uint32_type = 5126, 5121, 5125
     buffers: list[tuple[str, Array, int, str, dict[str, Any]]] = [
         ("POSITION", positions, float_type, "VEC3", {}),

@@ -1,11 +1,12 @@
 """Triangle meshes: in memory, from and to files."""
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from geraf2 import __version__
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
@@ -25,11 +27,10 @@ READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 _METRES = ("metre", "metres", "meter", "meters")
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_PLACE_M = 1e6
-_PLY_ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
-_PlyElements = dict[str, tuple[int, dict[str, str]]]
-_PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
-_PLY_TYPES |= {"float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2"}
-_PLY_TYPES |= {"uint16": "u2", "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8"}
+_PLY_HEAD = 4096
+_PLY_ENCODINGS = (b"ascii", b"binary_little_endian", b"binary_big_endian")
+_NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
+"""Types of the columns of a PLY, without lists."""
 
 
 class Evidence(IntEnum):
@@ -72,6 +73,19 @@ class TriangleMesh:
     def corners(self) -> Floats:
         """Of each triangle, (n_faces, 3, 3) [m]."""
         return self.vertices[self.faces]
+
+    @classmethod
+    def joined(cls, meshes: Sequence["TriangleMesh"]) -> "TriangleMesh":
+        """One mesh of the triangles of several, without their errors and evidence."""
+        starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+        return cls(
+            vertices=np.concatenate([mesh.vertices for mesh in meshes]),
+            faces=np.concatenate([m.faces + n for m, n in zip(meshes, starts[:-1], strict=True)]),
+        )
+
+    def moved(self, transform: Floats) -> "TriangleMesh":
+        """Mesh after a rigid transform, (4, 4)."""
+        return replace(self, vertices=apply_rigid(transform, self.vertices))
 
     def with_faces(self, faces: Ints) -> "TriangleMesh":
         """Mesh of other faces between the vertices, of which only those in use are kept."""
@@ -283,39 +297,18 @@ def _load(source: Path) -> TriangleMesh:
     if suffix != ".ply" or not len(faces):
         return mesh
     with source.open("rb") as file:
-        encoding, elements = _ply_header(source, file)
-        _require_complete_ply(source, elements, len(vertices), len(faces))
-        return _with_stored(mesh, file, encoding, elements)
+        encoding = re.search(rb"^format\s+(\S+)", file.read(_PLY_HEAD), re.MULTILINE)
+    if encoding is not None and encoding[1] not in _PLY_ENCODINGS:  # trimesh takes any
+        name = encoding[1].decode("latin-1")
+        raise UserError(what=f"unknown encoding {name!r} of the mesh", where=source)
+    return _with_stored(mesh, source, loaded.metadata["_ply_raw"])
 
 
-def _ply_header(source: Path, file: BinaryIO) -> tuple[str, _PlyElements]:
-    """Read the encoding, and of each element its count and its properties' types or "list"."""
-    encoding = ""
-    elements: _PlyElements = {}
-    properties: dict[str, str] = {}
-    for line in file:
-        words = line.decode("latin-1").split()
-        if words[:1] == ["end_header"]:
-            break
-        if words[:1] == ["format"]:
-            encoding = words[1]
-            if encoding not in _PLY_ENCODINGS:
-                raise UserError(what=f"unknown encoding {encoding!r} of the mesh", where=source)
-        elif words[:1] == ["element"]:
-            properties = {}
-            elements[words[1]] = (int(words[2]), properties)
-        elif words[:1] == ["property"]:
-            properties[words[-1]] = words[1]
-    return encoding, elements
-
-
-def _require_complete_ply(
-    source: Path, elements: _PlyElements, n_vertices: int, n_faces: int
-) -> None:
-    """Compare with the header's counts: a text PLY that was cut off reads as a smaller mesh."""
-    # Polygons become several triangles each, so faces may be more than declared.
-    for name, count in {"vertex": n_vertices, "face": n_faces}.items():
-        declared = elements.get(name, (0, {}))[0]
+def _with_stored(mesh: TriangleMesh, source: Path, elements: Mapping[str, Any]) -> TriangleMesh:
+    """Add the columns of the vertices that trimesh read, after a check of the header's counts."""
+    # A text PLY that was cut off reads as a smaller mesh. Polygons become several triangles each.
+    for name, count in {"vertex": len(mesh.vertices), "face": len(mesh.faces)}.items():
+        declared = elements[name]["length"] if name in elements else 0
         if count < declared:
             raise UserError(
                 what=f"the mesh lacks {name} rows",
@@ -324,26 +317,14 @@ def _require_complete_ply(
                 got=count,
                 hint="it may be cut off",
             )
-
-
-def _with_stored(
-    mesh: TriangleMesh, file: BinaryIO, encoding: str, elements: _PlyElements
-) -> TriangleMesh:
-    """Add the columns of the vertices from a file whose header was read."""
-    count, properties = elements.get("vertex", (0, {}))
-    plain = next(iter(elements), "") == "vertex" and set(properties.values()) <= set(_PLY_TYPES)
-    names = [name for name in ("expected_error_m", "evidence") if name in properties]
-    if not names or not plain or count != len(mesh.vertices):
+    vertex = elements.get("vertex")
+    if vertex is None or vertex["length"] != len(mesh.vertices):
         return mesh
-    if encoding == "ascii":
-        at = [[*properties].index(name) for name in names]
-        table = np.loadtxt(file, usecols=at, max_rows=count, dtype=np.float64, ndmin=2)
-        stored = dict(zip(names, table.T, strict=True))
-    else:
-        order = "<" if encoding == "binary_little_endian" else ">"
-        row = np.dtype([(name, order + _PLY_TYPES[kind]) for name, kind in properties.items()])
-        rows = np.frombuffer(file.read(count * row.itemsize), dtype=row)
-        stored = {name: rows[name].astype(np.float64) for name in names}
+    stored = {
+        name: np.asarray(vertex["data"][name], dtype=np.float64).reshape(-1)
+        for name in ("expected_error_m", "evidence")
+        if name in vertex["properties"] and vertex["properties"][name][-2:] in _NUMBERS
+    }
     error, evidence = stored.get("expected_error_m"), stored.get("evidence")
     if error is not None and not (np.isfinite(error) & (error >= 0)).all():
         error = None

@@ -1,8 +1,8 @@
-"""Display colours of a surface: its expected error."""
+"""Display colours: of a surface its expected error; sRGB and linear light."""
 
 import numpy as np
 
-from geraf2._types import Bytes, Floats
+from geraf2._types import Array, Bytes, Floats
 
 WORST_SHOWN_M = 0.005
 """Expected error at the dark end of the colours, which begin at 0 [m]; half as large for most."""
@@ -32,3 +32,15 @@ def error_colours(expected_error_m: Floats | None, n: int) -> Bytes:
     steps = np.linspace(0.0, WORST_SHOWN_M, len(_ERROR_COLOURS))
     channels = [np.interp(expected_error_m, steps, _ERROR_COLOURS[:, c]) for c in range(3)]
     return np.asarray(np.rint(np.stack(channels, axis=1)), dtype=np.uint8)
+
+
+def to_linear(srgb: Array) -> Array:
+    """Linear light of sRGB values, both 0 to 1."""
+    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+
+
+def to_srgb(linear: Array) -> Array:
+    """Return the inverse of `to_linear`."""
+    return np.where(
+        linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055
+    )

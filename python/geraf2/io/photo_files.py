@@ -1,7 +1,7 @@
 """Files of a photo set that geraf2 writes: PNG images and nerfstudio's `transforms.json`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +39,7 @@ class PhotoRecord:
     """Upper triangular matrix K of focal lengths, skew and principal point, (3, 3) [pixel]."""
     camera_to_world: Floats
     """Rigid transform from camera axes x right, y down, z forward, (4, 4) [source's unit]."""
-    distortion: Floats
+    distortion: Floats = field(default_factory=lambda: np.zeros(N_DISTORTION))
     """k1, k2, p1, p2, k3 of the Brown model, (5,)."""
     size: tuple[int, int] | None = None
     """Width and height that the intrinsics are of [pixel]; None: those of the image."""

@@ -4,7 +4,6 @@ JSON holds all of it; CSV is a robot log (time, position, rotation), as `geraf2 
 reads it. All lengths are in metres, in the capture's frame, which turns with the object.
 """
 
-import json
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +17,7 @@ from geraf2._bounds import Bounded, Triple
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.text import read_object
 from geraf2.io.toml import from_table, to_table
 
 SCAN_FORMAT = "geraf2-scan"
@@ -189,15 +189,8 @@ class ScanFile:
 
 def read_scan_file(path: Path) -> ScanFile:
     """Read a scan file; UserError where it is none, or its times decrease."""
-    try:
-        table = json.loads(path.read_bytes().decode("utf-8-sig"))
-    except FileNotFoundError:
-        raise UserError(what="no such file", where=path) from None
-    except OSError as error:
-        raise UserError(what=f"cannot be read: {error.strerror}", where=path) from None
-    except (RecursionError, ValueError) as error:
-        raise UserError(what=f"is not valid JSON: {error}", where=path) from None
-    if not isinstance(table, dict) or table.get("format") != SCAN_FORMAT:
+    table = read_object(path)
+    if table.get("format") != SCAN_FORMAT:
         raise UserError(what="is no scan file", where=path, expected=f'"format": "{SCAN_FORMAT}"')
     return from_table(table, ScanFile, path)
 

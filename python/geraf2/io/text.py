@@ -1,6 +1,11 @@
-"""Text files, with one clear line for what cannot be read."""
+"""Text files and JSON objects, with one clear line for what cannot be read."""
 
+import csv
+import io
+import json
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from geraf2.errors import UserError
 
@@ -8,11 +13,11 @@ from geraf2.errors import UserError
 def read_text(path: Path) -> str:
     """UTF-8 text of a file; UserError where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8")
+        return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
-    except UnicodeDecodeError:
-        raise UserError(what="is not text", where=path) from None
+    except UnicodeDecodeError as error:
+        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
     except OSError as error:
         raise UserError(what=f"cannot be read: {error.strerror}", where=path) from error
 
@@ -20,3 +25,23 @@ def read_text(path: Path) -> str:
 def read_lines(path: Path) -> list[str]:
     """Lines of a text file."""
     return read_text(path).splitlines()
+
+
+def read_object(path: Path) -> dict[str, Any]:
+    """Object of a JSON file; UserError for anything else."""
+    try:
+        values = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+    if not isinstance(values, dict):
+        raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
+    return values
+
+
+def csv_text(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
+    """Text of a CSV file with a line of column names."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    return text.getvalue()

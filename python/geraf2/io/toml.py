@@ -83,7 +83,11 @@ def from_table(
         # As JSON, because pydantic is strict there with lists for tuples and text for paths.
         record: _Record = _adapter(one).validate_json(json.dumps([table], default=str))[0]
     except ValidationError as error:
-        found = [_complaint(item, table, one) for item in error.errors(include_url=False)]
+        items = error.errors(include_url=False)
+        # pydantic counts the good entries of a tuple: with a bad one it is "too short", too.
+        bad = {item["loc"][:-1] for item in items}
+        items = [item for item in items if item["type"] != "too_short" or item["loc"] not in bad]
+        found = [_complaint(item, table, one) for item in items]
     else:
         return record
     rest = len(found) - _MOST_COMPLAINTS

@@ -38,17 +38,7 @@ class TracerProblem:
 
     def signal(self, amplitude: Array, normals: Array | None) -> Array:
         """Signal (n_antennas, n_samples) of checked amplitudes."""
-        parts = _parts(amplitude)
-        return _core.signal_tracer_fwd(
-            parts,
-            self.points,
-            _native_normals(normals, parts.dtype),
-            self.tx,
-            self.rx,
-            self.waveform,
-            self.rtol,
-            self.num_threads,
-        )
+        return _core.signal_tracer_fwd(*self._native(amplitude, normals))
 
     def gradients(
         self,
@@ -62,17 +52,9 @@ class TracerProblem:
         want_antennas: bool,
     ) -> Gradients:
         """Backward of :meth:`signal`."""
-        parts = _parts(amplitude)
         amplitude_grad, *others = _core.signal_tracer_bwd(
             np.ascontiguousarray(signal_grad),
-            parts,
-            self.points,
-            _native_normals(normals, parts.dtype),
-            self.tx,
-            self.rx,
-            self.waveform,
-            self.rtol,
-            self.num_threads,
+            *self._native(amplitude, normals),
             want_amplitude,
             want_normals,
             want_points,
@@ -81,6 +63,16 @@ class TracerProblem:
         if want_amplitude:
             amplitude_grad = amplitude_grad.view(amplitude.dtype).reshape(amplitude.shape)
         return Gradients(amplitude_grad, *others)
+
+    def _native(
+        self, amplitude: Array, normals: Array | None
+    ) -> tuple[Array, Floats, Array, Floats, Floats, _core.Waveform, float, int]:
+        """Arguments that both kernels take."""
+        parts = _parts(amplitude)
+        directions = np.zeros((0, 3)) if normals is None else normals
+        directions = np.ascontiguousarray(directions, dtype=parts.dtype)
+        geometry = self.points, directions, self.tx, self.rx
+        return parts, *geometry, self.waveform, self.rtol, self.num_threads
 
 
 def make_tracer_problem(
@@ -126,9 +118,3 @@ def _parts(amplitude: Array) -> Array:
     n_rows = 1 if amplitude.ndim == 1 else amplitude.shape[0]
     rows = np.ascontiguousarray(amplitude).reshape(n_rows, amplitude.shape[-1], 1)
     return rows.view(rows.real.dtype) if np.iscomplexobj(rows) else rows
-
-
-def _native_normals(normals: Array | None, dtype: Any) -> Array:
-    if normals is None:
-        return np.zeros((0, 3), dtype)
-    return np.ascontiguousarray(normals, dtype=dtype)

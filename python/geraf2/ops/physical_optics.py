@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_least, require_shape
-from geraf2.ops._geometry import require_positions
+from geraf2.ops._geometry import native_waveform, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Wall, Waveform
 
@@ -107,15 +107,7 @@ def physical_optics(
         raise TypeError(msg)
     n_points = elements.points.shape[0]
     require_shape("weights", weights, (antennas.offsets.shape[0] - 1, n_points))
-    params = _core.EchoParams(
-        _core.Waveform(
-            waveform.start_frequency_hz,
-            waveform.chirp_slope_hz_per_s,
-            waveform.sample_rate_hz,
-            waveform.n_samples,
-            waveform.path_bias_m,
-        )
-    )
+    params = _core.EchoParams(native_waveform(waveform))
     params.shape = getattr(_core.ElementShape, elements.shape)
     params.reflector = getattr(_core.Reflector, elements.reflector)
     if elements.slab is not None:

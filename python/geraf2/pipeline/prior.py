@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from geraf2._bounds import Sides, Triple
+from geraf2._bounds import Arg, Sides, Triple
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.io.arrays import read_npz
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.container import LOS_NAME
@@ -23,12 +25,13 @@ _WALL_MISMATCH_M = 0.02
 class PriorSource:
     """Where the outside of the box comes from."""
 
-    los: Path | None = None
-    """Closed mesh in metres in the frame of the scene, folder that `geraf2 los` made, or photos."""
-    box: Sides | None = None
-    """Outer side lengths of the box, axes along the frame's [m]."""
-    box_center: Triple = (0.0, 0.0, 0.0)
-    """Where the middle of `box` lies [m]."""
+    los: Annotated[Path | None, Arg(metavar="MESH|PHOTOS")] = None
+    """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
+    photos with poses, from which a surface is trained first."""
+    box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
+    """Or the outer side lengths of the box, axes along the frame's [m]."""
+    box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
+    """Where the middle of the box of these sides lies [m]."""
 
     @classmethod
     def of(cls, prior: "LosPrior | PriorSource | Path | str | Triple") -> "PriorSource":
@@ -39,16 +42,20 @@ class PriorSource:
             return cls()
         return cls(los=Path(prior)) if isinstance(prior, str | Path) else cls(box=prior)
 
-    def load(
-        self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
-    ) -> tuple[LosPrior, str]:
-        """Prior, and its name in errors; arguments as of :func:`load_prior`."""
+    def require_one(self) -> None:
+        """Raise UserError unless either the mesh or the sides are given."""
         if (self.los is None) == (self.box is None):
             raise UserError(
                 what="give the outside of the box",
                 expected="either --los MESH or --box X Y Z",
                 got="both" if self.los is not None else "neither",
             )
+
+    def load(
+        self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
+    ) -> tuple[LosPrior, str]:
+        """Prior, and its name in errors; arguments as of :func:`load_prior`."""
+        self.require_one()
         source = self.los or self.box or ""
         prior = load_prior(source, center_m=self.box_center, walls=walls, listener=listener)
         return prior, str(self.los) if self.box is None else f"--box {spaced(self.box)}"
@@ -91,8 +98,7 @@ def load_prior(
         raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
     if center.shape != (3,) or not np.isfinite(center).all():
         raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
-    (x, y, z), (mx, my, mz) = size.tolist(), center.tolist()
-    return with_walls(LosPrior.from_box((x, y, z), (mx, my, mz)), walls, listener)
+    return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, listener)
 
 
 def with_walls(

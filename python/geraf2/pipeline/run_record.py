@@ -5,9 +5,9 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from geraf2._bounds import Bounded, CountOrZero, Degrees, Seed
+from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
 from geraf2.io.objects import absolute, exists, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
@@ -25,18 +25,19 @@ class RunOptions(Bounded):
     (60.0, 180.0)
     """
 
-    hold_out: tuple[Degrees, ...] = ()
+    hold_out: Annotated[tuple[Degrees, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
     """Continue even if most of the echoes come from outside the box."""
     calibrate: Literal["auto", "no"] = "auto"
-    """Whether errors of the capture are found and corrected first."""
+    """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
+    where held-out data confirm it. no: take the scene as it is."""
     seed: Seed = 0
     """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
-    samples: CountOrZero = 0
-    """Surfaces drawn from the posterior that are written to samples.npz; 0: none."""
-    photos: LosOptions = field(default_factory=LosOptions)
-    """Options of photos, where the prior is made of them."""
+    samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
+    """Also write so many surfaces that the scan allows, into samples.npz."""
+    photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
+    """Options of the photos of --los."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,9 +45,10 @@ def _draw_walls(panel: "Axes", found: Calibration) -> None:
         return
     bins = np.arange(-10.0, 10.01, 0.5)
     style: dict[str, Any] = {"bins": bins.tolist(), "histtype": "step", "linewidth": 1.8}
+    before, after = walls.rms_m
     for offsets, colour, label in (
-        (walls.offsets_before_m, BOX_COLOUR, f"before, rms {1e3 * walls.rms_before_m:.2f} mm"),
-        (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * walls.rms_after_m:.2f} mm"),
+        (walls.offsets_before_m, BOX_COLOUR, f"before, rms {1e3 * before:.2f} mm"),
+        (walls.offsets_after_m, GLINT_COLOUR, f"after, rms {1e3 * after:.2f} mm"),
     ):
         panel.hist(np.clip(1e3 * offsets, bins[0], bins[-1]), color=colour, label=label, **style)
     panel.set_ylabel("echoes")

@@ -10,6 +10,7 @@ from geraf2._validation import require_shape
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.mesh_colours import WORST_SHOWN_M
 from geraf2.report import canvas
@@ -359,7 +360,7 @@ def _four_views(points: Floats) -> tuple[list[View], float]:
     views = [
         View(
             azimuth_deg=azimuth,
-            center_m=(float(center[0]), float(center[1]), float(center[2])),
+            center_m=triple(center),
             half_width_m=1.04 * float(np.linalg.norm(points - center, axis=1).max()),
             n_pixels=_MESH_PIXELS,
         )

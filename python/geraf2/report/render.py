@@ -9,6 +9,7 @@ from geraf2._types import Floats, Ints
 from geraf2._validation import require_between, require_least, require_positive, require_shape
 from geraf2.geometry.triangles import barycentric, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh_colours import to_linear, to_srgb
 from geraf2.ops.visibility import MeshScene
 
 # Directions of the two lights in the camera's frame (right, up, towards the viewer), and their
@@ -95,7 +96,7 @@ class MeshPainter:
         colour = np.divide(
             pooled[..., :3], coverage, out=np.zeros_like(pooled[..., :3]), where=coverage > 0
         )
-        return np.concatenate([_to_srgb(colour), coverage], axis=-1).astype(np.float32)
+        return np.concatenate([to_srgb(colour), coverage], axis=-1).astype(np.float32)
 
     def _trace(self, view: View, fine: int) -> tuple[Floats, Ints]:
         """Point and face hit by each ray, cached for further pictures in other colours."""
@@ -129,7 +130,7 @@ class MeshPainter:
         fill = np.maximum(local @ _FILL_LIGHT, 0.0)
         brightness = _KEY_SHARE * key + _FILL_SHARE * fill + _AMBIENT_SHARE
         brightness *= 0.35 + 0.65 * ambient
-        albedo = np.einsum("nk,nkd->nd", weights, _to_linear(colours)[triangle])
+        albedo = np.einsum("nk,nkd->nd", weights, to_linear(colours)[triangle])
         return np.asarray(np.clip(albedo * brightness[:, None] * 1.15, 0.0, 1.0))
 
     def _ambient_light(self) -> Floats:
@@ -153,13 +154,3 @@ class MeshPainter:
             seen[above] += cosine[above] * ~blocked
             total[above] += cosine[above]
         return np.divide(seen, total, out=np.ones_like(seen), where=total > 0)
-
-
-def _to_linear(srgb: Floats) -> Floats:
-    return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-
-
-def _to_srgb(linear: Floats) -> Floats:
-    return np.where(
-        linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 0.0) ** (1 / 2.4) - 0.055
-    )

@@ -185,9 +185,7 @@ def _page(
         sections=sections,
         answer=answer_of(run.content, run.glints, run.numbers, run.metrics),
         warnings=[line for line in dict.fromkeys(warnings) if line not in notes],
-        view=None if view is None else html.safe(view),
-        view_id="viewer",
-        scripts=html.scripts() if view else "",
+        view=view,
     )
 
 
@@ -197,14 +195,12 @@ def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     run, path = read_run(folder), folder / run_folder.TRUTH_COPY
     if run.surface is None:
         return None
-    copy = _stored_truth(path) if "scores" in run.metrics and path.is_file() else None
+    copy = stored_truth(path) if "scores" in run.metrics and path.is_file() else None
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
-        view=html.safe(scene_json(_view(run, copy, num_threads))),
-        view_id="viewer",
+        view=scene_json(_view(run, copy, num_threads)),
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
-        scripts=html.scripts(),
     )
 
 
@@ -252,10 +248,11 @@ def _truth_copy(
     if not (scores_kept and path.is_file()):
         path.unlink(missing_ok=True)
         return None
-    return _stored_truth(path)
+    return stored_truth(path)
 
 
-def _stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
+def stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
+    """Thinned truth that an earlier report kept, and the distances to it [m]."""
     stored = read_npz(path, ("vertices", "faces", "distances_m"))
     return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 
@@ -271,8 +268,8 @@ def _draw(
     """Sections with pictures, in order."""
     sections: list[Section] = []
 
-    def add(name: str, title: str, picture: Path, caption: str, alt: str) -> None:
-        sections.append(Section(name, title, parts=(html.picture(picture, caption, alt=alt),)))
+    def add(name: str, title: str, picture: Path, caption: str = "") -> None:
+        sections.append(Section(name, title, parts=(html.picture(picture, caption, name=name),)))
 
     content = run.surface
     if content is not None:
@@ -284,37 +281,26 @@ def _draw(
         if content.expected_error_m is not None:
             colour = "coloured by expected error, one standard deviation"
         caption = f"The content from four sides, {colour}{beside}; no perspective."
-        alt = "Shaded pictures of the content from +x, +y, -x and -y"
-        add("surface", "Surface", figures / "mesh.png", caption, alt)
+        add("surface", "Surface", figures / "mesh.png", caption)
     if content is not None and truth is not None:
         _draw_errors(content, truth, figures / run_folder.ERRORS_NAME, num_threads)
     if run.sdf is not None:
         if "slices.png" not in kept:
             sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
-        caption = "Signed distance on three cuts through the middle of the content."
-        alt = "Three cuts through the signed distance, with its zero level and the box"
-        add("slices", "Signed distance", figures / "slices.png", caption, alt)
+        add("slices", "Signed distance", figures / "slices.png")
     if run.glints is not None and len(run.glints):
         glint_overview(run.glints, figures / "glints.png", box=run.box)
-        caption = "Every glint: position, strength, and scan plane."
-        alt = "Scatter plots of the glints along three axes and histograms of their strengths"
-        add("glints", "Glints", figures / "glints.png", caption, alt)
+        add("glints", "Glints", figures / "glints.png")
     if run.silhouettes is not None and len(run.silhouettes):
         if "shadows.png" not in kept:
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
-        caption = "Echo of the far walls behind the content; no echo shows tops and bottoms."
-        alt = "Shadows of the content on the far walls with the outline of the mesh"
-        add("shadows", "Shadows", figures / "shadows.png", caption, alt)
+        add("shadows", "Shadows", figures / "shadows.png")
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
-        caption = "Photos of the box, the surface trained from them, and its outward normals."
-        alt = "Photos beside rendered views and normal maps of the box"
-        add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS, caption, alt)
+        add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS)
     if heatmap is not None:
         projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():
-        caption = "Largest magnitude of the matched-filter image along each axis."
-        alt = "Three projections of the matched-filter image in decibels"
-        add("heat-map", "Heat map", figures / "projections.png", caption, alt)
+        add("heat-map", "Heat map", figures / "projections.png")
     return sections
 
 
@@ -325,16 +311,9 @@ def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
     parts: list[str] = []
     curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
-        caption = "Share of surface samples nearer to the other surface than a distance (exact)."
-        alt = "Curves of the share of samples over the distance, in both directions"
-        parts.append(html.picture(curves, caption, max_width_px=620, alt=alt))
-    return [
-        Section(
-            "evaluation",
-            "Distance to the truth",
-            parts=(*parts, *html.metrics_section(run.metrics)),
-        )
-    ]
+        parts.append(html.picture(curves, name="evaluation", max_width_px=620))
+    parts.append(html.part("metrics_tables", run.metrics))
+    return [Section("evaluation", "Distance to the truth", parts=tuple(parts))]
 
 
 def _renderings(folder: Path) -> list[Section]:
@@ -345,15 +324,7 @@ def _renderings(folder: Path) -> list[Section]:
         record = read_object(views / run_folder.PSNR_NAME, "the rendered heat maps")
     if not record or record.get("mesh_digest") != file_digest(folder / run_folder.CONTENT_NAME):
         return []
-    columns, names = ["psnr_db"], ["angle [degrees]", "PSNR [dB]"]
-    if "surface_psnr_db" in record:
-        columns.append("surface_psnr_db")
-        names.append("of the surface alone [dB]")
-    rows = [
-        (angle, *(f"{record[column][angle]:.1f}" for column in columns))
-        for angle in record["psnr_db"]
-    ]
-    parts = [html.table("Rendered against measured", tuple(names), rows)]
+    parts = [html.part("rendered_planes", record)]
     for angle in list(record["psnr_db"])[:_MAX_RENDERED]:
         for kind in ("measured", "rendered"):
             path = views / f"angle_{float(angle):05.1f}_{kind}.png"
@@ -373,12 +344,8 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
     if not curves:
         return []
     loss_curves(curves, figures / "losses.png")
-    caption = "Terms of the loss over the steps of the training, means since the line before."
-    alt = "Curves of the terms of the loss over the steps"
-    picture = html.picture(figures / "losses.png", caption, max_width_px=720, alt=alt)
-    return [
-        Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,)),
-    ]
+    picture = html.picture(figures / "losses.png", name="training", max_width_px=720)
+    return [Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,))]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

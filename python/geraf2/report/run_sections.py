@@ -15,6 +15,7 @@ from geraf2.evaluation import MeshMetrics
 from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import StageRecord
+from geraf2.io.text import read_object as read_json
 from geraf2.report import html
 from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
@@ -51,30 +52,16 @@ class Section:
     folded: str = ""
     """Text to unfold the parts; not folded when empty."""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "parts", tuple(html.safe(part) for part in self.parts))
-
 
 def read_object(path: Path, what: str) -> dict[str, Any]:
     """JSON object of a file, empty where there is none; UserError for anything else."""
     if not path.is_file():
         return {}
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise UserError(
-            what=f"cannot read {what}: {error}",
-            where=path,
-            hint="remove the file or run the stage again",
-        ) from error
-    if not isinstance(stored, dict):
-        raise UserError(
-            what=f"cannot read {what}",
-            where=path,
-            expected="a JSON object",
-            got=type(stored).__name__,
-        )
-    return stored
+        return read_json(path)
+    except UserError as error:
+        why, hint = str(error).removeprefix(f"{path}: "), "remove the file or run the stage again"
+        raise UserError(what=f"cannot read {what}: {why}", where=path, hint=hint) from error
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:
@@ -146,24 +133,6 @@ def tables(
     calibration = stages.get("calibration")
     if calibration is not None:
         sections += _calibration(calibration.numbers)
-    parts: list[str] = []
-    if content is not None:
-        report = surface_report(content)
-        volume = "not closed" if report.volume_m3 is None else f"{1e6 * report.volume_m3:.1f}"
-        rows = [
-            ("closed", "yes" if report.is_watertight else "no"),
-            ("connected pieces", str(report.n_components)),
-            ("holes through", "not closed" if report.n_holes is None else str(report.n_holes)),
-            ("triangles", str(report.n_faces)),
-            ("area [cm²]", f"{1e4 * report.area_m2:.1f}"),
-            ("volume [cm³]", volume),
-        ]
-        parts.append(html.table("Content", ("", ""), rows))
-    shares = _unexplained(stages)
-    if shares:
-        rounds = ["start", *(f"round {n}" for n in range(1, len(shares)))]
-        rows = [(name, f"{value:.3f}") for name, value in zip(rounds, shares, strict=True)]
-        parts.append(html.table("Heat maps not explained", ("", ""), rows))
     known = {
         *MeshMetrics.__dataclass_fields__,
         "definitions",
@@ -172,17 +141,11 @@ def tables(
         "format_version",
         "generator",
     }
-    if other := html.scalar_rows(metrics, known):
-        parts.append(html.table("Further numbers", ("", ""), other))
-    if stages:
-        spent = [
-            (name, f"{done.seconds:.1f}", f"{done.peak_memory_mib:.0f}")
-            for name, done in stages.items()
-        ]
-        parts.append(html.table("Run", ("stage", "time [s]", "peak memory [MiB]"), spent))
-    if parts:
-        together = f'<div class="tables">{"".join(parts)}</div>'
-        sections.append(Section("numbers", "Numbers", parts=(together,)))
+    other = html.scalar_rows(metrics, known)
+    if content is not None or other or stages:
+        surface = None if content is None else surface_report(content)
+        numbers = html.part("numbers", surface, _unexplained(stages), other, stages)
+        sections.append(Section("numbers", "Numbers", parts=(numbers,)))
     return sections
 
 
@@ -192,20 +155,14 @@ def _unexplained(stages: Mapping[str, StageRecord]) -> list[float]:
 
 
 def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
-    rows = []
-    for key, state in (("applied", "corrected"), ("left", "unchanged")):
-        for text in numbers.get(key, ()):
-            what, _, finding = str(text).partition(": ")
-            finding = finding.replace("+- ", "± ").replace("->", "→").replace("; left,", ";")
-            rows.append((what, state, finding))
-    if not rows:
+    if not (numbers.get("applied") or numbers.get("left")):
         return []
     note = (
         "Unknown parameters of the capture, with one standard uncertainty. Each is corrected only "
         "if held-out echoes fit better afterwards."
     )
-    table = html.table("", ("effect", "", "found"), rows, text=True)
-    return [Section("calibration", "Calibration", note=note, parts=(table,))]
+    found = html.part("calibration", numbers)
+    return [Section("calibration", "Calibration", note=note, parts=(found,))]
 
 
 def provenance(
@@ -231,7 +188,7 @@ def provenance(
     if scene[0]:
         rows.append(("scene", f"{scene[0]}, digest {scene[1]}"))
     rows += [(str(name), str(text)) for name, text in known.items()]
-    parts = [html.table("", ("", ""), rows, text=True)]
+    parts = [html.part("table", "", (), rows, text=True)]
     digests = {file: digest for done in stages.values() for file, digest in done.files.items()}
     files = []
     for name, what in _FILES.items():
@@ -240,7 +197,7 @@ def provenance(
             written = f"{size / 1e6:.1f} MB" if size >= 1e6 else f"{max(1, round(size / 1e3))} kB"
             files.append((name, what, written, digests.get(name, "")))
     if files:
-        parts.append(html.file_table(files))
+        parts.append(html.part("file_table", files))
     return [Section("provenance", "Provenance and files", parts=tuple(parts))]
 
 
@@ -255,8 +212,7 @@ def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list
     for name, text in html.scalar_rows(config):
         group, _, key = name.rpartition(".")
         groups.setdefault(group, []).append((key, text))
-    made = [html.table(group or "run", ("", ""), rows) for group, rows in groups.items()]
-    body = f'<div class="tables">{"".join(made)}</div>' if made else html.preformatted(config_text)
+    body = html.part("settings", groups) if groups else html.part("preformatted", config_text)
     return [Section("settings", "Configuration", parts=(body,), folded="All settings of this run")]
 
 
@@ -264,36 +220,13 @@ def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
     """Section with definitions of the terms in this report."""
-    model = SupportModel()
-    entries: dict[str, str] = {}
-    if _unexplained(stages):
-        entries["heat maps not explained"] = (
-            "residual amplitude of the measured heat maps after subtraction of the surface's echo, "
-            "over the measured amplitude: root mean square over sub-apertures, at held-out "
-            "positions; the surface with the smallest value is kept"
-        )
-    if "glints" in stages:
-        entries["glint"] = (
-            "a point where a smooth surface reflected the wave along its normal, with that normal"
-        )
-    if content is not None and content.expected_error_m is not None:
-        entries["expected error"] = (
-            "one standard deviation of the distance to the true surface: spread of surfaces that "
-            "are fitted again with errors of the glints, offsets they share and an unknown bend, "
-            "larger where few glints agree; about two thirds of the surface should be nearer than "
-            "that, 95 % nearer than twice that"
-        )
-        entries["rests on"] = (
-            "outline: the edge of a shadow on the box's far walls; guessed: filled smoothly, "
-            "without evidence"
-        )
-    if content is not None and "glints" in stages:
-        entries["never seen"] = (
-            f"no glint within {1e3 * model.seen_reach_m:g} mm whose normal lies within "
-            f"{np.rad2deg(model.seen_angle_rad):.0f} degrees: no echo came from there"
-        )
-    entries.update(metrics.get("definitions", {}))
-    if not entries:
+    model, found = SupportModel(), content is not None
+    expected = content is not None and content.expected_error_m is not None
+    unexplained, glints = bool(_unexplained(stages)), "glints" in stages
+    more = metrics.get("definitions", {})
+    if not (unexplained or glints or expected or more):
         return []
-    parts = (html.definitions(entries),)
-    return [Section("definitions", "Definitions", parts=parts, folded="What the numbers mean")]
+    seen_mm = 1e3 * model.seen_reach_m if found and glints else None
+    seen_deg = np.rad2deg(model.seen_angle_rad)
+    terms = html.part("terms", unexplained, glints, expected, seen_mm, seen_deg, more)
+    return [Section("definitions", "Definitions", parts=(terms,), folded="What the numbers mean")]

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 from geraf2._memory import require_memory
 from geraf2._types import Floats
 from geraf2._validation import require_finite, require_least, require_positive
+from geraf2.geometry.transforms import triple
 
 MIN_SPACING_M = 1e-12
 """Finest spacing [m]: finer grids are a mistake of units, and their gradients overflow."""
@@ -51,9 +52,8 @@ class Grid:
         cls, center_m: tuple[float, float, float], half_side_m: float, n_per_side: int
     ) -> "Grid":
         """Grid whose first and last voxel centres lie on the faces of a cube."""
-        origin = tuple(float(c) - half_side_m for c in center_m)
         return cls(
-            origin_m=(origin[0], origin[1], origin[2]),
+            origin_m=triple(float(c) - half_side_m for c in center_m),
             spacing_m=2.0 * half_side_m / (n_per_side - 1),
             shape=(n_per_side, n_per_side, n_per_side),
         )
@@ -62,13 +62,9 @@ class Grid:
     def centered(cls, center_m: ArrayLike, spacing_m: float, shape: ArrayLike) -> "Grid":
         """Grid whose middle is `center_m` (3,) [m], of `shape` (3,) voxels."""
         counts = np.asarray(shape, dtype=np.int64)
-        x, y, z = np.asarray(center_m, dtype=np.float64) - 0.5 * spacing_m * (counts - 1)
-        nx, ny, nz = counts
-        return cls(
-            origin_m=(float(x), float(y), float(z)),
-            spacing_m=spacing_m,
-            shape=(int(nx), int(ny), int(nz)),
-        )
+        origin = np.asarray(center_m, dtype=np.float64) - 0.5 * spacing_m * (counts - 1)
+        nx, ny, nz = (int(n) for n in counts)
+        return cls(origin_m=triple(origin), spacing_m=spacing_m, shape=(nx, ny, nz))
 
     @property
     def n_voxels(self) -> int:

@@ -10,7 +10,7 @@ from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
-from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.transforms import apply_rigid, triple
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
@@ -145,14 +145,12 @@ class LosPrior:
     @property
     def size_m(self) -> tuple[float, float, float]:
         """Side lengths of the bounding box [m]."""
-        x, y, z = (float(side) for side in self.bounds[1] - self.bounds[0])
-        return x, y, z
+        return triple(self.bounds[1] - self.bounds[0])
 
     @property
     def center_m(self) -> tuple[float, float, float]:
         """Centre of the bounding box [m]."""
-        x, y, z = (float(value) for value in self.bounds.mean(axis=0))
-        return x, y, z
+        return triple(self.bounds.mean(axis=0))
 
     @property
     def bounds(self) -> Floats:

@@ -87,6 +87,12 @@ class Camera:
         plane, _ = self._distort(local[:, :2] / depth)
         return np.asarray(plane @ self.intrinsics[:2, :2].T + self.intrinsics[:2, 2])
 
+    def shown(self, pixels: Floats) -> Bools:
+        """Whether image points (n, 2) [pixel] lie in the picture, (n,); NaN does not."""
+        with np.errstate(invalid="ignore"):
+            inside = (pixels >= 0.0) & (pixels < (self.width, self.height))
+        return np.asarray(inside.all(axis=1))
+
     def resized(self, width: int, height: int) -> "Camera":
         """Camera of the same picture in another number of pixels."""
         scale = np.diag([width / self.width, height / self.height, 1.0])

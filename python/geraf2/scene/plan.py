@@ -19,42 +19,59 @@ _OVERLAP = 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class ScanPlan:
-    """Planes of antennas around a turntable, in rings of equal elevation."""
+class Raster:
+    """A plane that a radar scans row by row."""
 
-    box_m: tuple[float, float, float]
-    """Outer sides of the box; z is the axis of the turntable [m]."""
     waveform: Waveform
-    standoff_m: float
-    """Plane to the middle of the box [m]."""
     aperture_m: tuple[float, float]
     """Width and height of a plane [m]."""
     spacing_m: float
     """Antennas along rows and columns [m]."""
-    n_planes: int
-    """Of each ring."""
-    elevations_deg: tuple[float, ...]
-    """Of the planes' middles above the horizontal, one a ring [degrees]."""
     frame_period_s: float = 3e-3
     """From one recording to the next [s]."""
     speed_m_per_s: float = 0.2
     """Of the radar along a row [m/s]."""
-    turn_s: float = 3.0
-    """From one plane to the next [s]."""
 
     def __post_init__(self) -> None:
-        places, times = ("standoff_m", "spacing_m", "n_planes"), ("frame_period_s", "turn_s")
-        require_each(require_positive, self, *places, *times, "speed_m_per_s")
-        for value in (*self.box_m, *self.aperture_m):
-            require_positive("box_m and aperture_m", value)
-        if not self.elevations_deg or not (np.abs(self.elevations_deg) < 90.0).all():
-            msg = f"elevations_deg must lie between -90 and 90, got {self.elevations_deg}"
-            raise ValueError(msg)
+        require_each(require_positive, self, "spacing_m", "frame_period_s", "speed_m_per_s")
+        for value in self.aperture_m:
+            require_positive("aperture_m", value)
 
     @property
     def rows_columns(self) -> tuple[int, int]:
         """Rows and columns of a plane."""
         return rows_columns(self.aperture_m, self.spacing_m)
+
+    @property
+    def seconds(self) -> float:
+        """Time of a plane: rows at the speed or the frame rate that is slower [s]."""
+        rows, columns = self.rows_columns
+        return rows * max(self.aperture_m[0] / self.speed_m_per_s, columns * self.frame_period_s)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScanPlan(Raster):
+    """Planes of antennas around a turntable, in rings of equal elevation."""
+
+    box_m: tuple[float, float, float]
+    """Outer sides of the box; z is the axis of the turntable [m]."""
+    standoff_m: float
+    """Plane to the middle of the box [m]."""
+    n_planes: int
+    """Of each ring."""
+    elevations_deg: tuple[float, ...]
+    """Of the planes' middles above the horizontal, one a ring [degrees]."""
+    turn_s: float = 3.0
+    """From one plane to the next [s]."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_each(require_positive, self, "standoff_m", "n_planes", "turn_s")
+        for value in self.box_m:
+            require_positive("box_m", value)
+        if not self.elevations_deg or not (np.abs(self.elevations_deg) < 90.0).all():
+            msg = f"elevations_deg must lie between -90 and 90, got {self.elevations_deg}"
+            raise ValueError(msg)
 
     @property
     def n_antennas(self) -> int:
@@ -64,10 +81,8 @@ class ScanPlan:
 
     @property
     def seconds(self) -> float:
-        """Time of the scan: rows at the speed or the frame rate that is slower, and turns [s]."""
-        rows, columns = self.rows_columns
-        row = max(self.aperture_m[0] / self.speed_m_per_s, columns * self.frame_period_s)
-        return self.n_planes * len(self.elevations_deg) * (rows * row + self.turn_s)
+        """Time of the scan with its turns [s]."""
+        return self.n_planes * len(self.elevations_deg) * (super().seconds + self.turn_s)
 
     @property
     def n_bytes(self) -> int:
@@ -104,37 +119,15 @@ class ScanPlan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanePlan:
+class PlanePlan(Raster):
     """A single plane of antennas without a box, and what it resolves at one depth."""
 
-    waveform: Waveform
     depth_m: float
     """From the antennas to what is looked at [m]."""
-    aperture_m: tuple[float, float]
-    """Width and height of the plane [m]."""
-    spacing_m: float
-    """Antennas along rows and columns [m]."""
-    frame_period_s: float = 3e-3
-    """From one recording to the next [s]."""
-    speed_m_per_s: float = 0.2
-    """Of the radar along a row [m/s]."""
 
     def __post_init__(self) -> None:
-        values = ("depth_m", "spacing_m", "frame_period_s", "speed_m_per_s")
-        require_each(require_positive, self, *values)
-        for value in self.aperture_m:
-            require_positive("aperture_m", value)
-
-    @property
-    def rows_columns(self) -> tuple[int, int]:
-        """Rows and columns."""
-        return rows_columns(self.aperture_m, self.spacing_m)
-
-    @property
-    def seconds(self) -> float:
-        """Time of the scan: rows at the speed or the frame rate that is slower [s]."""
-        rows, columns = self.rows_columns
-        return rows * max(self.aperture_m[0] / self.speed_m_per_s, columns * self.frame_period_s)
+        super().__post_init__()
+        require_positive("depth_m", self.depth_m)
 
     @property
     def n_bytes(self) -> int:
@@ -170,6 +163,7 @@ class PlanePlan:
 def rows_columns(aperture_m: tuple[float, float], spacing_m: float) -> tuple[int, int]:
     """Rows and columns of a plane of this width and height [m]."""
     width, height = aperture_m
+    # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
     return int(height / spacing_m + 1e-9) + 1, int(width / spacing_m + 1e-9) + 1
 
 

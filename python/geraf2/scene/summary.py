@@ -341,7 +341,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         if len(along)
         else np.full((2, 3), np.nan),
         spacing_m=_median_spacing(centers),
-        n_repeated_places=_n_repeated(positions[good]),
+        n_repeated_places=int(good.sum()) - len(_distinct_places(positions[good])),
         n_bad_positions=int((~np.isfinite(positions)).sum()),
         farthest_m=float(np.abs(positions[good]).max(initial=0.0)),
         apart_m=float(
@@ -412,10 +412,6 @@ def _median_spacing(centers: Floats) -> float:
     asked = centers[first][:: len(first) // 1000 + 1]
     distances, _ = KDTree(centers[first]).query(asked, k=2)
     return float(np.median(distances[:, 1]))
-
-
-def _n_repeated(positions: Floats) -> int:
-    return len(positions) - len(_distinct_places(positions))
 
 
 def _distinct_places(positions: Floats) -> Ints:

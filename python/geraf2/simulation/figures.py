@@ -6,7 +6,17 @@ import numpy as np
 
 from geraf2.io.mesh import TriangleMesh
 from geraf2.simulation import menagerie, thin
-from geraf2.simulation.implicit import Figure, ball, blend, block, limb, tube, turned
+from geraf2.simulation.implicit import (
+    Figure,
+    ball,
+    blend,
+    block,
+    grid_points,
+    limb,
+    tube,
+    turned,
+    zero_level,
+)
 
 
 def _llama() -> Figure:
@@ -119,16 +129,9 @@ def build_figure(name: str, n_vertical: int = 80) -> TriangleMesh:
     name: a key of :data:`FIGURES`.
     n_vertical: Grid cells over the object's height.
     """
-    from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
-
     figure = FIGURES[name]()
     low, high = np.asarray(figure.low), np.asarray(figure.high)
     step = float(high[2] - low[2]) / n_vertical
-    # 0.377: no face of a block may lie in a plane of the grid, where cubes degenerate.
-    axes = [np.arange(a - 0.377 * step, b + step, step) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    level = figure.solid(points)
-    vertices, faces, _, _ = marching_cubes(level, 0.0, spacing=(step,) * 3)
-    vertices = vertices.astype(np.float64)
-    vertices -= vertices.min(axis=0)
-    return TriangleMesh(vertices=vertices / vertices[:, 2].max(), faces=faces.astype(np.int64))
+    mesh = zero_level(figure.solid(grid_points(low, high, step)), step)
+    vertices = mesh.vertices - mesh.vertices.min(axis=0)
+    return TriangleMesh(vertices=vertices / vertices[:, 2].max(), faces=mesh.faces)

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats
+from geraf2.io.mesh import TriangleMesh
 
 Points = Floats
 """(..., 3), object coordinates: z up, one unit about a centimetre."""
@@ -112,6 +113,21 @@ def blend(solids: Sequence[Solid], radius: float) -> Solid:
         return total
 
     return distance
+
+
+def grid_points(low: Floats, high: Floats, step: float) -> Points:
+    """Points of a grid over a box, (nx, ny, nz, 3)."""
+    # 0.377: no face of a block may lie in a plane of the grid, where cubes degenerate.
+    axes = [np.arange(a - 0.377 * step, b + step, step) for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+
+
+def zero_level(distances: Distance, step: float) -> TriangleMesh:
+    """Surface of distances at the points of a grid, from its first point."""
+    from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
+
+    vertices, faces, _, _ = marching_cubes(distances, 0.0, spacing=(step,) * 3)
+    return TriangleMesh(vertices=vertices.astype(np.float64), faces=faces.astype(np.int64))
 
 
 @dataclass(frozen=True)

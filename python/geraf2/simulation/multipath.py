@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Bools, Floats
+from geraf2.geometry.transforms import triple
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.scene import Wall
 from geraf2.simulation.dielectric import face_reflection
@@ -67,16 +68,11 @@ def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
             open_end = center[mirror.axis] - mirror.side * 0.5 * size[mirror.axis]
             center[mirror.axis] = place_m
             size[mirror.axis] = 2.0 * abs(place_m - open_end)
-            found.append(replace(wall, center_m=_triple(center), size_m=_triple(size)))
+            found.append(replace(wall, center_m=triple(center), size_m=triple(size)))
         else:
             image = mirror.image(center, walls)
-            found += [wall, replace(wall, center_m=_triple(image))]
+            found += [wall, replace(wall, center_m=triple(image))]
     return tuple(found)
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
 
 
 def multipath_echo(

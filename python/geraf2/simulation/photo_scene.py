@@ -7,7 +7,7 @@ the lamp.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -255,12 +255,8 @@ def _lit(
     lit = []
     for index, rectangle in enumerate(rectangles):
         sky = _sky_light(rectangle, scene, rectangles, bounced, size_m)
-        lit.append(_replace_light(rectangle, direct[index] + sky))
+        lit.append(replace(rectangle, light=direct[index] + sky))
     return lit
-
-
-def _replace_light(rectangle: _Rectangle, light: _Array) -> _Rectangle:
-    return _Rectangle(**{**vars(rectangle), "light": light})
 
 
 def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: float) -> _Array:

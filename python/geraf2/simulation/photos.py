@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
-from geraf2.geometry.transforms import rigid, upright_axes
+from geraf2.geometry.transforms import rigid, triple, upright_axes
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh_colours import to_srgb
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.simulation.object_scene import ObjectScene
@@ -80,14 +81,9 @@ def _subject(
             msg = "photos of the content need `content`, got None"
             raise ValueError(msg)
         low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
-        x, y, z = (float(side) for side in high - low)
-        cx, cy, cz = (float(value) for value in 0.5 * (low + high))
-        bounds = Wall(
-            size_m=(x, y, z),
-            thickness_m=0.25 * min(x, y, z),
-            permittivity=1.0,
-            center_m=(cx, cy, cz),
-        )
+        size, center = triple(high - low), triple(0.5 * (low + high))
+        thin = 0.25 * min(size)
+        bounds = Wall(size_m=size, thickness_m=thin, permittivity=1.0, center_m=center)
         return ObjectScene(content, seed, num_threads), bounds
     if not walls:
         raise UserError(
@@ -161,27 +157,19 @@ def expose(
     sigma = spec.noise_rms / _SRGB_STEPS_AT_GREY
     scale = np.sqrt((np.maximum(linear, 0.0) + _READ_NOISE) / (_GREY + _READ_NOISE))
     noisy = linear + sigma * scale * rng.standard_normal(linear.shape, dtype=np.float32)
-    clipped = np.clip(noisy, 0.0, 1.0)
-    srgb = np.where(
-        clipped <= 0.0031308, 12.92 * clipped, 1.055 * np.power(clipped, 1.0 / 2.4) - 0.055
-    )
-    return np.asarray(np.round(255.0 * srgb), dtype=np.uint8)
+    return np.asarray(np.round(255.0 * to_srgb(np.clip(noisy, 0.0, 1.0))), dtype=np.uint8)
 
 
 def recorded_cameras(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tuple[Camera, ...]:
     """Cameras with small errors of their poses."""
+    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - used here only
+
     rng = np.random.default_rng([seed, _POSES])
     recorded = []
     for camera in cameras:
-        turn = _rotation(np.radians(spec.pose_error_rms_deg) * rng.standard_normal(3))
+        vector = np.radians(spec.pose_error_rms_deg) * rng.standard_normal(3)
         pose = camera.camera_to_world.copy()
-        pose[:3, :3] = pose[:3, :3] @ turn
+        pose[:3, :3] = pose[:3, :3] @ Rotation.from_rotvec(vector).as_matrix()
         pose[:3, 3] += spec.pose_error_rms_m * rng.standard_normal(3)
         recorded.append(replace(camera, camera_to_world=pose))
     return tuple(recorded)
-
-
-def _rotation(vector: Floats) -> Floats:
-    from scipy.spatial.transform import Rotation  # noqa: PLC0415 - used here only
-
-    return np.asarray(Rotation.from_rotvec(vector).as_matrix())

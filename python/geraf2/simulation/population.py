@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Floats
+from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import face_areas
 from geraf2.scene import Wall, Waveform
+from geraf2.scene.plan import rows_columns
 from geraf2.simulation.population_settings import POPULATION, Population
 from geraf2.simulation.random_objects import RandomObject, choose, random_object
 from geraf2.simulation.spec import (
@@ -82,7 +84,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
     )
     spec = SceneSpec(
         figure=FigureSpec(
-            name=f"random-{seed}", height_m=float(thing.extents_m[2]), center_m=_triple(center)
+            name=f"random-{seed}", height_m=float(thing.extents_m[2]), center_m=triple(center)
         ),
         walls=(wall,),
         waveform=RADARS[radar],
@@ -134,7 +136,7 @@ def _box(
         floor = -0.5 * size[2] + thickness + population.foot_gap_m
         center[2] = floor + 0.5 * thing.extents_m[2]
     wall = Wall(
-        size_m=_triple(size),
+        size_m=triple(size),
         thickness_m=thickness,
         permittivity=rng.uniform(*population.wall_permittivity),
         center_m=(0.0, 0.0, 0.0),
@@ -201,12 +203,8 @@ def simulation_seconds(spec: SceneSpec, thing: RandomObject) -> float:
     of_antenna = n_samples * of_sample
     if spec.world.wall_waves:
         of_antenna += _WAVE_S * 2.0 * (x * y + y * z + z * x)
-    return _n_antennas(spec.scan) * of_antenna
-
-
-def _n_antennas(scan: ScanSpec) -> int:
-    n = np.floor(np.asarray(scan.aperture_m) / scan.spacing_m + 1e-9) + 1
-    return int(n[0] * n[1]) * scan.n_planes
+    rows, columns = rows_columns(spec.scan.aperture_m, spec.scan.spacing_m)
+    return rows * columns * spec.scan.n_planes * of_antenna
 
 
 def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
@@ -235,8 +233,3 @@ def _with_fewer_planes(scan: ScanSpec) -> ScanSpec:
         first = replace(scan.rings[0], n_poses=scan.rings[0].n_poses - 1)
         return replace(scan, rings=(first, *scan.rings[1:]))
     return replace(scan, n_poses=scan.n_poses - 1)
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z

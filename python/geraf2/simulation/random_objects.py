@@ -6,15 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
-from geraf2.simulation.implicit import Solid, ball, blend, block, limb, ring, tube, turned
+from geraf2.simulation.implicit import (
+    Solid,
+    ball,
+    blend,
+    block,
+    grid_points,
+    limb,
+    ring,
+    tube,
+    turned,
+    zero_level,
+)
 from geraf2.simulation.population_settings import POPULATION, Population, Weights
 
 RANDOM_NAME = re.compile(r"random-(\d{1,18})")
@@ -84,7 +94,7 @@ def random_object(
         body = _sized_body(rng, population, share * size_m, upright=standing)
         bodies.append(body)
         meshes.append(_placed(rng, population, _body_mesh(body), meshes, standing=standing))
-    joined = _joined(meshes)
+    joined = TriangleMesh.joined(meshes)
     low, high = joined.vertices.min(axis=0), joined.vertices.max(axis=0)
     scale = size_m / float((high - low).max())
     vertices = (joined.vertices - 0.5 * (low + high)) * scale
@@ -256,38 +266,29 @@ _PARTS: dict[str, Callable[[np.random.Generator, Population, float], Solid]] = {
 
 def _extents(body: _Body) -> tuple[Floats, Floats]:
     """Box about a body, at most a coarse cell too large on each side."""
-    points, step = _grid(body.low, body.high, float((body.high - body.low).max()) / _COARSE_CELLS)
+    step = float((body.high - body.low).max()) / _COARSE_CELLS
+    points = grid_points(body.low, body.high, step)
     inside = points[body.solid(points) < step]
     return inside.min(axis=0) - step, inside.max(axis=0) + step
 
 
-def _grid(low: Floats, high: Floats, step: float) -> tuple[Floats, float]:
-    """Points of a grid, (nx, ny, nz, 3), and its step."""
-    # 0.377: no face of a block may lie in a plane of the grid, where cubes degenerate.
-    axes = [np.arange(a - 0.377 * step, b + step, step) for a, b in zip(low, high, strict=True)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1), step
-
-
 def _body_mesh(body: _Body) -> TriangleMesh:
     """Largest closed piece of a body's surface; its vertices lie on the surface to a micrometre."""
-    from skimage.measure import marching_cubes  # noqa: PLC0415 - 0.3 s to import
-
     low, high = _extents(body)
-    points, step = _grid(low, high, float(np.clip((high - low).max() / _CELLS, *_CELL_M)))
-    level = np.pad(body.solid(points), 1, constant_values=step)
-    vertices, faces, _, _ = marching_cubes(level, 0.0, spacing=(step,) * 3)
-    vertices = vertices.astype(np.float64) + points[0, 0, 0] - step
+    step = float(np.clip((high - low).max() / _CELLS, *_CELL_M))
+    points = grid_points(low, high, step)
+    mesh = zero_level(np.pad(body.solid(points), 1, constant_values=step), step)
+    vertices = mesh.vertices + points[0, 0, 0] - step
     for _ in range(2):
         vertices, _ = _towards_surface(body.solid, vertices, 0.5 * step)
-    mesh = TriangleMesh(vertices=vertices, faces=faces.astype(np.int64))
+    mesh = TriangleMesh(vertices=vertices, faces=mesh.faces)
     return _largest_piece(merge_duplicate_vertices(mesh))
 
 
 def _largest_piece(mesh: TriangleMesh) -> TriangleMesh:
     pairs = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    n = len(mesh.vertices)
-    graph = coo_matrix((np.ones(len(pairs), np.int8), pairs.T), shape=(n, n))
-    labels = connected_components(graph, directed=False)[1][mesh.faces[:, 0]]
+    starts, ends = pairs.T
+    labels = connected_labels(starts, ends, len(mesh.vertices))[mesh.faces[:, 0]]
     largest = int(np.argmax(np.bincount(labels, weights=face_areas(mesh.corners))))
     used, faces = np.unique(mesh.faces[labels == largest], return_inverse=True)
     return TriangleMesh(vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))
@@ -324,10 +325,3 @@ def _placed(
             along -= max(free_m, 0.0005)
         vertices = vertices + center + along * direction
     return TriangleMesh(vertices=vertices, faces=mesh.faces)
-
-
-def _joined(meshes: list[TriangleMesh]) -> TriangleMesh:
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    faces = [mesh.faces + n for mesh, n in zip(meshes, offsets[:-1], strict=True)]
-    vertices = np.concatenate([mesh.vertices for mesh in meshes])
-    return TriangleMesh(vertices=vertices, faces=np.concatenate(faces))

@@ -8,6 +8,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.io.scan_file import ScanFile
 from geraf2.ops.physical_optics import AntennaBlocks
+from geraf2.scene.plan import rows_columns
 from geraf2.simulation.spec import RingSpec, ScanSpec
 
 
@@ -62,9 +63,9 @@ def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:
     assert ring.standoff_m is not None
     assert ring.aperture_m is not None
     assert ring.spacing_m is not None
-    # 1e-9: an aperture that is a whole number of spacings keeps its last antenna.
-    counts = [int(np.floor(side / ring.spacing_m + 1e-9)) + 1 for side in ring.aperture_m]
-    offsets = [(np.arange(n) - 0.5 * (n - 1)) * ring.spacing_m for n in counts]
+    n_rows, n_columns = rows_columns(ring.aperture_m, ring.spacing_m)
+    shape = n_columns, n_rows
+    offsets = [(np.arange(n) - 0.5 * (n - 1)) * ring.spacing_m for n in shape]
     closed = np.isclose(ring.arc_deg, 360.0) or ring.n_poses == 1
     step_deg = ring.arc_deg / (ring.n_poses if closed else ring.n_poses - 1)
     h, v = (grid.ravel() for grid in np.meshgrid(*offsets, indexing="ij"))
@@ -84,7 +85,7 @@ def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:
             rx=centers - apart,
             axes=axes,
             angle_deg=float(angle_deg),
-            shape=(counts[0], counts[1]),
+            shape=shape,
             spacing_m=ring.spacing_m,
         )
 

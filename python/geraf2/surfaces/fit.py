@@ -41,7 +41,7 @@ _COARSE = 2.0
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-FIT_VERSION = 19
+FIT_VERSION = 20
 """Raised when the same glints and settings give another field, for best, too."""
 
 
@@ -57,7 +57,7 @@ class FitConfig(Bounded):
     """Largest grid; above it the voxels grow."""
     position_weight: Positive = 30.0
     """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
-    bending_weight: Positive = 0.4
+    bending_weight: Positive = 0.8
     """Weight of the squared Hessian."""
     outside_weight: NotNegative = 0.1
     """Weight of the pull at the domain's faces; without it closed bodies open up."""

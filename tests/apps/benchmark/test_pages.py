@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from geraf2.apps.benchmark import RowResult, Runner, rows_of, write_pages
-from geraf2.report.html import grouped_table
+from geraf2.report.html import part
 from geraf2.simulation import WorldSpec
 from geraf2.simulation.spec import RingSpec
 
@@ -105,7 +105,8 @@ def test_published_values_are_beside_their_method(versus):
 
 
 def test_a_group_names_what_it_shares_once_and_text_is_escaped():
-    text = grouped_table(
+    text = part(
+        "grouped_table",
         ("scene", "method", "F1"),
         [("<a>", "x", "1"), ("<a>", "y", "2"), ("b", "x", "3")],
         n_names=2,

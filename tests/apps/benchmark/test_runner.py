@@ -104,7 +104,8 @@ def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_o
     processes = StandIn(
         box=(os.abort,), content=(os._exit, 3), none=(dict.get, {}, "", RowResult())
     )
-    runner = Runner(out=tmp_path / "out", _processes=processes)
+    runner = Runner(out=tmp_path / "out")
+    runner._processes = processes
     seen, rows = [], rows_of(suite_of(SUITE))
     results = runner.run_all(rows, lambda row, _: seen.append(row.case.label))
     errors = [result.error for _, result in results]
@@ -120,11 +121,10 @@ def test_processes_end_when_it_is_interrupted(tmp_path, suite_of):
         assert row.case.label == "box"
         raise KeyboardInterrupt
 
-    start = time.monotonic()
+    start, runner = time.monotonic(), Runner(out=tmp_path / "out")
+    runner._processes = processes
     with pytest.raises(KeyboardInterrupt):
-        Runner(out=tmp_path / "out", _processes=processes).run_all(
-            rows_of(suite_of(SUITE)), interrupt
-        )
+        runner.run_all(rows_of(suite_of(SUITE)), interrupt)
     assert time.monotonic() - start < 300.0
     with pytest.raises(KeyboardInterrupt):  # nothing more is started
         Processes.call(processes, os.getpid)

@@ -114,7 +114,7 @@ def test_nan_is_refused_or_left_out(save, arrays, name):
         ("axes", np.zeros((3, 3)), "rows of axes are not orthonormal"),
         ("axes", np.zeros((2, 3)), "axes has the wrong shape"),
         ("start_frequency_hz", np.zeros(3), "start_frequency_hz must be a number"),
-        ("start_frequency_hz", None, "start_frequency_hz not known"),
+        ("start_frequency_hz", None, "start_frequency_hz is not known"),
     ],
 )
 def test_arrays_that_do_not_fit_are_named(save, arrays, name, value, text):

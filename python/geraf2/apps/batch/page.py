@@ -1,10 +1,7 @@
 """batch.html and batch.csv: a row for each scene, failed ones first."""
 
-import csv
-import io
 from collections.abc import Mapping
-from html import escape
-from urllib.parse import quote
+from typing import Any
 
 from geraf2.apps.batch.folder import (
     DONE,
@@ -17,6 +14,7 @@ from geraf2.apps.batch.folder import (
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.objects import is_file
 from geraf2.io.run_folder import REPORT_NAME
+from geraf2.io.text import csv_text
 from geraf2.report import html
 
 TO_DO = "to do"
@@ -30,24 +28,6 @@ _NUMBERS = (
     ("peak_memory_mib", "memory [MiB]", 0),
     ("attempts", "attempts", 0),
 )
-_STYLE = """<style>
-#jobs th { cursor: pointer; } #jobs td { vertical-align: middle; }
-#jobs .text { text-align: left; } #jobs td.error { min-width: 16rem; overflow-wrap: anywhere; }
-#jobs td.name { min-width: 8rem; max-width: 20rem; overflow-wrap: anywhere; }
-#jobs img { width: 64px; height: 64px; display: block; }
-#jobs tr.failed td { background: var(--alert-paper); }
-</style>"""
-# A click on a column head sorts by it, a second click reverses; numbers sort as numbers.
-_SORT = """<script>
-document.querySelectorAll("#jobs th").forEach((head, column) => head.onclick = () => {
-  const body = document.querySelector("#jobs tbody"), up = head.dataset.up !== "1";
-  head.dataset.up = up ? "1" : "0";
-  const key = row => row.cells[column].dataset.key ?? row.cells[column].textContent;
-  const order = (a, b) => (a === "") - (b === "") ||
-    (up ? 1 : -1) * (a === "" ? 0 : isNaN(a) || isNaN(b) ? a.localeCompare(b) : a - b);
-  [...body.rows].sort((a, b) => order(key(a), key(b))).forEach(row => body.append(row));
-});
-</script>"""
 
 
 def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
@@ -72,62 +52,47 @@ def _number(result: JobResult | None, name: str, digits: int) -> str:
 
 
 def _as_csv(pairs: list[tuple[JobPaths, JobResult | None]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
     names = [name for name, _, _ in _NUMBERS]
-    writer.writerow(["scene", "state", "preset", *names, "warnings", "error", "worker", "run"])
+    lines: list[list[object]] = []
     for paths, result in pairs:
         numbers = [_number(result, name, digits + 2) for name, _, digits in _NUMBERS]
         run = str(paths.run.relative_to(paths.out))
         if result is None:
-            writer.writerow([paths.scene, TO_DO, "", *numbers, "", "", "", run])
+            lines.append([paths.scene, TO_DO, "", *numbers, "", "", "", run])
             continue
         end = [len(result.warnings), result.error, result.worker, run]
-        writer.writerow([paths.scene, result.state, result.preset, *numbers, *end])
-    return text.getvalue()
+        lines.append([paths.scene, result.state, result.preset, *numbers, *end])
+    head = ["scene", "state", "preset", *names, "warnings", "error", "worker", "run"]
+    return csv_text(head, lines)
 
 
 def _as_html(folder: BatchFolder, pairs: list[tuple[JobPaths, JobResult | None]]) -> str:
     ranks = [_rank(result) for _, result in pairs]
     used = [e for e in _NUMBERS if any(_number(result, e[0], e[2]) for _, result in pairs)]
-    facts = html.facts(
-        [
-            ("scenes", str(len(pairs))),
-            ("done", str(ranks.count(2))),
-            ("failed", str(ranks.count(0))),
-            (TO_DO, str(ranks.count(1))),
-        ]
+    counts = {
+        "scenes": len(pairs),
+        "done": ranks.count(2),
+        "failed": ranks.count(0),
+        TO_DO: ranks.count(1),
+    }
+    return html.rendered(
+        "batch.html",
+        title=f"geraf2 batch {folder.out.name}",
+        facts=counts.items(),
+        heads=["", "scene", "state", *(title for _, title, _ in used), "warnings", "error"],
+        jobs=[_job(paths, result, used) for paths, result in pairs],
     )
-    heads = ["", "scene", "state", *(title for _, title, _ in used), "warnings", "error"]
-    kinds = dict.fromkeys(("scene", "state", "error"), ' class="text"')
-    head = "".join(f'<th scope="col"{kinds.get(h, "")}>{escape(h)}</th>' for h in heads)
-    rows = "".join(_row(paths, result, used) for paths, result in pairs)
-    table = (
-        f'<div class="scroll"><table id="jobs"><thead><tr>{head}</tr></thead>'
-        f"<tbody>{rows}</tbody></table></div>"
-    )
-    return html.page(f"geraf2 batch {folder.out.name}", [_STYLE, facts, table, _SORT])
 
 
-def _row(paths: JobPaths, result: JobResult | None, used: list[tuple[str, str, int]]) -> str:
-    run = paths.run.relative_to(paths.out)
-    picture = ""
-    if is_file(paths.picture):
-        source = quote(str(paths.picture.relative_to(paths.out)))
-        picture = f'<img loading="lazy" alt="{escape(paths.scene)}" src="{source}">'
-    name = escape(paths.scene)
-    if result is not None:
-        page = run / REPORT_NAME if is_file(paths.run / REPORT_NAME) else run
-        name = f'<a href="{quote(str(page))}">{name}</a>'
-    warnings = result.warnings if result else ()
-    cells = [
-        f"<td>{picture}</td>",
-        f'<td class="text name" data-key="{escape(paths.scene)}">{name}</td>',
-        f'<td class="text">{escape(result.state if result else TO_DO)}</td>',
-        *(f"<td>{_number(result, name, digits)}</td>" for name, _, digits in used),
-        f'<td title="{escape(chr(10).join(warnings))}">{len(warnings) or ""}</td>',
-        f'<td class="text error" title="{escape(chr(10).join(result.log_tail if result else ()))}">'
-        f"{escape(result.error if result else '')}</td>",
-    ]
-    kind = ' class="failed"' if _rank(result) == 0 else ""
-    return f"<tr{kind}>{''.join(cells)}</tr>\n"
+def _job(
+    paths: JobPaths, result: JobResult | None, used: list[tuple[str, str, int]]
+) -> dict[str, Any]:
+    page = paths.run / REPORT_NAME
+    return {
+        "scene": paths.scene,
+        "result": result,
+        "failed": _rank(result) == 0,
+        "page": str((page if is_file(page) else paths.run).relative_to(paths.out)),
+        "picture": str(paths.picture.relative_to(paths.out)) if is_file(paths.picture) else "",
+        "numbers": [_number(result, name, digits) for name, _, digits in used],
+    }

@@ -1,10 +1,7 @@
 """Pages of a benchmark: tables as Markdown and CSV, and one HTML page with pictures."""
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +11,7 @@ from geraf2.apps.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.benchmark.suite import Case, Experiment, Suite
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.text import csv_text
 from geraf2.report import html
 
 MARKDOWN_NAME, PAGE_NAME = "benchmark.md", "benchmark.html"
@@ -76,38 +74,43 @@ def write_pages(
     out: folder of the benchmark. suite: its experiments. results: rows with their values.
     num_threads: of the ray tracer; all when None.
     """
+    of = {
+        name: [pair for pair in results if pair[0].experiment == name] for name in suite.experiments
+    }
     tables = [
-        make_table(
-            name, experiment, suite, [pair for pair in results if pair[0].experiment == name]
-        )
+        make_table(name, experiment, suite, of[name])
         for name, experiment in suite.experiments.items()
-        if any(row.experiment == name for row, _ in results)
+        if of[name]
     ]
     for table in tables:
         write_text_atomic(
-            out / TABLES_FOLDER / f"{table.name}.csv", _as_csv(table.head, table.rows)
+            out / TABLES_FOLDER / f"{table.name}.csv", csv_text(table.head, table.rows)
         )
         if table.rungs:
             rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
-            write_text_atomic(rungs, _as_csv(table.rungs[0], table.rungs[1:]))
+            write_text_atomic(rungs, csv_text(table.rungs[0], table.rungs[1:]))
     losses = lost_rows(suite, results)
     against = against_default(suite, results)
-    write_text_atomic(out / MARKDOWN_NAME, _as_markdown(tables, losses, against, suite))
-    failed = sum(result.error is not None for _, result in results)
-    facts = html.facts([("rows", str(len(results))), ("failed", str(failed))])
-    body = [f'<p class="note">{_NOTE}</p>', facts]
-    body.append(html.contents([(table.name, table.experiment.title) for table in tables]))
-    if against:
-        body += [
-            f"<h2>{_AGAINST}</h2>",
-            html.grouped_table(_AGAINST_HEAD, against, n_names=1, n_group=0),
-        ]
-    for table in tables:
-        own = [pair for pair in results if pair[0].experiment == table.name]
-        body += _section(out, table, own, suite, num_threads)
-    body += ["<h2>Where fast loses</h2>", html.preformatted("\n".join(losses) or "nowhere")]
+    words = {
+        "note": _NOTE,
+        "losses": losses,
+        "against_title": _AGAINST,
+        "against": [_AGAINST_HEAD, *against],
+    }
+    text = html.rendered("benchmark.md", tables=tables, is_quick=suite.is_quick, **words)
+    write_text_atomic(out / MARKDOWN_NAME, text)
+    sections = [
+        (table, _pictures(out, table, of[table.name], suite, num_threads)) for table in tables
+    ]
     page = out / PAGE_NAME
-    write_text_atomic(page, html.page("geraf2 benchmark", body))
+    text = html.rendered(
+        "benchmark.html",
+        title="geraf2 benchmark",
+        facts=[("rows", len(results)), ("failed", sum(r.error is not None for _, r in results))],
+        sections=sections,
+        **words,
+    )
+    write_text_atomic(page, text)
     return page
 
 
@@ -256,57 +259,10 @@ def _number(value: float | str | None, digits: int, factor: float) -> str:
     return "" if value is None else f"{factor * value:.{digits}f}"
 
 
-def _as_csv(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def _as_markdown(
-    tables: Sequence[Table],
-    losses: Sequence[str],
-    against: Sequence[tuple[str, ...]],
-    suite: Suite,
-) -> str:
-    form = " (short form: fewer planes and antennas, fewer rows)" if suite.is_quick else ""
-    parts = [f"# geraf2 benchmark{form}", "", _NOTE]
-    for table in tables:
-        parts += ["", f"## {table.experiment.title}", ""]
-        if table.experiment.note:
-            parts += [table.experiment.note, ""]
-        if table.rungs:
-            parts += [*_markdown_table(table.rungs[0], table.rungs[1:]), ""]
-        parts += _markdown_table(table.head, table.rows)
-        parts += [f"- failed: {line}" for line in table.failures]
-    if against:
-        parts += ["", f"## {_AGAINST}", "", *_markdown_table(_AGAINST_HEAD, against)]
-    parts += ["", "## Where fast loses", "", *(f"- {line}" for line in losses)]
-    if not losses:
-        parts.append("Nowhere.")
-    return "\n".join(parts) + "\n"
-
-
-def _markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    return lines + ["| " + " | ".join(row) + " |" for row in rows]
-
-
-def _section(
+def _pictures(
     out: Path, table: Table, results: Results, suite: Suite, num_threads: int | None
 ) -> list[str]:
-    experiment, figures = table.experiment, out / FIGURES_FOLDER
-    parts = [f'<h2 id="{escape(table.name)}">{escape(experiment.title)}</h2>']
-    if experiment.note:
-        parts.append(f'<p class="note">{escape(experiment.note)}</p>')
-    parts += [html.warning(line) for line in table.failures]
-    if table.rungs:
-        parts.append(html.grouped_table(table.rungs[0], table.rungs[1:], n_names=1, n_group=0))
-    n_names, best = table.n_names, table.best
-    parts.append(
-        html.grouped_table(table.head, table.rows, n_names=n_names, n_group=n_names - 1, best=best)
-    )
+    parts, figures = list[str](), out / FIGURES_FOLDER
     gallery = figures / f"{table.name}.png"
     if draw_gallery(gallery, out, results, num_threads=num_threads):
         parts.append(html.picture(gallery, "The truth and the surface of each row, from one side."))
@@ -318,7 +274,7 @@ def _section(
         parts.append(html.picture(slices, caption))
     sweep = figures / f"{table.name}_sweep.png"
     titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
-    if draw_sweep(sweep, experiment, results, titles):
+    if draw_sweep(sweep, table.experiment, results, titles):
         parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed).", max_width_px=720))
     parts += _views(out, results)
     return parts

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.benchmark.suite import Experiment
 from geraf2.fields import SdfGrid
+from geraf2.geometry.transforms import triple
 from geraf2.io.container import TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME
@@ -43,7 +44,7 @@ def draw_gallery(
         center = 0.5 * (low + high)
         view = View(
             azimuth_deg=35.0,
-            center_m=(float(center[0]), float(center[1]), float(center[2])),
+            center_m=triple(center),
             half_width_m=0.52 * float(np.linalg.norm(high - low)),
             n_pixels=_N_PIXELS,
         )

@@ -5,12 +5,11 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from geraf2 import __version__
 from geraf2.apps.benchmark.population_table import SeedResult, paired_table, preset_table
 from geraf2.apps.benchmark.rows import Row, RowResult
-from geraf2.apps.benchmark.runner import RESULT_VERSION, SCENE_VERSION, Runner
+from geraf2.apps.benchmark.runner import RESULT_VERSION, SCENE_VERSION, Runner, read_record
 from geraf2.apps.benchmark.suite import Case, Method
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -59,7 +58,7 @@ def is_reserved(seeds: range) -> bool:
 def scene_of(folder: Path, seed: int) -> SceneSpec:
     """Spec of a seed, drawn once; spec and record are kept in the folder of the scenes."""
     record_path, spec_path = folder / RECORD_NAME, folder / NAME / f"{seed}.toml"
-    known = _read(record_path)
+    known = read_record(record_path)
     drawn = known.get("seeds", {}) if known.get("version") == POPULATION_VERSION else {}
     if str(seed) in drawn and spec_path.is_file():
         return parse_spec(read_table(spec_path), where=spec_path)
@@ -209,11 +208,3 @@ def append_result(path: Path, result: SeedResult) -> None:
             if file.read(1) != b"\n":
                 line = "\n" + line
         file.write(line.encode())
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}

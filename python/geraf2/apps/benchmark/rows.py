@@ -109,7 +109,10 @@ class Choice:
     def takes(self, row: Row) -> bool:
         """Whether a row is selected."""
         parts = (row.scene, self.scenes), (row.case.label, self.cases), (row.method, self.methods)
-        return all(not patterns or _matches(name, patterns) for name, patterns in parts)
+        return all(
+            not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
+            for name, patterns in parts
+        )
 
 
 def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = None) -> list[Row]:
@@ -149,10 +152,6 @@ def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = No
     if not chosen:
         raise UserError(what="no row matches scene, case and method together" + in_form)
     return chosen
-
-
-def _matches(name: str, patterns: tuple[str, ...]) -> bool:
-    return any(fnmatchcase(name, pattern) for pattern in patterns)
 
 
 def _require_matches(

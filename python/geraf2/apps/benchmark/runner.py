@@ -1,9 +1,10 @@
 """Runs rows; scenes and results are stored by a hash of their inputs."""
 
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -16,6 +17,7 @@ from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import read_object
 from geraf2.io.toml import write_toml
 from geraf2.pipeline.processes import Processes
 
@@ -49,7 +51,10 @@ class Runner:
     """Threads of each process; all when None."""
     cache: Path | None = None
     """Folder whose scenes/ are used and added to; `out` when None."""
-    _processes: Processes = field(default_factory=Processes)
+
+    @cached_property
+    def _processes(self) -> Processes:
+        return Processes()
 
     def run_all(
         self,
@@ -104,7 +109,7 @@ class Runner:
 
     def known(self, row: Row) -> RowResult | None:
         """Return the stored result of a row; None without one."""
-        values = _read(self.place(row).run / RESULT_NAME)
+        values = read_record(self.place(row).run / RESULT_NAME)
         own = {
             entry.name: values[entry.name] for entry in fields(RowResult) if entry.name in values
         }
@@ -112,7 +117,7 @@ class Runner:
 
     def known_scene_seconds(self, row: Row) -> float | None:
         """Processor time of a row's scene [s]; None where unknown."""
-        seconds = _read(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
+        seconds = read_record(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
         return float(seconds) if isinstance(seconds, int | float) else None
 
     def place(self, row: Row) -> Place:
@@ -189,7 +194,7 @@ def run_on_workers(
     UserError before any work where no scheduler answers, or workers have another geraf2.
     """
     cache = None if runner.cache is None else runner.cache.resolve()
-    runner = replace(runner, out=runner.out.resolve(), cache=cache, _processes=Processes())
+    runner = replace(runner, out=runner.out.resolve(), cache=cache)
     alike: dict[Path, list[Row]] = {}  # tables share rows
     for row in rows:
         alike.setdefault(runner.place(row).run, []).append(row)
@@ -211,9 +216,9 @@ def run_on_workers(
             require_workers(client)
             for scenes in (true_scenes, others):  # others are copies of true scenes
                 missing = [row for scene, row in scenes.items() if not scene.is_dir()]
-                for _ in _answers(client, _simulate, runner, missing):
+                for _ in _answers(client, Runner.simulate, runner, missing):
                     pass  # a failed scene fails again with its row, which reports the reason
-            for row, answer in _answers(client, _run, runner, remaining):
+            for row, answer in _answers(client, Runner.run, runner, remaining):
                 is_lost = isinstance(answer, BaseException)
                 result = RowResult(error=" ".join(str(answer).split())) if is_lost else answer
                 report(runner.place(row).run, result)
@@ -223,33 +228,16 @@ def run_on_workers(
 def _answers(
     client: "Client", function: Callable[..., Any], runner: Runner, rows: Sequence[Row]
 ) -> Iterator[tuple[Row, Answer]]:
-    cache = None if runner.cache is None else str(runner.cache)
-    common = str(runner.out), runner.seed, runner.num_threads, cache
     named = {f"{number}-{row.name}": row for number, row in enumerate(rows)}
-    tasks = (Task(name=name, arguments=(*common, row)) for name, row in named.items())
+    tasks = (Task(name=name, arguments=(runner, row)) for name, row in named.items())
 
     answers = drive(client, function, tasks, if_lost, per_thread=1, tend=lambda: tend(client))
     for task, answer in answers:
         yield named[task.name], answer
 
 
-def _simulate(out: str, seed: int, num_threads: int | None, cache: str | None, row: Row) -> None:
-    _runner(out, seed, num_threads, cache).simulate(row)
-
-
-def _run(out: str, seed: int, num_threads: int | None, cache: str | None, row: Row) -> RowResult:
-    return _runner(out, seed, num_threads, cache).run(row)
-
-
-def _runner(out: str, seed: int, num_threads: int | None, cache: str | None) -> Runner:
-    folder = None if cache is None else Path(cache)
-    return Runner(out=Path(out), seed=seed, num_threads=num_threads, cache=folder)
-
-
-def _read(path: Path) -> dict[str, Any]:
+def read_record(path: Path) -> dict[str, Any]:
     """Contents of a record; empty where it is missing or broken."""
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return values if isinstance(values, dict) else {}
+    with suppress(UserError):
+        return read_object(path)
+    return {}

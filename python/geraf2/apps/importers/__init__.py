@@ -17,8 +17,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Protocol
+from typing import Annotated, Protocol
 
+from geraf2._bounds import Arg, ThreadCount
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.records import RawPose
@@ -40,19 +41,20 @@ class ImportOptions:
     """Options of the command line, beside radar.toml."""
 
     positions: Path | None = None
-    """Robot log (CSV or NPY) for captures without positions."""
+    """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     config: tuple[Path, ...] = ()
-    """Configuration files of the radar's own software."""
+    """Files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt, *.lua."""
     file_per_place: bool = False
-    """The source is a folder with one recording for each position."""
+    """The source holds one recording a position; a column 'file' of the positions names it, else
+    their numbers."""
     static: bool = False
-    """The radar stood still: all frames are averaged into one position."""
+    """The radar stood still: all frames are averaged."""
     keep_good: bool = False
-    """Omit broken parts, with a note, instead of refusing the capture."""
-    num_threads: int | None = None
-    """Threads that read and convert samples; all cores when None."""
-    phase_sign: int | None = None
-    """-1 or +1: the source has phases exp(-j...) or exp(+j...); overrides all evidence."""
+    """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
+    phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
+    """The phase runs as exp(-j...) or exp(+j...), whatever format and image indicate."""
+    num_threads: Annotated[ThreadCount | None, Arg(metavar="N", name="threads")] = None
+    """Threads to use; all when not given."""
 
 
 NO_OPTIONS = ImportOptions()

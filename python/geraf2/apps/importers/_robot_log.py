@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from geraf2._types import Array, Floats, Ints
+from geraf2._types import Floats, Ints
 from geraf2.apps.importers._rows import left_out, require_equal
 from geraf2.errors import UserError
-from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.arrays import read_npy
 from geraf2.io.scan_file import ScanFile, read_scan_file
+from geraf2.io.text import read_lines
 
 _UNITS = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_NAMES = ("time", "t", "timestamp", "stamp")
@@ -170,13 +171,7 @@ def _default_names(n_columns: int, path: Path) -> list[str]:
 
 
 def _read_npy(path: Path) -> tuple[Floats, list[str], None]:
-    try:
-        array: Array = np.load(path, allow_pickle=False)
-    except (*BROKEN_ARRAY, MemoryError) as error:
-        reason = " ".join(str(error).split())
-        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
-    if not isinstance(array, np.ndarray):  # an archive of arrays
-        raise UserError(what="is no single array", where=path, expected="an .npy file")
+    array = read_npy(path)
     if array.dtype.names:
         names = list(array.dtype.names)
         array = np.stack([array[name] for name in names], axis=-1)
@@ -190,11 +185,9 @@ def _read_npy(path: Path) -> tuple[Floats, list[str], None]:
 
 
 def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None]:
-    try:
-        lines = path.read_bytes().decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    lines = [
+        line for line in read_lines(path) if line.strip() and not line.lstrip().startswith("#")
+    ]
     if not lines:
         raise UserError(what="has no rows", where=path)
     delimiter = next((mark for mark in ",;\t" if mark in lines[0]), None)

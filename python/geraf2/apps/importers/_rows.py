@@ -1,6 +1,5 @@
 """Arrays whose rows are antennas, read in blocks of rows."""
 
-import json
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -40,17 +39,6 @@ def left_out(text: str, keep_good: bool, where: object, **details: Any) -> str:
     if not keep_good:
         raise UserError(what=text, where=where, **details)
     return text
-
-
-def read_json_object(path: Path) -> dict[str, Any]:
-    """Object of a JSON file; UserError for anything else."""
-    try:
-        values = json.loads(path.read_bytes().decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise UserError(what=f"is not valid JSON: {error}", where=path) from None
-    if not isinstance(values, dict):
-        raise UserError(what="is no JSON object", where=path, got=type(values).__name__)
-    return values
 
 
 def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:

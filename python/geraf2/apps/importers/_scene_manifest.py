@@ -1,6 +1,6 @@
 """scene.toml of an import, from the parameters of the user and of the source."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,14 @@ from geraf2.io.manifest import (
 )
 from geraf2.io.toml import from_table
 
+# Other sources of missing values, by format.
+_OTHER_SOURCES = {
+    "dca1000": ", or --config",
+    "geraf-sens": ", or start_frequency_hz, chirp_slope_hz_per_s and adc_sample_rate_hz in "
+    "capture.json",
+}
 # One frequency has no chirp and no range; these values allow ranges up to 150 m.
-OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
+_OF_ONE_FREQUENCY = {"chirp_slope_hz_per_s": 1e12, "sample_rate_hz": 1e6}
 _KEYS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz")
 
 
@@ -28,6 +34,7 @@ def scene_manifest(
     known: Mapping[str, float | int | None],
     *,
     provenance: Mapping[str, str] | None = None,
+    walls: Sequence[Mapping[str, Any]] = (),
 ) -> tuple[SceneManifest, list[str]]:
     """Manifest of a scene, and notes on assumed values.
 
@@ -37,21 +44,28 @@ def scene_manifest(
     known: waveform values of the source, with n_samples; start_frequency_hz is that of the first
         sample.
     provenance: further entries of the table of this name.
+    walls: of the source, where the user gives none.
     """
     waveform = _waveform(radar, known)
     missing = [key for key in _KEYS if waveform.get(key) is None]
     if missing:
         raise UserError(
-            what=f"{', '.join(missing)} not known",
+            what=f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} not known",
             where=source,
-            hint="give --radar radar.toml" + (", or --config" if importer == "dca1000" else ""),
+            hint="give --radar radar.toml" + _OTHER_SOURCES.get(importer, ""),
         )
-    delay, notes = delay_notes(waveform)
-    _require_n_samples(radar, known["n_samples"], source)
+    delay, notes = _delay_notes(waveform)
+    if radar.n_samples is not None and radar.n_samples != known["n_samples"]:
+        raise UserError(
+            what="number of ADC samples disagrees with the parameters",
+            where=source,
+            expected=f"n_samples = {radar.n_samples}",
+            got=known["n_samples"],
+        )
     manifest = from_table(
         {
             "waveform": waveform,
-            "walls": [asdict(wall) for wall in radar.walls or ()],
+            "walls": [asdict(wall) for wall in radar.walls or ()] or list(walls),
             "provenance": {
                 **delay,
                 "importer": importer,
@@ -65,7 +79,7 @@ def scene_manifest(
     return manifest, notes
 
 
-def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
+def _delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
     """Provenance of the instrument delay, and notes; an unknown delay is set to 0.
 
     waveform: values by name; path_bias_m is missing or None where it is not known.
@@ -82,22 +96,12 @@ def delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
     return {DELAY_KEY: DELAY_NOT_KNOWN}, [note]
 
 
-def _require_n_samples(radar: RadarManifest, found: float | None, source: Path) -> None:
-    if radar.n_samples is not None and radar.n_samples != found:
-        raise UserError(
-            what="number of ADC samples disagrees with the parameters",
-            where=source,
-            expected=f"n_samples = {radar.n_samples}",
-            got=found,
-        )
-
-
 def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> dict[str, Any]:
     """Values of the source, replaced by those of the user."""
     slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
     start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
     waveform: dict[str, Any] = {
-        **(OF_ONE_FREQUENCY if known.get("n_samples") == 1 else {}),
+        **(_OF_ONE_FREQUENCY if known.get("n_samples") == 1 else {}),
         **{key: value for key, value in known.items() if value is not None},
         **{
             key: value

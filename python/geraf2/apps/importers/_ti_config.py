@@ -25,6 +25,7 @@ from geraf2.apps.importers._ti_values import (
     to_number,
 )
 from geraf2.errors import UserError
+from geraf2.io.text import read_text
 
 # Values that a log rounds to the steps of the chip: 0.048 MHz/us of slope, 54 Hz, 10 ns.
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
@@ -72,12 +73,7 @@ def find_ti_configs(source: Path) -> list[Path]:
 
 
 def _read_one(path: Path) -> TiConfig:
-    if not path.is_file():
-        raise UserError(what="no such file", where=path)
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
+    text = read_text(path)
     if path.suffix.lower() == ".cfg":
         return _from_profile(text, path)
     if path.suffix.lower() in (".txt", ".lua"):

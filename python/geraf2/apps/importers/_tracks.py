@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -15,40 +14,39 @@ from geraf2.io.manifest import RasterManifest
 Range = tuple[int, int]
 
 
-class Track(Protocol):
-    """Positions of a recording; the frames of one position are averaged."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Positions of a recording, by default one at the origin; its text describes them."""
 
-    @property
-    def frames_per_place(self) -> int:
-        """Number of frames averaged at each position."""
-
-    @property
-    def ranges(self) -> tuple[Range, ...]:
-        """Usable positions, as (first, stop)."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Warnings for the user."""
+    frames_per_place: int = 1
+    """Number of frames averaged at each position."""
+    ranges: tuple[Range, ...] = ((0, 1),)
+    """Usable positions, as (first, stop)."""
+    notes: tuple[str, ...] = ()
+    """Warnings for the user."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """Positions (n, 3) [m] and rotations (n, 3, 3), end effector to capture frame."""
+        return np.zeros((stop - first, 3)), _identity(stop - first)
+
+    def each_tx(self, first: int, stop: int) -> Floats | None:
+        """Position at each transmitter's chirp, (n, n_tx, 3) [m]; None where all share one."""
+        del first, stop
+        return None
 
     def __str__(self) -> str:
-        """One line of text."""
+        return f"one position, {self.frames_per_place} frames averaged"
 
 
-@dataclass(frozen=True, kw_only=True)
-class RasterTrack:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RasterTrack(Track):
     """Rows and columns in the plane of the radar's horizontal and vertical axes."""
 
     raster: RasterManifest
     axes: Floats
-    frames_per_place: int
-    ranges: tuple[Range, ...]
-    notes: tuple[str, ...] = ()
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
-        """See Track.at."""
+        """Positions on the raster, none of them turned."""
         row, column = np.divmod(np.arange(first, stop), self.raster.n_columns)
         if self.raster.serpentine:
             column = np.where(row % 2, self.raster.n_columns - 1 - column, column)
@@ -67,45 +65,26 @@ class RasterTrack:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class StaticTrack:
-    """One position at the origin."""
-
-    frames_per_place: int
-    ranges: tuple[Range, ...] = ((0, 1),)
-    notes: tuple[str, ...] = ()
-
-    def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
-        """See Track.at."""
-        return np.zeros((stop - first, 3)), _identity(stop - first)
-
-    def __str__(self) -> str:
-        return f"one position, {self.frames_per_place} frames averaged"
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LogTrack:
+class LogTrack(Track):
     """Positions of a robot log, interpolated at the times of the frames."""
 
     log: RobotLog
     start_time_s: float = 0.0
     frame_period_s: float = 0.0
-    frames_per_place: int = 1
-    ranges: tuple[Range, ...] = ()
-    notes: tuple[str, ...] = ()
     plane_starts: tuple[int, ...] = (0,)
     """First position of each plane; the positions of one plane form a pose."""
     tx_delays_s: tuple[float, ...] = ()
     """Time of each transmitter's chirp after that of the frame [s]; empty: all at once."""
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
-        """See Track.at."""
+        """Positions and rotations of the rows, or between them at the times of the frames."""
         log = self.log
         if log.times_s is None:
-            chosen = slice(first, stop)
+            positions = log.positions[first:stop]
             if log.quaternions is None:
-                return log.positions[chosen], _identity(stop - first)
-            return log.positions[chosen], log.rotations[chosen].as_matrix()
+                return positions, _identity(len(positions))
+            return positions, log.rotations[first:stop].as_matrix()
         times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
         # Rounding may put the last frame after the last row.
         times = np.clip(times, log.times_s[0], log.times_s[-1])
@@ -115,10 +94,9 @@ class LogTrack:
         return positions, np.asarray(log.turns(times).as_matrix())
 
     def each_tx(self, first: int, stop: int) -> Floats | None:
-        """Position of the end effector at each transmitter's chirp, (n, n_tx, 3) [m].
+        """Position at each transmitter's chirp, (n, n_tx, 3) [m].
 
-        None where all transmitters share one position: simultaneous chirps, or no known chirp
-        times (no scan file, and no time between chirps).
+        None for simultaneous chirps and without chirp times (no scan file, no time between chirps).
         """
         scan, log_s = self.log.scan, self.log.times_s
         if log_s is None:
@@ -157,9 +135,6 @@ class LogTrack:
         )
 
 
-AnyTrack = RasterTrack | StaticTrack | LogTrack
-
-
 def raster_track(
     raster: RasterManifest, axes: Floats, n_frames: int, *, keep_good: bool, where: object
 ) -> RasterTrack:
@@ -182,7 +157,7 @@ def raster_track(
     )
 
 
-def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
+def without_places(track: Track, missing: Sequence[int]) -> Track:
     """Remove some positions from a track; UserError if none remains."""
     ranges = list(track.ranges)
     for place in missing:
@@ -197,7 +172,7 @@ def without_places(track: AnyTrack, missing: Sequence[int]) -> AnyTrack:
     return replace(track, ranges=tuple(ranges))
 
 
-def planes_of(track: AnyTrack) -> list[AnyTrack]:
+def planes_of(track: Track) -> list[Track]:
     """Tracks of the poses of a recording: one for each plane of a scan file, else a single one."""
     if not isinstance(track, LogTrack) or len(track.plane_starts) < 2:
         return [track]

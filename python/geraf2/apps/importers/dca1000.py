@@ -20,15 +20,7 @@ from geraf2.apps.importers._recording import Recording, is_kept, open_recording,
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers._tracks import (
-    LogTrack,
-    RasterTrack,
-    StaticTrack,
-    Track,
-    planes_of,
-    raster_track,
-    without_places,
-)
+from geraf2.apps.importers._tracks import Track, planes_of, raster_track, without_places
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest
@@ -105,7 +97,7 @@ def _track(
     options: ImportOptions,
     board: Board,
     log: RobotLog | None,
-) -> RasterTrack | StaticTrack | LogTrack:
+) -> Track:
     sources = [log is not None, radar.raster is not None, options.static]
     if sum(sources) != 1:
         raise UserError(
@@ -121,7 +113,7 @@ def _track(
     if options.static:
         if n_places is not None:
             raise UserError(what="--static has one position, --file-per-place has many")
-        return StaticTrack(frames_per_place=n_frames)
+        return Track(frames_per_place=n_frames)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
         on_raster = radar.raster.n_rows * radar.raster.n_columns
@@ -163,7 +155,7 @@ def _part(
     """Pose of consecutive positions, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     stop = place + len(signal)
     positions, rotations = track.at(place, stop)
-    moved = track.each_tx(place, stop) if isinstance(track, LogTrack) else None
+    moved = track.each_tx(place, stop)
     tx, rx = board.antennas(positions if moved is None else moved, rotations)
     return RawPose(
         signal=signal.reshape(-1, *signal.shape[3:]),

@@ -13,7 +13,7 @@ and no antenna position is repeated, and separate poses otherwise.
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -21,20 +21,19 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import read_json_object, wrong_shape
-from geraf2.apps.importers._scene_manifest import OF_ONE_FREQUENCY, delay_notes
+from geraf2.apps.importers._rows import wrong_shape
+from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
-from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.arrays import read_npy
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest, SceneManifest
-from geraf2.io.toml import from_table, nearest
+from geraf2.io.text import read_object
+from geraf2.io.toml import nearest
 from geraf2.records import RawPose
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
 
 _FRAME_NAME = re.compile(r"(?P<index>\d+)_(?P<angle>[+-]?\d+(?:\.\d+)?)_(?P<sub>\d+)")
-
-_NPY_MAGIC = b"\x93NUMPY"
 
 # capture.json key -> radar.toml key
 _CAPTURE_KEYS = {
@@ -46,7 +45,6 @@ _CAPTURE_KEYS = {
 }
 _WALL_KEYS = ("box_size_m", "wall_thickness_m", "wall_permittivity")
 _KNOWN_KEYS = (*_CAPTURE_KEYS, *_WALL_KEYS, "n_poses")
-_REQUIRED = ("start_frequency_hz", "chirp_slope_hz_per_s", "adc_sample_rate_hz")
 
 # Rotations in float32, typed in with four digits, are orthonormal to about 1e-4.
 _ORTHONORMAL_TOLERANCE = 1e-3
@@ -133,17 +131,7 @@ def _load(path: Path, *, header_only: bool = False) -> Array:
     """One array, loaded without pickle; `header_only` maps it instead of reading it."""
     if not path.is_file():
         raise UserError(what="file of the frame is missing", where=path)
-    with path.open("rb") as handle:
-        if handle.read(len(_NPY_MAGIC)) != _NPY_MAGIC:
-            raise UserError(what="cannot be read as a NumPy array: it is no .npy file", where=path)
-    try:
-        array: Array = np.load(path, mmap_mode="r" if header_only else None, allow_pickle=False)
-    except (*BROKEN_ARRAY, MemoryError) as error:
-        if isinstance(error, OSError) and error.errno is not None:
-            raise
-        reason = " ".join(str(error).split()) or "the file is cut short"
-        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
-    return array
+    return read_npy(path, header_only=header_only)
 
 
 def _check_headers(folder: Path) -> _Frame:
@@ -288,7 +276,7 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
     for path in candidates:
         if not path.is_file():
             continue
-        values = read_json_object(path)
+        values = read_object(path)
         _require_known(values, path)
         return values
     return {}
@@ -304,28 +292,14 @@ def _require_known(values: Mapping[str, Any], path: Path) -> None:
 def _manifest(
     source: Path, capture: Mapping[str, Any], radar: RadarManifest, n_samples: int
 ) -> tuple[SceneManifest, list[str]]:
-    notes = []
     where = source / "capture.json" if capture else source
-    waveform: dict[str, Any] = {}
-    for theirs, ours in _CAPTURE_KEYS.items():
-        is_start = ours == "start_frequency_hz"
-        value = radar.first_sample_hz() if is_start else getattr(radar, ours)
-        if value is None:
-            value = capture.get(theirs)
-        if value is None and n_samples == 1:
-            value = OF_ONE_FREQUENCY.get(ours)
-        if value is None and theirs in _REQUIRED:
-            raise UserError(
-                what=f"parameter {ours} is not known",
-                where=where,
-                hint=f"add {theirs!r} to capture.json, or pass --radar radar.toml with {ours}",
-            )
-        if value is not None:
-            # JSON has one kind of number; 77e9 may well be written as an integer.
-            whole = isinstance(value, int) and not isinstance(value, bool)
-            is_frequency = whole and ours != "n_samples"
-            waveform[ours] = _number(theirs, value, where) if is_frequency else value
-    claimed = waveform.setdefault("n_samples", n_samples)
+    known = {
+        ours: _number(theirs, capture[theirs], where)
+        for theirs, ours in _CAPTURE_KEYS.items()
+        if capture.get(theirs) is not None
+    }
+    stated = (radar.n_samples, capture.get("n_adc_samples"), n_samples)
+    claimed = next(number for number in stated if number is not None)
     if claimed != n_samples:
         raise UserError(
             what="number of ADC samples disagrees with the parameters",
@@ -333,19 +307,13 @@ def _manifest(
             expected=f"n_samples = {claimed}",
             got=f"{n_samples} in adcr.npy",
         )
-    delay, more_notes = delay_notes(waveform)
-    notes += more_notes
-    walls = [asdict(wall) for wall in radar.walls] if radar.walls else _walls(capture, where)
-    manifest = from_table(
-        {
-            "waveform": waveform,
-            "walls": walls,
-            "provenance": {**delay, "importer": "geraf-sens", "source": source.resolve().name},
-        },
-        SceneManifest,
-        where,
+    return scene_manifest(
+        "geraf-sens",
+        source,
+        radar,
+        {**known, "n_samples": n_samples},
+        walls=_walls(capture, where),
     )
-    return manifest, notes
 
 
 def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:

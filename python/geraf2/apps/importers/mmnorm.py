@@ -33,7 +33,6 @@ from geraf2.apps.importers._rows import (
     blocks,
     good_rows,
     left_out,
-    read_json_object,
     require_equal,
     wrong_shape,
 )
@@ -43,6 +42,7 @@ from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_samples
+from geraf2.io.text import read_object
 from geraf2.records import RawPose
 
 START_HZ, BANDWIDTH_HZ = 77.5001e9, 3.0009e9
@@ -274,7 +274,7 @@ def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
     for parent in (folder, *folder.parents):
         path = parent / "experiment_info.json"
         if path.is_file():
-            return read_json_object(path)
+            return read_object(path)
         if parent == outermost:
             break
     return {}

@@ -27,11 +27,10 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._rows import left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
-from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.arrays import BROKEN_ARRAY, NPY_MAGIC
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose
 
-_MAGIC = b"\x93NUMPY"
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
 # Frequencies of a stepped scan are samples of a very slow chirp; its sample rate is arbitrary.
 _NOMINAL_RATE_HZ = 1e6
@@ -168,8 +167,8 @@ def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
 
 def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
     try:
-        magic = handle.read(len(_MAGIC))
-        if magic not in (_MAGIC, b""):  # numpy.load would open an archive, or mention pickles
+        magic = handle.read(len(NPY_MAGIC))
+        if magic not in (NPY_MAGIC, b""):  # numpy.load would open an archive, or mention pickles
             msg = "it does not begin as one of numpy.save"
             raise ValueError(msg)
         handle.seek(-len(magic), SEEK_CUR)

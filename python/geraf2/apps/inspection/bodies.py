@@ -7,6 +7,7 @@ import numpy as np
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import connected_labels
+from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import (
     closed_edges,
     directed_edges,
@@ -164,9 +165,9 @@ def measure(body: Body) -> BodyReport:
     order = np.argsort(-lengths, kind="stable")
     axes = axes[order]
     return BodyReport(
-        center_m=_triple(center),
-        center_sigma_m=_triple(_spread(body, arms[:, axis], areas) for axis in range(3)),
-        axes=tuple(_triple(axis) for axis in axes),
+        center_m=triple(center),
+        center_sigma_m=triple(_spread(body, arms[:, axis], areas) for axis in range(3)),
+        axes=tuple(triple(axis) for axis in axes),
         dimensions_m=tuple(_length(body, axis) for axis in axes),  # type: ignore[arg-type]
         volume_m3=Measured(value=volume, sigma=_spread(body, np.ones(len(areas)), areas)),
         area_m2=Measured(
@@ -212,8 +213,3 @@ def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:
         np.add.at(gain, mesh.faces[:, corner], 0.5 * np.cross(normals, edge))
     outward = np.einsum("nk,nk->n", gain, vertex_normals(mesh.vertices, mesh.faces))
     return np.asarray(outward / np.maximum(areas, 1e-12))
-
-
-def _triple(values: object) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)  # type: ignore[attr-defined]
-    return x, y, z

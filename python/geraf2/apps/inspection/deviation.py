@@ -12,7 +12,7 @@ from geraf2.apps.inspection.expected_echoes import Patches
 from geraf2.apps.inspection.registration import Placement
 from geraf2.echoes.glint_set import Glints
 from geraf2.freespace.specular import specular_visibility
-from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.transforms import apply_rigid, triple
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
 from geraf2.io.planes import ScannedPlanes
@@ -97,7 +97,7 @@ def deviation_of(
     confirm.
     num_threads: all when None.
     """
-    placed = TriangleMesh(vertices=apply_rigid(placement.pose, model.vertices), faces=model.faces)
+    placed = model.moved(placement.pose)
     scene = MeshScene(placed.vertices, placed.faces, num_threads=num_threads)
     values = scene.signed_distance(body.mesh.vertices)
     sigma = np.hypot(body.sigma_m, pose_sigma(placement, body.mesh.vertices))
@@ -290,11 +290,10 @@ def _silent(
         gap_m = float(share @ gap[nearest[own]])
         if gap_m <= tolerance_m:
             continue
-        x, y, z = share @ points[own]
         found.append(
             Region(
                 what="absent",
-                center_m=(float(x), float(y), float(z)),
+                center_m=triple(share @ points[own]),
                 area_m2=area,
                 deviation_m=-gap_m,
                 sigma_m=float(share @ sigma[nearest[own]]),
@@ -333,10 +332,9 @@ def _region(
     mesh: TriangleMesh, faces: Ints, areas: Floats, values: Floats, sigma: Floats, what: str
 ) -> Region:
     share = areas / areas.sum()
-    x, y, z = share @ mesh.vertices[faces].mean(axis=1)
     return Region(
         what=what,
-        center_m=(float(x), float(y), float(z)),
+        center_m=triple(share @ mesh.vertices[faces].mean(axis=1)),
         area_m2=float(areas.sum()),
         deviation_m=float(share @ values[faces].mean(axis=1)),
         sigma_m=float(share @ sigma[faces].mean(axis=1)),

@@ -229,9 +229,7 @@ class ExpectedEchoes:
         self, models: Sequence[TriangleMesh], pieces: Sequence[Facets], poses: Sequence[Floats]
     ) -> list[WindowView]:
         """Visible pieces of models at these poses, (4, 4) each, from each window."""
-        meshes = [apply_rigid(p, m.vertices) for p, m in zip(poses, models, strict=True)]
-        starts = np.cumsum([0, *(len(mesh) for mesh in meshes)])
-        faces = np.concatenate([m.faces + s for m, s in zip(models, starts[:-1], strict=True)])
+        all_of = TriangleMesh.joined([m.moved(p) for p, m in zip(poses, models, strict=True)])
         both = list(zip(poses, pieces, strict=True))
         content = Facets(
             points=np.concatenate([apply_rigid(t, p.points) for t, p in both]),
@@ -241,7 +239,7 @@ class ExpectedEchoes:
         model = np.repeat(np.arange(len(pieces)), [len(p.points) for p in pieces])
         middles = np.stack([apply_rigid(t, _middle(p)[None])[0] for t, p in both])
         reaches = np.array([_reach(p) for p in pieces])
-        blocker = MeshScene(np.concatenate(meshes), faces, num_threads=1)
+        blocker = MeshScene(all_of.vertices, all_of.faces, num_threads=1)
         renderer = renderer_in_box(content, blocker, self._prior, self._waveform, num_threads=1)
 
         def view_from(window: Any) -> WindowView:

@@ -1,14 +1,10 @@
 """`inspection.html`: verdict, parts in 3D with their deviation, and tables."""
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from geraf2._types import Floats, Ints
-from geraf2.apps.inspection.bodies import Body, BodyReport, Measured, part_of
-from geraf2.apps.inspection.deviation import Region
-from geraf2.apps.inspection.result import PASS, Inspection, ModelReport, rotation_vector_deg
-from geraf2.geometry.transforms import apply_rigid
+from geraf2._types import Floats
+from geraf2.apps.inspection.bodies import Body, part_of
+from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import html
 from geraf2.report.canvas import TRUTH_COLOUR
@@ -32,7 +28,7 @@ def inspection_page(
     box: mesh of the box.
     """
     placed = [
-        (apply_rigid(r.match.placement.pose, r.model.mesh.vertices), r.model.mesh.faces)
+        r.model.mesh.moved(r.match.placement.pose)
         for r in inspection.models
         if r.match.placement is not None and r.match.status != "wrong part"
     ]
@@ -42,7 +38,7 @@ def inspection_page(
     if known.any() and not known.all():
         others.append(("only filled", _FILLED_COLOUR, 1.0, part_of(whole, faces[~known]).mesh))
     if placed:
-        others.append(("CAD models", TRUTH_COLOUR, _MODEL_OPACITY, _joined(placed)))
+        others.append(("CAD models", TRUTH_COLOUR, _MODEL_OPACITY, TriangleMesh.joined(placed)))
     shown = part_of(whole, faces[known]) if known.any() else whole
     used = np.unique(faces[known]) if known.any() else np.arange(len(whole.seen))
     values = None if values_m is None else values_m[used]
@@ -51,17 +47,11 @@ def inspection_page(
     return html.rendered(
         "inspection.html",
         title=title,
-        passed=inspection.verdict == PASS,
-        lead=_lead(inspection),
-        failures=inspection.failures,
-        notes=inspection.notes,
-        tiles=_tiles(inspection),
-        view=html.safe(scene_json(scene)),
-        view_id="viewer",
+        found=inspection,
+        view=scene_json(scene),
         fallback=_FALLBACK,
-        scripts=html.scripts(),
-        tables=[html.safe(text) for text in _tables(inspection)],
-        scene=inspection.scene[0],
+        turn=rotation_vector_deg,
+        degrees=np.rad2deg,
     )
 
 
@@ -90,115 +80,3 @@ def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list
         colour_map="cividis",
     )
     return [*found, error]
-
-
-def _joined(meshes: Sequence[tuple[Floats, Ints]]) -> TriangleMesh:
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in meshes)])
-    return TriangleMesh(
-        vertices=np.concatenate([vertices for vertices, _ in meshes]),
-        faces=np.concatenate([f + at for (_, f), at in zip(meshes, starts[:-1], strict=True)]),
-    )
-
-
-def _lead(inspection: Inspection) -> str:
-    n = len(inspection.parts)
-    parts = "One part" if n == 1 else f"{n} parts"
-    if not inspection.models and not inspection.failures:
-        return f"{parts} found."
-    state = "Pass" if inspection.verdict == PASS else "Fail"
-    present = sum(report.match.status == "present" for report in inspection.models)
-    of = f", {present} of {len(inspection.models)} models present" if inspection.models else ""
-    return f"{state}: {parts.lower()}{of}."
-
-
-def _tiles(inspection: Inspection) -> list[tuple[str, str]]:
-    tiles = [("parts", str(len(inspection.parts)))]
-    if inspection.models:
-        tiles.append(("tolerance", f"{1e3 * inspection.tolerance_m:g} mm"))
-    deviations = [r.deviation for r in inspection.models if r.deviation is not None]
-    if deviations:
-        tiles.append(
-            ("seen of the models", f"{100 * min(d.seen_fraction for d in deviations):.0f} %")
-        )
-        tiles.append(("rms deviation", f"{1e3 * max(d.rms_m for d in deviations):.2f} mm"))
-    return tiles
-
-
-def _tables(inspection: Inspection) -> list[str]:
-    made = [_part_table(inspection.parts)]
-    if inspection.models:
-        made.append(_model_table(inspection.models))
-    for report in inspection.models:
-        if report.deviation is not None and report.deviation.regions:
-            caption = f"Where {report.model.name} is out of tolerance"
-            made.append(_region_table(caption, report.deviation.regions))
-    if inspection.comparison is not None and inspection.comparison.regions:
-        made.append(_region_table("What changed", inspection.comparison.regions))
-    return made
-
-
-def _part_table(parts: Sequence[BodyReport]) -> str:
-    head = ("part", "middle x, y, z [mm]", "lengths along its own axes [mm]", "volume [cm³]")
-    rows = [
-        (
-            str(number),
-            ", ".join(
-                _number(1e3 * value, 1e3 * sigma)
-                for value, sigma in zip(part.center_m, part.center_sigma_m, strict=True)
-            ),
-            " x ".join(_pm(length, 1e3) for length in part.dimensions_m),
-            _pm(part.volume_m3, 1e6),
-            _pm(part.area_m2, 1e4),
-            f"{100 * part.seen_fraction:.0f}",
-        )
-        for number, part in enumerate(parts, 1)
-    ]
-    return html.table("Parts; ± holds 95 %", (*head, "area [cm²]", "seen [%]"), rows)
-
-
-def _model_table(models: Sequence[ModelReport]) -> str:
-    rows = []
-    for report in models:
-        match, placement, deviation = report.match, report.match.placement, report.deviation
-        cells = [report.model.name, match.status, f"{match.score:.2f}", *["n/a"] * 5]
-        if placement is not None:
-            cells[3] = ", ".join(
-                _number(1e3 * v, 1e3 * s)
-                for v, s in zip(placement.middle_m, placement.position_sigma_m, strict=True)
-            )
-            cells[4] = ", ".join(
-                _number(v, np.rad2deg(s))
-                for v, s in zip(
-                    rotation_vector_deg(placement.pose), placement.rotation_sigma_rad, strict=True
-                )
-            )
-        if deviation is not None:
-            cells[5] = f"{1e3 * deviation.rms_m:.2f}"
-            cells[6] = f"{100 * deviation.within_fraction:.0f}"
-            cells[7] = f"{100 * deviation.seen_fraction:.0f}"
-        rows.append(cells)
-    head = ("model", "status", "score", "middle x, y, z [mm]", "turn x, y, z [degrees]")
-    rest = ("rms deviation [mm]", "within tolerance [%]", "seen [%]")
-    return html.table("Models", (*head, *rest), rows)
-
-
-def _region_table(caption: str, regions: Sequence[Region]) -> str:
-    rows = [
-        (
-            r.what,
-            _number(1e3 * r.deviation_m, 1e3 * r.sigma_m, "+.1f"),
-            f"{1e6 * r.area_m2:.0f}",
-            ", ".join(f"{1e3 * v:.0f}" for v in r.center_m),
-        )
-        for r in regions
-    ]
-    return html.table(caption, ("what", "deviation [mm]", "area [mm²]", "at x, y, z [mm]"), rows)
-
-
-def _pm(measured: Measured, scale: float) -> str:
-    return _number(scale * measured.value, scale * measured.sigma)
-
-
-def _number(value: float, sigma: float, form: str = ".1f") -> str:
-    """Value with its 95 % interval, on one line."""
-    return f"{value:{form}}\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{1.96 * sigma:.1f}"

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats, Ints
 from geraf2.apps.inspection.bodies import PATCH_M, Body
 from geraf2.echoes.glint_set import Glints
-from geraf2.geometry.transforms import apply_rigid, rigid
+from geraf2.geometry.transforms import apply_rigid, rigid, triple
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.mesh import TriangleMesh
 
@@ -194,8 +194,7 @@ def _placement(
         # Information of measured normals on this motion is noise.
         keep = np.eye(6) - np.outer(motions[:, 0], motions[:, 0])
         matrix = keep @ matrix @ keep
-        x, y, z = motions[:3, 0] / max(float(np.linalg.norm(motions[:3, 0])), 1e-12)
-        free = (float(x), float(y), float(z))
+        free = triple(motions[:3, 0] / max(float(np.linalg.norm(motions[:3, 0])), 1e-12))
     values, vectors = np.linalg.eigh(matrix)
     # Undetermined motions have the size of the part as standard deviation.
     variances = np.minimum(1.0 / np.maximum(values, 1e-30), reach**2)

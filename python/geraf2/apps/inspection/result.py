@@ -1,7 +1,5 @@
 """Result of an inspection, as Python objects, JSON, CSV and sentences."""
 
-import csv
-import io
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -16,6 +14,7 @@ from geraf2.apps.inspection.deviation import Deviation, listed
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.text import csv_text
 
 PASS, FAIL = "pass", "fail"
 
@@ -79,16 +78,14 @@ class Inspection:
 
     def to_csv(self) -> str:
         """Rows of quantities of each part, then of each model: millimetres, degrees, fractions."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(("kind", "name", "status", "quantity", "value", "sigma", "unit"))
+        lines: list[tuple[Any, ...]] = []
         for number, part in enumerate(self.parts, 1):
-            writer.writerows(("part", number, "found", *row) for row in _part_rows(part))
+            lines += [("part", number, "found", *row) for row in _part_rows(part)]
         for report in self.models:
             name, status = report.model.name, report.match.status
-            writer.writerows(("model", name, status, *row) for row in _model_rows(report))
-        writer.writerow(("result", "", self.verdict, "failures", len(self.failures), "", ""))
-        return text.getvalue()
+            lines += [("model", name, status, *row) for row in _model_rows(report)]
+        lines.append(("result", "", self.verdict, "failures", len(self.failures), "", ""))
+        return csv_text(("kind", "name", "status", "quantity", "value", "sigma", "unit"), lines)
 
 
 def rotation_vector_deg(pose: Any) -> Any:

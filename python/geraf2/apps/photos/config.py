@@ -42,12 +42,6 @@ class AgreementRound:
         require_each(require_positive, self, "factor", "node_px", "reach_px", "step_px")
 
 
-def _small_background() -> BackgroundConfig:
-    return BackgroundConfig(
-        n_layers=3, width=64, skip=0, n_octaves=6, n_direction_octaves=2, n_samples=16
-    )
-
-
 @dataclass(frozen=True, kw_only=True)
 class GridPhotoConfig:
     """The default: a grid from coarse to fine, for CPUs."""
@@ -69,7 +63,11 @@ class GridPhotoConfig:
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
     """Size of the colour's part."""
-    background: BackgroundConfig = field(default_factory=_small_background)
+    background: BackgroundConfig = field(
+        default_factory=lambda: BackgroundConfig(
+            n_layers=3, width=64, skip=0, n_octaves=6, n_direction_octaves=2, n_samples=16
+        )
+    )
     """Network behind the region, for photos without masks."""
     sampling: PhotoSamplingConfig = field(
         default_factory=lambda: PhotoSamplingConfig(

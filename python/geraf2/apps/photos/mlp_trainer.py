@@ -43,9 +43,6 @@ class MlpTrainer(PhotoTrainer):
         for group, scale in zip(self.optimiser.param_groups, (1.0, _SHARPNESS_RATE), strict=True):
             group["lr"] = config.rate * factor * scale
 
-    def precondition(self) -> None:
-        """Leave the gradients as they are."""
-
     def losses(self, batch: RayBatch) -> dict[str, Tensor]:
         """Colour, silhouette, and the eikonal term at the samples within the ball."""
         config = self.config

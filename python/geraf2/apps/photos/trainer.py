@@ -47,8 +47,7 @@ class PhotoTrainer(ABC):
         """Work of the steps before this one, in any unit."""
         return float(step)
 
-    @abstractmethod
-    def precondition(self) -> None:
+    def precondition(self) -> None:  # noqa: B027 - some trainers change nothing
         """Change gradients and parameters before the optimiser does."""
 
     def step(self, n_rays: int) -> dict[str, float]:

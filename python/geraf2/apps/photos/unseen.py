@@ -53,10 +53,7 @@ def seen_nodes(
         away = np.linalg.norm(towards, axis=1)
         towards /= away[:, None]
         pixels = camera.project(starts)
-        with np.errstate(invalid="ignore"):
-            shown = np.logical_and(pixels >= 0.0, pixels < (camera.width, camera.height)).all(
-                axis=1
-            )
+        shown = camera.shown(pixels)
         facing = (normals * towards).sum(axis=1) > _LEAST_COSINE
         ask = np.nonzero(shown & facing & (n_seen < _LEAST_PHOTOS))[0]
         n_seen[ask] += _is_free(values, grid, starts[ask], towards[ask], away[ask])

@@ -10,6 +10,7 @@ from geraf2._types import Bools, Floats
 from geraf2._validation import require_positive
 from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet
 
@@ -52,14 +53,12 @@ class Region:
     @property
     def center_m(self) -> tuple[float, float, float]:
         """Middle [m]."""
-        x, y, z = (0.5 * (a + b) for a, b in zip(self.low_m, self.high_m, strict=True))
-        return x, y, z
+        return triple(0.5 * (a + b) for a, b in zip(self.low_m, self.high_m, strict=True))
 
     @property
     def sides_m(self) -> tuple[float, float, float]:
         """Lengths of the sides [m]."""
-        x, y, z = (b - a for a, b in zip(self.low_m, self.high_m, strict=True))
-        return x, y, z
+        return triple(b - a for a, b in zip(self.low_m, self.high_m, strict=True))
 
     @property
     def radius_m(self) -> float:
@@ -116,8 +115,7 @@ def _left_over(
     camera: Camera, distance: NDArray[np.float32], points: Floats
 ) -> NDArray[np.float32]:
     pixels = camera.project(points)
-    with np.errstate(invalid="ignore"):
-        shown = np.logical_and(pixels >= 0.0, pixels < (camera.width, camera.height)).all(axis=1)
+    shown = camera.shown(pixels)
     depth = (points[shown] - camera.position) @ camera.looking
     focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
     places = pixels[shown, ::-1].T - 0.5

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import Bounded, Few, Seconds
+from geraf2._bounds import Arg, Bounded, Few, Seconds
 from geraf2.apps.planning.arrays import find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
@@ -61,7 +61,7 @@ _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 class PlanOptions(Bounded):
     """What is known of the scan to be planned; either `box` or `depth`."""
 
-    box: PlanSides | None = None
+    box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
     depth: PlanM | None = None
     """Distance from a single plane to the object [m]."""
@@ -72,7 +72,7 @@ class PlanOptions(Bounded):
     """Or a known radar; awr1843 when neither is given."""
     standoff: PlanM | None = None
     """Planes to the turntable's axis [m]."""
-    aperture: tuple[PlanM, PlanM] | None = None
+    aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
     """Width and height of a plane [m]."""
     spacing: _StepM | None = None
     """Distance of neighbouring antennas [m]."""

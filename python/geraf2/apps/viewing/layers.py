@@ -10,13 +10,14 @@ from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
+from geraf2.geometry.transforms import triple
 from geraf2.io.arrays import read_npz
 from geraf2.io.container import is_scene
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.run_folder import TRUTH_COPY
 from geraf2.pipeline.commands.image import IMAGE_NAME
-from geraf2.report.run_report import read_run
+from geraf2.report.run_report import read_run, stored_truth
 from geraf2.scene import Grid
 from geraf2.scene.store import open_capture
 
@@ -119,10 +120,10 @@ class Source:
         """Return the source displaced by a vector (3,) [m]."""
         layers = [replace(layer, points=layer.points + by_m) for layer in self.layers]
         planes = [replace(plane, points=plane.points + by_m) for plane in self.planes]
-        volumes = []
-        for volume in self.volumes:
-            x, y, z = (float(v) for v in np.add(volume.grid.origin_m, by_m))
-            volumes.append(replace(volume, grid=replace(volume.grid, origin_m=(x, y, z))))
+        volumes = [
+            replace(v, grid=replace(v.grid, origin_m=triple(np.add(v.grid.origin_m, by_m))))
+            for v in self.volumes
+        ]
         return replace(self, layers=tuple(layers), planes=tuple(planes), volumes=tuple(volumes))
 
 
@@ -146,8 +147,7 @@ def _of_run(folder: Path) -> Source:
         layers.append(_mesh("box", run.box, colour=_BOX, opacity=0.2))
     truth = folder / TRUTH_COPY
     if truth.is_file() and "scores" in run.metrics:
-        stored = read_npz(truth, ("vertices", "faces"))
-        mesh = TriangleMesh(vertices=stored["vertices"], faces=stored["faces"])
+        mesh, _ = stored_truth(truth)
         layers.append(_mesh("truth", mesh, colour=_TRUTH, opacity=0.5, visible=False))
     if run.glints is not None and len(run.glints):
         layers += _glints(run.glints)
@@ -192,9 +192,9 @@ def _of_scene(folder: Path) -> Source:
 def _image(path: Path) -> Volume:
     """Matched-filter volume in decibels below its largest value."""
     stored = read_npz(path, ("volume", "origin_m", "spacing_m"))
-    x, y, z = (float(value) for value in stored["origin_m"])
     nx, ny, nz = stored["volume"].shape
-    grid = Grid(origin_m=(x, y, z), spacing_m=float(stored["spacing_m"]), shape=(nx, ny, nz))
+    origin_m = triple(stored["origin_m"])
+    grid = Grid(origin_m=origin_m, spacing_m=float(stored["spacing_m"]), shape=(nx, ny, nz))
     relative = np.abs(stored["volume"]) / max(float(np.abs(stored["volume"]).max()), 1e-30)
     decibels = 20.0 * np.log10(np.maximum(relative, 1e-6))
     limits = (-_RANGE_DB, 0.0)

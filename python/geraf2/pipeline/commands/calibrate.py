@@ -44,8 +44,10 @@ class CalibratedScene:
         delay += f" +- {sigma:.4f}" if sigma is not None else ""
         pairs = [("instrument delay", f"{delay} m on the two-way path ({table.delay_from})")]
         if (walls := found.walls) is not None:
-            rms = f"{1e3 * walls.rms_before_m:.2f} -> {1e3 * walls.rms_after_m:.2f} mm rms"
-            pairs.append(("walls", f"{walls.n_echoes} echoes, {rms} about the prior"))
+            before, after = walls.rms_m
+            rms = f"{1e3 * before:.2f} -> {1e3 * after:.2f} mm rms"
+            n_echoes = len(walls.offsets_after_m)
+            pairs.append(("walls", f"{n_echoes} echoes, {rms} about the prior"))
         judged = ((one.name, str(one).removeprefix(f"{one.name}: ")) for one in found.judgements)
         return [*pairs, *judged]
 
@@ -163,8 +165,8 @@ def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> d
     if found.curve is not None:
         values["path_bias_sigma_m"] = found.curve.sigma_m
     if walls is not None:
-        values["n_wall_echoes"] = walls.n_echoes
-        values |= {"wall_rms_before_m": walls.rms_before_m, "wall_rms_m": walls.rms_after_m}
+        values["n_wall_echoes"] = len(walls.offsets_after_m)
+        values["wall_rms_before_m"], values["wall_rms_m"] = walls.rms_m
         if found.curve is None and found.applied("delay"):
             values["path_bias_sigma_m"] = walls.delay_sigma_m
         if found.applied("frame"):

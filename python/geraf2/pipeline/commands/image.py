@@ -16,6 +16,7 @@ from geraf2._memory import memory_of_parts
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
+from geraf2.geometry.transforms import triple
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
 from geraf2.imaging.slabs import SLAB_GIB, Slabs
 from geraf2.imaging.volume import image_volume
@@ -76,17 +77,13 @@ class ImageOptions(Bounded):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImageResult:
-    """A volume that lies in a run folder."""
+class ImageRecord:
+    """What is known of an image that lies in a run folder."""
 
     path: Path
     """The folder."""
     files: tuple[str, ...]
     """Names of its files in the folder."""
-    volume: NDArray[np.float32]
-    """Sum over poses of the magnitude of their images, grid.shape."""
-    grid: Grid
-    """Voxels of the volume [m]."""
     method: str
     """Kernel of the first pose, and the reason; other poses are similar."""
     depths_m: NDArray[np.float64]
@@ -96,12 +93,21 @@ class ImageResult:
     searched_m: float | None = None
     """Where a search before a single plane found it sharpest [m]; the volume lies around it."""
 
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImageResult(ImageRecord):
+    """A volume in memory, which also lies in a run folder."""
+
+    volume: NDArray[np.float32]
+    """Sum over poses of the magnitude of their images, grid.shape."""
+    grid: Grid
+    """Voxels of the volume [m]."""
+
     @property
     def strongest_m(self) -> tuple[float, float, float]:
         """Position of the largest value [m]."""
         place = np.unravel_index(int(self.volume.argmax()), self.volume.shape)
-        x, y, z = (float(axis[i]) for axis, i in zip(self.grid.axes_m, place, strict=True))
-        return x, y, z
+        return triple(axis[i] for axis, i in zip(self.grid.axes_m, place, strict=True))
 
 
 def image_scene(

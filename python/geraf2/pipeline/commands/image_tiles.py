@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from geraf2._memory import require_memory
 from geraf2._types import Floats
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.imaging.slabs import Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import atomic_folder, write_bytes_atomic, write_text_atomic
@@ -42,6 +43,7 @@ from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_gro
 from geraf2.pipeline.commands.image import (
     ImageOptions,
     ImagePlan,
+    ImageRecord,
     draw_image,
     note_method,
     plan_image,
@@ -96,26 +98,14 @@ RunSlabs = Callable[[SlabJob, list[int]], Iterable[int]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TiledImage:
+class TiledImage(ImageRecord):
     """A volume that lies in chunks in a run folder."""
 
-    path: Path
-    """The folder."""
-    files: tuple[str, ...]
-    """Names of its files, besides the volume."""
     slabs: Slabs
     n_done: int
     """Slabs that were imaged now; the others were there."""
-    method: str
-    """Kernel of the first slab of the first pose, and the reason."""
     strongest_m: tuple[float, float, float]
     """Position of the largest value [m]."""
-    depths_m: Floats
-    """Distance of each slice from the antennas with depth_m, else empty [m]."""
-    sharpness: Floats
-    """Of each of these slices."""
-    searched_m: float | None
-    """Where a search before a single plane found it sharpest [m]."""
 
 
 def image_tiles(
@@ -310,8 +300,8 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
             np.maximum(seen, values.max(axis=along), out=seen)
         best = np.unravel_index(int(values.argmax()), values.shape)
         if values[best] > largest:
-            x, y, z = (float(along[i]) for along, i in zip(part.axes_m, best, strict=True))
-            largest, strongest = float(values[best]), (x, y, z)
+            largest = float(values[best])
+            strongest = triple(along[i] for along, i in zip(part.axes_m, best, strict=True))
         if axis is not None:
             slices = np.moveaxis(values, axis, 0).reshape(values.shape[axis], -1)
             power = slices.astype(np.float64) ** 2

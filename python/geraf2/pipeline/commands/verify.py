@@ -1,9 +1,7 @@
 """Check that a folder is unchanged since geraf2 wrote it."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_RECORD_NAME, is_scene, verify_scene
@@ -18,6 +16,7 @@ from geraf2.io.run_folder import (
     VIEWS_FOLDER,
     RunFolder,
 )
+from geraf2.io.text import read_object
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +45,7 @@ def verify(path: Path | str) -> Verified:
         notes = () if n_files else ("it was written without checksums: nothing to compare with",)
         return Verified(kind="scene", n_files=n_files, notes=notes)
     if (folder / LOS_RECORD_NAME).is_file():
-        files = _json(folder / LOS_RECORD_NAME).get("files")
+        files = read_object(folder / LOS_RECORD_NAME).get("files")
         if not isinstance(files, dict):
             raise UserError(what="cannot be read as the record of a prior", where=folder)
         require_digests(folder, files)
@@ -55,7 +54,8 @@ def verify(path: Path | str) -> Verified:
     require_digests(folder, run.digests)
     mesh = file_digest(folder / CONTENT_NAME)
     for name in (METRICS_NAME, f"{VIEWS_FOLDER}/{PSNR_NAME}"):
-        if _json(folder / name).get("mesh_digest", mesh) != mesh:
+        scores = read_object(folder / name) if (folder / name).is_file() else {}
+        if scores.get("mesh_digest", mesh) != mesh:
             raise UserError(what=f"is not of the {CONTENT_NAME} beside it", where=folder / name)
     return Verified(kind="run", n_files=len(run.digests), notes=tuple(_notes(run)))
 
@@ -72,16 +72,3 @@ def _notes(run: RunFolder) -> list[str]:
         more = f" and {len(others) - 4} more" if len(others) > 4 else ""
         notes.append(f"of no finished stage: {', '.join(others[:4])}{more}")
     return notes
-
-
-def _json(path: Path) -> dict[str, Any]:
-    """Object of a file; an empty one where there is none."""
-    if not path.is_file():
-        return {}
-    try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        values = None
-    if not isinstance(values, dict):
-        raise UserError(what="cannot be read", where=path, expected="a JSON object")
-    return values

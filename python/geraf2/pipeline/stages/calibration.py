@@ -29,6 +29,7 @@ def _find(job: Job, progress: Progress) -> _Found:
         progress=progress,
     )
     numbers: dict[str, Any] = {"applied": [], "left": []}
+    numbers["common_offset_sigma_mm"] = 1e3 * found.common_offset_sigma_m
     for judgement in found.judgements:
         numbers["applied" if judgement.applied else "left"].append(str(judgement))
         numbers |= {f"{judgement.name}_{key}": value for key, value in judgement.numbers.items()}

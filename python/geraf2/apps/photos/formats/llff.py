@@ -15,8 +15,8 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource, listed_images
 from geraf2.errors import UserError
-from geraf2.io.arrays import BROKEN_ARRAY
-from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.arrays import read_npy
+from geraf2.io.photo_files import PhotoRecord
 
 _NAME = "poses_bounds.npy"
 # Full size first; the others are smaller copies of the same names.
@@ -46,12 +46,7 @@ def read_llff(path: Path) -> PhotoSource:
 
 
 def _rows(path: Path) -> Floats:
-    try:
-        with path.open("rb") as handle:
-            rows = np.load(handle, allow_pickle=False)
-    except BROKEN_ARRAY as error:
-        reason = " ".join(str(error).split())
-        raise UserError(what=f"cannot be read as a NumPy array: {reason}", where=path) from None
+    rows = read_npy(path)
     if rows.ndim != 2 or rows.shape[1] != _N_NUMBERS or rows.dtype.kind not in "fiu":
         raise UserError(
             what="must hold 17 numbers for each image",
@@ -80,6 +75,5 @@ def _record(path: Path, image: Path, row: Floats) -> PhotoRecord:
         path=image,
         intrinsics=np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]),
         camera_to_world=pose,
-        distortion=np.zeros(N_DISTORTION),
         size=(int(width), int(height)),
     )

@@ -13,7 +13,7 @@ from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
-from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.photo_files import PhotoRecord
 from geraf2.io.text import read_lines
 
 _PATTERN = "*_par.txt"
@@ -66,7 +66,6 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
         path=path.parent / name,
         intrinsics=_with_half_pixel(values[:9].reshape(3, 3)),
         camera_to_world=inverse_rigid(values[9:18].reshape(3, 3), values[18:]),
-        distortion=np.zeros(N_DISTORTION),
     )
 
 

@@ -14,7 +14,7 @@ from geraf2.apps.photos.formats.records import PhotoSource, images_in, listed_im
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
-from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.photo_files import PhotoRecord
 
 _NAMES = ("cameras_sphere.npz", "cameras.npz")
 _IMAGE_FOLDERS = ("image", "images", "rgb")
@@ -47,7 +47,6 @@ def read_neus(path: Path) -> PhotoSource:
                 path=image,
                 intrinsics=intrinsics,
                 camera_to_world=pose,
-                distortion=np.zeros(N_DISTORTION),
                 mask_path=mask,
             )
         )

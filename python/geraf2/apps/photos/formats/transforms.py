@@ -5,7 +5,6 @@ the whole set or of each frame. The keys `unit` and `frame` are this project's: 
 them. https://docs.nerf.studio/quickstart/data_conventions.html
 """
 
-import json
 import math
 import re
 from collections import Counter
@@ -26,7 +25,7 @@ from geraf2.io.photo_files import (
     UNITS_M,
     PhotoRecord,
 )
-from geraf2.io.text import read_text
+from geraf2.io.text import read_object
 
 _NERF_NAME = "transforms_train.json"
 """Name of the file in NeRF's synthetic sets."""
@@ -52,7 +51,7 @@ def read_transforms(path: Path) -> PhotoSource:
     An image that is not at its path, for instance one of another computer, is searched for in the
     folder by the end of that path.
     """
-    values = _json_object(path)
+    values = read_object(path)
     frames = values.get("frames")
     if not isinstance(frames, list) or not frames:
         raise UserError(what="has no list of frames", where=path, expected="a key 'frames'")
@@ -104,16 +103,6 @@ def read_transforms(path: Path) -> PhotoSource:
         frame=frame_name if isinstance(frame_name, str) else None,
         notes=tuple(notes),
     )
-
-
-def _json_object(path: Path) -> dict[str, Any]:
-    try:
-        values = json.loads(read_text(path))
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise UserError(what="not valid JSON", where=path, got=error) from error
-    if not isinstance(values, dict):
-        raise UserError(what="must hold a JSON object", where=path, got=type(values).__name__)
-    return values
 
 
 def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:

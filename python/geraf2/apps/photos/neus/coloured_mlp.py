@@ -13,15 +13,11 @@ from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
 
 
-def _photo_sdf() -> SdfMlpConfig:
-    return SdfMlpConfig(n_octaves=6, n_features=256)
-
-
 @dataclass(frozen=True, kw_only=True)
 class ColouredMlpConfig:
     """Sizes of the two networks; those of NeuS, which the paper adopts."""
 
-    sdf: SdfMlpConfig = field(default_factory=_photo_sdf)
+    sdf: SdfMlpConfig = field(default_factory=lambda: SdfMlpConfig(n_octaves=6, n_features=256))
     """Signed distance: 8 layers of 256, 6 octaves, 256 features for the colour."""
     n_layers: int = 4
     """Hidden layers of the colour's network."""

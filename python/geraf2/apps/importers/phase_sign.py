@@ -25,11 +25,11 @@ from geraf2.records import RawPose
 from geraf2.scene import Pose, Waveform
 
 # Focused power of one sign over that of the other from which on the answer is trusted. White
-# noise alone stays below 1.25; a figure in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
+# noise alone stays below 1.25; an object in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
 _CLEAR_RATIO = 1.5
-# A quick look at few antennas and samples in steps of a whole range cell is an eighth of the work
-# for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, the second look decides.
-# From this ratio on the evidence goes before what the format says, too: the largest power of a
+# A quick check with few antennas and samples in steps of a whole range cell is an eighth of the
+# work for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, a second one decides.
+# From this ratio on the evidence goes before what the format states, too: the largest power of a
 # real plane is 2.7 times higher with the wrong sign.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
@@ -38,7 +38,7 @@ _MAX_POSES = 4
 # Antennas of a pose to draw _MAX_ANTENNAS from at random: even steps need more of them, because
 # they may fall in with the rows of a raster.
 _N_SAMPLED = 4096
-_N_OF_RASTER = 1 << 16  # of a single plane, which needs every place of its raster
+_N_OF_RASTER = 1 << 16  # of a single plane, which needs every position of its raster
 _N_DIRECTIONS = 25
 _MAX_COSINE = 0.5
 
@@ -104,7 +104,7 @@ class PhaseSign:
     def __str__(self) -> str:
         name = "exp(+j...), conjugated on import" if self.is_positive else "exp(-j...)"
         if self.is_forced:
-            return f"phase sign {name}: as told"
+            return f"phase sign {name}: as given"
         if self.stated is not None and not (self.is_clear and self.is_positive == (self.sign > 0)):
             why = "prefers the other" if self.is_clear else "does not decide"
             return f"phase sign {name}: by the format or its spectrum; focusing {why}"
@@ -159,7 +159,7 @@ def find_phase_sign(
     """Find out the sign of the phase by focusing with both.
 
     poses: some poses of the capture; at most four of them, evenly chosen, are used.
-    stated: -1 or +1 where the capture itself tells the sign.
+    stated: -1 or +1 where the capture itself states the sign.
     num_threads: threads of the matched filter.
     """
     usable = [pose for pose in poses if pose.n_antennas > 1]
