@@ -11,10 +11,6 @@ AWR1843 = Waveform(
 )
 
 
-def test_range_cell_of_the_reference_radar_is_42_mm():
-    assert AWR1843.range_cell_m == pytest.approx(0.0417, abs=2e-4)
-
-
 def test_frequencies_start_at_the_start_frequency():
     assert AWR1843.frequencies_hz[0] == 77.3704e9
     assert np.allclose(np.diff(AWR1843.frequencies_hz), 70.15e12 / 625e3)

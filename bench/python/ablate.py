@@ -228,6 +228,22 @@ def key_of(preset: str, variant: Variant) -> str:
     return f"{preset}: {variant.name or AS_IT_IS}"
 
 
+def size_changes(pairs: Sequence[tuple[SeedResult, SeedResult]]) -> str:
+    """Mean change of F1 at 2 mm and of the absolute errors of volume, extents and offset."""
+    cells = []
+    for names, best in (
+        (("f1_2mm",), 0.0),
+        (("volume_ratio",), 1.0),
+        (("extent_x_mm", "extent_y_mm", "extent_z_mm"), 0.0),
+        (("offset_mm",), 0.0),
+    ):
+        values = np.abs([[[r.score(n) - best for n in names] for r in pair] for pair in pairs])
+        change = values[:, 1] - values[:, 0]
+        change = change[np.isfinite(change)]
+        cells.append(f"  {change.mean():+.4f}" if len(change) else "        -")
+    return "".join(cells)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ablation:
     """Variants of one preset, on scenes of the population."""
@@ -286,11 +302,7 @@ class Ablation:
                 lines.append((np.inf, f"{variant.name:56}{len(pairs):4d}  {pairs[0][1].error}"))
                 effects.setdefault(variant.constant, []).append(np.inf)
                 continue
-            coarse, fine = (
-                np.array([[r.score(name) for r in pair] for pair in pairs])
-                for name in ("f1_5mm", "f1_2mm")
-            )
-            before, after = coarse.T
+            before, after = np.array([[r.score("f1_5mm") for r in pair] for pair in pairs]).T
             mean, quantile = mean_interval(after - before), quantile_change(before, after)
             effects.setdefault(variant.constant, []).append(
                 max(abs(mean.value), abs(quantile.value))
@@ -298,12 +310,14 @@ class Ablation:
             text = "".join(
                 f"  {c.value:+.4f} ({c.low:+.4f} to {c.high:+.4f})" for c in (mean, quantile)
             )
-            fine_mean = float(np.mean(fine[:, 1] - fine[:, 0]))
-            name = f"{variant.name:56}{len(pairs):4d}{text}  {fine_mean:+.4f}"
+            name = f"{variant.name:56}{len(pairs):4d}{text}{size_changes(pairs)}"
             lines.append((abs(mean.value), name))
         lines.sort(key=lambda line: -line[0])
         nothing = sorted(n for n, sizes in effects.items() if max(sizes) <= SMALL)
-        head = f"{'':56}   n  mean F1 5 mm (95 %), 5 % quantile (95 %), mean F1 2 mm"
+        head = (
+            f"{'':56}   n  mean F1 5 mm (95 %), 5 % quantile (95 %), mean F1 2 mm, "
+            "errors of volume, extents [mm], offset [mm]"
+        )
         return [
             f"{self.preset}: change against the preset as it is",
             head,

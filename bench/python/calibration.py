@@ -146,7 +146,14 @@ def withheld_delay(data: Path, out: Path) -> None:
         "spot, delay found",
         reconstruct_and_score(scenes["calibrated"], found_los, truth, out / "r"),
     )
-    for threshold in ("f1_15_mm", "f1_5_mm", "f1_3_mm", "chamfer_1e3_m2"):
+    for threshold in (
+        "f1_15_mm",
+        "f1_5_mm",
+        "f1_3_mm",
+        "f1_2_mm",
+        "chamfer_1e3_m2",
+        "volume_ratio",
+    ):
         ratio = getattr(found, threshold) / getattr(known, threshold)
         print(f"  {threshold}: found / known = {ratio:.4f}")
 

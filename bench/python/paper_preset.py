@@ -39,7 +39,10 @@ from geraf2.scene import Capture, Grid, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
 from paper_levels import level_forms, level_rows
 
-HEADER = f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'CD':>7} {'level mm':>9} {'loss':>8} {'CPU s':>7}"
+HEADER = (
+    f"{'row':26} {'F1 15':>7} {'F1 5':>7} {'F1 2':>7} {'CD':>7} {'volume':>7} {'level mm':>9} "
+    f"{'loss':>8} {'CPU s':>7}"
+)
 LEVELS_M = np.arange(-0.016, 0.0161, 0.004)
 N_SCORED = 10000
 
@@ -94,7 +97,7 @@ class Bench:
         sdf = sampled(trainer)
         zero = self.metrics(trainer, sdf, N_SCORED)
         if zero is None:
-            return f"{'no zero level':33}"
+            return f"{'no zero level':49}"
         biases = {}
         for level_m in LEVELS_M:
             moved = SdfGrid(grid=sdf.grid, values=sdf.values - np.float32(level_m))
@@ -103,7 +106,8 @@ class Bench:
                 biases[float(level_m)] = abs(at_level.surface_bias_m)
         level = min(biases, key=biases.__getitem__)
         return (
-            f"{zero.f1(0.015):7.3f} {zero.f1(0.005):7.3f} {zero.chamfer_1e3_m2:7.3f} "
+            f"{zero.f1(0.015):7.3f} {zero.f1(0.005):7.3f} {zero.f1(0.002):7.3f} "
+            f"{zero.chamfer_1e3_m2:7.3f} {zero.size.volume_ratio or np.nan:7.3f} "
             f"{1e3 * level:+9.0f}"
         )
 
@@ -135,7 +139,7 @@ def matched_filter_row(bench: Bench) -> None:
     cpu_s = time.process_time() - start
     print(
         f"{'matched filter, oracle':26} {score.f1_15mm:7.3f} {score.f1_5mm:7.3f} "
-        f"{score.chamfer_1e3_m2:7.3f} {'':9} {'':8} {cpu_s:7.0f}",
+        f"{score.f1_2mm:7.3f} {score.chamfer_1e3_m2:7.3f} {'':7} {'':9} {'':8} {cpu_s:7.0f}",
         flush=True,
     )
 

@@ -161,7 +161,9 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
         "preset": preset,
         "minutes_8": minutes(capture, part, 8),
         "minutes_1": minutes(capture, part, 1),
-        "f1": [metrics.f1(tau) for tau in (0.015, 0.005, 0.003)],
+        "f1": [metrics.f1(tau) for tau in (0.015, 0.005, 0.003, 0.002)],
+        "volume_ratio": metrics.size.volume_ratio,
+        "extents_m": metrics.size.extent_errors_m,
         "f1_5mm_by_sight": [one.scores[1].f1 for one in metrics.by_sight],
         "seen": metrics.by_sight[0].area_fraction,
         "median_m": metrics.both_ways.median_m,
@@ -183,7 +185,7 @@ def loop(scene: Path, start: list[int], n_planes: int) -> None:
         with tempfile.TemporaryDirectory() as folder:
             mesh = reconstruct(part, prior, "fast", folder, num_threads=1).content_mesh
         metrics = evaluate_mesh(mesh, truth, num_threads=1)
-        f1 = [round(metrics.f1(tau), 3) for tau in (0.015, 0.005, 0.003)]
+        f1 = [round(metrics.f1(tau), 3) for tau in (0.015, 0.005, 0.003, 0.002)]
         print(scene.name, len(use), use, *f1, flush=True)
         if len(use) >= n_planes:
             return
@@ -226,26 +228,29 @@ def print_means(rows: Iterable[dict[str, Any]]) -> None:
     rows = list(rows)
     for preset in sorted({row["preset"] for row in rows}):
         print(
-            f"\n| {preset} | figures | minutes | F1 15 / 5 / 3 mm | seen | unseen | CD, median | s "
-            "| all but the bottom, top |"
+            f"\n| {preset} | figures | minutes | F1 15 / 5 / 3 / 2 mm | seen | unseen | CD, median "
+            "| volume, extents mm | s | all but the bottom, top |"
         )
         for name in DESIGNS:
             here = [r for r in rows if (r["design"], r["preset"]) == (name, preset)]
             if not here:
                 continue
             f1, sight = (np.mean([r[k] for r in here], axis=0) for k in ("f1", "f1_5mm_by_sight"))
-            median, chamfer, seconds, rest, top = (
+            extents = " ".join(
+                f"{1e3 * e:+.1f}" for e in np.mean([r["extents_m"] for r in here], 0)
+            )
+            median, chamfer, volume, seconds, rest, top = (
                 np.mean([r[k] for r in here])
                 for k in (
-                    *("median_m", "chamfer_1e3_m2", "seconds"),
+                    *("median_m", "chamfer_1e3_m2", "volume_ratio", "seconds"),
                     *("f1_5mm_but_bottom", "top_median_m"),
                 )
             )
             each = " ".join(f"{r['scene']} {r['f1'][1]:.3f}" for r in here)
             print(
                 f"| {name} | {len(here)} | {here[0]['minutes_8']:.1f}; {here[0]['minutes_1']:.1f} "
-                f"| {f1[0]:.3f} / {f1[1]:.3f} / {f1[2]:.3f} | {sight[0]:.3f} | {sight[1]:.3f} "
-                f"| {chamfer:.4f}, {1e3 * median:.2f} mm | {seconds:.1f} "
+                f"| {' / '.join(f'{value:.3f}' for value in f1)} | {sight[0]:.3f} | {sight[1]:.3f} "
+                f"| {chamfer:.4f}, {1e3 * median:.2f} mm | {volume:.3f}, {extents} | {seconds:.1f} "
                 f"| {rest:.3f}, {1e3 * top:.2f} mm | {each}"
             )
 

@@ -14,6 +14,7 @@ files, and find this folder by PYTHONPATH); seconds are then those of a busy mac
 
 import argparse
 import json
+import math
 import shutil
 import statistics
 import subprocess
@@ -122,24 +123,39 @@ class Score:
     f1_15_mm: float
     f1_5_mm: float
     f1_3_mm: float
+    f1_2_mm: float
     chamfer_1e3_m2: float
+    volume_ratio: float
+    extents_mm: tuple[float, float, float]
+    """Errors along x, y and z."""
+    offset_mm: float
+    """Along the normal, in the median."""
     cost: Measurement
 
     @property
     def values(self) -> tuple[float, ...]:
-        return self.f1_15_mm, self.f1_5_mm, self.f1_3_mm, self.chamfer_1e3_m2
+        f1 = self.f1_15_mm, self.f1_5_mm, self.f1_3_mm, self.f1_2_mm
+        return *f1, self.chamfer_1e3_m2, self.volume_ratio, *self.extents_mm, self.offset_mm
 
     def row(self, name: str) -> str:
         cost = f"{self.cost.wall_s:7.1f}  {self.cost.peak_memory_mib:8.0f}"
         return f"{name:29} {numbers(self.values)}  {cost}"
 
 
-HEADER = f"{'':29} F1 15 mm   F1 5 mm   F1 3 mm   CD 1e-3 m2   wall s  peak MiB"
+HEADER = (
+    f"{'':29} F1 15 mm   F1 5 mm   F1 3 mm   F1 2 mm   CD 1e-3 m2  volume   "
+    "extents x, y, z mm  offset mm   wall s  peak MiB"
+)
+# Best value of each of `Score.values`: of F1 1, of the rest that of a perfect surface.
+BEST = (1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def numbers(values: tuple[float, ...]) -> str:
-    f1_15_mm, f1_5_mm, f1_3_mm, chamfer = values
-    return f"{f1_15_mm:8.4f}  {f1_5_mm:8.4f}  {f1_3_mm:8.4f}   {chamfer:10.5f}"
+    *f1, chamfer, volume, x, y, z, offset = values
+    shares = "  ".join(f"{value:8.4f}" for value in f1)
+    return (
+        f"{shares}   {chamfer:10.5f}  {volume:6.3f}  {x:+6.1f} {y:+6.1f} {z:+6.1f}  {offset:+9.2f}"
+    )
 
 
 def geraf2(*arguments: str) -> None:
@@ -148,6 +164,11 @@ def geraf2(*arguments: str) -> None:
     if done.returncode != 0:
         msg = f"geraf2 {' '.join(arguments)}: exit code {done.returncode}\n{done.stderr}"
         raise RuntimeError(msg)
+
+
+def known(value: float | None) -> float:
+    """NaN where one of the surfaces is open."""
+    return math.nan if value is None else value
 
 
 def reconstruct_and_score(
@@ -160,11 +181,16 @@ def reconstruct_and_score(
     geraf2("evaluate", str(run), "--truth", str(truth), "--n-samples", str(n_samples))
     metrics = json.loads((run / "metrics.json").read_text(encoding="utf-8"))
     f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
+    x, y, z = (1e3 * error for error in metrics["size"]["extent_errors_m"])
     return Score(
         f1_15_mm=f1[15],
         f1_5_mm=f1[5],
         f1_3_mm=f1[3],
+        f1_2_mm=f1[2],
         chamfer_1e3_m2=metrics["chamfer_1e3_m2"],
+        volume_ratio=known(metrics["size"]["volume_ratio"]),
+        extents_mm=(x, y, z),
+        offset_mm=1e3 * known(metrics["surface_bias_m"]),
         cost=cost,
     )
 
@@ -236,9 +262,11 @@ def print_group(title: str, scores: dict[str, Score], summarise: str) -> None:
         columns = zip(*(score.values for score in scores.values()), strict=True)
         if summarise == "mean":
             summary = tuple(statistics.fmean(column) for column in columns)
-        else:  # the largest Chamfer distance is the worst, the smallest F1 is
-            *f1, chamfer = columns
-            summary = (*(min(column) for column in f1), max(chamfer))
+        else:  # of each score the value that is farthest from its best one
+            summary = tuple(
+                max(column, key=lambda value: abs(value - best))
+                for column, best in zip(columns, BEST, strict=True)
+            )
         print(f"{f'{title}: {summarise}':29} {numbers(summary)}")
 
 

@@ -65,7 +65,7 @@ antenna_block_m = 0.07
 PYTHON_STARTS_S = 0.06
 """Processor time in which Python starts and imports the entry point [s]."""
 FAST = ["--preset", "fast", "--fit.spacing-m", "0.012"]
-FAST += ["--fit.coarse-spacing-m", "0.016", "--fit.distance-rounds", "1"]
+FAST += ["--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
 FORKS_OF = 10

@@ -87,4 +87,26 @@ ROWS = [
     bad("info raw/adc.bin --figure a.png", says="--figure"),
     bad("plan --depth 0.3 --figure a.png", says="--figure"),
     bad("doctor --threads 3", says="--threads"),
+    bad("reconstruct scene other --box 0.16 0.16 0.16", says="other"),
+    bad("image scene out --spacing-m 2e-5", says="the volume would have"),
+    bad("image scene out --depth-m 0.3 0.5", says="add --pose"),
+    bad("image scene out --depth-m 0.3 0.5 --pose 0 --extent-m 0 1", says="--extent-m"),
+    bad("image scene out --depth-m 0.3 0.5 --pose 0 --size-m 1 1 1", says="exclude each other"),
+    *(
+        bad(f"plan {flags}", says=says)
+        for flags, says in (
+            ("--box 220 220 220", "--box must be at most 10"),
+            ("--box 0.2 0.2 0.2 --minutes 0.01", "no plan can be reached in the time"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --planes 3", "--minutes chooses planes"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --figure a.png", "--figure draws a plan of rings"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --speed-m-per-s 3", "0.25 wavelengths of blur"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --array iwr", "no such array 'iwr'"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --array iwr1843 --channels 2", "got both"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --like a", "one of --minutes, --like and --after"),
+            ("--box 0.2 0.2 0.2 --out scan.json", "--out writes what --minutes"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --out scan.txt", "ends in .json or .csv"),
+            ("--like absent", "no such scene"),
+            ("--after absent", "absent"),
+        )
+    ),
 ]

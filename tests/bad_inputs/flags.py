@@ -1,226 +1,112 @@
-"""Values of options: out of range, not a number, of the wrong type."""
+"""Values of flags: each number out of range or none, each choice unknown; and what is left."""
 
-from bad_inputs.lines import RUN
+from importlib import import_module
+
+from bad_inputs.lines import IMPORT, RUN
 from bad_inputs.table import bad, sweep
+from geraf2.cli._fields import walk
+from geraf2.cli.main import COMMANDS
+from geraf2.pipeline.presets import PRESETS
 
-HUGE = "9" * 400
+LINES = (
+    *(f"{RUN.replace('--preset fast', '')} --preset {preset}" for preset in PRESETS),
+    "image scene out --every 4",
+    "plan --box 0.2 0.2 0.2",
+    "evaluate run --truth truth.ply",
+    "render run",
+    "calibrate scene --box 0.16 0.16 0.16",
+    "simulate spec.toml out",
+    "los 0.2x0.2x0.2 out",
+    "benchmark out --list",
+    "demo out",
+    "inspect run",
+    "batch scene out --box 0.16 0.16 0.16 --list",
+    IMPORT,
+)
+"""Command lines whose flags are walked."""
+# Corners may be infinite, and are looked at where there are photos.
+UNUSED = ("--photos.bounds",)
 
+
+def walked(line):
+    """Rows of a command line: a number below its range, above it and none, an unknown choice.
+
+    Without flags that a line before it has.
+    """
+    command = line.split()[0]
+    before = (other for other in LINES[: LINES.index(line)] if other.split()[0] == command)
+    seen = {flag.name for other in before for flag in _flags(other)}
+    for flag in _flags(line):
+        if flag.name not in seen:
+            n_values = max(flag.counts[0], 1)
+            for value in _bad_values(flag.kinds[0]):
+                yield bad(f"{line} {flag.name} {' '.join([value] * n_values)}", says=flag.name)
+
+
+def _flags(line):
+    name, *words = line.split()
+    module = import_module(f"geraf2.cli.{COMMANDS[name].module}")
+    defaults = module.defaults(words) if hasattr(module, "defaults") else {}
+    for flag in walk(module.Config, defaults):
+        is_free = flag.in_place or flag.is_fixed or flag.counts == (0, 0) or flag.name in words
+        if not is_free and flag.name not in UNUSED:
+            yield flag
+
+
+def _bad_values(kind):
+    if isinstance(kind, tuple):
+        return ("no-such-choice",)
+    huge = "9" * 40
+    return {float: ("nan", "-1e30", "1e30"), int: ("x", "0.5", f"-{huge}", huge)}.get(kind, ())
+
+
+# What the walk does not reach: bounds on each other, two flags, files, how many values there are.
 ROWS = [
     *sweep(
         RUN + " {}",
-        f"""
-        threads 0 -3 two 1.5 99999999
-        seed -1 0.5 many {HUGE}
-        hold-out nan inf
-        glints.neighbor-count -1 -2
-        glints.neighbor-radius-m 0 -1 nan inf
-        glints.cluster-share 2 -0.1 nan
-        glints.dynamic-range-db -1 nan
-        glints.subaperture.size-m 0 -0.1 nan inf
-        glints.subaperture.step-m 0 nan 1e-9
-        glints.subaperture.max-cosine 0 2 nan
-        glints.subaperture.range-oversampling 0 -1 100000
-        fit.max-voxels 0 -5 none
-        fit.strong-quantile 2 -0.1 nan
-        fit.spacing-m 0 -1 nan inf 1e-9 10
-        fit.coarse-spacing-m 0 -1 nan 1e-9
-        fit.margin-m -1 nan inf
-        fit.distance-rounds -1 1000000
-        fit.position-weight -1 nan inf
-        fit.bending-weight 0 -1 nan
-        fit.cap-lean nan nan|-9 -9
-        """,
-    ),
-    *sweep(
-        RUN + " --preset best {}",
         """
-        refine.links.chord-m 0 -1 nan
-        refine.rim.rounds -1
-        refine.rim.sizes-m 0|nan|-0.05
-        refine.silhouettes.spacing-m 0 nan 1e-9
-        heatmaps.n-rounds -1
-        heatmaps.n-steps 0 -1
-        heatmaps.parts 0 -1
-        heatmaps.max-edge-m 0 nan 1e-9
-        """,
-    ),
-    *sweep(
-        RUN + " --preset paper {}",
-        """
-        paper.n-samples 0 -1 1000000000
-        paper.n-antennas 0 -1
-        paper.grid-n 0 25|-3
-        paper.mesh-n 0 1 100000
-        paper.window-m -1 nan
-        paper.start-radius 0 nan -1
-        paper.inv-s-start 0 nan
-        paper.stage1.n-steps -1
-        paper.grid-rate -1 nan
-        """,
-    ),
-    *sweep(
-        "image scene out --every 4 {}",
-        """
-        spacing-m 0 -1 nan inf 1e-7
-        every 0 -1 1.5
-        pose -1 99 x
-        size-m 0 0 0|nan 1 1|1e9 1e9 1e9
-        center-m nan 0 0|inf 0 0
-        depth-m 0.3 0.2|nan 1|-1 -0.5
-        angles-deg 60 0|-5 10|0 95|nan 10
-        """,
-    ),
-    *sweep(
-        "plan --box 0.2 0.2 0.2 {}",
-        """
-        planes 0 -1 1000000000
-        spacing 0 -1 nan 1e-12
-        standoff 0 nan inf 1e9
-        aperture 0 0.1|nan 1
-        elevations-deg 90|nan|-95
-        frame-period-s 0 -1 nan
-        speed-m-per-s 0 inf
-        """,
-    ),
-    *sweep(
-        "evaluate run --truth truth.ply {}",
-        """
-        n-samples 0 -1 1000000000000
-        seed -1 x
-        threads 0
-        """,
-    ),
-    *sweep(
-        "render run {}",
-        """
-        spacing-m 0 nan 1e-7
-        n-draws 0
+        threads 0 1.5
         seed -1
-        angles nan
-        echo.max-edge-m 0 -1 nan 1e-7
-        echo.n-nodes 0 -1
-        echo.n-targets 0
-        """,
-    ),
-    *sweep(
-        "calibrate scene --box 0.16 0.16 0.16 {}",
-        """
-        channels 1 0 -2 x
-        delay-search 0.1 0|nan 1|-100 100
-        reflector nan 0 0|
-        autofocus.n-coefficients 0 -1
-        autofocus.sigma-m 0 nan
-        """,
-    ),
-    *sweep("simulate spec.toml out {}", "seed -1 x\nthreads 0"),
-    *sweep("los 0.2x0.2x0.2 out {}", "box-center nan 0 0|inf 0 0\nbounds 1 1 1 0 0 0|\nthreads -1"),
-    *sweep("benchmark out --list {}", "jobs 0 -1 x\nseed -1\nthreads 0"),
-    *sweep("demo out {}", "seed -1\nthreads 0 x\nhybrid.fit.spacing-m 0"),
-    bad("los 1e9x1e9x1e9 out", says="1e9"),
-    bad("los 0x0.2x0.2 out", says="0x0.2"),
-    bad("los -1x0.2x0.2 out", says="-1x"),
-    *sweep(
-        RUN + " {}",
-        """
-        fit.max-voxels 1e6 999 99999999999
-        fit.position-power -1 1000 nan
-        fit.normal-power nan -0.1
-        fit.outside-weight -1 nan
-        fit.outside-distance-m 0 nan -1
-        fit.distance-band-m 0 nan
-        fit.cap-start-m -1 nan
-        fit.cap-slope -1 nan
-        fit.absence-reach-m -1 nan
-        fit.absence-angle-rad 0 4 nan
-        fit.absence-depth-m inf
-        glints.wall-margin-m nan inf
-        glints.neighbor-offset-m 0 nan
-        glints.neighbor-angle-rad 0 7 nan
-        glints.cluster-link-m 0 inf
-        glints.range-correction-m nan inf
-        glints.noise-margin-db nan inf
-        glints.subaperture.direction-oversampling 0 1e9 nan
-        glints.subaperture.rim-sizes-m nan|0|5
-        max-memory 0 -1 nan much
-        calibrate yes 1
+        fit.spacing-m 0 1e-9 10
+        fit.margin-m inf
+        fit.cap-lean -9 -9|0.2
+        fit.max-voxels 1e6 none
+        glints.subaperture.size-m 0
+        glints.subaperture.rim-sizes-m 0
         preset hybrid bestt Glint
         """,
     ),
+    *sweep(RUN + " --preset best {}", "refine.rim.sizes-m 0|nan|-0.05\nheatmaps.withheld 0 0.9"),
+    *sweep(RUN + " --preset paper {}", "paper.grid-n 0 25|-3\npaper.mesh-n 0 100000"),
     *sweep(
-        RUN + " --preset best {}",
+        "image scene out --every 4 {}",
         """
-        refine.max-contradicted -1 2
-        refine.rim-weight -1 inf
-        refine.links.reach-m 0 nan
-        refine.few-planes-voxel-scales 0 1e9
-        refine.links.angle-rad 0 9
-        refine.links.strong-db 0 nan
-        refine.rim.dynamic-range-db 0 nan
-        refine.silhouettes.max-tilt-deg 0 90
-        refine.silhouettes.min-free 0 1 nan
-        refine.fit.spacing-m 0 nan 1e-9
-        heatmaps.withheld 0 0.9 nan
-        heatmaps.rate-m 0 nan
-        heatmaps.final-rate -1 2
-        heatmaps.target-spacing-m 0 nan
-        heatmaps.n-antennas 0
-        """,
-    ),
-    *sweep(
-        RUN + " --preset paper {}",
-        """
-        paper.lobe-power -1 nan
-        paper.n-looks 0
-        paper.n-clusters -1
-        paper.bank 0 9
-        paper.dark-scene 2 nan
-        paper.charbonnier 0 nan
-        paper.weight-decay -1 nan
-        paper.reflectivity-n 1 100000
-        paper.final-rate 2 -1
-        paper.checkpoint-every 0
-        paper.stage2.rsdf-weight -1 nan
-        paper.field net
-        paper.start middle
-        """,
-    ),
-    *sweep(
-        RUN + " --preset matched-filter {}",
-        "matched-filter.spacing-m 0 1e-6 nan\nmatched-filter.threshold-scale 0 nan",
-    ),
-    *sweep(
-        RUN + " --preset normal-field {}",
-        "normal-field.spacing-m 0 nan\nnormal-field.level.n-levels 0\nnormal-field.weight-power -1",
-    ),
-    *sweep(
-        RUN + " --preset back-projection {}",
-        "back-projection.spacing-m 0 nan\nback-projection.dynamic-range-db 0 nan",
-    ),
-    *sweep(RUN + " --preset geraf1 {}", "level.reach-m 0 nan\nlevel.n-planes 0"),
-    *sweep(
-        "render run {}",
-        """
-        echo.wall-edge-m 0 1e-7 nan
-        echo.stiffness 0 nan
-        echo.n-planes 0
-        n-draws -1 x
-        spacing-m 5 -1
-        threads 0 5000
+        spacing-m 0 1e-7
+        pose -1 99
+        size-m 0 0 0|nan 1 1|1e9 1e9 1e9
+        center-m nan 0 0|inf 0 0
+        depth-m 0.3 0.2|-1 -0.5
+        angles-deg 60 0|0 95
         max-memory 1e-6
         """,
     ),
-    *sweep("image scene out {}", "max-memory 1e-6\nspacing-m 2 5\nevery 0\nthreads 9999"),
+    *sweep("plan --box 0.2 0.2 0.2 {}", "aperture 0 0.1\nelevations-deg 90\nspacing 1e-12"),
+    *sweep("render run {}", "echo.max-edge-m 1e-7\nspacing-m 1e-7 5\nmax-memory 1e-6"),
     *sweep(
-        "simulate spec.toml out {}", "max-memory 1e-6 0\nseed 99999999999999999999\nthreads 1e3"
+        "calibrate scene --box 0.16 0.16 0.16 {}",
+        "channels 1 0\ndelay-search 0.1 0|-100 100\nreflector nan 0 0|",
     ),
-    *sweep("import geraf-sens frames out {}", "phase-sign 0 x\nthreads 4097\nmax-memory"),
+    *sweep("calibrate scene {}", "box 0 1 1|nan 1 1\ndelay-from ear"),
+    *sweep("plan --depth 0.3 {}", "spacing 1e-9\naperture 11 1\nstandoff 1\nplanes 3"),
+    *sweep("plan --box 11 1 1 {}", "box 0.2 0.2 -0.2|"),
+    *sweep("los 0.2x0.2x0.2 out {}", "box-center nan 0 0|\nbounds 1 1 1 0 0 0|\nthreads -1"),
     *sweep(
         "los nerf out {}", "preset slow\ncamera-axes blender\nbounds 0 0 0 nan 1 1|\nhold-out x"
     ),
-    *sweep("calibrate scene {}", "box 0 1 1|nan 1 1\ndelay-from ear\nautofocus.min-gain -1 nan"),
-    *sweep("plan --depth 0.3 {}", "spacing 1e-9 20\naperture 0 0|11 1\nstandoff 1\nplanes 3"),
-    *sweep("plan --box 11 1 1 {}", "box 0.2 0.2 -0.2|"),
-    *sweep("evaluate run --truth truth.ply {}", "n-samples 1e4 10000001\nseed 1.5 nan"),
-    *sweep("benchmark out --list {}", "jobs 5000\njobs 0.5"),
-    *sweep("demo out {}", "glints.cluster-share 2\nseed x"),
+    *sweep("simulate spec.toml out {}", "max-memory 1e-6 0\nthreads 1e3"),
+    *sweep("import geraf-sens frames out {}", "phase-sign 0 x\nmax-memory"),
+    *sweep("demo out {}", "hybrid.fit.spacing-m 0\nglints.cluster-share 2"),
+    bad("los 1e9x1e9x1e9 out", says="1e9"),
+    bad("los 0x0.2x0.2 out", says="0x0.2"),
+    bad("los -1x0.2x0.2 out", says="-1x"),
 ]

@@ -254,6 +254,7 @@ ROWS = [
     bad(UNPLACED + " --raster 6 6 0.004", says="--raster"),
     bad(UNPLACED + " --raster 1000000 1000000 0.004 0.004", says="36"),
     bad(UNPLACED + " --raster 6 6 1e9 0.004", says="step"),
+    bad(UNPLACED + " --raster 6 6 4 4", says="metres"),
     *(
         bad(UNPLACED + " --positions robot.csv", put("robot.csv", text))
         for text in (
@@ -266,6 +267,7 @@ ROWS = [
             "x_m,x_m,y_m,z_m\n0,0,0,0\n",
             ROBOT + "0,1e30,0,0\n9,1e30,0,0\n",
             ROBOT + "a" * 5000,
+            "t,x,y,z,qw,qx,qy,qz\n0,0,0,0,2,0,0,0\n",
         )
     ),
     *(

@@ -1,5 +1,7 @@
 """Photos of the box: cameras, masks and options."""
 
+import numpy as np
+
 from bad_inputs.table import bad, cut, drop, flip, link, npy, npz, put, swap, sweep, values
 
 ROWS = [
@@ -47,6 +49,8 @@ ROWS = [
             ("nerf", values("nerf/transforms.json", camera_model="FISH"), "transforms.json"),
             ("nerf", values("nerf/transforms.json", cx="nan"), "cx"),
             ("nerf", values("nerf/transforms.json", k1=1e300), "nerf"),
+            ("nerf", values("nerf/transforms.json", k4=0.1), "fisheye"),
+            ("nerf", values("nerf/transforms.json", unit="inch"), "unknown unit"),
             ("nerf", put("nerf/transforms.json", b"\xff"), "transforms.json"),
             ("nerf", link("nerf/images", "nowhere"), "nerf"),
             ("colmap", cut("colmap/sparse/0/cameras.bin"), "cameras.bin"),
@@ -58,7 +62,10 @@ ROWS = [
             ("colmap_text", put("colmap_text/sparse/0/images.txt", ""), "no photo"),
             ("neus", put("neus/cameras_sphere.npz", b""), "cameras_sphere"),
             ("neus", npz("neus/cameras_sphere.npz", "0", world_mat_0=lambda a: 0 * a), "world_mat"),
+            ("neus", npz("neus/cameras_sphere.npz", "few", world_mat_1=None), "world_mat_1"),
             ("llff", npy("llff/poses_bounds.npy", "short", lambda a: a[:2]), "bounds"),
+            ("llff", npy("llff/poses_bounds.npy", "pickled", lambda a: a.astype(object)), "bounds"),
+            ("llff", npy("llff/poses_bounds.npy", "f < 0", lambda a: -np.abs(a)), "focal"),
             ("llff", put("llff/poses_bounds.npy", b"\x93NUMPY\x01\x00"), "bounds"),
             ("ring", put("ring/ring_par.txt", ""), "ring_par"),
             ("ring", put("ring/ring_par.txt", "-1\n"), "ring_par"),

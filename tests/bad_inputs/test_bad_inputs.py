@@ -27,7 +27,8 @@ from bad_inputs.table import bad, toml
 from bad_inputs.things import make_things, named
 from geraf2.cli.main import main
 
-MOST_S = 10.0
+MOST_CPU_S, MOST_S = 10.0, 60.0
+"""Processor time; and wall time, of a machine that others use, too."""
 TABLES = (commands, flags, scenes, meshes, importers, photos, runs, specs)
 ROWS = {
     f"{table.__name__.rpartition('.')[2]}_{number} {row.name}"[:150]: row
@@ -119,13 +120,46 @@ def require_refused(row, code, err, out=""):
 def test_it_is_refused(row, place, capsys, time_limit):
     for change in row.changes:
         change.apply(place / change.path)
-    before, start = content(place), time.perf_counter()
+    before, start = content(place), time.process_time()
     code = main(row.line.split())
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     said = capsys.readouterr()
     require_refused(row, code, said.err, said.out)
     assert content(place) == before
-    assert seconds < MOST_S
+    assert seconds < MOST_CPU_S
+
+
+def accepted_of(rows, place, capsys):
+    """Names of the rows that are not refused, one after the other in one folder."""
+    accepted = []
+    for row in rows:
+        kept = {change.path: (place / change.path).read_bytes() for change in row.changes}
+        for change in row.changes:
+            change.apply(place / change.path)
+        code, said = main(row.line.split()), capsys.readouterr()
+        for path, data in kept.items():
+            (place / path).write_bytes(data)
+        try:
+            require_refused(row, code, said.err, said.out)
+        except AssertionError as error:
+            accepted.append(f"{row.name}: {error}")
+    return accepted
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", [*map(bad, flags.LINES)], ids=flags.LINES)
+def test_every_flag_refuses_what_is_out_of_its_range(row, place, capsys):
+    before = content(place)
+    assert accepted_of(flags.walked(row.line), place, capsys) == []
+    assert content(place) == before
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("row", [bad(specs.SIMULATE)], ids=["spec"])
+def test_every_key_of_a_spec_refuses_what_is_out_of_its_range(row, place, capsys):
+    before = content(place)
+    assert accepted_of(specs.walked(), place, capsys) == []
+    assert content(place) == before
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -13,18 +13,10 @@ from geraf2.learned.model import DOMAIN_MARGIN
 from helpers.small_scene import BOX
 
 COARSE = {
-    "matched-filter": ["--matched-filter.spacing-m", "0.006"],
-    "back-projection": ["--back-projection.spacing-m", "0.006"],
-    "normal-field": [
-        *("--normal-field.spacing-m", "0.006"),
-        *(
-            "--normal-field.level.n-levels",
-            "3",
-            "--normal-field.level.n-planes",
-            "1",
-        ),
-        *("--normal-field.level.n-points", "2000"),
-    ],
+    "matched-filter": "--matched-filter.spacing-m 0.006",
+    "back-projection": "--back-projection.spacing-m 0.006",
+    "normal-field": "--normal-field.spacing-m 0.006 --normal-field.level.n-levels 3 "
+    "--normal-field.level.n-planes 1 --normal-field.level.n-points 2000",
 }
 
 
@@ -32,12 +24,12 @@ COARSE = {
 def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scene, tmp_path):
     out = tmp_path / "out"
     arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", preset, "--no-report"]
-    assert main([*arguments, *COARSE[preset]]) == 0
+    assert main([*arguments, *COARSE[preset].split()]) == 0
     content = read_mesh(out / "mesh_content.ply")
     assert content.faces.shape[0] > 20
     assert abs(content.vertices).max() < 0.1  # the box is cropped out
     before = (out / "mesh_content.ply").stat().st_mtime_ns
-    assert main([*arguments, *COARSE[preset], "--resume"]) == 0
+    assert main([*arguments, *COARSE[preset].split(), "--resume"]) == 0
     assert (out / "mesh_content.ply").stat().st_mtime_ns == before
     assert main(["evaluate", str(out), "--truth", str(built_scene / "truth.ply")]) == 0
     # As coarse as this scene is, the figures say nothing; that they are there, does.
@@ -47,7 +39,7 @@ def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scen
 def test_glints_of_an_earlier_preset_are_not_drawn(finished_run, built_scene):
     arguments = ["reconstruct", str(built_scene), str(finished_run), *BOX]
     assert (finished_run / "glints.npz").is_file()
-    coarse = COARSE["back-projection"]
+    coarse = COARSE["back-projection"].split()
     flags = ["--preset", "back-projection", *coarse, "--no-report", "--overwrite"]
     assert main([*arguments, *flags]) == 0
     assert not (finished_run / "glints.npz").exists()

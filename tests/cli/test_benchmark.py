@@ -219,24 +219,6 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
     assert stages["photos"] == {"photos"}
 
 
-def test_own_suite_is_whole_and_short_form_is_shorter(tmp_path, capsys):
-    assert main(["benchmark", str(tmp_path / "out"), "--list"]) == 0
-    whole = capsys.readouterr().out
-    assert main(["benchmark", str(tmp_path / "out"), "--list", "--quick"]) == 0
-    assert len(capsys.readouterr().out) < len(whole)
-    assert "table1" in whole
-    assert not (tmp_path / "out").exists()
-
-
-def test_foreign_folders_and_unknown_names_are_refused(tmp_path, capsys):
-    (tmp_path / "letter.txt").write_text("mine")
-    assert main(["benchmark", str(tmp_path), "--quick"]) == 2
-    assert "no benchmark of geraf2" in capsys.readouterr().err
-    assert main(["benchmark", str(tmp_path / "new"), "--only", "tabel1"]) == 2
-    assert "no such experiment" in capsys.readouterr().err
-    assert not (tmp_path / "new").exists()
-
-
 def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     suite = load_suite()
     cases = ("everything*", "electronics, hard")

@@ -91,14 +91,6 @@ def test_the_heat_map_fit_says_what_it_reached(built):
     assert len(said["unexplained"]) == 3
 
 
-def test_a_setting_of_the_selection_leaves_the_glints(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--refine.links.chord-m", "0.0008") == 0
-    assert stages(finished) == [
-        *(("reused", n) for n in FIRST),
-        *(("done", n) for n in AFTERWARDS),
-    ]
-
-
 def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume", "--overwrite") == 0

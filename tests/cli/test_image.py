@@ -46,25 +46,3 @@ def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
     grid = Grid(origin_m=tuple(stored["origin_m"]), spacing_m=0.005, shape=stored["volume"].shape)
     alone = image_volume(load_capture(points), grid, poses=[2])
     assert np.array_equal(alone, stored["volume"])
-
-
-@pytest.mark.parametrize(
-    ("flags", "text"),
-    [
-        (["--pose", "8"], "--pose names no plane, expected 0 to 7, got 8"),
-        (["--every", "0"], "--every must be at least 1"),
-        (["--spacing-m", "-1"], "--spacing-m must be at least 1e-05"),
-        (["--spacing-m", "1e-6"], "--spacing-m must be at least 1e-05, got 1e-06"),
-        (["--spacing-m", "2e-5"], "the volume would have"),
-        (["--size-m", "0", "1", "1"], "--size-m must be above 0"),
-        (
-            ["--center-m", "nan", "0", "0"],
-            "--center-m must be at least -1e+06 and at most 1e+06, got nan",
-        ),
-        (["--threads", "0"], "--threads must be at least 1"),
-    ],
-)
-def test_impossible_flags_are_named(points, tmp_path, capsys, flags, text):
-    assert main(["image", str(points), str(tmp_path / "out"), *flags]) == 2
-    assert text in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

@@ -80,45 +80,6 @@ def test_a_scan_with_a_hole_is_closed_and_cut(tmp_path, capsys):
     np.testing.assert_allclose(got.vertices[:, 2].max(), 0.04, atol=1e-4)
 
 
-@pytest.mark.parametrize(
-    ("source", "flags", "line"),
-    [
-        ("0x0.1x0.1", (), "box sides must be positive"),
-        ("nothing.ply", (), "nothing.ply"),
-        ("0.1x0.1x0.1", ("--bounds", 0, 0, 0, 0, 1, 1), "--bounds must be the smaller corner"),
-        (".", (), "holds no camera poses"),
-    ],
-)
-def test_bad_sources_are_one_line(source, flags, line, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert run("los", source, tmp_path / "new" / "out", *flags) == 2
-    assert line in the_error(capsys)
-
-
-def test_another_folder_is_left_alone(tmp_path, capsys):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "letter.txt").write_text("mine")
-    assert run("los", "0.1x0.1x0.1", tmp_path / "out") == 2
-    assert "holds files but no prior" in the_error(capsys)
-
-
-@pytest.mark.parametrize(
-    ("text", "line"),
-    [
-        ("1 2 3", "must hold a 4 x 4 matrix"),
-        ("-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1", "without a mirror image"),
-        ("1 0 0 0 0 2 0 0 0 0 1 0 0 0 0 1", "no rigid transform"),
-        ("one", "cannot be read as a matrix"),
-    ],
-)
-def test_a_bad_transform_is_one_line(text, line, tmp_path, capsys):
-    write_mesh(box_mesh(), tmp_path / "box.ply")
-    (tmp_path / "move.txt").write_text(text)
-    flags = ("--to-radar", tmp_path / "move.txt")
-    assert run("los", tmp_path / "box.ply", tmp_path / "out", *flags) == 2
-    assert line in the_error(capsys)
-
-
 @pytest.fixture(scope="module")
 def photo_folder(tmp_path_factory):
     """Twelve small photos of the box of the small scene."""
@@ -259,13 +220,6 @@ def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
     assert len(tiny_training) == 1
     prior = load_prior(out / "los")
     np.testing.assert_allclose(prior.vertices, read_mesh(out / "los" / "los.ply").vertices)
-
-
-@pytest.mark.slow
-def test_render_reads_the_prior_that_the_run_trained(photo_folder, tiny_training, scene, tmp_path):
-    out = tmp_path / "run"
-    command = ("reconstruct", scene, out, "--los", photo_folder, *FAST, "--no-report")
-    assert run(*command) == 0
     assert run("render", out, "--angles", 0, *COARSE_RENDER) == 0
     assert (out / "views" / "angle_000.0.npz").is_file()
     assert len(tiny_training) == 1
@@ -336,9 +290,3 @@ def test_photos_are_added_to_a_scene_that_is_there(tmp_path):
     assert len(loaded.photos) == 3
     assert loaded.notes == ()
     assert loaded.photos.frame == "capture"
-
-
-def test_a_folder_that_is_no_prior_is_one_line(scene, tmp_path, capsys):
-    (tmp_path / "empty").mkdir()
-    assert run("reconstruct", scene, tmp_path / "run", "--los", tmp_path / "empty", *FAST) == 2
-    assert "is no line-of-sight prior" in the_error(capsys)

@@ -21,9 +21,7 @@ def contents(folder):
     "flags",
     [
         [*BOX, *FAST, "--fit.bending-weight", "0.5"],
-        ["--box", "0.21", "0.21", "0.21", *FAST],
         [*BOX, "--preset", "back-projection"],
-        [*BOX, *FAST, "--calibrate", "no"],
         [*BOX, *FAST, "--resume", "--fit.bending-weight", "0.5"],
     ],
 )
@@ -80,15 +78,6 @@ def test_a_scene_that_would_be_refused_is_refused_before_the_work(
         assert main([*command[:2], "/proc/scene"]) == 2
         assert "/proc: cannot be written to" in the_error(capsys)
     assert contents(built_scene) == before
-
-
-def test_the_same_scene_again_is_left_alone(tmp_path):
-    (tmp_path / "spec.toml").write_text(SPEC.replace("n_poses = 9", "n_poses = 1"))
-    command = ["simulate", str(tmp_path / "spec.toml"), str(tmp_path / "scene")]
-    assert main(command) == 0
-    before = (tmp_path / "scene" / "scene.toml").stat().st_mtime_ns
-    assert main(command) == 0
-    assert (tmp_path / "scene" / "scene.toml").stat().st_mtime_ns == before
 
 
 def test_a_finished_prior_is_replaced_only_when_told(tmp_path, capsys):

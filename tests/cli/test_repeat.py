@@ -54,35 +54,6 @@ def test_every_preset_comes_back_from_its_file(preset, tmp_path):
     assert len(fields(record.config)) > 1
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (("spacing_m = 0.012", "spacing_mm = 12.0"), "fit.spacing_mm"),
-        (("spacing_m = 0.012", 'spacing_m = "12 mm"'), "fit.spacing_m"),
-        (("spacing_m = 0.012", "spacing_m = -1.0"), "fit"),
-        (('preset = "fast"', 'preset = "fats"'), "fast"),
-        (("seed = 0", "sead = 0"), "sead"),
-        (("[fit]", "[fits"), "not valid TOML"),
-    ],
-)
-def test_a_config_of_another_version_names_the_key(
-    change, message, built_run, built_scene, tmp_path, capsys
-):
-    text = (built_run / "config.toml").read_text()
-    assert change[0] in text
-    (tmp_path / "config.toml").write_text(text.replace(*change, 1))
-    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), "--config"]
-    assert main([*command, str(tmp_path / "config.toml")]) == 2
-    assert message in the_error(capsys)
-    assert not (tmp_path / "out").exists()
-
-
-def test_an_unknown_preset_gets_a_suggestion(built_scene, tmp_path, capsys):
-    command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--preset", "bestt"]
-    assert main(command) == 2
-    assert "did you mean 'best'" in the_error(capsys)
-
-
 def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
     assert main(["reconstruct", "--help"]) == 0
     common = capsys.readouterr().out

@@ -17,7 +17,7 @@ def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch
 
     said = []
     bench = Bench(tmp_path, ["fast", "los"])
-    assert run_trials(bench, 6, 3, said.append) == 0, said
+    assert run_trials(bench, 4, 3, said.append) == 0, said
 
 
 @pytest.mark.slow

@@ -48,6 +48,49 @@ def test_whole_evaluation_agrees_with_the_slow_twin_on_the_same_samples():
     assert metrics.f1(0.004) == pytest.approx(twin.f1(on_mesh, on_truth, 0.004)[2])
 
 
+def test_volume_and_extents_agree_with_the_slow_twin():
+    squashed, truth = sphere(0.05, 2), sphere(0.05, 2)
+    mesh = TriangleMesh(vertices=squashed.vertices * [1.1, 0.9, 1.0] + 0.02, faces=squashed.faces)
+    size = evaluate_mesh(mesh, truth, n_samples=50, thresholds_m=(0.005,)).size
+    ratio = twin.volume(mesh.corners) / twin.volume(truth.corners)
+    assert size.volume_ratio == pytest.approx(ratio)
+    assert size.volume_ratio == pytest.approx(1.1 * 0.9)
+    pairs = zip(twin.extents(mesh.corners), twin.extents(truth.corners), strict=True)
+    assert size.extent_errors_m == pytest.approx([a - b for a, b in pairs], abs=1e-12)
+
+
+def test_vertices_without_a_triangle_are_no_extent_and_an_open_surface_has_no_volume():
+    ball = sphere(0.05, 2)
+    far = TriangleMesh(vertices=np.vstack([ball.vertices, [[1.0, 0, 0]]]), faces=ball.faces)
+    assert evaluate_mesh(far, ball, n_samples=50).size.extent_errors_m == (0.0, 0.0, 0.0)
+    for pair in ((square(0.1, 0.0), ball), (ball, square(0.1, 0.0))):
+        metrics = evaluate_mesh(*pair, n_samples=50)
+        assert metrics.size.volume_ratio is None
+        assert "volume_ratio" not in metrics.headline()
+
+
+def test_f1_at_two_millimetres_does_not_depend_on_few_samples():
+    truth = sphere(0.05)
+    for gap, expected in ((0.0, 1.0), (0.001, 1.0), (0.0022, 0.0)):
+        metrics = evaluate_mesh(sphere(0.05 + gap), truth, n_samples=500)
+        # 500 samples of 314 cm2 lie 4.5 mm apart in the median, so F1 at 3 mm is of no use.
+        assert metrics.f1(0.002) == pytest.approx(expected, abs=0.002)
+        assert metrics.f1(0.003) < 0.5
+    many = evaluate_mesh(truth, truth, n_samples=60_000, thresholds_m=(0.002,))
+    assert many.f1(0.002) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_headline_has_all_figures_that_tables_show_in_millimetres():
+    scores = evaluate_mesh(sphere(0.054), sphere(0.05), n_samples=500).headline()
+    assert set(scores) == {
+        *("f1_15mm", "f1_5mm", "f1_3mm", "f1_2mm", "chamfer_1e3_m2"),
+        *("volume_ratio", "extent_x_mm", "extent_y_mm", "extent_z_mm", "offset_mm"),
+    }
+    assert scores["volume_ratio"] == pytest.approx(1.08**3)
+    assert [scores[f"extent_{axis}_mm"] for axis in "xyz"] == pytest.approx([8.0] * 3)
+    assert scores["offset_mm"] == pytest.approx(4.0, abs=0.05)
+
+
 def test_concentric_spheres_are_their_difference_of_radii_apart():
     gap = 0.004
     metrics = evaluate_mesh(sphere(0.05 + gap), sphere(0.05))
@@ -193,7 +236,7 @@ def test_an_empty_mesh_is_a_user_error():
 
 def test_an_unknown_threshold_is_refused():
     metrics = evaluate_mesh(sphere(0.05), sphere(0.05), n_samples=50)
-    with pytest.raises(ValueError, match=r"one of 0\.015, 0\.005, 0\.003, got 0\.01"):
+    with pytest.raises(ValueError, match=r"one of 0\.015, 0\.005, 0\.003, 0\.002, got 0\.01"):
         metrics.f1(0.01)
 
 

@@ -50,6 +50,7 @@ def test_the_oracle_finds_the_threshold_that_the_truth_would_choose():
     )
     direct = evaluate_mesh(at_surface, ball_mesh(), n_samples=2000)
     assert score.f1_5mm == pytest.approx(direct.f1(0.005))
+    assert score.f1_2mm == pytest.approx(direct.f1(0.002))
     assert score.chamfer_1e3_m2 == pytest.approx(direct.chamfer_1e3_m2)
 
 

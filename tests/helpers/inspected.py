@@ -1,9 +1,13 @@
 """Parts with closed surfaces, as if they had been measured, for tests of inspections."""
 
+from contextlib import contextmanager
+
 import numpy as np
+import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
+from geraf2.apps.inspection import registration
 from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
@@ -30,6 +34,16 @@ def wedge(height_m=0.03):
     up = z / height_m + 0.5
     moved = np.stack([x * (1.0 - 0.3 * up * (y > 0)), y * (1.0 - 0.35 * up), z + 0.25 * x * up], 1)
     return TriangleMesh(vertices=moved, faces=made.faces)
+
+
+@contextmanager
+def few_starts():
+    """Search for poses with fewer starts and points: seconds less."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, number in (("N_STARTS", 24), ("_N_FINE", 300), ("_N_CAD_POINTS", 3000)):
+            patch.setattr(registration, name, number)
+        patch.setattr(registration, "_TABLE_CELLS", 16)
+        yield
 
 
 def placement(pose, covariance):

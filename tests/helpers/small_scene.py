@@ -25,5 +25,5 @@ QUICK_BEST = [
 BOX = ["--box", "0.2", "0.2", "0.2"]
 COARSE_RENDER = [
     *("--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009"),
-    *("--echo.n-planes", "5", "--echo.n-nodes", "3", "--echo.n-targets", "500"),
+    *("--echo.n-planes", "3", "--echo.n-nodes", "3", "--echo.n-targets", "300"),
 ]

@@ -7,13 +7,19 @@ import numpy as np
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Capture, Pose, Waveform
 
-WAVEFORM = Waveform(
-    start_frequency_hz=77.3704e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=625e3,
-    n_samples=32,
-    path_bias_m=0.15,
-)
+
+def waveform_of(n_samples=32, path_bias_m=0.15):
+    """Chirp of the same bandwidth with another number of samples."""
+    return Waveform(
+        start_frequency_hz=77.3704e9,
+        chirp_slope_hz_per_s=70.15e12,
+        sample_rate_hz=10e6 * n_samples / 512,
+        n_samples=n_samples,
+        path_bias_m=path_bias_m,
+    )
+
+
+WAVEFORM = waveform_of()
 TARGETS = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, -0.02, -0.03]])
 
 

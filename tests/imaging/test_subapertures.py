@@ -237,18 +237,3 @@ class TestFindRaster:
     )
     def test_none_where_there_is_no_lattice(self, places):
         assert find_raster(self.pose(places), WAVELENGTH) is None
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("size_m", 0.0),
-        ("step_m", -1.0),
-        ("direction_oversampling", 0.0),
-        ("max_cosine", 1.0),
-        ("range_oversampling", 0),
-    ],
-)
-def test_bad_settings_name_the_value(name, value):
-    with pytest.raises(ValueError, match=f"{name} must.*{value}"):
-        SubapertureConfig(**{name: value})

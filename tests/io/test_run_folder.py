@@ -74,22 +74,6 @@ def test_the_log_is_one_json_object_a_line(run):
     assert second["event"] == "second\nline"
 
 
-@pytest.mark.parametrize(
-    "text", ["", "{", "[]", "{}", '{"format": "other", "scene": {}}', '{"scene": 1}']
-)
-def test_a_damaged_record_is_one_line(run, text):
-    (run.path / "run.json").write_text(text)
-    with pytest.raises(UserError, match="cannot be read as the record of a run"):
-        RunFolder.read(run.path)
-
-
-def test_a_record_of_another_version_is_refused(run):
-    record = json.loads((run.path / "run.json").read_text())
-    (run.path / "run.json").write_text(json.dumps({**record, "version": 9}))
-    with pytest.raises(UserError, match=r"run of format version 9.*expected 3"):
-        RunFolder.read(run.path)
-
-
 def test_a_file_in_place_of_the_folder(tmp_path):
     (tmp_path / "out").write_text("mine")
     with pytest.raises(UserError, match="is a file"):

@@ -11,7 +11,7 @@ from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.calibration.driver import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.toml import from_table, read_table, read_toml, to_table, write_toml
+from geraf2.io.toml import from_table, read_toml, to_table, write_toml
 from geraf2.pipeline.presets import PRESETS
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
@@ -173,19 +173,3 @@ def test_an_integer_is_a_float():
     rate = from_table({"rate": 2}, Inner, "x").rate
     assert rate == 2.0
     assert isinstance(rate, float)
-
-
-@pytest.mark.parametrize(
-    ("content", "line"),
-    [
-        (b"n = [", "c.toml: is not valid TOML"),
-        (b"n = '\xff'", r"c.toml: is not text in UTF-8 \(byte 5\)"),
-        (None, "c.toml: no such file"),
-    ],
-)
-def test_a_file_that_cannot_be_read_is_named(tmp_path, content, line):
-    path = tmp_path / "c.toml"
-    if content is not None:
-        path.write_bytes(content)
-    with pytest.raises(UserError, match=line):
-        read_table(path)

@@ -48,16 +48,6 @@ def test_a_scale_is_told_apart(tmp_path):
     assert scale == pytest.approx(0.02, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    "text", ["", "1 2 3", "one", "[1, 2", "0 " * 15 + "1", "nan " * 16, "1 " * 16]
-)
-def test_what_is_no_transform_is_one_line(tmp_path, text):
-    for name in ("move.txt", "move.json"):
-        (tmp_path / name).write_text(text)
-        with pytest.raises(UserError):
-            read_transform(tmp_path / name)
-
-
 def test_npy_is_not_unpickled(tmp_path):
     np.save(tmp_path / "move.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(UserError, match="cannot be read as a matrix"):

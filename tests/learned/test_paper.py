@@ -32,7 +32,7 @@ from geraf2.learned.trainer import (
     without_wall_pieces,
 )
 from geraf2.ops import _tensors, matched_filter
-from geraf2.pipeline.presets import CorrectedPaperPreset, preset_of_table
+from geraf2.pipeline.presets import CorrectedPaperPreset
 from geraf2.pipeline.stages.learned import TRAIN
 from geraf2.scene import Grid, Wall
 from helpers.carton import PRIOR
@@ -114,7 +114,7 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
 
 @pytest.mark.parametrize(
     ("stop_after", "field"),
-    [(3, "grid"), (6, "grid"), (8, "grid"), (2, "mlp-grid"), (8, "mlp-grid")],
+    [(3, "grid"), (6, "grid"), (8, "grid"), (8, "mlp-grid")],
 )
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
@@ -418,14 +418,6 @@ def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
     np.testing.assert_array_equal(kept.values, joined.values)
 
 
-def test_a_preset_of_a_table_keeps_its_form():
-    preset = preset_of_table({"preset": "paper-corrected", "paper": {"n_cells": 8}}, "t.toml")
-    assert preset == CorrectedPaperPreset(paper=CorrectedPaperConfig(n_cells=8))
-    assert preset.paper.two_way == "unbiased"
-    few = preset_of_table({"preset": "paper", "paper": {"stage2": {"n_steps": 9}}}, "t.toml")
-    assert few.paper.stage2 == replace(PaperConfig().stage2, n_steps=9)
-
-
 def test_a_term_that_is_not_finite_is_named(capture, maps):
     trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
     with torch.no_grad():
@@ -566,17 +558,10 @@ def test_rates_fall_along_a_cosine():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"grid_n": ()}, "grid_n must have at least 1 value"),
         ({"grid_n": (33, 17)}, "grid_n must be ascending numbers"),
         ({"octaves_start": 7.0, "octaves_end": 6.0}, "octaves_start must be at most octaves_end"),
         ({"bank": 1600, "window_m": 0.0}, "bank must be at most n_antennas = 256, got 1600"),
         ({"bank": 2}, "bank must be 1 where window_m is not 0, got 2 and 0.05"),
-        ({"lobe_power": 101.0}, "lobe_power must be at most 100, got 101"),
-        ({"window_m": -0.01}, "window_m must be at least 0, got -0.01"),
-        ({"n_looks": 0}, "n_looks must be at least 1, got 0"),
-        ({"bright_targets": 1.5}, "bright_targets must be at most 1, got 1.5"),
-        ({"inv_s_start": 0.0}, "inv_s_start must be above 0"),
-        ({"mesh_n": 2}, "mesh_n must be at least 4, got 2"),
         ({"region": "content", "start": "nested"}, 'start must be "ball" .* got nested and ray'),
         ({"region": "content", "rsdf_region": "wall"}, "holds no walls: .* got ball and wall"),
     ],

@@ -15,20 +15,11 @@ import pytest
 import torch
 
 from geraf2.ops import explain_method, matched_filter
-from geraf2.scene import Grid, Waveform
+from geraf2.scene import Grid
+from helpers.synthetic import waveform_of
 from reference import matched_filter as reference
 
 ONE_LEVEL, TWO_LEVELS = 70, 2000  # antennas; from 1536 on the plan takes two levels
-
-
-def make_waveform(n_samples):
-    return Waveform(
-        start_frequency_hz=77.3704e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=10e6 * n_samples / 512,
-        n_samples=n_samples,
-        path_bias_m=0.15,
-    )
 
 
 GRID = Grid(origin_m=(-0.02, -0.013, -0.017), spacing_m=0.001, shape=(37, 21, 34))
@@ -43,7 +34,7 @@ def make_case(n_antennas, n_samples=8, seed=0):
     signal = rng.normal(size=(n_antennas, n_samples)) + 1j * rng.normal(
         size=(n_antennas, n_samples)
     )
-    return signal, tx, rx, make_waveform(n_samples)
+    return signal, tx, rx, waveform_of(n_samples)
 
 
 def image_of(case, grid=GRID, **options):
@@ -108,7 +99,7 @@ def test_transmitters_and_receivers_may_stand_far_apart():
     t = np.stack([np.full(30, -0.3), rng.uniform(-0.1, 0.0, 30), np.full(30, 0.1)], axis=1)
     r = np.stack([np.full(60, -0.32), np.full(60, 0.1), rng.uniform(-0.1, 0.1, 60)], axis=1)
     tx, rx = np.repeat(t, 60, axis=0), np.tile(r, (30, 1))
-    case = (make_case(1800)[0], tx, rx, make_waveform(8))
+    case = (make_case(1800)[0], tx, rx, waveform_of(8))
     assert relative_error(image_of(case, rtol=1e-4), case) < 1e-4
 
 
@@ -164,20 +155,6 @@ def test_gradients_to_positions_are_those_of_exact():
         matched_filter(signal, t, rx, grid, waveform, method=method).real.sum().backward()
         found.append(t.grad)
     assert torch.equal(*found)
-
-
-@pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
-def test_thread_count_changes_no_bit(n_antennas):
-    signal, tx, rx, waveform = make_case(n_antennas)
-    images, gradients = [], []
-    for threads in (1, 2, 3):
-        x = torch.from_numpy(signal).requires_grad_(True)
-        image = image_of((x, tx, rx, waveform), num_threads=threads)
-        image.backward(torch.ones_like(image) * (1 + 2j))
-        images.append(image.detach())
-        gradients.append(x.grad)
-    assert all(torch.equal(images[0], other) for other in images[1:])
-    assert all(torch.equal(gradients[0], other) for other in gradients[1:])
 
 
 @pytest.mark.parametrize(

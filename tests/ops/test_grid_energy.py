@@ -76,21 +76,6 @@ def test_smoothing_is_richardson_at_the_chebyshev_roots(degree, dtype):
     np.testing.assert_allclose(found, expected, atol=30 * TOLERANCE[dtype] * size)
 
 
-def test_threads_change_no_bit():
-    shape = (33, 32, 31)  # large enough for four threads
-    sparse, diagonal = parts(shape)
-    results = []
-    for num_threads in (1, 2, 4):
-        made = GridEnergy(
-            shape, SPACING, bending=0.4, sparse=sparse, diagonal=diagonal, num_threads=num_threads
-        )
-        right, field = np.random.default_rng(4).standard_normal((2, made.n_voxels))
-        results.append((made.apply(field), made.smooth(right, field, degree=3, low=0.1, high=4.0)))
-    for product, smoothed in results[1:]:
-        assert np.array_equal(product, results[0][0])
-        assert np.array_equal(smoothed, results[0][1])
-
-
 def test_non_contiguous_fields_give_the_same():
     made, _ = energy((5, 6, 4))
     field = np.random.default_rng(5).standard_normal(2 * made.n_voxels)

@@ -92,12 +92,6 @@ def test_positions_are_copied():
     np.testing.assert_array_equal(plan.execute(signal), before)
 
 
-def test_progress_ends_at_one():
-    plan, seen = make_plan(GRID, method="block"), []
-    plan.execute(noise(plan.signal_shape, np.complex128), progress=seen.append)
-    assert seen[-1] == 1.0
-
-
 def test_wrong_use_is_named():
     plan = make_plan(GRID)
     signal, image = noise(plan.signal_shape, np.complex128), noise(plan.image_shape, np.complex128)

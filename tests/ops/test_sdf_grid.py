@@ -108,21 +108,6 @@ def test_a_derivative_that_is_missing_says_so():
         hessian.sum().backward()
 
 
-@pytest.mark.gradient
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-@pytest.mark.usefixtures("simd")
-def test_thread_count_changes_no_bit(interpolation):
-    values, points = make_case(n_points=7001)  # enough for three threads
-    found = []
-    for threads in (1, 2, 3):
-        v = values.float().requires_grad_(True)
-        out = sdf_grid(v, GRID, points, interpolation=interpolation, num_threads=threads)
-        (out.value.sum() + out.gradient.pow(2).sum()).backward()
-        found.append([*(t.detach() for t in out), v.grad])
-    for other in found[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
-
-
 @pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 def test_edges(interpolation):
     values, points = make_case()

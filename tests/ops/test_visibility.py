@@ -163,14 +163,6 @@ def test_an_inward_wound_mesh_has_the_same_inside(torus):
     assert np.allclose(outward.entry_exit(*ray).t_exit, inward.entry_exit(*ray).t_exit, atol=1e-9)
 
 
-def test_one_and_four_threads_agree(torus, rays):
-    one = MeshScene(*torus, num_threads=1)
-    four = MeshScene(*torus, num_threads=4)
-    assert np.array_equal(one.closest_hit(*rays)[0], four.closest_hit(*rays)[0])
-    assert np.array_equal(one.entry_exit(*rays).t_exit, four.entry_exit(*rays).t_exit)
-    assert np.array_equal(one.signed_distance(rays[0]), four.signed_distance(rays[0]))
-
-
 def test_empty_batches_give_empty_results(torus):
     scene = MeshScene(*torus)
     nothing = np.zeros((0, 3))
@@ -222,13 +214,6 @@ def test_beyond_the_largest_distance_is_infinite(torus):
     assert 100 < np.isinf(near).sum() < 590
     assert np.isinf(scene.distance(points + 10.0, max_distance_m=0.0)).all()
     assert scene.distance(np.zeros((0, 3))).shape == (0,)
-
-
-def test_threads_change_no_distance(torus):
-    axis = np.linspace(-0.1, 0.1, 14)
-    points = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) + torus[0].mean(axis=0)
-    one = MeshScene(*torus, num_threads=1).distance(points)
-    assert np.array_equal(one, MeshScene(*torus, num_threads=3).distance(points))
 
 
 def test_a_negative_largest_distance_is_refused(torus):

@@ -8,9 +8,10 @@ import pytest
 from geraf2.io.mesh import read_mesh
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Wall
 from geraf2.simulation.echo import EchoScene, Layer, plane_echo
 from geraf2.simulation.elements import mesh_elements
+from helpers.synthetic import WAVEFORM
 
 CAPTURE = Path(__file__).parents[3] / "shared" / "data" / "spot_carton"
 C = 299792458.0
@@ -22,13 +23,6 @@ pytestmark = [
 
 
 def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
-    waveform = Waveform(
-        start_frequency_hz=77.3704e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=625e3,
-        n_samples=32,
-        path_bias_m=0.15,
-    )
     wall = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
     mesh = read_mesh(CAPTURE / "truth_object.ply")
     frame = CAPTURE / "mf" / "4_40_0"
@@ -46,7 +40,7 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
     )
     facets, areas = mesh_elements(mesh.vertices, mesh.faces, 0.0012)
     scene = EchoScene(
-        waveform=waveform,
+        waveform=WAVEFORM,
         walls=(wall,),
         blocker=MeshScene(mesh.vertices, mesh.faces),
         figure=Layer(elements=(facets,), areas=areas),
@@ -56,7 +50,7 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
     assert abs(correlation) > 0.9
     window = np.hanning(34)[1:-1]
     ranges = np.arange(0.36, 0.46, 0.01)
-    bank = np.exp(2j * np.pi * np.outer(2 * ranges + 0.15, waveform.frequencies_hz) / C) * window
+    bank = np.exp(2j * np.pi * np.outer(2 * ranges + 0.15, WAVEFORM.frequencies_hz) / C) * window
     profiles = [np.mean(np.abs(s @ bank.T) ** 2, axis=0) for s in (ours, signal)]
     shape_db = 10 * np.log10(profiles[0] / profiles[1])
     assert np.ptp(shape_db) < 2.5

@@ -126,31 +126,6 @@ def test_photos_need_a_box():
         parse_spec({"figure": {"name": "dog"}, "photos": {}})
 
 
-@pytest.mark.parametrize(
-    ("table", "line"),
-    [
-        ({"n_photos": 0}, "photos.n_photos': input should be greater than or equal to 1, got 0"),
-        (
-            {"focal_length_px": 0.0},
-            "photos.focal_length_px': input should be greater than 0, got 0.0",
-        ),
-        (
-            {"ring_elevations_deg": [90.0]},
-            r"key 'photos.ring_elevations_deg\[0\]': input should be less than 90, got 90.0$",
-        ),
-        ({"noise": 1}, "unknown key 'photos.noise'"),
-        (
-            {"pose_error_rms_m": -1.0},
-            "pose_error_rms_m': input should be greater than or equal to 0, got -1.0",
-        ),
-    ],
-)
-def test_a_bad_table_is_one_line(table, line):
-    walls = [{"size_m": [0.2, 0.2, 0.2]}]
-    with pytest.raises(UserError, match=line):
-        parse_spec({"figure": {"name": "dog"}, "walls": walls, "photos": table})
-
-
 def test_cameras_inside_the_box_are_an_error():
     with pytest.raises(UserError, match="into the box"):
         ring_cameras(replace(SMALL, distance_m=0.1), WALL, seed=0)

@@ -45,35 +45,7 @@ def test_demo_spec_is_a_figure_in_a_carton():
             "unknown key 'walls[0].eps'",
         ),
         ({"figure": {}}, "spec.toml: figure needs either name or mesh"),
-        ({"figure": {"name": "dog", "height_m": -1}}, "height_m': input should be greater than 0"),
-        (
-            {"figure": {"name": "dog"}, "scan": {"n_poses": 0}},
-            "scan.n_poses must be at least 1 where there are no rings, got 0",
-        ),
-        (
-            {"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1]}]},
-            "key 'walls[0].size_m[2]' is missing",
-        ),
         ({}, "key 'figure' is missing"),
-        (
-            {"figure": {"name": "dog"}, "disturbance": {"far_walls": "no"}},
-            "disturbance.far_walls",
-        ),
-        (
-            {"figure": {"name": "dog"}, "numerics": {"max_facet_edge_m": 0.002}},
-            "at most a third of the wavelength at 80.8 GHz, 0.001236 m, got 0.002",
-        ),
-        (
-            {
-                "figure": {"name": "dog"},
-                "walls": [{"size_m": [0.1, 0.1, 0.1]}, {"size_m": [0.2, 0.2, 0.2]}],
-            },
-            "walls must be nested, outermost first",
-        ),
-        (
-            {"figure": {"name": "dog"}, "walls": [{"size_m": [1, 1, 1], "thickness_m": 0.6}]},
-            "leaves no room",
-        ),
     ],
 )
 def test_a_bad_key_or_value_is_one_clear_line(table, line):
@@ -89,12 +61,3 @@ def test_mesh_paths_are_relative_to_the_file(tmp_path):
     file = tmp_path / "spec.toml"
     file.write_text('[figure]\nmesh = "things/cup.ply"\n')
     assert load_spec(file).figure.mesh == str(tmp_path / "things" / "cup.ply")
-
-
-def test_missing_and_broken_files_are_named(tmp_path):
-    with pytest.raises(UserError, match="no such file"):
-        load_spec(tmp_path / "nothing.toml")
-    file = tmp_path / "spec.toml"
-    file.write_text("[figure\n")
-    with pytest.raises(UserError, match="not valid TOML"):
-        load_spec(file)

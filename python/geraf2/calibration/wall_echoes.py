@@ -23,6 +23,8 @@ MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a wall whose thickness and permittivity are known: three
 independent simulators give -0.37 to 0.13 mm for near walls, -0.30 to 0.09 mm for far ones [m]."""
 
+# The wall's echo is strong, but the content's may be 20 dB stronger; side lobes are weaker.
+_DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
 _STEP_M = 0.04
 # The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
@@ -62,7 +64,7 @@ def wall_peaks(
             num_threads=peaks.num_threads,
         )
     found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
-    return found.thinned(_STEP_M)
+    return found.select(found.levels_db >= -_DYNAMIC_RANGE_DB).thinned(_STEP_M)
 
 
 @dataclass(frozen=True, kw_only=True)

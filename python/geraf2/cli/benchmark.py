@@ -169,6 +169,7 @@ def _population(config: Config) -> int:
             progress(next(done) / total)
 
         results = task.run(seeds, report, jobs=config.jobs, scheduler=config.scheduler)
-    for line in population.tables(results, presets, others).splitlines():
+    records = population.records_of(config.cache or config.out)
+    for line in population.tables(results, presets, records, others).splitlines():
         say(line)
     return 0

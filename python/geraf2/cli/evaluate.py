@@ -73,12 +73,24 @@ def print_metrics(metrics: MeshMetrics) -> None:
                 "both directions",
                 f"median {1e3 * both.median_m:.2f} mm, 95 % below {1e3 * both.p95_m:.2f} mm",
             ),
+            *_sizes(metrics),
             *(_part(part) for part in metrics.by_sight),
             *_forecast(metrics),
             ("pieces, holes", f"{_topology(metrics.mesh)} (truth {_topology(metrics.truth)})"),
             ("truth itself", f"Chamfer {floor[0]:.5f} 1e-3 m^2, median {floor[1]:.2f} mm"),
         ]
     )
+
+
+def _sizes(metrics: MeshMetrics) -> list[tuple[str, str]]:
+    size, offset = metrics.size, metrics.surface_bias_m
+    ratio = "not closed" if size.volume_ratio is None else f"{size.volume_ratio:.3f} of the truth's"
+    errors = zip("xyz", size.extent_errors_m, strict=True)
+    along = ", ".join(f"{axis} {1e3 * error:+.2f}" for axis, error in errors)
+    lines = [("volume", ratio), ("extents", f"{along} mm against the truth's")]
+    if offset is not None:
+        lines.append(("offset", f"{1e3 * offset:+.2f} mm along the normal, in the median"))
+    return lines
 
 
 def _topology(surface: SurfaceReport) -> str:

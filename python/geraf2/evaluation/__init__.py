@@ -2,6 +2,7 @@
 
 from geraf2.evaluation.mesh_metrics import (
     MeshMetrics,
+    SizeErrors,
     describe,
     evaluate_mesh,
     sample_surface,
@@ -12,6 +13,7 @@ from geraf2.evaluation.oracle import OracleScore, oracle_matched_filter
 __all__ = [
     "MeshMetrics",
     "OracleScore",
+    "SizeErrors",
     "describe",
     "evaluate_mesh",
     "oracle_matched_filter",

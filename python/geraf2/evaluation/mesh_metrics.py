@@ -22,8 +22,12 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_report
 
-DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003)
-"""Thresholds of the F1 score [m]: the paper's 15 mm, and two stricter ones."""
+DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003, 0.002)
+"""Thresholds of the F1 score [m]: the paper's 15 mm, and three stricter ones."""
+FINE_THRESHOLD_M = 0.002
+"""Largest threshold that needs dense samples [m]."""
+FINE_SAMPLES = 50_000
+"""Least number of samples for such a threshold: of 800 cm2 one lies on 1.6 mm2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +56,16 @@ class DistanceSummary:
     """Mean [m]."""
     max_m: float
     """Largest [m]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SizeErrors:
+    """Volume and extents of the mesh against those of the truth."""
+
+    volume_ratio: float | None
+    """Volume of the mesh over that of the truth; None where one of them is open."""
+    extent_errors_m: tuple[float, float, float]
+    """Extents of the mesh along x, y and z less those of the truth [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +102,8 @@ class MeshMetrics:
     """Exact point-to-surface distances of the truth's samples."""
     surface_bias_m: float | None
     """Median signed distance of the mesh's samples, positive outside; None: open truth [m]."""
+    size: SizeErrors
+    """Volume and extents against the truth's."""
     floor_chamfer_1e3_m2: float
     """Chamfer distance of the truth against another sample of itself [1e-3 m^2]."""
     floor_median_m: float
@@ -116,6 +132,18 @@ class MeshMetrics:
         msg = f"threshold_m must be one of {have}, got {threshold_m!r}"
         raise ValueError(msg)
 
+    def headline(self) -> dict[str, float]:
+        """Scores that tables show side by side, by name; lengths in mm, unknown ones left out."""
+        scores = {f"f1_{1e3 * score.threshold_m:g}mm": score.f1 for score in self.scores}
+        scores["chamfer_1e3_m2"] = self.chamfer_1e3_m2
+        if self.size.volume_ratio is not None:
+            scores["volume_ratio"] = self.size.volume_ratio
+        errors = zip("xyz", self.size.extent_errors_m, strict=True)
+        scores |= {f"extent_{axis}_mm": 1e3 * error for axis, error in errors}
+        if self.surface_bias_m is not None:
+            scores["offset_mm"] = 1e3 * self.surface_bias_m
+        return scores
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON, with their definitions."""
         return {**asdict(self), "definitions": describe(self.n_samples, self.seed)}
@@ -136,7 +164,10 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
         "chamfer_1e3_m2": "mean over S of d(s)^2 + mean over T of d(t)^2, in 1e-3 m^2",
         "precision": "share of s with d(s) < tau",
         "recall": "share of t with d(t) < tau",
-        "f1": "2 precision recall / (precision + recall)",
+        "f1": (
+            "2 precision recall / (precision + recall); where tau is at most "
+            f"{1e3 * FINE_THRESHOLD_M:g} mm, of at least {FINE_SAMPLES} points on each surface"
+        ),
         "mesh_to_truth, truth_to_mesh, both_ways": (
             "median, 95th percentile, mean and largest of d(s), of d(t), of both together"
         ),
@@ -146,6 +177,10 @@ def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
         ),
         "surface_bias_m": (
             "median signed exact distance of the mesh's samples, positive outside the truth"
+        ),
+        "volume_ratio": "volume of the mesh over that of the truth, where both are closed",
+        "extent_errors_m": (
+            "extents of the mesh along x, y and z of the capture's frame less those of the truth"
         ),
         "floor_chamfer_1e3_m2, floor_median_m": (
             "the truth against a second sample of itself: the best that sampled points can show"
@@ -191,72 +226,126 @@ def evaluate_mesh(
     """
     _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.
-    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(3)]
-    on_mesh, mesh_faces, weights = _sample(mesh, n_samples, streams[0])
-    on_truth, truth_faces, _ = _sample(truth, n_samples, streams[1])
+    streams = [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(5)]
+    pair = fine = _draw_pair(mesh, truth, n_samples, streams[:2])
+    if n_samples < FINE_SAMPLES and any(tau <= FINE_THRESHOLD_M for tau in thresholds_m):
+        fine = _draw_pair(mesh, truth, FINE_SAMPLES, streams[3:], within_m=FINE_THRESHOLD_M)
     again_on_truth = _sample(truth, n_samples, streams[2])[0]
+    floor = [_nearest(again_on_truth, pair.on_truth), _nearest(pair.on_truth, again_on_truth)]
 
-    to_truth, nearest_on_truth = KDTree(on_truth).query(on_mesh)
-    to_mesh = _nearest(on_truth, on_mesh)
-    floor = np.stack([_nearest(again_on_truth, on_truth), _nearest(on_truth, again_on_truth)])
-    exact_to_truth = signed_distances(truth, on_mesh, num_threads=num_threads)
-    exact_to_mesh = np.abs(signed_distances(mesh, on_truth, num_threads=num_threads))
-    truth_report = surface_report(truth)
-    aligned = _aligned_forecast(
-        mesh, (on_mesh, mesh_faces, weights), truth, (on_truth, truth_faces), num_threads
-    )
-    seen = np.zeros(0, dtype=bool)
-    if planes:
-        normals = unit_normals(truth.corners)[truth_faces]
-        blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
-        margins = specular_visibility(on_truth, normals, planes, blocker)
-        seen = np.asarray((margins >= 0.0).any(axis=1))
+    exact_to_truth = signed_distances(truth, pair.on_mesh, num_threads=num_threads)
+    exact_to_mesh = np.abs(signed_distances(mesh, pair.on_truth, num_threads=num_threads))
+    reports = surface_report(mesh), surface_report(truth)
     return MeshMetrics(
-        chamfer_1e3_m2=chamfer_1e3_m2(to_truth, to_mesh),
-        scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
-        mesh_to_truth=_summary(to_truth),
-        truth_to_mesh=_summary(to_mesh),
-        both_ways=_summary(np.concatenate([to_truth, to_mesh])),
+        chamfer_1e3_m2=chamfer_1e3_m2(pair.to_truth, pair.to_mesh),
+        scores=_scores(pair, fine, thresholds_m),
+        mesh_to_truth=_summary(pair.to_truth),
+        truth_to_mesh=_summary(pair.to_mesh),
+        both_ways=_summary(np.concatenate([pair.to_truth, pair.to_mesh])),
         surface_mesh_to_truth=_summary(np.abs(exact_to_truth)),
         surface_truth_to_mesh=_summary(exact_to_mesh),
-        surface_bias_m=float(np.median(exact_to_truth)) if truth_report.is_watertight else None,
+        surface_bias_m=float(np.median(exact_to_truth)) if reports[1].is_watertight else None,
+        size=_size_errors(mesh, truth, reports),
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
-        floor_median_m=float(np.median(floor)),
-        expected_error=error_forecast(mesh, mesh_faces, weights, np.abs(exact_to_truth)),
-        expected_error_aligned=aligned,
-        by_sight=tuple(
-            _sight_score(
-                name,
-                part,
-                to_truth[part[nearest_on_truth]],
-                to_mesh[part],
-                exact_to_mesh[part],
-                thresholds_m,
-            )
-            for name, part in (("in sight", seen), ("out of sight", ~seen))
-            if planes
-        ),
-        mesh=surface_report(mesh),
-        truth=truth_report,
+        floor_median_m=float(np.median(np.stack(floor))),
+        expected_error=error_forecast(mesh, pair.mesh_faces, pair.weights, np.abs(exact_to_truth)),
+        expected_error_aligned=_aligned_forecast(mesh, truth, pair, num_threads),
+        by_sight=_by_sight(truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads),
+        mesh=reports[0],
+        truth=reports[1],
         n_samples=n_samples,
         seed=seed,
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Pair:
+    """Samples of both surfaces and the distances to the nearest sample of the other one [m].
+
+    Distances are infinite beyond the reach with which the pair was drawn.
+    """
+
+    on_mesh: Floats
+    on_truth: Floats
+    mesh_faces: Ints
+    truth_faces: Ints
+    weights: Floats
+    """Of the corners of each face of the mesh, (n, 3)."""
+    to_truth: Floats
+    to_mesh: Floats
+    nearest_on_truth: Ints
+    """Sample of the truth next to each of the mesh; beyond the reach one at most twice as far."""
+
+    def part(self, of_truth: Bools) -> tuple[Floats, Floats]:
+        """Distances of the part with these samples of the truth; infinite where it has none."""
+        parts = self.to_truth[of_truth[self.nearest_on_truth]], self.to_mesh[of_truth]
+        to_truth, to_mesh = (d if d.size else np.array([np.inf]) for d in parts)
+        return to_truth, to_mesh
+
+
 def _aligned_forecast(
-    mesh: TriangleMesh,
-    on_mesh: tuple[Floats, Ints, Floats],
-    truth: TriangleMesh,
-    on_truth: tuple[Floats, Ints],
-    num_threads: int | None,
+    mesh: TriangleMesh, truth: TriangleMesh, pair: _Pair, num_threads: int | None
 ) -> ErrorForecast | None:
     if mesh.expected_error_m is None:
         return None
-    (points, faces, weights), (true_points, true_faces) = on_mesh, on_truth
-    normals = unit_normals(truth.corners)[true_faces]
-    moved = rigid_alignment(points, true_points, normals).apply(points)
+    normals = unit_normals(truth.corners)[pair.truth_faces]
+    moved = rigid_alignment(pair.on_mesh, pair.on_truth, normals).apply(pair.on_mesh)
     exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
-    return error_forecast(mesh, faces, weights, exact)
+    return error_forecast(mesh, pair.mesh_faces, pair.weights, exact)
+
+
+def _draw_pair(
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    n: int,
+    streams: Sequence[np.random.Generator],
+    within_m: float = np.inf,
+) -> _Pair:
+    on_mesh, mesh_faces, weights = _sample(mesh, n, streams[0])
+    on_truth, truth_faces, _ = _sample(truth, n, streams[1])
+    tree = KDTree(on_truth)
+    # The search for a far sample among dense ones visits most of them: the reach bounds it.
+    to_truth, nearest_on_truth = tree.query(on_mesh, distance_upper_bound=within_m)
+    far = ~np.isfinite(to_truth)
+    nearest_on_truth[far] = tree.query(on_mesh[far], eps=1.0)[1]
+    return _Pair(
+        on_mesh=on_mesh,
+        on_truth=on_truth,
+        mesh_faces=mesh_faces,
+        truth_faces=truth_faces,
+        weights=weights,
+        to_truth=to_truth,
+        to_mesh=_nearest(on_truth, on_mesh, within_m),
+        nearest_on_truth=nearest_on_truth,
+    )
+
+
+def _scores(
+    pair: _Pair, fine: _Pair, thresholds_m: Sequence[float], parts: Sequence[Bools] | None = None
+) -> tuple[ThresholdScore, ...]:
+    """Scores by threshold; of `parts` of the samples of the truth, of both pairs, if given."""
+    everything = [np.ones(len(of.on_truth), dtype=bool) for of in (pair, fine)]
+    coarse, dense = (
+        of.part(which) for of, which in zip((pair, fine), parts or everything, strict=True)
+    )
+    return tuple(
+        threshold_score(*(dense if tau <= FINE_THRESHOLD_M else coarse), tau)
+        for tau in thresholds_m
+    )
+
+
+def _size_errors(
+    mesh: TriangleMesh, truth: TriangleMesh, reports: tuple[SurfaceReport, SurfaceReport]
+) -> SizeErrors:
+    volume, true_volume = (report.volume_m3 for report in reports)
+    x, y, z = (
+        float(np.ptp(a) - np.ptp(b))
+        for a, b in zip(*(s.corners.reshape(-1, 3).T for s in (mesh, truth)), strict=True)
+    )
+    return SizeErrors(
+        volume_ratio=volume / true_volume if volume is not None and true_volume else None,
+        extent_errors_m=(x, y, z),
+    )
 
 
 def _require_comparable(
@@ -325,8 +414,9 @@ def _sample(
     return points, face, weights
 
 
-def _nearest(points: Floats, others: Floats) -> Floats:
-    return np.asarray(KDTree(others).query(points)[0], dtype=np.float64)
+def _nearest(points: Floats, others: Floats, within_m: float = np.inf) -> Floats:
+    distances, _ = KDTree(others).query(points, distance_upper_bound=within_m)
+    return np.asarray(distances, dtype=np.float64)
 
 
 def _summary(distances: Floats) -> DistanceSummary:
@@ -338,20 +428,36 @@ def _summary(distances: Floats) -> DistanceSummary:
     )
 
 
-def _sight_score(
-    part: str,
-    of_truth: Bools,
-    to_truth: Floats,
-    to_mesh: Floats,
+def _by_sight(
+    truth: TriangleMesh,
+    pair: _Pair,
+    fine: _Pair,
     exact_to_mesh: Floats,
     thresholds_m: Sequence[float],
-) -> SightScore:
-    """Scores of one part; `of_truth` marks its samples of the truth."""
-    # Without a sample nothing matches.
-    to_truth, to_mesh = (d if d.size else np.array([np.inf]) for d in (to_truth, to_mesh))
-    return SightScore(
-        part=part,
-        area_fraction=float(of_truth.mean()),
-        scores=tuple(threshold_score(to_truth, to_mesh, tau) for tau in thresholds_m),
-        surface_truth_to_mesh=_summary(exact_to_mesh) if exact_to_mesh.size else None,
-    )
+    planes: Sequence[Aperture],
+    num_threads: int | None,
+) -> tuple[SightScore, ...]:
+    """Scores of the parts of the truth in sight of the planes and out of it."""
+    if not planes:
+        return ()
+    blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
+    normals = unit_normals(truth.corners)
+
+    def seen(of: _Pair) -> Bools:
+        margins = specular_visibility(of.on_truth, normals[of.truth_faces], planes, blocker)
+        return np.asarray((margins >= 0.0).any(axis=1))
+
+    in_sight = seen(pair)
+    of_both = in_sight, in_sight if fine is pair else seen(fine)
+    scores = []
+    for name, parts in (("in sight", of_both), ("out of sight", [~part for part in of_both])):
+        exact = exact_to_mesh[parts[0]]
+        scores.append(
+            SightScore(
+                part=name,
+                area_fraction=float(parts[0].mean()),
+                scores=_scores(pair, fine, thresholds_m, parts),
+                surface_truth_to_mesh=_summary(exact) if exact.size else None,
+            )
+        )
+    return tuple(scores)

@@ -136,6 +136,13 @@ def _others(quality: Mapping[str, Any]) -> str:
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     items = [(f"F1 {1e3 * s['threshold_m']:g} mm", f"{s['f1']:.3f}") for s in metrics["scores"]]
     items.append(("median error", f"{1e3 * metrics['surface_mesh_to_truth']['median_m']:.2f} mm"))
+    if (offset := metrics["surface_bias_m"]) is not None:
+        items.append(("offset along the normal", f"{1e3 * offset:+.2f} mm"))
+    if size := metrics.get("size"):
+        if size["volume_ratio"] is not None:
+            items.append(("volume over the true one", f"{size['volume_ratio']:.2f}"))
+        errors = ", ".join(f"{1e3 * error:+.1f}" for error in size["extent_errors_m"])
+        items.append(("error of size x, y, z [mm]", errors))
     return items
 
 

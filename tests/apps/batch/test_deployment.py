@@ -47,7 +47,7 @@ def place(tmp_path, monkeypatch, small_scan):
 
 
 BATCH = ["scans/one", "out", "--box", *map(str, geraf2.examples.BOX_M), "--preset", "fast"]
-BATCH += ["--fit.spacing-m", "0.012", "--fit.coarse-spacing-m", "0.016"]
+BATCH += ["--fit.spacing-m", "0.012"]
 BATCH += ["--fit.distance-rounds", "1"]
 
 

@@ -6,7 +6,6 @@ import pytest
 
 from geraf2.apps.benchmark import Case, RowResult, load_suite, rows_of
 from geraf2.apps.benchmark.pages import lost_rows, make_table
-from geraf2.io.toml import merged
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +22,6 @@ def results_of(suite, **figures):
         error = None if f1 is not None else "it broke"
         out.append((row, RowResult(f1_5mm=f1, chamfer_1e3_m2=chamfer, error=error)))
     return out
-
-
-def test_tables_are_merged_key_by_key():
-    low = {"scan": {"n_poses": 36, "spacing_m": 0.004}, "walls": [1]}
-    assert merged(low, {"scan": {"n_poses": 6}, "walls": [2]}) == {
-        "scan": {"n_poses": 6, "spacing_m": 0.004},
-        "walls": [2],
-    }
-    assert low["scan"]["n_poses"] == 36
 
 
 def test_a_case_changes_constants_of_its_method_alone(suite):
@@ -76,6 +66,28 @@ def test_pieces_and_holes_are_shown_beside_those_of_the_truth_without_a_mean(sui
     assert not {of for _, of in table.best} & {column}
     rights = [row[column - 1] for row in table.rows if row[0].startswith("mean")]
     assert rights == ["1.00", "0.00"]
+
+
+def test_sizes_are_beside_f1_and_the_best_is_the_nearest_to_the_truth(suite):
+    sizes = {"fast": (1.02, -0.0012, 3e-4), "matched-filter": (0.90, 0.0014, -4e-4)}
+    shown = []
+    for row, r in results_of(suite, **ONE_FAILED):
+        if r.error is None:
+            volume, extent, offset = sizes[row.method]
+            more = {"f1_2mm": r.f1_5mm - 0.1, "volume_ratio": volume, "offset_m": offset}
+            shown.append((row, replace(r, extent_x_m=extent, extent_z_m=2 * extent, **more)))
+    table = make_table("table1", suite.experiments["table1"], suite, shown)
+    names = ("F1 2 mm", "volume / true", "extent x [mm]", "extent z [mm]", "offset [mm]")
+    columns = [table.head.index(name) for name in names]
+    numbers = [[row[c] for c in columns] for row in table.rows[:2]]
+    assert numbers == [
+        ["0.800", "1.020", "-1.2", "-2.4", "0.30"],
+        ["0.400", "0.900", "1.4", "2.8", "-0.40"],
+    ]
+    assert {(0, column) for column in columns} <= table.best
+    assert not {(1, column) for column in columns} & table.best
+    assert shown[0][1].extent_m == 2 * 0.0012
+    assert RowResult().extent_m is None
 
 
 def test_rows_that_beat_the_default_are_named(suite):

@@ -5,8 +5,6 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from geraf2.apps.importers import ImportOptions, _recording, load_importer
 from geraf2.errors import UserError
@@ -132,38 +130,7 @@ def test_what_is_cut_short_is_refused_or_left_out(tmp_path, cut, text, n_frames)
     assert np.array_equal(samples(kept), beat()[:n_frames])
 
 
-def test_empty_and_missing_files_are_named(tmp_path):
-    (tmp_path / "a.bin").touch()
-    with pytest.raises(UserError, match=r"a\.bin: is empty"):
-        opened(tmp_path / "a.bin")
-    with pytest.raises(UserError, match="no such file or folder"):
-        opened(tmp_path / "b.bin")
-
-
 GIVEN = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
-
-
-@settings(deadline=None, max_examples=60)
-@given(
-    st.binary(max_size=60),
-    st.sampled_from([0, 1, 3, 64, 900, 3000]),
-    st.sampled_from([None, 16, 64]),
-    st.sampled_from([RawManifest(), GIVEN, RawManifest(n_rx=3)]),
-    st.booleans(),
-)
-def test_any_bytes_are_a_recording_or_one_line(
-    tmp_path_factory, data, repeats, n_samples, raw, keep_good
-):
-    path = tmp_path_factory.mktemp("fuzz") / "a.bin"
-    path.write_bytes(data * repeats)
-    try:
-        outcome = opened(path, ImportOptions(keep_good=keep_good), raw=raw, n_samples=n_samples)
-    except UserError as error:
-        outcome = error
-    if isinstance(outcome, UserError):
-        assert "\n" not in str(outcome)
-    else:
-        assert np.isfinite(samples(outcome)).all()
 
 
 def test_parts_of_a_recording_are_one_stream(tmp_path):

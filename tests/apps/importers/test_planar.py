@@ -1,5 +1,3 @@
-from contextlib import suppress
-
 import numpy as np
 import pytest
 
@@ -64,52 +62,6 @@ def test_without_the_phase_of_the_antenna_notes_warn(tmp_path):
 def test_arrays_that_make_no_sense_are_named(tmp_path, changes, text):
     with pytest.raises(UserError, match=text):
         opened(write_planar(tmp_path / "scan", **changes))
-
-
-@pytest.mark.parametrize("is_complex", [False, True])
-def test_a_file_cut_short_is_named(tmp_path, is_complex):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(UserError, match="no such file"):
-        opened(tmp_path / "empty")
-    if is_complex:
-        data = write_hologram(tmp_path / "letter.npy", n=5).read_bytes()
-    else:
-        data = (write_planar(tmp_path / "scan") / "scan.npy").read_bytes()
-    for n_bytes in (10, 200, 1500 if is_complex else 30000, len(data) - 3):
-        (tmp_path / "cut.npy").write_bytes(data[:n_bytes])
-        with pytest.raises(UserError, match="of 6 cannot be read") as caught:
-            opened(tmp_path / "cut.npy")
-        assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("kind", ["archive", "text", "empty", "one array"])
-def test_a_file_that_holds_something_else_is_named(tmp_path, kind):
-    path = tmp_path / "scan.npy"
-    with path.open("wb") as handle:
-        if kind == "archive":
-            np.savez(handle, data=np.zeros(3))
-        elif kind == "one array":
-            np.save(handle, np.ones((6, 4, 4), complex))
-        else:
-            handle.write(b"a text" if kind == "text" else b"")
-    number = 2 if kind == "one array" else 1
-    with pytest.raises(UserError, match=f"array {number} of 6 cannot be read") as caught:
-        opened(path)
-    assert "pickle" not in str(caught.value)
-
-
-def test_bytes_that_changed_are_read_or_refused(tmp_path):
-    path = write_planar(tmp_path / "scan", n_x=5, n_y=4) / "scan.npy"
-    data = path.read_bytes()
-    rng = np.random.default_rng(0)
-    for _ in range(100):
-        changed = bytearray(data)
-        for place in rng.integers(0, 128, 3):
-            changed[place] ^= int(rng.integers(1, 256))
-        path.write_bytes(changed)
-        # Anything else that is raised fails the test.
-        with suppress(UserError):
-            list(opened(path).poses())
 
 
 def test_nan_samples_are_refused(tmp_path):

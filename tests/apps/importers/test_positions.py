@@ -204,33 +204,3 @@ def test_bad_rows_are_refused_or_left_out(tmp_path, row, value, text):
     assert len(found.positions) == 9
     assert row + 1 not in found.rows
     assert "left out" in found.notes[0]
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "has no rows"),
-        ("time_s,x_m,y_m,z_m\n", "has no rows"),
-        ("time_s,x_m,y_m\n0,1,2\n", "columns are missing, expected time_s, x_m"),
-        ("time_s,x_m,y_m,z_m,qw\n0,1,2,3,1\n", "columns are missing"),
-        ("time_s,x_in,y_in,z_in\n0,1,2,3\n", "columns are missing"),
-        ("0,1\n", "wrong number of columns"),
-        ("time_s,x_m,y_m,z_m\n0,1,2,three\n", "cannot be read as numbers"),
-        ("t,x,y,z,qw,qx,qy,qz\n0,1,2,3,2,0,0,0\n", "quaternion of row 1 is not 1"),
-    ],
-)
-def test_what_is_no_log_is_named(tmp_path, text, message):
-    (tmp_path / "l.csv").write_text(text)
-    with pytest.raises(UserError, match=message) as caught:
-        read_log(tmp_path / "l.csv", keep_good=False)
-    assert "l.csv" in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("array", [None, np.zeros(3), np.zeros((3, 5)), np.zeros((3, 4), complex)])
-def test_arrays_of_another_kind_are_named(tmp_path, array):
-    path = tmp_path / "l.npy"
-    path.write_bytes(b"nothing") if array is None else np.save(path, array)
-    text = r"l\.npy" if array is not None else "cannot be read as a NumPy array"
-    with pytest.raises(UserError, match=text):
-        read_log(path, keep_good=False)

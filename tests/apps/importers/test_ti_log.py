@@ -2,7 +2,6 @@
 
 import json
 
-import numpy as np
 import pytest
 
 from geraf2.apps.importers._recording import open_recording
@@ -107,16 +106,3 @@ def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
 def test_a_line_that_cannot_be_read_is_named(tmp_path, old, new, line):
     with pytest.raises(UserError, match=line):
         read(tmp_path, LOG.replace(old, new))
-
-
-def test_any_text_is_a_configuration_or_one_line(tmp_path):
-    rng = np.random.default_rng(0)
-    for _ in range(200):
-        text = list(LOG + SCRIPT)
-        for at in rng.integers(0, len(text), 30):
-            text[at] = str(rng.choice(list(",0-x(.\n9")))
-        try:
-            outcome = str(read(tmp_path, "".join(text)))
-        except UserError as error:
-            outcome = str(error)
-        assert "\n" not in outcome

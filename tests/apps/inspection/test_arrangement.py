@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from geraf2.apps.inspection import registration
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import capped, part_of, split_bodies
 from geraf2.apps.inspection.matching import match_models
@@ -12,7 +11,7 @@ from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
-from helpers.inspected import POSE, block, measured
+from helpers.inspected import POSE, block, few_starts, measured
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
 """Sides and where the middle lies along y [m]; a bridge of 10 mm joins them."""
@@ -44,10 +43,7 @@ def models():
 
 @pytest.fixture(scope="module")
 def placed(whole, models):
-    with pytest.MonkeyPatch.context() as patch:  # fewer starts and points: seconds less
-        for name, number in (("N_STARTS", 24), ("_N_FINE", 300), ("_N_CAD_POINTS", 3000)):
-            patch.setattr(registration, name, number)
-        patch.setattr(registration, "_TABLE_CELLS", 16)
+    with few_starts():
         return arranged(models, whole, None)
 
 

@@ -7,7 +7,7 @@ import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
 from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
-from helpers.inspected import SMALL, block, measured, wedge
+from helpers.inspected import SMALL, block, few_starts, measured, wedge
 from helpers.solids import joined
 
 pytestmark = pytest.mark.browser
@@ -34,7 +34,8 @@ def page_url(tmp_path_factory):
     write_mesh(block((0.16,) * 3, edge_m=0.2), out / BOX_NAME)
     RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME, BOX_NAME], 1.0)
     models = [wedge(), SMALL, block((0.01,) * 3)]
-    answer = geraf2.inspect(out, models, options=geraf2.InspectOptions(expect=3))
+    with few_starts():
+        answer = geraf2.inspect(out, models, options=geraf2.InspectOptions(expect=3))
     assert answer.verdict == "fail"
     return (out / "inspection.html").resolve().as_uri()
 

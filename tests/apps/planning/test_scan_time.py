@@ -1,6 +1,7 @@
 """Plans in minutes: times against sums by hand, speed against blur, the best of what fits."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ HALF = 0.5 * np.array(APERTURE_M)
 EIGHT = Scanner(channels=8)
 
 
+@cache
 def best(minutes, scanner=EIGHT, **more):
     return best_in_time(
         BOX, STANDOFF_M, APERTURE_M, scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more

@@ -66,7 +66,7 @@ class JobResult:
     peak_memory_mib: float = 0.0
     """Largest resident set of the job's process [MiB]."""
     scores: dict[str, float] = field(default_factory=dict)
-    """Against the truth, where it is known: f1_5mm, f1_3mm, chamfer_1e3_m2."""
+    """Against the truth, where it is known, as of `MeshMetrics.headline`."""
     warnings: tuple[str, ...] = ()
     log_tail: tuple[str, ...] = ()
     """Last lines printed by a failed job."""

@@ -22,7 +22,13 @@ TO_DO = "to do"
 _NUMBERS = (
     ("f1_5mm", "F1 5 mm", 3),
     ("f1_3mm", "F1 3 mm", 3),
+    ("f1_2mm", "F1 2 mm", 3),
     ("chamfer_1e3_m2", "CD [1e-3 m²]", 4),
+    ("volume_ratio", "volume / true", 3),
+    ("extent_x_mm", "extent x [mm]", 1),
+    ("extent_y_mm", "extent y [mm]", 1),
+    ("extent_z_mm", "extent z [mm]", 1),
+    ("offset_mm", "offset [mm]", 2),
     ("seconds", "time [s]", 1),
     ("cpu_seconds", "CPU [s]", 1),
     ("peak_memory_mib", "memory [MiB]", 0),

@@ -214,8 +214,7 @@ def _reconstruct(
     if job.truth is None:
         return {}
     metrics = evaluate(result, job.truth, report=report, num_threads=num_threads)
-    scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
-    return scores | {"chamfer_1e3_m2": round(metrics.chamfer_1e3_m2, 6)}
+    return {name: round(score, 6) for name, score in metrics.headline().items()}
 
 
 def state_of(error: BaseException) -> str:

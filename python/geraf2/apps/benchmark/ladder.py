@@ -7,8 +7,17 @@ from geraf2.apps.benchmark.suite import Experiment, Suite
 
 Results = Sequence[tuple[Row, RowResult]]
 
-_FIGURES = (("f1_15mm", 3), ("f1_5mm", 3), ("f1_3mm", 3), ("chamfer_1e3_m2", 4))
-_HEAD = "F1 15 / 5 / 3 mm / CD"
+# Result, digits, factor.
+_FIGURES = (
+    ("f1_15mm", 3, 1.0),
+    ("f1_5mm", 3, 1.0),
+    ("f1_3mm", 3, 1.0),
+    ("f1_2mm", 3, 1.0),
+    ("chamfer_1e3_m2", 4, 1.0),
+    ("volume_ratio", 3, 1.0),
+    ("extent_m", 1, 1e3),
+)
+_HEAD = "F1 15 / 5 / 3 / 2 mm / CD / volume / worst extent [mm]"
 
 
 def ladder(
@@ -50,16 +59,18 @@ def _means(own: dict[str, RowResult], n_scenes: int) -> str:
     n_failed = len(own) - len(done)
     parts = []
     if done:
-        means = [
-            f"{sum(getattr(result, key) or 0.0 for result in done) / len(done):.{digits}f}"
-            for key, digits in _FIGURES
-        ]
-        parts.append(" / ".join(means))
+        parts.append(" / ".join(_mean(done, *figure) for figure in _FIGURES))
         if len(done) < n_scenes:
             parts.append(f"of {len(done)}")
     if n_failed:
         parts.append(f"{n_failed} failed")
     return ", ".join(parts)
+
+
+def _mean(done: Sequence[RowResult], key: str, digits: int, factor: float) -> str:
+    values = [getattr(result, key) for result in done]
+    known = [value for value in values if value is not None]
+    return f"{factor * sum(known) / len(known):.{digits}f}" if known else "-"
 
 
 def _lost(ideal: dict[str, RowResult], own: dict[str, RowResult]) -> str:

@@ -22,7 +22,13 @@ _COLUMNS = (
     ("F1 15 mm", "f1_15mm", 3, 1.0),
     ("F1 5 mm", "f1_5mm", 3, 1.0),
     ("F1 3 mm", "f1_3mm", 3, 1.0),
+    ("F1 2 mm", "f1_2mm", 3, 1.0),
     ("CD [1e-3 m2]", "chamfer_1e3_m2", 4, 1.0),
+    ("volume / true", "volume_ratio", 3, 1.0),
+    ("extent x [mm]", "extent_x_m", 1, 1e3),
+    ("extent y [mm]", "extent_y_m", 1, 1e3),
+    ("extent z [mm]", "extent_z_m", 1, 1e3),
+    ("offset [mm]", "offset_m", 2, 1e3),
     ("median [mm]", "median_m", 2, 1e3),
     ("expected [mm]", "expected_m", 2, 1e3),
     ("pieces, holes right", "same_topology", 2, 1.0),
@@ -30,7 +36,12 @@ _COLUMNS = (
     ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
+# What a smaller value is better for, and the value that others are best near to.
 _SMALLER_IS_BETTER = ("chamfer_1e3_m2", "median_m")
+_BEST_AT = {
+    "volume_ratio": 1.0,
+    **dict.fromkeys(("extent_x_m", "extent_y_m", "extent_z_m", "offset_m"), 0.0),
+}
 _OURS = "fast"
 _AGAINST = "The preset fast against each method"
 _AGAINST_HEAD = ("method", "rows", "fast better by F1 5 mm", "by CD")
@@ -160,11 +171,14 @@ def _best_cells(
     for numbers in groups.values():
         for column, key in enumerate(columns):
             values = {n: getattr(results[n][1], key) for n in numbers}
-            known = [value for value in values.values() if value is not None]
+            known = {n: value for n, value in values.items() if value is not None}
             if len(known) < 2 or key in ("cpu_seconds", "topology", "expected_m"):
                 continue
-            top = min(known) if key in _SMALLER_IS_BETTER else max(known)
-            best |= {(n, first_column + column) for n, value in values.items() if value == top}
+            if key in _BEST_AT:
+                known = {n: abs(value - _BEST_AT[key]) for n, value in known.items()}
+            is_small = key in _SMALLER_IS_BETTER or key in _BEST_AT
+            top = (min if is_small else max)(known.values())
+            best |= {(n, first_column + column) for n, value in known.items() if value == top}
     return frozenset(best)
 
 

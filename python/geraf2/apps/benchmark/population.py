@@ -5,9 +5,15 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 from geraf2 import __version__
-from geraf2.apps.benchmark.population_table import SeedResult, paired_table, preset_table
+from geraf2.apps.benchmark.population_table import (
+    Records,
+    SeedResult,
+    paired_table,
+    preset_table,
+)
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.benchmark.runner import RESULT_VERSION, SCENE_VERSION, Runner, read_record
 from geraf2.apps.benchmark.suite import Case, Method
@@ -58,8 +64,7 @@ def is_reserved(seeds: range) -> bool:
 def scene_of(folder: Path, seed: int) -> SceneSpec:
     """Spec of a seed, drawn once; spec and record are kept in the folder of the scenes."""
     record_path, spec_path = folder / RECORD_NAME, folder / NAME / f"{seed}.toml"
-    known = read_record(record_path)
-    drawn = known.get("seeds", {}) if known.get("version") == POPULATION_VERSION else {}
+    drawn = _records(record_path)
     if str(seed) in drawn and spec_path.is_file():
         return parse_spec(read_table(spec_path), where=spec_path)
     scene = draw_scene(seed)
@@ -68,6 +73,12 @@ def scene_of(folder: Path, seed: int) -> SceneSpec:
     drawn = {**drawn, str(seed): dict(scene.record)}
     write_json_atomic(record_path, {"version": POPULATION_VERSION, "seeds": drawn})
     return parse_spec(read_table(spec_path), where=spec_path)
+
+
+def records_of(folder: Path) -> Records:
+    """Read what was drawn for each seed whose scene was made in this folder."""
+    drawn = _records(folder / RECORD_NAME)
+    return {int(seed): record for seed, record in drawn.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,11 +155,17 @@ class Population:
 
 
 def tables(
-    results: Sequence[SeedResult], presets: Sequence[str], others: Iterable[SeedResult] = ()
+    results: Sequence[SeedResult],
+    presets: Sequence[str],
+    records: Records,
+    others: Iterable[SeedResult] = (),
 ) -> str:
-    """Table of each preset, then paired differences: of presets, and against other results."""
+    """Table of each preset, then paired differences: of presets, and against other results.
+
+    records: what was drawn for each seed.
+    """
     by_preset = {name: [r for r in results if r.preset == name] for name in presets}
-    parts = [preset_table(name, own) for name, own in by_preset.items()]
+    parts = [preset_table(name, own, records) for name, own in by_preset.items()]
     first = presets[0]
     parts += [
         paired_table(f"{name} less {first}", by_preset[first], by_preset[name])
@@ -208,3 +225,11 @@ def append_result(path: Path, result: SeedResult) -> None:
             if file.read(1) != b"\n":
                 line = "\n" + line
         file.write(line.encode())
+
+
+def _records(path: Path) -> dict[str, Any]:
+    """Read the records of seeds that were drawn from this version of the population."""
+    known = read_record(path)
+    drawn = known.get("seeds")
+    is_current = known.get("version") == POPULATION_VERSION
+    return drawn if is_current and isinstance(drawn, dict) else {}

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +31,10 @@ METRICS = (
 )
 """Names of scores, titles and digits."""
 _ZERO_IF_FAILED = ("f1_5mm", "f1_3mm", "f1_2mm")
+VOLUME_TOLERANCE, EXTENT_TOLERANCE_MM = 0.05, 2.0
+"""Errors of volume, relative, and of an extent [mm] that an inspection accepts."""
+_EXTENTS = ("extent_x_mm", "extent_y_mm", "extent_z_mm")
+_GROUPS = (("world", ("none", "plausible", "hard")), ("material", ("metal", "plastic")))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +66,10 @@ class Interval(NamedTuple):
     high: float
 
 
+Records = Mapping[int, Mapping[str, Any]]
+"""What was drawn, by seed."""
+
+
 def mean_interval(values: Floats, n_resamples: int = N_RESAMPLES) -> Interval:
     """Mean of values, (n,), with the bootstrap's 95 % interval."""
     means = values[_draws(len(values), n_resamples)].mean(axis=1)
@@ -89,8 +97,14 @@ def _bounds(values: Floats) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def preset_table(preset: str, results: Sequence[SeedResult]) -> list[str]:
-    """Lines of one preset: each score with mean, interval, and quantiles."""
+def preset_table(
+    preset: str, results: Sequence[SeedResult], records: Records | None = None
+) -> list[str]:
+    """Lines of one preset: each score with mean, interval, and quantiles.
+
+    Then shares of scenes whose sizes are right, and means by world and material, where `records`
+    has the seeds.
+    """
     errors = [result for result in results if result.error is not None]
     poor = [r for r in results if r.error is None and r.score("f1_5mm") < FAILED_F1]
     n_failed = len(errors) + len(poor)
@@ -111,9 +125,64 @@ def preset_table(preset: str, results: Sequence[SeedResult]) -> list[str]:
             f"  {title:38}{mean.value:9.{digits}f}{within:>21}{low:9.{digits}f}{high:9.{digits}f}"
             f"{len(values):7d}"
         )
+    lines += _size_lines(results)
+    lines += _group_lines(results, records or {})
     if errors or poor:
         lines.append("  failed: " + ", ".join(str(r.seed) for r in [*errors, *poor]))
     return lines
+
+
+def _size_lines(results: Sequence[SeedResult]) -> list[str]:
+    """Shares of scenes with the right volume and extents, a failure counts as a miss; |offset|."""
+    volume = np.array([abs(r.score("volume_ratio") - 1.0) for r in results])
+    extents = np.abs([[r.score(name) for name in _EXTENTS] for r in results])
+    offset = np.abs([r.score("offset_mm") for r in results])
+    offset = offset[np.isfinite(offset)]
+    small = extents <= EXTENT_TOLERANCE_MM
+    rows = [
+        (f"share with volume within {VOLUME_TOLERANCE:.0%}", volume <= VOLUME_TOLERANCE),
+        (f"share of extents within {EXTENT_TOLERANCE_MM:g} mm", small.mean(axis=1)),
+        (f"share with all three within {EXTENT_TOLERANCE_MM:g} mm", small.all(axis=1)),
+    ]
+    lines = []
+    for title, hits in rows:
+        mean = mean_interval(np.asarray(hits, dtype=float))
+        within = f"{mean.low:.3f} to {mean.high:.3f}"
+        lines.append(f"  {title:38}{mean.value:9.3f}{within:>21}{'':18}{len(hits):7d}")
+    if len(offset):
+        medians = np.median(offset[_draws(len(offset), N_RESAMPLES)], axis=1)
+        within = "{:.2f} to {:.2f}".format(*_bounds(medians))
+        title, value = "median of |offset| [mm]", np.median(offset)
+        lines.append(f"  {title:38}{value:9.2f}{within:>21}{'':18}{len(offset):7d}")
+    return lines
+
+
+def _group_lines(results: Sequence[SeedResult], records: Records) -> list[str]:
+    """Coverage of the expected error, offset and F1 of the seeds of each world and material."""
+    head = ("within 1", "within 2", "rank", "|offset|", "F1 5 mm", "F1 2 mm", "seeds")
+    lines = []
+    for key, values in _GROUPS:
+        for value in values:
+            own = [r for r in results if records.get(r.seed, {}).get(key) == value]
+            if own:
+                cells = [_mean(own, name) for name in ("within_one", "within_two", "rank")]
+                cells.append(_median_size(own, "offset_mm"))
+                cells += [_mean(own, name) for name in ("f1_5mm", "f1_2mm")]
+                text = "".join(f"{cell:>10}" for cell in [*cells, str(len(own))])
+                lines.append(f"  {f'{key} {value}':20}{text}")
+    return [f"  {'':20}" + "".join(f"{name:>10}" for name in head), *lines] if lines else []
+
+
+def _mean(results: Sequence[SeedResult], name: str) -> str:
+    values = np.array([result.score(name) for result in results])
+    values = values[np.isfinite(values)]
+    return f"{values.mean():.3f}" if len(values) else "-"
+
+
+def _median_size(results: Sequence[SeedResult], name: str) -> str:
+    values = np.abs([result.score(name) for result in results])
+    values = values[np.isfinite(values)]
+    return f"{np.median(values):.2f}" if len(values) else "-"
 
 
 def paired_table(

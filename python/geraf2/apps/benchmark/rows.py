@@ -59,8 +59,20 @@ class RowResult:
     """F1 at 5 mm."""
     f1_3mm: float | None = None
     """F1 at 3 mm."""
+    f1_2mm: float | None = None
+    """F1 at 2 mm."""
     chamfer_1e3_m2: float | None = None
     """Chamfer distance [1e-3 m^2]."""
+    volume_ratio: float | None = None
+    """Volume over the true one."""
+    extent_x_m: float | None = None
+    """Extent along x less the true one [m]."""
+    extent_y_m: float | None = None
+    """The same along y [m]."""
+    extent_z_m: float | None = None
+    """The same along z [m]."""
+    offset_m: float | None = None
+    """Median offset of the surface along the normal, positive outside [m]."""
     median_m: float | None = None
     """Median distance in both directions [m]."""
     expected_m: float | None = None
@@ -83,6 +95,13 @@ class RowResult:
     """Run folder, relative to the benchmark's."""
     scene_folder: str | None = None
     """Scene folder, relative to the benchmark's."""
+
+    @property
+    def extent_m(self) -> float | None:
+        """Largest absolute error of the three extents [m]."""
+        errors = self.extent_x_m, self.extent_y_m, self.extent_z_m
+        known = [abs(error) for error in errors if error is not None]
+        return max(known) if known else None
 
     def __str__(self) -> str:
         if self.error is not None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Increased when the simulator or the evaluation changes its results.
-SCENE_VERSION, RESULT_VERSION = 1, 3
+SCENE_VERSION, RESULT_VERSION = 1, 4
 # Fields of a scan that are hashed only where they are set, so that names of older folders hold.
 _LATER = ("rings", "file", "sweeps")
 

@@ -45,9 +45,9 @@ def evaluate(
     num_threads: all when None.
     listener: hears progress and warnings.
 
-    Returns F1 at several distances [m] and the Chamfer distance [1e-3 m^2], each with its
-    definition. Raises UserError where the run has no mesh yet, the truth is no mesh, or another
-    process writes into the run folder.
+    Returns F1 at several distances [m], the Chamfer distance [1e-3 m^2], errors of volume, extents
+    and offset, each with its definition. Raises UserError where the run has no mesh yet, the truth
+    is no mesh, or another process writes into the run folder.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> metrics = geraf2.evaluate(geraf2.examples.small_run(), truth, report=False)
@@ -81,9 +81,8 @@ def evaluate(
         result.run.release(METRICS_NAME, *REPORT_FILES)
         (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
         write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
-        scores = {f"f1_{1e3 * s.threshold_m:g}mm": round(s.f1, 4) for s in metrics.scores}
-        chamfer = metrics.chamfer_1e3_m2
-        result.run.log("evaluate", level="info", chamfer_1e3_m2=chamfer, **scores)
+        scores = {name: round(score, 6) for name, score in metrics.headline().items()}
+        result.run.log("evaluate", level="info", **scores)
         if report:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 

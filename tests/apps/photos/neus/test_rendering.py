@@ -214,11 +214,6 @@ def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
     assert ((seen.depth / seen.opacity - hit).abs() < 1e-3).all()
 
 
-def test_no_rays_give_no_pixels():
-    empty = torch.zeros((0, 3))
-    assert render_rays(Plane(), (empty, empty), torch.zeros((0, 5)), 10.0).colour.shape == (0, 3)
-
-
 def small_background():
     config = BackgroundConfig(
         n_layers=2, width=8, skip=1, n_octaves=2, n_direction_octaves=1, n_samples=9
