@@ -52,6 +52,7 @@ def glints_at(directions):
         position_sigma_m=np.ones(n),
         normal_sigma_rad=np.ones(n),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
 
 

@@ -25,6 +25,7 @@ def glints_on(directions, strengths=None):
         position_sigma_m=np.full(n, 4e-4),
         normal_sigma_rad=np.full(n, 0.03),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
 
 
@@ -85,6 +86,7 @@ def test_wide_caps_are_flatter_than_domes(capture):
         position_sigma_m=np.full(n, 4e-4),
         normal_sigma_rad=np.full(n, 0.03),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
     tops = []
     for slope in (0.0, 1.0):

@@ -249,7 +249,11 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(np.stack(floor))),
         expected_error=error_forecast(mesh, pair.mesh_faces, pair.weights, np.abs(exact_to_truth)),
+<<<<<<< HEAD
         expected_error_aligned=_aligned_forecast(mesh, truth, pair, num_threads),
+=======
+        expected_error_aligned=_aligned_forecast(mesh, pair, truth, num_threads),
+>>>>>>> main
         by_sight=_by_sight(truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads),
         mesh=reports[0],
         truth=reports[1],
@@ -346,6 +350,20 @@ def _size_errors(
         volume_ratio=volume / true_volume if volume is not None and true_volume else None,
         extent_errors_m=(x, y, z),
     )
+<<<<<<< HEAD
+=======
+
+
+def _aligned_forecast(
+    mesh: TriangleMesh, pair: _Pair, truth: TriangleMesh, num_threads: int | None
+) -> ErrorForecast | None:
+    if mesh.expected_error_m is None:
+        return None
+    normals = unit_normals(truth.corners)[pair.truth_faces]
+    moved = rigid_alignment(pair.on_mesh, pair.on_truth, normals).apply(pair.on_mesh)
+    exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
+    return error_forecast(mesh, pair.mesh_faces, pair.weights, exact)
+>>>>>>> main
 
 
 def _require_comparable(
