@@ -249,11 +249,7 @@ def evaluate_mesh(
         floor_chamfer_1e3_m2=chamfer_1e3_m2(floor[0], floor[1]),
         floor_median_m=float(np.median(np.stack(floor))),
         expected_error=error_forecast(mesh, pair.mesh_faces, pair.weights, np.abs(exact_to_truth)),
-<<<<<<< HEAD
-        expected_error_aligned=_aligned_forecast(mesh, truth, pair, num_threads),
-=======
         expected_error_aligned=_aligned_forecast(mesh, pair, truth, num_threads),
->>>>>>> main
         by_sight=_by_sight(truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads),
         mesh=reports[0],
         truth=reports[1],
@@ -285,17 +281,6 @@ class _Pair:
         parts = self.to_truth[of_truth[self.nearest_on_truth]], self.to_mesh[of_truth]
         to_truth, to_mesh = (d if d.size else np.array([np.inf]) for d in parts)
         return to_truth, to_mesh
-
-
-def _aligned_forecast(
-    mesh: TriangleMesh, truth: TriangleMesh, pair: _Pair, num_threads: int | None
-) -> ErrorForecast | None:
-    if mesh.expected_error_m is None:
-        return None
-    normals = unit_normals(truth.corners)[pair.truth_faces]
-    moved = rigid_alignment(pair.on_mesh, pair.on_truth, normals).apply(pair.on_mesh)
-    exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
-    return error_forecast(mesh, pair.mesh_faces, pair.weights, exact)
 
 
 def _draw_pair(
@@ -350,8 +335,6 @@ def _size_errors(
         volume_ratio=volume / true_volume if volume is not None and true_volume else None,
         extent_errors_m=(x, y, z),
     )
-<<<<<<< HEAD
-=======
 
 
 def _aligned_forecast(
@@ -363,7 +346,6 @@ def _aligned_forecast(
     moved = rigid_alignment(pair.on_mesh, pair.on_truth, normals).apply(pair.on_mesh)
     exact = np.abs(signed_distances(truth, moved, num_threads=num_threads))
     return error_forecast(mesh, pair.mesh_faces, pair.weights, exact)
->>>>>>> main
 
 
 def _require_comparable(
