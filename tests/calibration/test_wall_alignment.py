@@ -11,7 +11,7 @@ from geraf2.calibration.wall_alignment import (
     WallProblem,
     turntable_axis,
 )
-from geraf2.calibration.wall_echoes import WallMiddles, find_wall_peak
+from geraf2.calibration.wall_echoes import WallMiddles, find_wall_peak, loss_shift
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Wall
@@ -35,16 +35,40 @@ def test_the_delay_puts_the_walls_where_the_prior_has_them(capture, recorded):
 
 
 def test_walls_echo_from_their_optical_middle(capture):
-    board = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.005, permittivity=1.44)
-    middles = WallMiddles.of((board,))
+    board = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.00394, permittivity=1.44)
+    middles = WallMiddles.of((board,), capture.waveform)
     near, far = middles.depths_m
-    assert near == pytest.approx(0.003)
-    assert far == pytest.approx(1.5 * 0.006 - 0.010)  # 3 n t / 2 - 2 t
+    shift = np.mean([loss_shift(board, capture.waveform, loss_db) for loss_db in (0.0, 0.45, 0.9)])
+    optical = 1.2 * board.thickness_m
+    assert near == pytest.approx(0.5 * optical + shift)
+    assert far == pytest.approx(1.5 * optical - 2.0 * board.thickness_m + shift)
     found = aligned(capture, replace(PRIOR, walls=(board,)))
     # Half of the two middles' sum, for the capture's walls have none.
     assert found.delay_m == pytest.approx(-(near + far), abs=8e-4)
     unknown = aligned(replace(capture, walls=()), replace(PRIOR, walls=()))
     assert unknown.delay_sigma_m > 1.2 * found.delay_sigma_m
+
+
+@pytest.mark.parametrize(("thickness_m", "permittivity"), [(0.004, 1.6), (0.0035, 1.6)])
+def test_a_lossy_wall_echoes_before_its_middle(capture, thickness_m, permittivity):
+    """Twin: group delay of 1 - a exp(-j psi) at the middle of the band, where faces add up."""
+    wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=thickness_m, permittivity=permittivity)
+    index, waveform = np.sqrt(permittivity), capture.waveform
+    psi = 4.0 * np.pi * index * thickness_m / waveform.center_wavelength_m
+    for loss_db in (0.45, 0.9):
+        second = (1.0 - ((index - 1.0) / (index + 1.0)) ** 2) * 10.0 ** (-0.1 * loss_db)
+        ratio = second * np.exp(-1j * psi)
+        depth = -index * thickness_m * (ratio / (1.0 - ratio)).real
+        found = loss_shift(wall, waveform, loss_db)
+        assert found == pytest.approx(depth - 0.5 * index * thickness_m, abs=1e-4)
+        assert found < 0.0
+
+
+def test_faces_that_cancel_leave_the_middle_open(capture):
+    """Twice 5.58 mm of optical path are 2.95 wavelengths: seed 4 of the population."""
+    wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.00458, permittivity=1.483)
+    assert loss_shift(wall, capture.waveform, 0.45) < -0.004
+    assert WallMiddles.of((wall,), capture.waveform).sigmas_m[2] > 0.002
 
 
 def test_a_turned_and_moved_prior_is_moved_back(capture):
@@ -157,7 +181,7 @@ def log_posterior(problem, values, walls, some):
         place, eps = units @ (center - q), 1e-6
         slope = [(shape(place + eps * e) - shape(place - eps * e)) / (2 * eps) for e in np.eye(2)]
         behind = problem.echoes.ranges_m[peak] - parts["delay"][0] - side * height
-        middle = problem.middles.depths_m[far] + parts["middles"][far]
+        middle = problem.middles.depths_m[far] + parts["middles"][far] + parts["middles"][2]
         range_sigma, direction_sigma = ((4e-4, 0.01), (6e-4, 0.015))[far]
         residual = [(behind - middle + side * shape(place)) / range_sigma]
         residual += list((units @ direction - side * np.array(slope)) / direction_sigma)

@@ -203,7 +203,7 @@ class WallProblem:
             low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
         self.size_m = peaks.subaperture.size_m
-        self.middles = WallMiddles.of(prior.walls or capture.walls)
+        self.middles = WallMiddles.of(prior.walls or capture.walls, capture.waveform)
         self.faces = WallFaces.of(prior)
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
@@ -371,6 +371,7 @@ class WallProblem:
         ranges[rows, parts["angles"][poses]] = -dot(towards, turned)
         ranges[rows, parts["planes"][poses]] = -dot(towards, axes[:, 0])
         ranges[rows, parts["middles"][walls.far]] = -1.0
+        ranges[:, parts["middles"][2]] = -1.0
         feet = centers - height[:, None] * normals
         modes, slopes = self.faces.modes(walls.walls, feet)
         columns = parts["shapes"].reshape(-1, N_MODES)[walls.walls]

@@ -12,9 +12,10 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_faces import WallFaces
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
-from geraf2.scene import Capture, LosPrior, Wall
+from geraf2.scene import Capture, LosPrior, Wall, Waveform
 
 UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
 """Optical middle of a near and of a far wall behind its outer face, each with its standard
@@ -23,6 +24,8 @@ MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a wall whose thickness and permittivity are known: three
 independent simulators give -0.37 to 0.13 mm for near walls, -0.30 to 0.09 mm for far ones [m]."""
 
+# Of one crossing of cardboard, beside the reflection of its faces.
+_LOSSES_DB = (0.0, 0.45, 0.9)
 # The wall's echo is strong, but the content's may be 20 dB stronger; side lobes are weaker.
 _DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
@@ -69,30 +72,53 @@ def wall_peaks(
 
 @dataclass(frozen=True, kw_only=True)
 class WallMiddles:
-    """How far behind the outer faces walls echo, and the standard deviations, near and far [m].
+    """How far behind the outer faces walls echo [m].
 
     Both faces of a wall lie in one range cell. With thickness t and index n a near wall echoes
     from n t / 2 behind its outer face, a far one, seen through the near one, from
-    3 n t / 2 - 2 t behind its own: within 0.5 mm of it for all cardboard.
+    3 n t / 2 - 2 t behind its own: within 0.5 mm of it for all cardboard. Where a loss makes the
+    second face weaker and both nearly cancel, the peak moves by millimetres (`loss_shift`).
     """
 
     depths_m: tuple[float, float]
-    sigmas_m: tuple[float, float]
+    """Of near and of far walls."""
+    sigmas_m: tuple[float, float, float]
+    """Standard deviations of both, and of what they have in common."""
 
     @classmethod
-    def of(cls, walls: tuple[Wall, ...]) -> "WallMiddles":
+    def of(cls, walls: tuple[Wall, ...], waveform: Waveform) -> "WallMiddles":
         """Of the outermost wall, and of boxes within it; what is likely where nothing is known."""
         if not walls:
             near, far = UNKNOWN_MIDDLES_M
-            return cls(depths_m=(near[0], far[0]), sigmas_m=(near[1], far[1]))
+            return cls(depths_m=(near[0], far[0]), sigmas_m=(near[1], far[1], 0.0))
         excess = [(float(np.sqrt(w.permittivity)) - 1.0) * w.thickness_m for w in walls]
+        near_m = 0.5 * (excess[0] + walls[0].thickness_m)
+        far_m = 1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:])
+        shifts = [loss_shift(walls[0], waveform, loss_db) for loss_db in _LOSSES_DB]
+        shift, spread = float(np.mean(shifts)), float(np.std(shifts))
         return cls(
-            depths_m=(
-                0.5 * (excess[0] + walls[0].thickness_m),
-                1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:]),
-            ),
-            sigmas_m=(MIDDLE_SIGMA_M, MIDDLE_SIGMA_M),
+            depths_m=(near_m + shift, far_m + shift),
+            sigmas_m=(MIDDLE_SIGMA_M, MIDDLE_SIGMA_M, spread),
         )
+
+
+def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
+    """How far a wall's peak lies behind the middle of its faces [m].
+
+    The faces send 1 - a exp(-j 4 pi f n t / c): a is the amplitude after two crossings, (1 - r^2)
+    times the loss, r the reflection of a face.
+
+    loss_db: of one crossing, beside the reflection [dB].
+    """
+    index = float(np.sqrt(wall.permittivity))
+    kept = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
+    amplitude = kept * 10.0 ** (-2.0 * loss_db / 20.0)
+    path_m = 2.0 * index * wall.thickness_m
+    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
+    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (1.0 - amplitude * np.exp(-turn * path_m))
+    paths = path_m * np.linspace(-3.0, 4.0, 701)
+    best = int(np.abs(np.exp(np.outer(paths, turn)) @ echo).argmax())
+    return 0.5 * float(paths[best]) - 0.5 * index * wall.thickness_m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
