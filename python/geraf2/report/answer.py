@@ -74,12 +74,7 @@ def answer_of(
             f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
             f"95 % below {most:.1f} mm."
         )
-    sizes = dict(size_lines(numbers.get("mesh", {})))
-    if sizes:
-        sure.append(
-            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
-            f"volume {sizes['volume']}."
-        )
+    sure += _sizes(numbers.get("mesh", {}))
     seen = seen_vertices(content, glints)
     if seen is not None:
         share = _share(vertex_areas(content.vertices, content.faces), seen, np.ones_like(seen))
@@ -109,6 +104,17 @@ def answer_of(
         unseen=tuple(unseen),
         **rest,
     )
+
+
+def _sizes(numbers: Mapping[str, Any]) -> list[str]:
+    """Sentence on size and volume with their 95 % intervals."""
+    sizes = dict(size_lines(numbers))
+    if not sizes:
+        return []
+    return [
+        f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
+        f"volume {sizes['volume']}."
+    ]
 
 
 def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
