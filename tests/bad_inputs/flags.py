@@ -105,7 +105,7 @@ ROWS = [
     ),
     *sweep("simulate spec.toml out {}", "max-memory 1e-6 0\nthreads 1e3"),
     *sweep("import geraf-sens frames out {}", "phase-sign 0 x\nmax-memory"),
-    *sweep("demo out {}", "hybrid.fit.spacing-m 0\nglints.cluster-share 2"),
+    *sweep("demo out {}", "hybrid.fit.spacing-m 0\nglints.wall-margin-m inf"),
     bad("los 1e9x1e9x1e9 out", says="1e9"),
     bad("los 0x0.2x0.2 out", says="0x0.2"),
     bad("los -1x0.2x0.2 out", says="-1x"),

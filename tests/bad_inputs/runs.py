@@ -24,7 +24,7 @@ ROWS = [
             toml("run/config.toml", "fit.spacing_m", "'4 mm'"),
             toml("run/config.toml", "fit.bending_weight", "-2.0"),
             toml("run/config.toml", "fit.unknown", "1"),
-            toml("run/config.toml", "glints.cluster_share", "2.0"),
+            toml("run/config.toml", "glints.least_probability", "2.0"),
             toml("run/config.toml", "glints.subaperture.step_m", "0.0"),
             put("run/config.toml", "preset = 3"),
             put("run/config.toml", ""),
@@ -59,7 +59,7 @@ ROWS = [
         trust_los 1
         fit.max_voxels 0 1.5
         fit.cap_lean [0.2]|[2,3]
-        glints.neighbor_count -1
+        glints.least_probability -1
         glints.subaperture.max_cosine 1.0 nan
         photos.mask_threshold 300 -1
         photos.preset "slow"

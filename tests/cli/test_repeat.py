@@ -59,8 +59,8 @@ def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
     common = capsys.readouterr().out
     assert main(["reconstruct", "--help-preset", "best"]) == 0
     constants = capsys.readouterr().out
-    assert "--refine.links.chord-m" in constants
-    assert "--refine.links.chord-m" not in common
+    assert "--refine.rim.dynamic-range-db" in constants
+    assert "--refine.rim.dynamic-range-db" not in common
     assert common.count("\n  --") < constants.count("\n  --")
     assert "--seed" not in constants
 

@@ -15,6 +15,7 @@ def glints():
         position_sigma_m=rng.random(7),
         normal_sigma_rad=rng.random(7),
         poses=np.arange(7),
+        probability=rng.random(7),
     )
 
 
@@ -41,6 +42,7 @@ def test_fields_of_different_length_are_refused(glints):
             position_sigma_m=glints.position_sigma_m,
             normal_sigma_rad=glints.normal_sigma_rad,
             poses=glints.poses,
+            probability=glints.probability,
         )
 
 

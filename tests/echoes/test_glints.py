@@ -1,14 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.echoes import glints as glints_module
-from geraf2.echoes.glints import (
-    GlintConfig,
-    count_agreeing,
-    find_glints,
-    major_clusters,
-    trusted_depth_db,
-)
+from geraf2.echoes.glints import GlintConfig, find_echoes, find_glints
 from geraf2.errors import UserError
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior, Pose
@@ -16,7 +9,6 @@ from helpers.specular import (
     BOX_M,
     STANDOFF_M,
     capture_of,
-    fibonacci_sphere,
     raster,
     sphere_capture,
     sphere_paths,
@@ -112,29 +104,15 @@ def among_scatterers(amplitude):
     return Capture(waveform=sphere.waveform, poses=poses)
 
 
-@pytest.mark.parametrize(("amplitude", "margin_db"), [(0.0, 12.0), (0.1, 15.0)])
-def test_the_noise_margin_is_larger_among_scatterers(amplitude, margin_db):
-    capture = among_scatterers(amplitude)
-    found = find_glints(capture, BOX)
-    expected, other = (
-        find_glints(capture, BOX, GlintConfig(noise_margin_db=margin))
-        for margin in (margin_db, 27.0 - margin_db)
+@pytest.mark.parametrize("amplitude", [0.0, 0.05, 0.1])
+def test_scatterers_are_clutter(amplitude):
+    found = find_echoes(among_scatterers(amplitude), BOX)
+    distance, _ = errors(found.glints, [[0.0, 0.0, 0.0]], [RADIUS_M])
+    assert np.count_nonzero(np.abs(distance) < 2e-3) > 100
+    assert np.mean(np.abs(distance) > 3e-3) < 0.1
+    np.testing.assert_array_equal(
+        found.labelled.probability[found.numbers], found.glints.probability
     )
-    np.testing.assert_array_equal(found.positions, expected.positions)
-    if amplitude > 0.0:
-        assert len(other) > len(expected)
-
-
-def test_what_hangs_on_to_no_strong_glint_goes_among_scatterers(monkeypatch):
-    capture, config = among_scatterers(0.07), GlintConfig(noise_margin_db=15.0)
-    right, wrong = [], []
-    for clutter in (1.0, glints_module.CLUTTER):
-        monkeypatch.setattr(glints_module, "CLUTTER", clutter)
-        distance, _ = errors(find_glints(capture, BOX, config), [[0.0, 0.0, 0.0]], [RADIUS_M])
-        right.append(np.count_nonzero(np.abs(distance) < 2e-3))
-        wrong.append(np.count_nonzero(np.abs(distance) > 3e-3))
-    assert right[1] == right[0] > 100
-    assert 100 < wrong[1] < 0.5 * wrong[0]
 
 
 def test_the_order_of_the_antennas_does_not_matter(capture, glints):
@@ -192,106 +170,10 @@ class TestNothingFound:
 
         assert "no echo 12 dB above the noise" in self.message(nothing, noise=1.0)
 
-    def test_a_lone_echo_has_no_neighbours(self):
+    def test_scattered_echoes_are_counted(self):
         text = self.message(lambda p, _: sphere_paths(p, [[0.03, 0.0, 0.0]], [0.0]), n_poses=1)
         assert "1 scattered echoes" in text
-        assert "1 agreeing neighbours within 8 mm" in text
-
-
-class TestNeighbours:
-    config = GlintConfig()
-    up = np.array([0.0, 0.0, 1.0])
-
-    def count(self, positions, normals=None):
-        normals = np.tile(self.up, (len(positions), 1)) if normals is None else normals
-        return list(count_agreeing(np.asarray(positions, float), normals, self.config))
-
-    def test_neighbours_lie_near_and_on_the_tangent_plane(self):
-        here = [0.0, 0.0, 0.0]
-        assert self.count([here, [0.007, 0, 0.002]]) == [1, 1]
-        assert self.count([here, [0.009, 0, 0]]) == [0, 0]
-        assert self.count([here, [0.003, 0, 0.003]]) == [0, 0]
-        assert self.count([here, [0.004, 0, 0], [-0.003, 0, 0]]) == [2, 2, 2]
-
-    def test_each_judges_by_its_own_tangent_plane(self):
-        tilted = np.array([[0, 0, 1.0], [-np.sin(0.4), 0, np.cos(0.4)]])
-        # 2 mm above one plane, 2 cos 0.4 - 7 sin 0.4 = -0.9 mm off the other
-        assert self.count([[0, 0, 0], [0.007, 0, 0.002]], tilted) == [1, 1]
-        # 0 above one, 7 sin 0.4 = 2.7 mm off the other
-        assert self.count([[0, 0, 0], [0.007, 0, 0]], tilted) == [1, 0]
-
-    def test_normals_must_agree(self):
-        for angle, expected in ((0.49, 1), (0.51, 0)):
-            normals = np.array([[0, 0, 1.0], [0, np.sin(angle), np.cos(angle)]])
-            assert self.count([[0, 0, 0], [0.002, 0, 0]], normals) == [expected] * 2
-
-    def test_only_stronger_ones_speak_for_a_glint(self):
-        positions = np.array([[0, 0, 0], [0.002, 0, 0], [0.004, 0, 0]])
-        normals = np.tile(self.up, (3, 1))
-        levels = np.array([0.0, -10.0, -20.0])
-        assert list(count_agreeing(positions, normals, self.config, levels)) == [0, 1, 2]
-
-
-class TestTrustedDepth:
-    def depth(self, lowest_good):
-        """Echoes agree down to a level; 40 in each step of 2 dB."""
-        levels = -np.repeat(np.arange(0.5, 34.0, 2.0), 40)
-        agreement = np.where(levels > -lowest_good, 2, 0)
-        return trusted_depth_db(levels, agreement, 2)
-
-    @pytest.mark.parametrize("level", [18.0, 22.0, 24.0])
-    def test_it_stops_where_echoes_stop_to_agree(self, level):
-        assert self.depth(level) == level
-
-    def test_it_stays_within_its_limits(self):
-        assert self.depth(10.0) == 18.0
-        assert self.depth(40.0) == 26.0
-
-    def test_too_few_echoes_do_not_stop_it(self):
-        levels = -np.linspace(18.0, 30.0, 60, endpoint=False)  # ten in each step
-        assert trusted_depth_db(levels, np.zeros(60, dtype=np.int64), 2) == 26.0
-
-
-def test_clusters_with_next_to_no_strength_are_dropped():
-    body = 0.03 * fibonacci_sphere(400)
-    far = np.array([0.08, 0.0, 0.0]) + 1e-3 * fibonacci_sphere(5)
-    positions = np.concatenate([body, far])
-    weak = np.concatenate([np.ones(400), np.full(5, 0.05)])  # 0.06 %
-    keep = major_clusters(positions, weak, GlintConfig())
-    assert keep[:400].all()
-    assert not keep[400:].any()
-    strong = np.concatenate([np.ones(400), np.full(5, 0.5)])  # 0.6 %
-    assert major_clusters(positions, strong, GlintConfig()).all()
-
-
-def test_a_far_cluster_of_a_single_plane_needs_more_strength():
-    body, spot = 0.03 * fibonacci_sphere(400), 1e-3 * fibonacci_sphere(5)
-    corner = np.array([[0.08, 0.0, 0.0], [0.08, 0.0, 0.02]])  # near each other, far from the body
-    positions = np.concatenate([body, spot + corner[0], spot + corner[1]])
-    magnitudes = np.concatenate([np.ones(400), np.full(10, 0.5)])  # 0.6 % each
-    poses = np.concatenate([np.arange(400) % 12, np.full(10, 7)])
-
-    def kept(magnitudes=magnitudes, positions=positions, poses=poses):
-        keep = major_clusters(positions, magnitudes, GlintConfig(), poses=poses)
-        assert keep[:400].all()
-        return int(keep[400:].sum())
-
-    assert kept() == 0
-    assert kept(poses=np.arange(410) % 12) == 10  # several planes see them
-    two = np.concatenate([poses[:400], np.arange(10) % 2])
-    assert kept(poses=two) == 10
-    many = major_clusters(positions, magnitudes, GlintConfig(), poses=two, n_poses=12)
-    assert many[:400].all()
-    assert not many[400:].any()
-    assert kept(magnitudes=np.concatenate([np.ones(400), np.full(10, 1.0)])) == 10  # 1.2 % each
-    assert (
-        kept(
-            positions=np.concatenate(
-                [body, 0.8 * (positions[400:] - corner[0]) + corner[0] - [0.02, 0, 0]]
-            )
-        )
-        == 10
-    )
+        assert "one surface with their neighbours" in text
 
 
 def test_a_narrow_dynamic_range_drops_the_weaker_body():
@@ -315,7 +197,7 @@ def test_the_standoff_of_the_test_capture_is_what_it_says(capture):
 
 @pytest.mark.parametrize(
     ("name", "value"),
-    [("neighbor_radius_m", 0.0), ("cluster_link_m", -1.0), ("dynamic_range_db", -3.0)],
+    [("least_probability", 1.5), ("dynamic_range_db", -3.0)],
 )
 def test_bad_settings_name_the_value(name, value):
     with pytest.raises(ValueError, match=f"{name}.*{value}"):

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.echoes.back_faces import seen_through_share
 from geraf2.echoes.glints import GlintConfig, find_glints
-from geraf2.echoes.transparency import describe, drop_back_faces, face_pairs
+from geraf2.echoes.transparency import describe, face_pairs, first_surfaces
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
@@ -40,7 +39,8 @@ def through_of(capture):
 
 def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
     capture, glints = plastic
-    kept, seen = drop_back_faces(glints, 12, NARROW, through_of(capture))
+    first, seen = first_surfaces(glints, through_of(capture))
+    kept = glints.select(first)
     outside = np.linalg.norm(glints.positions, axis=1) > 1.5 * RADIUS_M
     assert outside.sum() > 100  # at the depth 2 n a they lie 2.2 radii from the middle
     assert np.abs(np.linalg.norm(kept.positions, axis=1) - RADIUS_M).max() < 2e-3
@@ -55,8 +55,8 @@ def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
 def test_metal_stays_as_it_is():
     capture = sphere_capture(CENTER, [RADIUS_M])
     glints = find_glints(capture, BOX, NARROW)
-    kept, seen = drop_back_faces(glints, 12, NARROW, through_of(capture))
-    assert kept is glints
+    first, seen = first_surfaces(glints, through_of(capture))
+    assert first.all()
     assert seen is None
 
 
@@ -76,19 +76,3 @@ def test_what_is_not_known_is_said():
     said = describe({"n_back_faces": 5, "back_face_share": 0.25})
     assert "25 %" in said
     assert "does not show" in said
-
-
-def test_scatterers_around_metal_are_no_body_that_waves_pass_through():
-    """Scatterers lie behind each other, but do not hang together as a surface does."""
-    rng = np.random.default_rng(0)
-    around = np.array([[np.cos(a), np.sin(a), 0.0] for a in np.linspace(0.0, 2.0 * np.pi, 13)[:-1]])
-    places = rng.uniform(-0.08, 0.08, (400, 3))
-    places = places[np.linalg.norm(places, axis=1) > RADIUS_M + 0.01]
-    towards = around[rng.integers(0, 12, (len(places), 4))].reshape(-1, 3)
-    cloud = glints_at(np.repeat(places, 4, axis=0), towards, strengths=0.1)
-    seen = fibonacci_sphere(400)
-    glints = glints_at(RADIUS_M * seen, seen).join(cloud)
-    assert seen_through_share(glints) > 0.05
-    kept, body = drop_back_faces(glints, 12, NARROW, through_of(sphere_capture(CENTER, [RADIUS_M])))
-    assert kept is glints
-    assert body is None

@@ -17,7 +17,6 @@ from helpers.specular import STANDOFF_M, antennas, fibonacci_sphere, raster
 from helpers.synthetic import WAVEFORM
 
 RADIUS_M = 0.04
-OUTLINE = {"outline_weight": 0.05, "outline_clearance_m": 0.005}
 HALF_M = 0.06
 MARGIN_M = 0.02
 RULE = {"margin_m": MARGIN_M, "reach_m": 0.010, "angle_rad": 0.6}
@@ -52,6 +51,7 @@ def glints_at(directions):
         position_sigma_m=np.ones(n),
         normal_sigma_rad=np.ones(n),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
 
 

@@ -21,6 +21,7 @@ def ring(lean: float, radius_m: float = 0.05, n: int = 300) -> Glints:
         position_sigma_m=np.full(n, 4e-4),
         normal_sigma_rad=np.full(n, 0.03),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
 
 

@@ -16,6 +16,7 @@ def glints_at(
         strengths=np.broadcast_to(np.asarray(strengths, dtype=float), n).copy(),
         position_sigma_m=np.full(n, position_sigma_m),
         normal_sigma_rad=np.full(n, normal_sigma_rad),
+        probability=np.ones(n),
         poses=np.broadcast_to(np.asarray(poses, dtype=np.int64), n).copy(),
     )
 

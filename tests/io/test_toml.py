@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
@@ -111,6 +111,7 @@ inners = st.builds(
 texts = st.text(st.characters(exclude_categories=["Cs"]))
 
 
+@settings(deadline=None)
 @given(
     st.builds(
         Fine,

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,7 @@ def glints_on(directions, strengths=None):
         position_sigma_m=np.full(n, 4e-4),
         normal_sigma_rad=np.full(n, 0.03),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
 
 
@@ -50,6 +53,22 @@ def test_a_sphere_all_of_which_was_seen_is_a_signed_distance(capture):
     error = errors_near(sdf, fibonacci_sphere(997))
     assert np.abs(error).max() < 7e-4
     assert sdf.sample(CENTER[None])[0] < -0.02
+
+
+def test_glints_weigh_by_their_probability(capture):
+    """Points off the surface that are hardly likely to be returns of the content change nothing."""
+    true, n_false = glints_on(fibonacci_sphere(1500)), 40
+    false = replace(
+        true.select(np.arange(n_false)),
+        positions=true.positions[:n_false] + 0.004 * true.normals[:n_false],
+    )
+    sdf = {
+        p: fit_sdf(true.join(replace(false, probability=np.full(n_false, p))), capture, BOX, COARSE)
+        for p in (1e-9, 1.0)
+    }
+    without, at = fit_sdf(true, capture, BOX, COARSE), true.positions[:n_false]
+    assert np.abs(sdf[1e-9].sample(at) - without.sample(at)).max() < 1e-4
+    assert np.abs(sdf[1.0].sample(at) - without.sample(at)).max() > 5e-4
 
 
 def seen_from_the_side():
@@ -85,6 +104,7 @@ def test_wide_caps_are_flatter_than_domes(capture):
         position_sigma_m=np.full(n, 4e-4),
         normal_sigma_rad=np.full(n, 0.03),
         poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
     )
     tops = []
     for slope in (0.0, 1.0):

@@ -27,12 +27,14 @@ class Glints:
     """Standard uncertainty of the normal's direction, (n_glints,) [rad]."""
     poses: Ints
     """Index of the scan plane each glint was seen from, (n_glints,)."""
+    probability: Floats
+    """That it is a return of the content, (n_glints,)."""
 
     def __post_init__(self) -> None:
         n = self.positions.shape[0]
         require_shape("positions", self.positions, (n, 3))
         require_shape("normals", self.normals, (n, 3))
-        for name in ("strengths", "position_sigma_m", "normal_sigma_rad", "poses"):
+        for name in ("strengths", "position_sigma_m", "normal_sigma_rad", "poses", "probability"):
             require_shape(name, getattr(self, name), (n,))
 
     def __len__(self) -> int:

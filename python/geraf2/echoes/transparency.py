@@ -13,8 +13,6 @@ from scipy.spatial import KDTree
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.back_faces import BEHIND_M, seen_first, seen_through_share
 from geraf2.echoes.glint_set import Glints
-from geraf2.echoes.glints import GlintConfig, count_agreeing
-from geraf2.echoes.links import linked_to_strong
 from geraf2.errors import UserError
 from geraf2.ops.visibility import MeshScene
 
@@ -22,8 +20,6 @@ from geraf2.ops.visibility import MeshScene
 # scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
 _MIN_SHARE = 0.1
 _ROUNDS = 2
-# More than a metal scan needs: glints of the two faces disturb each other.
-_N_AGREEING = 3
 # Lines of sight begin so far before their glint [m]: before any content.
 _AHEAD_M = 0.4
 # Of what permittivity is read off: faces met within 18 degrees of their normals, bodies thick
@@ -94,58 +90,44 @@ def describe(numbers: Mapping[str, Any]) -> str:
     )
 
 
-def drop_back_faces(
+def first_surfaces(
     glints: Glints,
-    n_planes: int,
-    config: GlintConfig,
     surface_through: Callable[[Glints], tuple[Floats, Ints]],
     *,
     num_threads: int | None = None,
-) -> tuple[Glints, SeenThrough | None]:
-    """Glints of first surfaces, and what was seen through them; all glints and None for metal.
+) -> tuple[Bools, SeenThrough | None]:
+    """Glints of first surfaces, (n_glints,), and what was seen through them; all, None for metal.
 
-    Glints that hang together tell whether there is such a body at all. If so, those go that lie
-    behind others in their own line of sight. Then, twice, a surface is fitted through what is left,
-    and what lies behind it goes too: entries that no antenna sees squarely are closed by the fit.
+    The share of glints behind others shows whether there is such a body. If so, glints behind
+    others in their own line of sight are dropped. Then, twice, a surface is fitted through the
+    remainder, and glints behind it are dropped: the fit closes entries that no antenna sees
+    squarely.
 
     glints: of `find_glints`.
-    n_planes: number of planes of the scan.
-    config: with which neighbours agree.
     surface_through: vertices [m] and faces of a closed surface through glints; raises UserError
         where they enclose nothing. It only stops lines of sight.
     num_threads: all when None.
     """
-    linked = linked_to_strong(glints, n_planes)
-    if seen_through_share(glints.select(linked)) < _MIN_SHARE:
-        return glints, None
+    if seen_through_share(glints) < _MIN_SHARE:
+        return np.ones(len(glints), dtype=bool), None
     first, perhaps = seen_first(glints)
-    keep = _agreeing(glints, first, config)
+    keep = first
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
         if not keep.any():
-            return glints, None
+            return np.ones(len(glints), dtype=bool), None
         try:
             vertices, faces = surface_through(glints.select(keep))
         except UserError:  # too few to enclose anything
-            return glints, None
+            return np.ones(len(glints), dtype=bool), None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = _agreeing(glints, perhaps & (_behind(glints, scene) < BEHIND_M), config)
+        keep = perhaps & (_behind(glints, scene) < BEHIND_M)
     if not keep.any():
-        return glints, None
+        return np.ones(len(glints), dtype=bool), None
     assert scene is not None
     kept, dropped = glints.select(keep), glints.select(~keep)
     lost = float(dropped.strengths.sum() / glints.strengths.sum())
-    return kept, _material(len(dropped), lost, face_pairs(dropped, kept, scene))
-
-
-def _agreeing(glints: Glints, keep: Bools, config: GlintConfig) -> Bools:
-    """Of those kept, the ones that enough others of them agree with."""
-    index = np.flatnonzero(keep)
-    some = glints.select(index)
-    agree = count_agreeing(some.positions, some.normals, config) >= _N_AGREEING
-    found = np.zeros(len(glints), dtype=bool)
-    found[index[agree]] = True
-    return found
+    return keep, _material(len(dropped), lost, face_pairs(dropped, kept, scene))
 
 
 def _behind(glints: Glints, scene: MeshScene) -> Floats:

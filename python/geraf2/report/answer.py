@@ -91,7 +91,7 @@ def answer_of(
         )
         unseen += _unseen(content, seen)
         unseen += _ends(content, seen, bool(numbers.get("selection", {}).get("outlines")))
-    sure += _unexplained(numbers)
+    sure += _labels(numbers) + _unexplained(numbers)
     if "scores" in metrics:
         distance = metrics["surface_mesh_to_truth"]
         sure.insert(
@@ -138,6 +138,14 @@ def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
         errors = ", ".join(f"{1e3 * error:+.1f}" for error in size["extent_errors_m"])
         items.append(("error of size x, y, z [mm]", errors))
     return items
+
+
+def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    counts = numbers.get("glints", {}).get("labels")
+    if not counts:
+        return []
+    each = ", ".join(f"{n:,} {label.replace('_', ' ')}" for label, n in counts.items())
+    return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
 
 
 def _unexplained(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:

@@ -241,7 +241,7 @@ def _weigh(
     glints, together = evidence.glints, evidence.seen
     relative = np.minimum(1.0, together.strengths / strong_level(glints.strengths))
     # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
-    position, normal = np.sqrt(relative), relative
+    position, normal = together.probability * (np.sqrt(relative), relative)
     for weights in (position, normal):
         weights[len(glints) :] *= evidence.rim_weight
     groups: list[Glints | Tangents] = [together]

@@ -19,7 +19,6 @@ from geraf2._bounds import Bounded, MarginM, NotNegative, Share
 from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig
-from geraf2.echoes.links import FEW_PLANES, LinkConfig, linked_to_strong
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
@@ -29,6 +28,8 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from geraf2.surfaces.workers import Workers
 
+FEW_PLANES = 12
+"""With fewer planes the size of the voxels can decide whether a surface is there."""
 SELECTION_VERSION = 7
 """Raised when :func:`select_glints` finds something else in the same capture."""
 
@@ -37,8 +38,6 @@ SELECTION_VERSION = 7
 class RefineConfig(Bounded):
     """Which glints are selected, and the fit through them."""
 
-    links: LinkConfig = field(default_factory=LinkConfig)
-    """Which glints are kept."""
     rim: RimConfig = field(default_factory=RimConfig)
     """Glints of smaller sub-apertures at the rim."""
     silhouettes: SilhouetteConfig = field(default_factory=SilhouetteConfig)
@@ -115,7 +114,7 @@ def select_glints(
     first: how `glints` were found. Other arguments as those of `find_rim_glints`.
     """
     config = config or RefineConfig()
-    linked = glints.select(linked_to_strong(glints, len(capture.poses), config.links))
+    linked = glints
     with Workers(resolve_num_threads(num_threads)) as workers:
         outlines = workers.start(
             lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None
@@ -126,7 +125,6 @@ def select_glints(
             linked,
             config.rim,
             first,
-            config.links,
             num_threads=num_threads,
             progress=progress,
         )

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from geraf2._types import Floats, Ints, Progress
-from geraf2.echoes import Glints, find_glints
-from geraf2.echoes.glints import GLINTS_VERSION
-from geraf2.echoes.transparency import SeenThrough, describe, drop_back_faces
+from geraf2.echoes import Glints
+from geraf2.echoes.glints import GLINTS_VERSION, find_echoes
+from geraf2.echoes.labels import Label, LabelledPeaks
+from geraf2.echoes.transparency import SeenThrough, describe, first_surfaces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
+from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import ply_bytes, write_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
@@ -20,6 +22,7 @@ from geraf2.io.run_folder import (
     HEATMAP_SDF_NAME,
     LINKED_NAME,
     MESH_NAME,
+    PEAKS_NAME,
     RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
@@ -62,16 +65,20 @@ class FoundGlints(NamedTuple):
     """Of first surfaces."""
     seen_through: SeenThrough | None = None
     """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
+    labelled: LabelledPeaks | None = None
+    """All peaks at the ranges of the box; None of a stage that is read back."""
 
     def numbers(self) -> dict[str, Any]:
         """For run.json."""
         found: dict[str, Any] = {"n_glints": len(self.glints)}
+        if self.labelled is not None:
+            found["labels"] = self.labelled.counts()
         return found if self.seen_through is None else found | self.seen_through.numbers()
 
 
 def _find(job: Job, progress: Progress) -> FoundGlints:
     capture, prior, threads = job.capture, job.prior, job.num_threads
-    glints = find_glints(
+    glints, labelled, index = find_echoes(
         capture,
         prior,
         job.config.glints,
@@ -84,15 +91,9 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
         evidence = Evidence(glints=first, found_with=job.config.glints)
         return zero_level(fit_sdf(evidence, capture, prior, _FIRST_SURFACE, num_threads=threads))
 
-    found = FoundGlints(
-        *drop_back_faces(
-            glints,
-            len(capture.poses),
-            job.config.glints,
-            surface_through,
-            num_threads=threads,
-        )
-    )
+    first, body = first_surfaces(glints, surface_through, num_threads=threads)
+    labelled = labelled.relabelled(index[~first], Label.SEEN_THROUGH)
+    found = FoundGlints(glints.select(first), body, labelled)
     if found.seen_through is not None:
         job.listener.note(describe(found.seen_through.numbers()))
     return found
@@ -100,7 +101,10 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
 
 def _save_glints(job: Job, found: FoundGlints) -> list[str]:
     found.glints.save(job.run.path / GLINTS_NAME)
-    return [GLINTS_NAME]
+    if found.labelled is None:
+        return [GLINTS_NAME]
+    write_bytes_atomic(job.run.path / PEAKS_NAME, found.labelled.cloud_bytes())
+    return [GLINTS_NAME, PEAKS_NAME]
 
 
 GLINTS = Stage(
@@ -181,7 +185,7 @@ def _load_selection(job: Job) -> SelectedGlints:
 
 def _selection_settings(config: Any) -> list[Any]:
     refine = config.refine
-    return [refine.links, refine.rim, refine.silhouettes if refine.shadows else None]
+    return [refine.rim, refine.silhouettes if refine.shadows else None]
 
 
 SELECTION = Stage(

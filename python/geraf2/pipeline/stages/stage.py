@@ -115,7 +115,7 @@ def peak_settings(config: Any) -> tuple[SubapertureConfig | None, float]:
     glints = getattr(config, "glints", None)
     if glints is None:
         return None, DETECTION_DB
-    return glints.subaperture, glints.least_noise_margin_db
+    return glints.subaperture, glints.noise_margin_db
 
 
 def peak_memory_bytes() -> int:

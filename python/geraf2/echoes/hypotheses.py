@@ -1,0 +1,127 @@
+"""Where the reflector of each peak may lie: one candidate for each period of the direction cosines.
+
+Antennas d apart do not distinguish the direction cosines u and u + wavelength / (2 d). Each peak
+therefore has a candidate for each period whose direction exists and that lies in the box or on its
+wall, besides the one that the image shows (docs/math/images.md#direction-aliases).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
+from geraf2.imaging.peaks import PeakSet, directions_at
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import Pose, Wall
+
+_LARGEST_COSINE = 0.9
+"""Of a candidate's direction with the plane: no antenna radiates farther aside."""
+_MOST_PERIODS = 2
+"""Off the direction in the image, along each axis."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidates:
+    """Reflectors that may have caused the peaks, as oriented points."""
+
+    peaks: Ints
+    """Peak of each candidate, (n,)."""
+    positions: Floats
+    """(n, 3) [m]; the walls' delay is subtracted."""
+    normals: Floats
+    """Towards the antennas, unit, (n, 3)."""
+    is_alias: Bools
+    """Whether the image shows another direction, (n,)."""
+    depth_m: Floats
+    """Depth below the surface of the box by the recorded range, (n,) [m]."""
+
+    def __len__(self) -> int:
+        return len(self.peaks)
+
+    def select(self, keep: Bools | Ints) -> "Candidates":
+        """Subset by mask or index."""
+        return Candidates(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+def find_candidates(
+    peaks: PeakSet,
+    poses: Sequence[Pose],
+    scene: MeshScene,
+    walls: tuple[Wall, ...],
+    *,
+    wall_margin_m: float,
+    range_correction_m: float | None = None,
+) -> Candidates:
+    """Candidates of all peaks: those of the image, and aliases in the box or on its wall.
+
+    peaks: of any planes of `poses`.
+    scene: outer surface of the box.
+    walls: of the box, outermost first; empty: their delay is estimated from their own echoes.
+    wall_margin_m: half the thickness of the layer in which echoes are the wall's own [m].
+    range_correction_m: subtracted from every range [m]; None: from the walls.
+    """
+    parts = [_of_plane(peaks, number, poses[number].axes) for number in np.unique(peaks.planes)]
+    if not parts:
+        nothing = np.zeros(0)
+        return Candidates(
+            peaks=np.zeros(0, dtype=np.int64),
+            positions=np.zeros((0, 3)),
+            normals=np.zeros((0, 3)),
+            is_alias=np.zeros(0, dtype=bool),
+            depth_m=nothing,
+        )
+    peak, ahead, is_alias = (np.concatenate([part[k] for part in parts]) for k in range(3))
+    centers, ranges_m = peaks.centers[peak], peaks.ranges_m[peak]
+    positions = centers + ranges_m[:, None] * ahead
+    depth_m = -scene.signed_distance(positions)
+    found = Candidates(
+        peaks=peak, positions=positions, normals=-ahead, is_alias=is_alias, depth_m=depth_m
+    ).select(~is_alias | (depth_m > -wall_margin_m))
+    if range_correction_m is None and not walls:
+        range_correction_m = _learned(peaks, found, scene)
+    correction = (
+        box_delay_m(
+            scene, walls, peaks.centers[found.peaks], -found.normals, peaks.ranges_m[found.peaks]
+        )
+        if range_correction_m is None
+        else np.full(len(found), range_correction_m)
+    )
+    return replace(found, positions=found.positions + correction[:, None] * found.normals)
+
+
+def _of_plane(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, Floats, Bools]:
+    """Peak, direction and whether it is an alias of each candidate of a plane."""
+    own = np.flatnonzero(peaks.planes == number)
+    cosines = peaks.directions[own] @ axes[1:].T
+    turns = [
+        period * np.arange(-_MOST_PERIODS, _MOST_PERIODS + 1) if np.isfinite(period) else (0.0,)
+        for period in peaks.periods[peaks.subapertures[own[0]]]
+    ]
+    index, ahead, is_alias = [own], [peaks.directions[own]], [np.zeros(len(own), dtype=bool)]
+    for turn in product(*turns):
+        if not any(turn):
+            continue
+        moved = cosines + turn
+        exists = (moved**2).sum(axis=1) < _LARGEST_COSINE**2
+        index.append(own[exists])
+        ahead.append(directions_at(moved[exists], axes))
+        is_alias.append(np.ones(int(exists.sum()), dtype=bool))
+    return np.concatenate(index), np.concatenate(ahead), np.concatenate(is_alias)
+
+
+def _learned(peaks: PeakSet, found: Candidates, scene: MeshScene) -> float:
+    """Delay of unknown walls by their own echoes [m]."""
+    seen = found.select(~found.is_alias)
+    return learn_wall_delay(
+        WallEcho(
+            centers=peaks.centers[seen.peaks],
+            directions=-seen.normals,
+            ranges_m=peaks.ranges_m[seen.peaks],
+            magnitudes=peaks.magnitudes[seen.peaks],
+            depth_m=seen.depth_m,
+        ),
+        scene,
+    )

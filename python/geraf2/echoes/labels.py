@@ -1,0 +1,298 @@
+"""What each peak is: one inference over the graph of all peaks (docs/math/echoes.md#labels).
+
+Each candidate of `hypotheses` competes with the other candidates of its peak and with clutter,
+which is uniform over the box. A candidate is likely where the tangent planes of others predict it:
+two points of a smooth surface satisfy (p_i - p_j) . (n_i + n_j) / 2 = 0 to third order. Echoes of
+the box's walls are candidates like all others, so that a grating lobe of a wall's flash is
+explained by the wall.
+"""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import KDTree
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.hypotheses import Candidates
+from geraf2.imaging.peaks import PeakSet
+
+_OFFSET_SIGMA_M = 1.4e-3
+"""Standard deviation of a point along its normal [m]. This and all that follows is estimated on
+seeds 0 to 32 of the population, by the likelihood of the true labels."""
+_BEND_PER_M2 = 60.0
+"""Offset of two points of a smooth surface over the third power of their distance [1/m^2]."""
+_NORMAL_SIGMA_RAD = 0.25
+"""Standard deviation of each component of a normal [rad]."""
+_CURVATURE_PER_M = 8.0
+"""Change of the normal over the distance [rad/m]."""
+_SPREAD_M = 0.011
+"""Standard deviation of the distance along the surface at which points predict each other [m]."""
+_REACH_M = 0.02
+"""Pairs farther apart are left out [m]."""
+_ALIKE = 0.5
+"""So are those with a smaller cosine between both normals."""
+_ALONE = 1.56
+"""Support of a surface without a neighbour, in units of the density of clutter."""
+_OTHER_SCALE, _OTHER_POWER = 1.74, 0.44
+"""Support by other planes from which on it counts, and its weight: neighbours share errors."""
+_SHARED = 0.45
+"""Power of the density of clutter by which all neighbours count less, for the same reason."""
+_FLOOR = 0.38
+"""Clutter at least, as a share of the peaks in the box."""
+_LOG_ODDS = -2.80
+"""Log odds of a strong peak at the level of the noise against clutter."""
+_PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
+"""Their change with the strength and with the margin above the noise [1/dB]."""
+_MOST_MARGIN_DB = 40.0
+"""From which on noise does not matter."""
+_ROUNDS = 6
+"""Rounds of the fixed-point iteration; more change 2 % of the labels at most."""
+
+
+class Label(IntEnum):
+    """What a peak is."""
+
+    CLUTTER = 0
+    """No surface: noise, side lobe, multipath."""
+    DIRECT = 1
+    """Specular return of the content, in the direction that the image shows."""
+    ALIAS = 2
+    """Specular return of the content, of which the image shows a grating lobe."""
+    WALL = 3
+    """Echo of the box's wall, or a grating lobe of one."""
+    OUTSIDE = 4
+    """Echo from outside the box."""
+    SEEN_THROUGH = 5
+    """Return from behind a dielectric front."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LabelledPeaks:
+    """Likeliest candidate of each peak."""
+
+    candidates: Candidates
+    """(n,), at most one of a peak."""
+    labels: Ints
+    """`Label` of each, (n,)."""
+    probability: Floats
+    """Of the content's direct return or of its alias, (n,)."""
+
+    def relabelled(self, index: Ints, label: Label) -> "LabelledPeaks":
+        """Give some peaks another label than that of a direct return."""
+        labels, probability = self.labels.copy(), self.probability.copy()
+        labels[index], probability[index] = label, 0.0
+        return replace(self, labels=labels, probability=probability)
+
+    def cloud_bytes(self) -> bytes:
+        """PLY of the points with their normals, probability and label."""
+        found = self.candidates
+        fields = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "probability")]
+        rows = np.zeros(len(found), dtype=[*fields, ("label", "u1")])
+        for axis, name in enumerate("xyz"):
+            rows[name], rows["n" + name] = found.positions[:, axis], found.normals[:, axis]
+        rows["probability"], rows["label"] = self.probability, self.labels
+        header = [
+            "ply",
+            "format binary_little_endian 1.0",
+            "comment unit metre",
+            "comment label " + " ".join(f"{label.value} {label.name.lower()}" for label in Label),
+            f"element vertex {len(rows)}",
+            *(f"property float {name}" for name, _ in fields),
+            "property uchar label",
+            "end_header",
+        ]
+        return ("\n".join(header) + "\n").encode("ascii") + rows.tobytes()
+
+    def counts(self) -> dict[str, int]:
+        """Count the peaks of each label, for run.json."""
+        return {
+            label.name.lower(): int((self.labels == label).sum())
+            for label in Label
+            if (self.labels == label).any()
+        }
+
+
+def label_peaks(
+    peaks: PeakSet, found: Candidates, volume_m3: float, wall_margin_m: float
+) -> LabelledPeaks:
+    """Label of each peak and its probability to be a return of the content.
+
+    found: candidates of the peaks.
+    volume_m3: of the box, over which clutter is uniform [m^3].
+    wall_margin_m: half the thickness of the layer in which echoes are the wall's own [m].
+    """
+    inside = found.depth_m > wall_margin_m
+    share = posterior(peaks, found, volume_m3, inside)
+    order = np.lexsort((share, found.peaks))
+    last = np.append(np.diff(found.peaks[order]) > 0, np.ones(min(len(order), 1), dtype=bool))
+    best = order[last]
+    chosen, inside, probable = found.select(best), inside[best], share[best]
+    labels = np.where(inside, np.where(chosen.is_alias, Label.ALIAS, Label.DIRECT), Label.WALL)
+    labels = np.where(chosen.depth_m < -wall_margin_m, Label.OUTSIDE, labels)
+    labels = np.where(inside & (probable <= 0.5), Label.CLUTTER, labels)
+    return LabelledPeaks(
+        candidates=chosen, labels=labels, probability=np.where(inside, probable, 0.0)
+    )
+
+
+def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> Floats:
+    """Probability of each candidate, (n,); those of a peak and of clutter add up to one.
+
+    The odds against clutter of a candidate with a neighbour's support r_s of its own plane and r_o
+    of other planes, both in units of the density of clutter, are
+
+        prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared,
+
+    r the sums of `pair_density` times the probabilities of the neighbours, r_0 that of a neighbour
+    at the point itself.
+
+    peaks: of the candidates. found: (n,). volume_m3: of the box [m^3].
+    inside: candidates in the box, (n,).
+    """
+    if not len(found):
+        return np.zeros(0)
+    same, other = _neighbours(_Points.of(peaks, found))
+    probability = 1.0 / np.bincount(found.peaks, minlength=len(peaks))[found.peaks]
+    rule = _Rule(peaks, found, volume_m3, inside)
+    for _ in range(_ROUNDS):
+        probability = rule.shares(probability, same @ probability, other @ probability)
+    return probability
+
+
+def continuing(
+    peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools, known: Glints
+) -> Floats:
+    """Probability of each candidate where only known glints support it, (n,).
+
+    known: glints with probabilities. Other arguments as those of `posterior`.
+    """
+    if not len(found):
+        return np.zeros(0)
+    same, other = _neighbours(_Points.of(peaks, found), _Points.of_glints(known))
+    support = same @ known.probability, other @ known.probability
+    probability, rule = np.zeros(len(found)), _Rule(peaks, found, volume_m3, inside)
+    for _ in range(_ROUNDS):
+        probability = rule.shares(probability, *support)
+    return probability
+
+
+class _Rule:
+    """Probabilities of candidates by what supports them."""
+
+    def __init__(self, peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> None:
+        self._n_peaks, self._of = len(peaks), found.peaks
+        self._prior = _log_prior(peaks, found.peaks, inside)
+        self._shown = np.unique(found.peaks[inside & ~found.is_alias])
+        self._extent = volume_m3 * np.pi  # directions of a hemisphere, by its projection
+
+    def shares(self, probability: Floats, own: Floats, other: Floats) -> Floats:
+        """Probabilities from the present ones and the densities that neighbours predict, (n,)."""
+        explained = np.bincount(self._of, probability, self._n_peaks)[self._shown]
+        n_clutter = (1.0 - explained).sum() + _FLOOR * max(len(self._shown), 1)
+        cell = self._extent / n_clutter  # of one clutter peak [m^3 sr]
+        odds = (
+            np.exp(self._prior)
+            * (_ALONE + cell * own)
+            * (1.0 + cell * other / _OTHER_SCALE) ** _OTHER_POWER
+            / (cell * _PEAK_DENSITY) ** _SHARED
+        )
+        return np.asarray(odds / (1.0 + np.bincount(self._of, odds, self._n_peaks))[self._of])
+
+
+_PEAK_DENSITY = 1.0 / (
+    (2.0 * np.pi) ** 2.5
+    * np.sqrt(2.0)
+    * _OFFSET_SIGMA_M
+    * 2.0
+    * _NORMAL_SIGMA_RAD**2
+    * _SPREAD_M**2
+)
+"""Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+
+
+def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
+    """Density at which a point of a surface predicts another one, (n,) [1 / (m^3 sr)].
+
+    offset_m: (p_i - p_j) . (n_i + n_j) / |n_i + n_j|, normal with the variance of both points
+        and of the third order of a surface.
+    turn_rad: between both normals, normal along two axes with the variance of both and of a bend.
+    along_m: distance perpendicular to the mean normal. distance_m: of both.
+    """
+    offset2 = 2.0 * _OFFSET_SIGMA_M**2 + (_BEND_PER_M2 * distance_m**3) ** 2
+    turn2 = 2.0 * _NORMAL_SIGMA_RAD**2 + (_CURVATURE_PER_M * distance_m) ** 2
+    exponent = offset_m**2 / offset2 + turn_rad**2 / turn2 + (along_m / _SPREAD_M) ** 2
+    scale = np.sqrt(2.0 * np.pi * offset2) * (2.0 * np.pi * turn2) * 2.0 * np.pi * _SPREAD_M**2
+    return np.asarray(np.exp(-0.5 * exponent) / scale)
+
+
+class _Points(NamedTuple):
+    """Oriented points and where each is seen from."""
+
+    positions: Floats  # (n, 3) [m]
+    normals: Floats
+    planes: Ints
+    subapertures: Ints  # -1: any
+
+    @classmethod
+    def of(cls, peaks: PeakSet, found: Candidates) -> "_Points":
+        subapertures = peaks.subapertures[found.peaks]
+        planes = peaks.subaperture_planes[subapertures]
+        return cls(found.positions, found.normals, planes, subapertures)
+
+    @classmethod
+    def of_glints(cls, glints: Glints) -> "_Points":
+        return cls(glints.positions, glints.normals, glints.poses, np.full(len(glints), -1))
+
+
+def _neighbours(
+    points: _Points, others: _Points | None = None
+) -> tuple[sparse.csr_array, sparse.csr_array]:
+    """Pair densities within a plane and between planes, (n_points, n_others) each.
+
+    others: the points themselves when None.
+    Peaks of one sub-aperture do not support each other: a smooth surface has one return there.
+    """
+    tree = KDTree(points.positions)
+    if others is None:
+        i, j = tree.query_pairs(_REACH_M, output_type="ndarray").astype(np.int64).T
+    else:
+        near = tree.sparse_distance_matrix(
+            KDTree(others.positions), _REACH_M, output_type="ndarray"
+        )
+        i, j = near["i"], near["j"]
+    to = points if others is None else others
+    cosine = np.einsum("ij,ij->i", points.normals[i], to.normals[j])
+    fits = (points.subapertures[i] != to.subapertures[j]) & (cosine > _ALIKE)
+    i, j, cosine = i[fits], j[fits], cosine[fits]
+    step, mean = to.positions[j] - points.positions[i], points.normals[i] + to.normals[j]
+    square = np.einsum("ij,ij->i", step, step)
+    offset = np.einsum("ij,ij->i", step, mean) / np.sqrt(2.0 + 2.0 * cosine)
+    density = pair_density(
+        offset,
+        np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0)),
+        np.sqrt(np.maximum(square - offset**2, 0.0)),
+        np.sqrt(square),
+    )
+    alike = points.planes[i] == to.planes[j]
+    if others is None:
+        i, j = np.concatenate([i, j]), np.concatenate([j, i])
+        density, alike = np.tile(density, 2), np.tile(alike, 2)
+    shape = len(points.positions), len(to.positions)
+    same, other = (
+        sparse.csr_array((density[some], (i[some], j[some])), shape=shape)
+        for some in (alike, ~alike)
+    )
+    return same, other
+
+
+def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:
+    """Log odds of each candidate by strength and noise alone, (n,)."""
+    strength_db = 20.0 * np.log10(peaks.magnitudes[of])
+    strong_db = np.quantile(strength_db[inside], 0.98) if inside.any() else strength_db.max()
+    strength_db = np.minimum(strength_db - strong_db, 0.0)
+    margin_db = np.minimum(peaks.margins_db[of], _MOST_MARGIN_DB)
+    return np.asarray(_LOG_ODDS + _PER_STRENGTH_DB * strength_db + _PER_MARGIN_DB * margin_db)

@@ -1,0 +1,227 @@
+"""Labels of peaks: a slow twin of the rule, and what it makes of peaks whose origin is known."""
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal, norm
+
+from geraf2.echoes import labels as labels_module
+from geraf2.echoes.hypotheses import Candidates, find_candidates
+from geraf2.echoes.labels import Label, continuing, label_peaks, pair_density, posterior
+from geraf2.imaging.peaks import join_peaks
+from geraf2.ops.visibility import MeshScene
+from geraf2.scene import LosPrior
+from helpers.glint_sets import glints_at
+from helpers.peak_sets import peaks_of_plane, places_of, sphere_peaks
+from helpers.specular import BOX_M, frame, pose_of, raster, sphere_paths
+
+BOX = LosPrior.from_box((BOX_M,) * 3)
+VOLUME_M3 = BOX_M**3
+MARGIN_M = 0.012
+RADIUS_M = 0.03
+PERIOD = 3.8e-3 / (2 * 8e-3)
+POSES = [
+    pose_of(30.0 * number, raster(2), lambda tx, _: sphere_paths(tx, [[0, 0, 0]], [RADIUS_M]))
+    for number in range(12)
+]
+
+
+def found_in(peaks):
+    scene = MeshScene(BOX.vertices, BOX.faces)
+    return find_candidates(peaks, POSES, scene, (), wall_margin_m=MARGIN_M, range_correction_m=0.0)
+
+
+def labelled(peaks):
+    return label_peaks(peaks, found_in(peaks), VOLUME_M3, MARGIN_M)
+
+
+def scattered(n, seed=0, period=np.inf, low=-0.08, high=0.08):
+    """Peaks of points anywhere in the box, each seen once, by all planes in turn."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for number in range(12):
+        axes = frame(30.0 * number)
+        places = rng.uniform(-0.03, 0.03, (n // 12, 2))
+        way = rng.uniform(low, high, (n // 12, 3)) - (-0.4 * axes[0] + places @ axes[1:])
+        far = np.linalg.norm(way, axis=1)
+        cosines = (way / far[:, None]) @ axes[1:].T
+        parts.append(peaks_of_plane(number, places, cosines, far, period))
+    return join_peaks(parts)
+
+
+def slow_density(p, n, q, m):
+    """Density with which a point q of normal m is predicted by p of normal n, from its words."""
+    step, mean = q - p, (n + m) / np.linalg.norm(n + m)
+    distance, offset = np.linalg.norm(step), float(step @ mean)
+    along = step - offset * mean
+    third_order = labels_module._BEND_PER_M2 * distance**3
+    bend = labels_module._CURVATURE_PER_M * distance
+    sigma = np.sqrt(2.0 * labels_module._OFFSET_SIGMA_M**2 + third_order**2)
+    turn = np.sqrt(2.0 * labels_module._NORMAL_SIGMA_RAD**2 + bend**2)
+    plane = multivariate_normal(cov=labels_module._SPREAD_M**2 * np.eye(2))
+    angles = multivariate_normal(cov=turn**2 * np.eye(2))
+    return (
+        norm(scale=sigma).pdf(offset)
+        * angles.pdf([np.linalg.norm(n - m), 0.0])
+        * plane.pdf([np.linalg.norm(along), 0.0])
+    )
+
+
+def slow_posterior(peaks, found, volume_m3, inside, n_rounds):
+    """The rule in loops over all pairs of candidates."""
+    n = len(found)
+    plane = [int(peaks.planes[k]) for k in found.peaks]
+    part = [int(peaks.subapertures[k]) for k in found.peaks]
+    strength = 20.0 * np.log10(peaks.magnitudes)
+    strong = np.quantile(
+        [strength[k] for k, seen in zip(found.peaks, inside, strict=True) if seen], 0.98
+    )
+    own, other = np.zeros((n, n)), np.zeros((n, n))
+    for a in range(n):
+        for b in range(n):
+            near = np.linalg.norm(found.positions[a] - found.positions[b]) <= 0.02
+            if part[a] != part[b] and near and found.normals[a] @ found.normals[b] > 0.5:
+                density = slow_density(
+                    found.positions[a], found.normals[a], found.positions[b], found.normals[b]
+                )
+                (own if plane[a] == plane[b] else other)[a, b] = density
+    share = np.array([1.0 / np.sum(found.peaks == k) for k in found.peaks])
+    shown = {
+        int(k) for k, a, i in zip(found.peaks, found.is_alias, inside, strict=True) if i and not a
+    }
+    top = slow_density(np.zeros(3), np.eye(3)[0], np.zeros(3), np.eye(3)[0])
+    m = labels_module
+    for _ in range(n_rounds):
+        clutter = sum(1.0 - share[found.peaks == k].sum() for k in shown) + m._FLOOR * len(shown)
+        cell = volume_m3 * np.pi / clutter
+        odds = np.zeros(n)
+        for a in range(n):
+            peak = found.peaks[a]
+            level = min(strength[peak] - strong, 0.0)
+            noise = min(20.0 * np.log10(peaks.magnitudes[peak] / peaks.noise[peak]), 40.0)
+            prior = m._LOG_ODDS + m._PER_STRENGTH_DB * level + m._PER_MARGIN_DB * noise
+            odds[a] = (
+                np.exp(prior)
+                * (m._ALONE + cell * (own[a] @ share))
+                * (1.0 + cell * (other[a] @ share) / m._OTHER_SCALE) ** m._OTHER_POWER
+                / (cell * top) ** m._SHARED
+            )
+        share = np.array(
+            [odds[a] / (1.0 + odds[found.peaks == found.peaks[a]].sum()) for a in range(n)]
+        )
+    return share
+
+
+def test_the_rule_is_that_of_its_slow_twin():
+    peaks = join_peaks(
+        [
+            sphere_peaks((0.0, 0.0, 0.065), RADIUS_M, [0, 1], PERIOD, magnitudes=0.5),
+            scattered(12, seed=3, period=PERIOD),
+        ]
+    )
+    found = found_in(peaks)
+    assert found.is_alias.sum() > 20
+    inside = found.depth_m > MARGIN_M
+    expected = slow_posterior(peaks, found, VOLUME_M3, inside, labels_module._ROUNDS)
+    np.testing.assert_allclose(
+        posterior(peaks, found, VOLUME_M3, inside), expected, rtol=1e-9, atol=1e-12
+    )
+
+
+def test_more_rounds_change_no_label(monkeypatch):
+    peaks = join_peaks([sphere_peaks((0.0, 0.0, 0.0), RADIUS_M, range(12)), scattered(96)])
+    few = labelled(peaks)
+    monkeypatch.setattr(labels_module, "_ROUNDS", 40)
+    assert (labelled(peaks).labels == few.labels).mean() > 0.98
+
+
+@pytest.mark.parametrize("radius", [0.02, 0.05, np.inf])
+def test_points_of_a_smooth_surface_predict_each_other_to_third_order(radius):
+    """Offsets along the mean normal vanish on spheres; on the first point's normal they do not."""
+    angle = 0.006 / radius
+    normals = np.array([[1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
+    step = np.array([0.0, 0.006, 0.0]) if np.isinf(radius) else radius * (normals[1] - normals[0])
+    mean = normals.sum(axis=0) / np.linalg.norm(normals.sum(axis=0))
+    assert abs(step @ mean) < 1e-12
+    steps = pair_density(*(np.array([x]) for x in (0.0, angle, 0.006, 0.006)))
+    off = pair_density(*(np.array([x]) for x in (0.006, angle, 0.0, 0.006)))
+    assert steps > 10.0 * off
+
+
+def test_a_surface_is_direct_and_scatterers_are_clutter():
+    surface, clutter = sphere_peaks((0, 0, 0), RADIUS_M, range(12)), scattered(96)
+    found = labelled(join_peaks([surface, clutter]))
+    is_surface = found.candidates.peaks < len(surface)
+    assert (found.labels[is_surface] == Label.DIRECT).mean() > 0.97
+    assert (found.labels[~is_surface] == Label.CLUTTER).mean() > 0.9
+    assert found.probability[is_surface].mean() > 0.8
+    assert sum(found.counts().values()) == len(surface) + len(clutter)
+
+
+@pytest.mark.parametrize("center", [(0.0, 0.0, 0.065), (0.0, 0.055, 0.055)])
+def test_grating_lobes_are_moved_to_their_true_direction(center):
+    """At 8 mm cosines beyond 0.12 wrap around; the sphere lies at 0.17."""
+    planes = [0, 1, 11]
+    found = labelled(sphere_peaks(center, RADIUS_M, planes, PERIOD))
+    offset = np.linalg.norm(found.candidates.positions - center, axis=1) - RADIUS_M
+    believed = found.probability > 0.5
+    assert believed.mean() > 0.9
+    assert np.abs(offset[believed]).max() < 1e-3
+    assert (found.labels == Label.ALIAS).sum() > 10
+
+
+def test_a_grating_lobe_of_a_wall_is_the_wall():
+    """A flash of the near wall, whose image shows a period beside, is no return of the content."""
+    places = places_of()
+    flash = np.tile([PERIOD, 0.0], (len(places), 1))
+    walls = join_peaks(
+        [
+            peaks_of_plane(number, places, flash, np.full(len(places), 0.3), PERIOD)
+            for number in (0, 3, 6, 9)
+        ]
+    )
+    surface = sphere_peaks((0, 0, 0), RADIUS_M, range(12), PERIOD)
+    found = labelled(join_peaks([walls, surface]))
+    of_wall = found.candidates.peaks < len(walls)
+    assert (found.labels[of_wall] == Label.WALL).all()
+    assert (found.labels[~of_wall] == Label.DIRECT).mean() > 0.97
+
+
+def test_known_glints_support_what_continues_them():
+    peaks = sphere_peaks((0, 0, 0), RADIUS_M, range(12))
+    found, inside = found_in(peaks), np.ones(len(peaks), dtype=bool)
+    normals = found.normals[::2]
+    known = glints_at(RADIUS_M * normals, normals, poses=peaks.planes[::2])
+    beside = glints_at(RADIUS_M * normals + [0.0, 0.0, 0.05], normals, poses=peaks.planes[::2])
+    assert continuing(peaks, found, VOLUME_M3, inside, known).min() > 0.5
+    assert continuing(peaks, found, VOLUME_M3, inside, beside).max() < 0.5
+
+
+def test_without_peaks_there_are_no_labels():
+    peaks = sphere_peaks((0, 0, 0), RADIUS_M, [0])
+    nothing = peaks.select(np.zeros(len(peaks), dtype=bool))
+    found = labelled(nothing)
+    assert len(found.labels) == len(found.probability) == 0
+    assert found.counts() == {}
+    known = glints_at(np.zeros((0, 3)), np.zeros((0, 3)))
+    inside = np.zeros(0, dtype=bool)
+    assert len(continuing(nothing, found.candidates, VOLUME_M3, inside, known)) == 0
+
+
+def test_the_cloud_holds_every_peak_with_probability_and_label():
+    found = labelled(join_peaks([sphere_peaks((0, 0, 0), RADIUS_M, range(12)), scattered(24)]))
+    data = found.relabelled(np.array([0, 1]), Label.SEEN_THROUGH).cloud_bytes()
+    head, body = data.split(b"end_header\n", 1)
+    assert b"element vertex %d\n" % len(found.labels) in head
+    names = [*("x", "y", "z", "nx", "ny", "nz", "probability")]
+    rows = np.frombuffer(body, dtype=[*((name, "<f4") for name in names), ("label", "u1")])
+    np.testing.assert_allclose(rows["y"], found.candidates.positions[:, 1], atol=1e-7)
+    np.testing.assert_allclose(rows["probability"][2:], found.probability[2:], atol=1e-7)
+    assert rows["label"][:2].tolist() == [Label.SEEN_THROUGH] * 2
+    assert rows["probability"][:2].tolist() == [0.0, 0.0]
+
+
+def test_candidates_are_subsets_of_all_fields():
+    found = found_in(sphere_peaks((0, 0, 0), RADIUS_M, [0]))
+    some = found.select(np.array([3, 1]))
+    assert isinstance(some, Candidates)
+    np.testing.assert_array_equal(some.peaks, [3, 1])
