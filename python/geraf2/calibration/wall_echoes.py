@@ -21,8 +21,8 @@ UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
 """Optical middle of a near and of a far wall behind its outer face, each with its standard
 deviation, where nothing is known of the walls: board of 2 to 7 mm, index 1.2 to 1.4 [m]."""
 MIDDLE_SIGMA_M = 2e-4
-"""Standard deviation of the middle of a wall whose thickness and permittivity are known: three
-independent simulators give -0.37 to 0.13 mm for near walls, -0.30 to 0.09 mm for far ones [m]."""
+"""Standard deviation of the middle of a wall whose thickness and permittivity are known, beside
+that of its loss: mirror images that are out of focus move it by as much [m]."""
 
 # Of one crossing of cardboard, beside the reflection of its faces.
 _LOSSES_DB = (0.0, 0.45, 0.9)
