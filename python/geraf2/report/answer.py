@@ -117,6 +117,23 @@ def _sizes(numbers: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def _errors(quality: Mapping[str, Any], sizes: Mapping[str, str]) -> list[str]:
+    """Expected error of the surface, and sizes with their intervals."""
+    lines = []
+    if quality:
+        half, most = (quality[f"expected_error_{q}_mm"] for q in ("median", "95_percent"))
+        lines.append(
+            f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
+            f"95 % below {most:.1f} mm."
+        )
+    if sizes:
+        lines.append(
+            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
+            f"volume {sizes['volume']}."
+        )
+    return lines
+
+
 def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
     n = report.n_components
     middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
