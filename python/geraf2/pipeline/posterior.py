@@ -20,6 +20,7 @@ from geraf2.io.run_folder import (
     RunFolder,
 )
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
+from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.scene import LosPrior
 from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.posterior import sample_surface
@@ -71,7 +72,10 @@ def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig
     """Gather what the surface was fitted to, how, and the name of its field."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
-        return Evidence(glints=glints, found_with=config.glints), config.fit, FIT_NAME
+        evidence = Evidence(
+            glints=glints, common_sigma_m=common_sigma_m(run), found_with=config.glints
+        )
+        return evidence, config.fit, FIT_NAME
     assert isinstance(config, BestPreset)  # see require_posterior
     shadows = run.written(SILHOUETTES_NAME)
     selected = SelectedGlints(
@@ -80,7 +84,8 @@ def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig
         Silhouettes.load(shadows) if shadows is not None else None,
     )
     n_planes = len(load_planes(run.path / PLANES_NAME).corners_m)
-    evidence = evidence_of(selected, n_planes, config.refine, config.glints)
+    offset_m = common_sigma_m(run)
+    evidence = evidence_of(selected, n_planes, config.refine, config.glints, offset_m)
     return evidence, config.refine.fit, HEATMAP_SDF_NAME
 
 

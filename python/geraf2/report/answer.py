@@ -118,7 +118,7 @@ def _sizes(numbers: Mapping[str, Any]) -> list[str]:
 
 
 def _errors(quality: Mapping[str, Any], sizes: Mapping[str, str]) -> list[str]:
-    """Expected error of the surface, and sizes with their intervals."""
+    """Say the expected error of the surface, and sizes with their intervals."""
     lines = []
     if quality:
         half, most = (quality[f"expected_error_{q}_mm"] for q in ("median", "95_percent"))

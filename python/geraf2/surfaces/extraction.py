@@ -22,7 +22,7 @@ from geraf2.surfaces.isosurface import (
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 4
+MESH_VERSION = 5
 """Raised when the same field gives another mesh, or another expected error."""
 _log = logging.getLogger(__name__)
 

@@ -41,6 +41,8 @@ _COARSE = 2.0
 # Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
 _FINE, _ROUGH = 1e-5, 1e-4
 
+UNKNOWN_OFFSET_M = 1e-3
+"""Standard deviation of the range offset of a scan that shows no wall of its box [m]."""
 FIT_VERSION = 20
 """Raised when the same glints and settings give another field, for best, too."""
 
@@ -108,6 +110,9 @@ class Evidence:
     """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
     outline_clearance_m: float = 0.0
     """Outlines yield to glints nearer than this [m]."""
+    common_sigma_m: float = UNKNOWN_OFFSET_M
+    """Standard deviation of the range offset that all glints share, as calibration states it: delay
+    of the radar, radius of the turntable [m]."""
     found_with: GlintConfig = field(default_factory=GlintConfig)
     """Settings with which the glints were found: their agreement, the margin at the box."""
 

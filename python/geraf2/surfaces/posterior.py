@@ -27,7 +27,7 @@ from geraf2.surfaces.expected_error import (
     evidence_of_vertices,
     nearness,
 )
-from geraf2.surfaces.fit import Evidence, FitConfig, fitted_points
+from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig, fitted_points
 from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample, trilinear_rows
 from geraf2.surfaces.samples import SurfaceSamples
 
@@ -48,7 +48,7 @@ _CM = 100.0
 class NoiseModel:
     """Standard deviations of what the fit reads; measured on glints of the population's scans."""
 
-    common_sigma_m: float = 0.0009
+    common_sigma_m: float = UNKNOWN_OFFSET_M
     """Range offset that all glints share: delay of the radar, radius of the turntable [m]."""
     plane_sigma_m: float = 0.0005
     """Range offset that the glints of one plane share [m]."""
@@ -315,7 +315,7 @@ def sample_surface(
     :func:`draw_displacements`. The expected error is the spread of the
     samples. Not differentiable.
     """
-    model, noise = SupportModel(), NoiseModel()
+    model, noise = SupportModel(), NoiseModel(common_sigma_m=evidence.common_sigma_m)
     near = nearness(mesh, evidence.seen, model)
     kinds = evidence_of_vertices(mesh, near, evidence.outlines, model)
     if not len(mesh.vertices):

@@ -25,7 +25,7 @@ from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_sil
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
+from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig, fit_sdf
 from geraf2.surfaces.workers import Workers
 
 FEW_PLANES = 12
@@ -142,10 +142,12 @@ def evidence_of(
     n_poses: int,
     config: RefineConfig,
     found_with: GlintConfig | None = None,
+    common_sigma_m: float = UNKNOWN_OFFSET_M,
 ) -> Evidence:
     """Gather what the refined surface is fitted to, without outlines that glints contradict.
 
     n_poses: planes of the scan. found_with: settings with which the glints were found.
+    common_sigma_m: of the range offset that all glints share [m].
     """
     outlines = selected.silhouettes
     if outlines is not None:
@@ -157,6 +159,7 @@ def evidence_of(
         outlines=outlines,
         outline_weight=config.outline_weight,
         outline_clearance_m=config.outline_clearance_m,
+        common_sigma_m=common_sigma_m,
         found_with=found_with or GlintConfig(),
     )
 

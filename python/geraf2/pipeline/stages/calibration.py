@@ -10,8 +10,16 @@ from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.stage import Job, Stage, peak_settings
 from geraf2.scene import Capture, LosPrior
+from geraf2.surfaces.fit import UNKNOWN_OFFSET_M
 
 CALIBRATION_STAGE = "calibration"
+
+
+def common_sigma_m(run: RunFolder) -> float:
+    """Read the standard deviation of the range offset that all echoes of a run share [m]."""
+    record = run.stages.get(CALIBRATION_STAGE)
+    stated = None if record is None else record.numbers.get("common_offset_sigma_mm")
+    return UNKNOWN_OFFSET_M if stated is None else 1e-3 * float(stated)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

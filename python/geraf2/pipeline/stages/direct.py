@@ -27,6 +27,7 @@ from geraf2.io.run_folder import (
     SDF_NAME,
     SILHOUETTES_NAME,
 )
+from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
 from geraf2.surfaces.config import HEATMAP_FIT_VERSION
 from geraf2.surfaces.expected_error import quality_numbers
@@ -337,13 +338,23 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
 
 
 def _selected_evidence(job: Job) -> Evidence:
-    return evidence_of(job[SELECTION], len(job.capture.poses), job.config.refine, job.config.glints)
+    return evidence_of(
+        job[SELECTION],
+        len(job.capture.poses),
+        job.config.refine,
+        job.config.glints,
+        common_sigma_m(job.run),
+    )
 
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF],
-    lambda job: Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
+    lambda job: Evidence(
+        glints=job[GLINTS].glints,
+        common_sigma_m=common_sigma_m(job.run),
+        found_with=job.config.glints,
+    ),
     fit=lambda config: config.fit,
 )
 BEST_MESH = mesh_stage(
