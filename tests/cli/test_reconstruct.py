@@ -66,7 +66,7 @@ def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypa
     def forbidden(*_, **__):
         pytest.fail("a finished stage ran again")
 
-    for name in ("find_glints", "fit_sdf"):
+    for name in ("find_echoes", "fit_sdf"):
         monkeypatch.setattr(direct, name, forbidden)
     monkeypatch.setattr(reconstruct, "require_echoes_inside", forbidden)
     before = digests(finished_run)

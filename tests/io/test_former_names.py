@@ -3,6 +3,7 @@
 import pytest
 
 from geraf2.cli._flags import parse
+from geraf2.cli.calibrate import Config as CalibrateConfig
 from geraf2.cli.main import main
 from geraf2.cli.reconstruct import Config
 from geraf2.errors import UserError
@@ -33,18 +34,26 @@ def test_a_former_preset_is_refused_with_its_name(former, name, tmp_path, capsys
 
 
 def test_a_former_section_is_refused_in_a_file_and_as_a_flag():
-    table = {"preset": "best", "hybrid": {"links": {"chord_m": 0.001}}}
+    table = {"preset": "best", "hybrid": {"rim": {"sizes_m": [0.06]}}}
     with pytest.raises(UserError, match=r"^run.toml: hybrid is called refine now$"):
         preset_of_table(table, "run.toml")
     for flag, now in (
-        ("--hybrid.links.chord-m", "--refine.links.chord-m"),
+        ("--hybrid.rim.sizes-m", "--refine.rim.sizes-m"),
         ("--hybrid.shadow-clearance-m", "--refine.outline-clearance-m"),
     ):
         with pytest.raises(UserError, match=f"^{flag} is called {now} now"):
             parse(Config, ["scene", "out", flag, "0.001"], prog="geraf2 reconstruct")
 
 
-@pytest.mark.parametrize("removed", sorted(former_names.REMOVED))
+def test_a_removed_flag_of_calibrate_is_refused_as_removed():
+    with pytest.raises(UserError, match=r"^--autofocus.min-gain was removed"):
+        parse(CalibrateConfig, ["scene", "--autofocus.min-gain", "1"], prog="geraf2 calibrate")
+
+
+OF_PRESETS = sorted(name for name in former_names.REMOVED if not name.startswith("autofocus."))
+
+
+@pytest.mark.parametrize("removed", OF_PRESETS)
 def test_a_removed_setting_is_refused_as_removed(removed):
     preset = "best" if removed.startswith("refine.") else "fast"
     table = 1
@@ -62,4 +71,4 @@ def test_no_present_name_is_in_the_table():
     assert not present & {*former_names.REMOVED, *former_names.RENAMED}
     assert set(former_names.RENAMED.values()) <= present
     assert not PRESETS.keys() & former_names.PRESETS.keys()
-    assert former_names.former_setting("refine.links.chord_m") == ""
+    assert former_names.former_setting("refine.rim.sizes_m") == ""

@@ -96,7 +96,7 @@ def assert_same(run, other):
 
 def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, whole, tmp_path):
     out = tmp_path / "out"
-    error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 60_000)]))
+    error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 40_000)]))
     assert "sdf_fit.npz: cannot write the file: File too large" in error
     assert verify(out).notes[0] == "the run is not finished; done: glints"
     assert not list(out.rglob(".*.tmp*"))

@@ -51,7 +51,7 @@ def errors_near(sdf, directions, reach_m=0.008):
 def test_a_sphere_all_of_which_was_seen_is_a_signed_distance(capture):
     sdf = fit_sdf(glints_on(fibonacci_sphere(1500)), capture, BOX, COARSE)
     error = errors_near(sdf, fibonacci_sphere(997))
-    assert np.abs(error).max() < 7e-4
+    assert np.abs(error).max() < 8e-4
     assert sdf.sample(CENTER[None])[0] < -0.02
 
 

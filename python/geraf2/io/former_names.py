@@ -42,12 +42,7 @@ REMOVED = frozenset(
         "refine.fit.strong_quantile",
         "refine.fit.support",
         "refine.fit.support_reach_m",
-        "refine.links.angle_rad",
-        "refine.links.chord_m",
-        "refine.links.few_planes_strong_db",
-        "refine.links.reach_m",
-        "refine.links.strength_db",
-        "refine.links.strong_db",
+        "refine.links",
         "refine.plain_far_m",
         "refine.plain_near_m",
         "refine.plain_share",
@@ -61,7 +56,7 @@ REMOVED = frozenset(
         "refine.voxel_scales",
     }
 )
-"""Settings without a successor, below the present names of their sections."""
+"""Settings and sections without a successor, below the present names of their sections."""
 
 
 def former_preset(name: str) -> str:
@@ -81,7 +76,7 @@ def former_setting(name: str) -> str:
         if f"{key}.".startswith(f"{old}."):
             present = new + key.removeprefix(old)
             break
-    if present in REMOVED:
+    if any(f"{present}.".startswith(f"{removed}.") for removed in REMOVED):
         return f"{name} was removed and has no successor: leave it out"
     if present == key:
         return ""
