@@ -66,6 +66,7 @@ def drive(
     Raises UserError where the scheduler is lost.
     """
     from distributed import as_completed  # noqa: PLC0415 - an extra
+    from distributed.client import FutureCancelledError  # noqa: PLC0415 - as above
     from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
@@ -103,7 +104,7 @@ def drive(
                 yield task, answer
             else:
                 resting.append((time.monotonic() + repeated.rest_s, repeated))
-    except (CommClosedError, TimeoutError):
+    except (CommClosedError, FutureCancelledError, TimeoutError):  # cancelled while it is read
         raise _lost() from None
     finally:
         if client.status == "running":
