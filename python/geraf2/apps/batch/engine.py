@@ -65,8 +65,10 @@ def drive(
 
     Raises UserError where the scheduler is lost.
     """
-    from distributed import as_completed  # noqa: PLC0415 - an extra
-    from distributed.client import FutureCancelledError  # noqa: PLC0415 - as above
+    from distributed.client import (  # noqa: PLC0415 - an extra
+        FutureCancelledError,
+        as_completed,
+    )
     from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
     waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
