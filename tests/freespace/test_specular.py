@@ -7,7 +7,7 @@ import trimesh
 from geraf2.freespace.specular import angles_off, specular_visibility
 from geraf2.ops.visibility import MeshScene
 from geraf2.records import Pose
-from geraf2.scene.aperture import Aperture, apertures_of, own_mirror_points
+from geraf2.scene.aperture import Aperture, apertures_of
 from helpers.specular import antennas, fibonacci_sphere, raster
 from reference.specular import specular_margin
 
@@ -108,19 +108,6 @@ def test_a_line_of_antennas_keeps_its_middle_and_receives_nothing_beside_it(half
     np.testing.assert_allclose(np.sort(line.half_m), np.sort(half_m), atol=1e-12)
     normals = fibonacci_sphere(500)
     assert not (specular_visibility(0.01 * normals, normals, [line]) > 0.0).any()
-
-
-def test_each_point_has_a_mirror_point_on_its_own_aperture(apertures):
-    normals = fibonacci_sphere(300)
-    own = np.arange(300) % len(apertures)
-    mirror = own_mirror_points(RADIUS_M * normals, normals, apertures, own)
-    for number, aperture in enumerate(apertures):
-        rows = own == number
-        alone = aperture.mirror(RADIUS_M * normals[rows], normals[rows])
-        np.testing.assert_array_equal(mirror.received[rows], alone.received)
-        some = alone.received
-        np.testing.assert_allclose(mirror.positions_m[rows][some], alone.positions_m[some])
-        np.testing.assert_allclose(mirror.edges_m[rows][some], alone.edges_m[some], atol=1e-12)
 
 
 def test_angles_off_are_zero_where_an_aperture_receives(apertures):

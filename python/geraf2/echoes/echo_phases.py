@@ -143,8 +143,3 @@ def _flattened(
     first, second = np.divmod(sums.argmax(axis=1), len(_CURVATURES))
     every = np.arange(len(values))
     return np.asarray(bent[every, first] * across[second, every])
-
-
-def mean_coherence(echoes: list[EchoPhases]) -> float:
-    """Mean coherence over echoes; 0 without any."""
-    return float(np.mean([echo.coherence for echo in echoes])) if echoes else 0.0

@@ -16,8 +16,7 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.ops.visibility import MeshScene
 
-# Of glints that hang together metal figures have up to 0.02 of the strength behind, among
-# scatterers, too, plastic ones 0.24 and more. Scatterers lie behind each other: 0.06 with them.
+# Metal objects have up to 0.02 of the strength behind other glints, plastic ones 0.24 and more.
 _MIN_SHARE = 0.1
 _ROUNDS = 2
 # Lines of sight begin so far before their glint [m]: before any content.

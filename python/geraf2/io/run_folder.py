@@ -87,7 +87,6 @@ _DERIVED = (
     f"{VIEWS_FOLDER}/angle_*",
 )
 """Patterns of files that describe one mesh_content.ply."""
-_SUBFOLDERS = (FIGURES_FOLDER, VIEWS_FOLDER, LIVE_FOLDER, TENSORBOARD_FOLDER, "los")
 _OF_A_SCENE = (
     *_DERIVED,
     CONFIG_NAME,

@@ -111,27 +111,7 @@ def _sizes(numbers: Mapping[str, Any]) -> list[str]:
     sizes = dict(size_lines(numbers))
     if not sizes:
         return []
-    return [
-        f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
-        f"volume {sizes['volume']}."
-    ]
-
-
-def _errors(quality: Mapping[str, Any], sizes: Mapping[str, str]) -> list[str]:
-    """Say the expected error of the surface, and sizes with their intervals."""
-    lines = []
-    if quality:
-        half, most = (quality[f"expected_error_{q}_mm"] for q in ("median", "95_percent"))
-        lines.append(
-            f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
-            f"95 % below {most:.1f} mm."
-        )
-    if sizes:
-        lines.append(
-            f"With errors that echoes share: size x, y, z {sizes['size x, y, z']}, "
-            f"volume {sizes['volume']}."
-        )
-    return lines
+    return [f"Intervals: size x, y, z {sizes['size x, y, z']}, volume {sizes['volume']}."]
 
 
 def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:

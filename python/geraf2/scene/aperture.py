@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from geraf2._types import Bools, Floats, Ints
+from geraf2._types import Bools, Floats
 from geraf2.records import RawPose
 
 # Normals more than 84 degrees off the boresight meet no antenna: it receives nothing from there.
@@ -108,23 +108,6 @@ class Aperture:
 def apertures_of(poses: Sequence[RawPose]) -> tuple[Aperture, ...]:
     """Aperture of each pose."""
     return tuple(Aperture.of_pose(pose) for pose in poses)
-
-
-def own_mirror_points(
-    points: Floats, normals: Floats, apertures: Sequence[Aperture], own: Ints
-) -> MirrorPoints:
-    """Where the normal of each point meets the plane of its own aperture.
-
-    points: (n, 3) [m]. normals: (n, 3). own: index of each point's aperture, (n,).
-    """
-    axes = np.stack([aperture.axes for aperture in apertures])[own]
-    low, high = (
-        np.stack([getattr(aperture, name) for aperture in apertures])[own]
-        for name in ("low_m", "high_m")
-    )
-    local, slope = (np.einsum("nij,nj->ni", axes, vectors) for vectors in (points, normals))
-    place, edges, distances, received = _meet(local, slope, low, high)
-    return MirrorPoints(np.einsum("nij,ni->nj", axes, place), edges, distances, received)
 
 
 def _perpendicular(vector: Floats) -> Floats:
