@@ -22,7 +22,7 @@ from geraf2.echoes import Glints
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.geometry.triangles import vertex_areas
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, LINKED_NAME, RIM_NAME
+from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, RIM_NAME
 from geraf2.surfaces.expected_error import SupportModel, conformal_factor, nearness
 from geraf2.surfaces.isosurface import signed_distances
 
@@ -47,8 +47,8 @@ class Sample:
 def sample(run: Path, truth: Path) -> Sample:
     mesh, true = read_mesh(run / CONTENT_NAME), read_mesh(truth)
     glints = Glints.load(run / GLINTS_NAME)
-    if (run / LINKED_NAME).is_file():
-        glints = Glints.load(run / LINKED_NAME).join(Glints.load(run / RIM_NAME))
+    if (run / RIM_NAME).is_file():
+        glints = Glints.load(run / GLINTS_NAME).join(Glints.load(run / RIM_NAME))
     areas = vertex_areas(mesh.vertices, mesh.faces)
     support = nearness(mesh, glints).support
     return Sample(

@@ -69,14 +69,13 @@ ROWS = [
         seed -1
         fit.spacing-m 0 1e-9 10
         fit.margin-m inf
-        fit.cap-lean -9 -9|0.2
         fit.max-voxels 1e6 none
         glints.subaperture.size-m 0
         glints.subaperture.rim-sizes-m 0
         preset hybrid bestt Glint
         """,
     ),
-    *sweep(RUN + " --preset best {}", "refine.rim.sizes-m 0|nan|-0.05\nheatmaps.withheld 0 0.9"),
+    *sweep(RUN + " --preset best {}", "refine.rim.sizes-m 0|nan|-0.05"),
     *sweep(RUN + " --preset paper {}", "paper.grid-n 0 25|-3\npaper.mesh-n 0 100000"),
     *sweep(
         "image scene out --every 4 {}",

@@ -58,7 +58,6 @@ ROWS = [
         hold_out [nan]|3
         trust_los 1
         fit.max_voxels 0 1.5
-        fit.cap_lean [0.2]|[2,3]
         glints.least_probability -1
         glints.subaperture.max_cosine 1.0 nan
         photos.mask_threshold 300 -1

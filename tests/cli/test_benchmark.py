@@ -211,7 +211,7 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
     stages = {row.method: set(row.versions) for row in rows_of(suite)}
     assert set().union(*stages.values()) == {*STAGE_NAMES, "calibration", "photos", "echo"}
     assert stages["fast"] == {"calibration", "glints", "sdf", "mesh"}
-    assert stages["best"] - stages["fast"] == {"selection", "heatmaps"}
+    assert stages["best"] - stages["fast"] == {"selection"}
     assert stages["best-views"] - stages["best"] == {"echo"}
     assert stages["paper"] == stages["geraf1"] == {"calibration", "train", "mesh"}
     assert stages["matched-filter-oracle"] == {"calibration", "baseline", "mesh"}

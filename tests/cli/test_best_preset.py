@@ -4,18 +4,16 @@ import json
 import shutil
 import tomllib
 
-import numpy as np
 import pytest
 
 from geraf2.cli.main import main
 from geraf2.echoes import Glints
-from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
 from helpers.small_scene import BOX, QUICK_BEST
 
-AFTERWARDS = ("selection", "sdf", "heatmaps", "mesh")
+AFTERWARDS = ("selection", "sdf", "mesh")
 FIRST = ("calibration", "glints")
 ALL = (*FIRST, *AFTERWARDS)
 
@@ -66,29 +64,6 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
 def test_resume_computes_nothing_again(finished, scene):
     assert run(scene, finished, "--resume", "--overwrite") == 0
     assert stages(finished) == [("reused", name) for name in ALL]
-
-
-def test_a_setting_of_the_heat_map_fit_leaves_the_rest(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "1") == 0
-    assert stages(finished) == [
-        *(("reused", name) for name in (*FIRST, "selection", "sdf")),
-        ("done", "heatmaps"),
-        ("done", "mesh"),
-    ]
-
-
-def test_the_heat_map_fit_can_be_switched_off(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite", "--heatmaps.n-rounds", "0") == 0
-    assert stages(finished)[-1] == ("done", "mesh")
-    fitted, moved = (SdfGrid.load(finished / n) for n in ("sdf_fit.npz", "sdf_heatmaps.npz"))
-    np.testing.assert_array_equal(moved.values, fitted.values)
-    assert RunFolder.read(finished).stages["heatmaps"].numbers["unexplained"] == []
-
-
-def test_the_heat_map_fit_says_what_it_reached(built):
-    said = RunFolder.read(built).stages["heatmaps"].numbers
-    assert said["best"] == int(np.argmin(said["unexplained"]))
-    assert len(said["unexplained"]) == 3
 
 
 def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):

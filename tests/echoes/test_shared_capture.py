@@ -49,7 +49,7 @@ def test_a_withheld_delay_is_found_to_a_millimetre_of_path(source, capture):
 def test_the_figure_in_the_carton_is_reconstructed(source, capture):
     prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
     glints = find_glints(capture, prior)
-    sdf = fit_sdf(glints, capture, prior)
+    sdf = fit_sdf(glints)
     content = extract_meshes(sdf, glints, prior).mesh_content
     scores = evaluate_mesh(content, read_mesh(source / "truth_object.ply"), n_samples=10000)
     assert scores.f1(0.005) >= 0.98

@@ -21,7 +21,8 @@ from geraf2.freespace.silhouettes import (
 )
 from geraf2.scene import Capture, Grid, Pose, Wall
 from geraf2.surfaces import refinement
-from geraf2.surfaces.refinement import RefineConfig, cut_to_silhouettes
+from geraf2.surfaces.fit import cut_to_outlines
+from geraf2.surfaces.refinement import RefineConfig
 from helpers.glint_sets import glints_on_sphere
 from helpers.synthetic import WAVEFORM
 from reference import wall_shadow
@@ -279,7 +280,7 @@ def test_a_field_is_cut_but_not_near_glints():
     outline = made(disc(0.03))
     glints = glints_on_sphere(0.045, 400)
     low = glints.select(glints.positions[:, 2] < 0.0)
-    cut = cut_to_silhouettes(ball, outline, low, 0.005).values.ravel()
+    cut = cut_to_outlines(ball, outline, low, 0.005).values.ravel()
     far = points[:, 2] > 0.01
     expected = np.maximum(ball.values.ravel(), outline.free_distance(points))
     np.testing.assert_allclose(cut[far], expected[far], atol=1e-6)
@@ -290,7 +291,7 @@ def test_a_field_is_cut_but_not_near_glints():
     expected = np.maximum(ball.values.ravel(), outline.free_distance(points) - by)
     np.testing.assert_allclose(cut, expected, atol=1e-6)
     assert (by > 0.003).sum() > 100
-    everywhere = cut_to_silhouettes(ball, outline, low, 0.0).values.ravel()
+    everywhere = cut_to_outlines(ball, outline, low, 0.0).values.ravel()
     np.testing.assert_allclose(
         everywhere, np.maximum(ball.values.ravel(), outline.free_distance(points)), atol=1e-6
     )

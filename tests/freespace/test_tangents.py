@@ -7,11 +7,10 @@ import pytest
 
 from geraf2.fields import SdfGrid
 from geraf2.freespace.tangents import tangent_points
-from geraf2.scene import Grid, LosPrior
+from geraf2.scene import Grid
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
 from helpers.glint_sets import glints_on_sphere
 from helpers.shadows import CELL_M, outlines
-from helpers.synthetic import point_capture
 
 RADIUS_M = 0.04
 NOBODY = np.array([[1.0, 0.0, 0.0]])
@@ -75,8 +74,7 @@ def test_an_outline_that_leaves_what_is_known_has_no_edge_there():
 def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
     belt = glints_on_sphere(RADIUS_M, 1500)
     belt = belt.select(np.abs(belt.positions[:, 2]) < 0.5 * RADIUS_M)
-    capture, box = point_capture(3), LosPrior.from_box((0.2, 0.2, 0.2))
-    config = FitConfig(spacing_m=0.004, absence_weight=0.0)
+    config = FitConfig(spacing_m=0.004)
     shadow = outlines([0, 1], [RADIUS_M, RADIUS_M, 1.3 * RADIUS_M])
     ends = np.array([[0.0, 0.0, 1.3 * RADIUS_M], [0.0, 0.0, -1.3 * RADIUS_M]])
     off_m = []
@@ -84,7 +82,7 @@ def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
         evidence = Evidence(
             glints=belt, outlines=known, outline_weight=0.05, outline_clearance_m=0.005
         )
-        sdf = fit_sdf(evidence, capture, box, config)
+        sdf = fit_sdf(evidence, config)
         off_m.append(np.abs(sdf.sample(ends)).max())
     assert off_m[0] > 0.005
     assert off_m[1] < 0.002

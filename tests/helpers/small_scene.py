@@ -20,7 +20,6 @@ _COARSE = {"fit.spacing-m": "0.012", "fit.distance-rounds": "1"}
 FAST = ["--preset", "fast", *(w for name, v in _COARSE.items() for w in (f"--{name}", v))]
 QUICK_BEST = [
     *(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v)),
-    *("--heatmaps.n-steps", "10", "--heatmaps.node-spacing-m", "0.01"),
 ]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 COARSE_RENDER = [

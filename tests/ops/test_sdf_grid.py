@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from geraf2.ops import sdf_grid
-from geraf2.ops.sdf_grid import sdf_grid_adjoint
 from geraf2.scene import Grid
 from reference import sdf_grid as reference
 
@@ -144,12 +143,3 @@ def test_bad_input_is_named(name):
     good = {"values": np.zeros(GRID.shape), "grid": GRID, "points": np.zeros((2, 3))}
     with pytest.raises(error, match=message):
         sdf_grid(**{**good, **change})
-
-
-@pytest.mark.parametrize("interpolation", INTERPOLATIONS)
-def test_the_adjoint_of_arrays_is_that_of_the_values(interpolation):
-    values, points = (tensor.numpy() for tensor in make_case())
-    weights = np.random.default_rng(0).standard_normal(len(points))
-    value = sdf_grid(values, GRID, points, interpolation=interpolation).value
-    back = sdf_grid_adjoint(weights, GRID, points, interpolation=interpolation)
-    np.testing.assert_allclose((back * values).sum(), value @ weights, rtol=1e-12)

@@ -98,13 +98,11 @@ def run_stages(config, capture, prior, folder):
 
 
 def coarse(preset):
-    # No glint explains a surface at this angle, so that echoes are absent.
-    fit = {"spacing_m": 0.008, "distance_rounds": 1, "absence_angle_rad": 0.02}
+    fit = {"spacing_m": 0.008, "distance_rounds": 1}
     if isinstance(preset, FastPreset):
         return replace(preset, fit=replace(preset.fit, **fit))
-    heatmaps = replace(preset.heatmaps, n_steps=3, n_rounds=1, n_targets=50, node_spacing_m=0.01)
     refine = replace(preset.refine, fit=replace(preset.refine.fit, **fit))
-    return replace(preset, refine=refine, heatmaps=heatmaps)
+    return replace(preset, refine=refine)
 
 
 @pytest.mark.slow

@@ -6,15 +6,13 @@ import pytest
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.surfaces.fit import FitConfig, fit_sdf, voxels_around, zero_level
+from geraf2.scene import Grid
+from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report
-from helpers.specular import antennas, fibonacci_sphere, raster
-from helpers.synthetic import WAVEFORM
+from helpers.specular import fibonacci_sphere
 
 RADIUS_M = 0.04
 CENTER = np.array([0.01, -0.005, 0.02])
-BOX = LosPrior.from_box((0.2, 0.2, 0.2))
 COARSE = FitConfig(spacing_m=0.006)
 
 
@@ -31,16 +29,6 @@ def glints_on(directions, strengths=None):
     )
 
 
-@pytest.fixture(scope="module")
-def capture():
-    poses = []
-    for angle in np.arange(0.0, 360.0, 30.0):
-        tx, rx, axes = antennas(angle, raster(5, 0.03))
-        signal = np.zeros((len(tx), WAVEFORM.n_samples), dtype=np.complex64)
-        poses.append(Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes))
-    return Capture(waveform=WAVEFORM, poses=tuple(poses))
-
-
 def errors_near(sdf, directions, reach_m=0.008):
     """Signed-distance error at points within reach of the sphere, along the directions."""
     offset = np.random.default_rng(0).uniform(-reach_m, reach_m, len(directions))
@@ -48,14 +36,14 @@ def errors_near(sdf, directions, reach_m=0.008):
     return sdf.sample(points) - offset
 
 
-def test_a_sphere_all_of_which_was_seen_is_a_signed_distance(capture):
-    sdf = fit_sdf(glints_on(fibonacci_sphere(1500)), capture, BOX, COARSE)
+def test_a_sphere_all_of_which_was_seen_is_a_signed_distance():
+    sdf = fit_sdf(glints_on(fibonacci_sphere(1500)), COARSE)
     error = errors_near(sdf, fibonacci_sphere(997))
     assert np.abs(error).max() < 8e-4
     assert sdf.sample(CENTER[None])[0] < -0.02
 
 
-def test_glints_weigh_by_their_probability(capture):
+def test_glints_weigh_by_their_probability():
     """Points off the surface that are hardly likely to be returns of the content change nothing."""
     true, n_false = glints_on(fibonacci_sphere(1500)), 40
     false = replace(
@@ -63,10 +51,10 @@ def test_glints_weigh_by_their_probability(capture):
         positions=true.positions[:n_false] + 0.004 * true.normals[:n_false],
     )
     sdf = {
-        p: fit_sdf(true.join(replace(false, probability=np.full(n_false, p))), capture, BOX, COARSE)
+        p: fit_sdf(true.join(replace(false, probability=np.full(n_false, p))), COARSE)
         for p in (1e-9, 1.0)
     }
-    without, at = fit_sdf(true, capture, BOX, COARSE), true.positions[:n_false]
+    without, at = fit_sdf(true, COARSE), true.positions[:n_false]
     assert np.abs(sdf[1e-9].sample(at) - without.sample(at)).max() < 1e-4
     assert np.abs(sdf[1.0].sample(at) - without.sample(at)).max() > 5e-4
 
@@ -76,8 +64,8 @@ def seen_from_the_side():
     return directions[np.abs(directions[:, 2]) < 0.5]
 
 
-def test_top_and_bottom_that_nobody_saw_are_closed(capture):
-    sdf = fit_sdf(glints_on(seen_from_the_side()), capture, BOX, COARSE)
+def test_top_and_bottom_that_nobody_saw_are_closed():
+    sdf = fit_sdf(glints_on(seen_from_the_side()), COARSE)
     surface = extract_surface(sdf)
     assert surface_report(surface).is_watertight
     assert surface_report(surface).n_components == 1
@@ -89,42 +77,13 @@ def test_top_and_bottom_that_nobody_saw_are_closed(capture):
     assert 0.5 * RADIUS_M + 5e-3 < reach[2] < RADIUS_M + 5e-3
 
 
-def test_wide_caps_are_flatter_than_domes(capture):
-    # A drum of radius 5 cm and height 6 cm, of which only the mantle is seen.
-    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-    around = np.stack([np.cos(angle), np.sin(angle), np.zeros(72)], axis=1)
-    heights = np.linspace(-0.03, 0.03, 13)
-    normals = np.tile(around, (13, 1))
-    positions = 0.05 * normals + np.repeat(heights, 72)[:, None] * np.array([0.0, 0.0, 1.0])
-    n = len(positions)
-    glints = Glints(
-        positions=positions,
-        normals=normals,
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 4e-4),
-        normal_sigma_rad=np.full(n, 0.03),
-        poses=np.zeros(n, dtype=np.int64),
-        probability=np.ones(n),
-    )
-    tops = []
-    for slope in (0.0, 1.0):
-        sdf = fit_sdf(glints, capture, BOX, FitConfig(cap_slope=slope))
-        vertices, _ = zero_level(sdf)
-        middle = np.hypot(vertices[:, 0], vertices[:, 1]) < 0.01
-        tops.append(vertices[middle, 2].max())
-        mantle = sdf.sample(positions[np.abs(positions[:, 2]) < 0.02])
-        assert np.abs(mantle).max() < 2e-3
-    dome, cap = tops
-    assert 0.025 < cap < dome - 0.003
-
-
-def test_two_runs_are_bit_identical(capture):
+def test_two_runs_are_bit_identical():
     glints = glints_on(seen_from_the_side())
-    first, second = (fit_sdf(glints, capture, BOX, COARSE, num_threads=n) for n in (1, 2))
+    first, second = (fit_sdf(glints, COARSE, num_threads=n) for n in (1, 2))
     np.testing.assert_array_equal(first.values, second.values)
 
 
-def test_weak_outliers_hardly_move_the_surface(capture):
+def test_weak_outliers_hardly_move_the_surface():
     directions = fibonacci_sphere(1500)
     strengths = np.ones(1500)
     strengths[::15] = 0.02
@@ -132,8 +91,7 @@ def test_weak_outliers_hardly_move_the_surface(capture):
     strewn = glints_on(directions, strengths)
     strewn.positions[::15] += 0.003 * directions[::15]
     moved = [
-        errors_near(fit_sdf(glints, capture, BOX, COARSE), fibonacci_sphere(997))
-        for glints in (clean, strewn)
+        errors_near(fit_sdf(glints, COARSE), fibonacci_sphere(997)) for glints in (clean, strewn)
     ]
     # One in fifteen stands off by 3 mm: 0.2 mm on the mean if all counted alike; the strengths
     # to the power 0.5 leave 0.03 mm, their normals add some.
@@ -141,16 +99,16 @@ def test_weak_outliers_hardly_move_the_surface(capture):
     assert np.abs(moved[1]).max() < 1.5e-3
 
 
-def test_progress_rises_to_one(capture):
+def test_progress_rises_to_one():
     seen = []
     config = FitConfig(spacing_m=0.01, distance_rounds=2)
-    fit_sdf(glints_on(fibonacci_sphere(300)), capture, BOX, config, progress=seen.append)
+    fit_sdf(glints_on(fibonacci_sphere(300)), config, progress=seen.append)
     np.testing.assert_allclose(seen, [0.25, 0.5, 0.75, 1.0])
 
 
-def test_the_grid_stays_below_its_cap(capture):
+def test_the_grid_stays_below_its_cap():
     config = FitConfig(spacing_m=0.002, max_voxels=8000, distance_rounds=0)
-    sdf = fit_sdf(glints_on(fibonacci_sphere(300)), capture, BOX, config)
+    sdf = fit_sdf(glints_on(fibonacci_sphere(300)), config)
     # the cap counts cells; one more voxel than cells a side
     assert sdf.grid.n_voxels <= 21**3
     assert sdf.grid.n_voxels > 5000
@@ -168,13 +126,13 @@ def test_a_field_without_a_zero_level_is_a_user_error():
     assert "values from 0.0200 to 0.0200 m" in str(caught.value)
 
 
-def test_glints_that_enclose_nothing_are_a_user_error(capture):
+def test_glints_that_enclose_nothing_are_a_user_error():
     # All at one place, facing every way: the field is smallest there and positive.
     directions = fibonacci_sphere(60)
     point = glints_on(directions)
     point.positions[:] = CENTER
     with pytest.raises(UserError, match="do not enclose anything"):
-        fit_sdf(point, capture, BOX, FitConfig(spacing_m=0.006))
+        fit_sdf(point, FitConfig(spacing_m=0.006))
 
 
 def test_the_zero_level_of_a_sphere_is_wound_outward():
@@ -193,15 +151,3 @@ def test_the_zero_level_of_a_sphere_is_wound_outward():
 def test_bad_settings_name_the_value(name, value):
     with pytest.raises(ValueError, match=f"{name}.*{value}"):
         FitConfig(**{name: value})
-
-
-def test_voxels_around_places_are_all_within_reach():
-    grid = Grid(origin_m=(0.01, -0.02, 0.0), spacing_m=0.004, shape=(9, 7, 8))
-    rng = np.random.default_rng(0)
-    places = np.asarray(grid.origin_m) + rng.uniform(-0.01, 0.045, (300, 3))
-    found = np.zeros((len(places), grid.n_voxels))
-    for place, voxel, distance in voxels_around(grid, places, 0.011):
-        assert (found[place, voxel] == 0.0).all()
-        found[place, voxel] = distance
-    expected = np.linalg.norm(places[:, None] - grid.points(), axis=2)
-    np.testing.assert_allclose(found, np.where(expected <= 0.011, expected, 0.0), atol=1e-12)

@@ -1,24 +1,23 @@
-"""Order of `best`: links, then the rim, then a fit that knows how many planes there are."""
+"""Evidence of `best`: glints, those of the rim, outlines that glints do not contradict."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geraf2.echoes.glints import GlintConfig, find_glints
-from geraf2.fields import SdfGrid
 from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.scene import Grid, LosPrior
-from geraf2.surfaces import refinement
-from geraf2.surfaces.fit import FitConfig
+from geraf2.scene import LosPrior
 from geraf2.surfaces.refinement import (
     RefineConfig,
     SelectedGlints,
-    fit_refined,
-    mean_field,
+    evidence_of,
     select_glints,
+    uncontradicted,
 )
 from helpers.glint_sets import glints_on_sphere
+from helpers.shadows import outlines
 from helpers.specular import BOX_M, sphere_capture
-from helpers.synthetic import point_capture
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
 NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
@@ -33,20 +32,10 @@ def test_glints_are_kept_and_continued_at_the_rim():
     assert np.abs(np.linalg.norm(found.rim.positions, axis=1) - 0.04).max() < 1e-3
 
 
-def test_with_few_planes_fits_on_several_voxels_are_made():
-    config = RefineConfig()
-    scales = config.few_planes_voxel_scales
-    assert config.fits_of(12) == config.fits_of(36) == [config.fit]
-    few = config.fits_of(6)
-    voxels = [scale * config.fit.spacing_m for scale in scales]
-    assert [fit.spacing_m for fit in few] == pytest.approx(voxels)
-
-
 @pytest.mark.parametrize(
     ("setting", "value"),
     [
-        ("few_planes_voxel_scales", ()),
-        ("few_planes_voxel_scales", (1.0, 0.0)),
+        ("rim_weight", -1.0),
         ("max_contradicted", 1.5),
     ],
 )
@@ -55,44 +44,24 @@ def test_settings_out_of_range_are_refused(setting, value):
         RefineConfig(**{setting: value})
 
 
-COARSE = FitConfig(spacing_m=0.008, distance_rounds=1)
+def ball_glints(n=400, seed=0, radius_m=0.04):
+    return glints_on_sphere(radius_m, n, seed=seed)
 
 
-def ball_glints(n=400, seed=0):
-    return glints_on_sphere(0.04, n, seed=seed)
-
-
-def test_a_mean_of_fields_is_on_the_grid_of_the_first():
-    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 5)
-    finer = Grid.cube((0.0, 0.0, 0.0), 0.05, 9)
-    one = SdfGrid(grid=grid, values=grid.points()[:, 0].reshape(grid.shape).astype(np.float32))
-    other = SdfGrid(grid=finer, values=np.full(finer.shape, 0.02, dtype=np.float32))
-    mean = mean_field([one, other])
-    assert mean.grid == grid
-    np.testing.assert_allclose(mean.values, 0.5 * (one.values + 0.02), atol=1e-7)
-    assert mean_field([one]) is one
-
-
-@pytest.mark.parametrize(("n_poses", "n_fits"), [(12, 1), (3, 3)])
-def test_with_few_planes_the_mean_of_fits_on_several_voxels_is_taken(monkeypatch, n_poses, n_fits):
+def test_a_glint_of_the_rim_counts_as_others_where_planes_are_few():
     selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
-    calls = []
-
-    def field(evidence, capture, prior, config, *, num_threads):
-        calls.append((len(evidence.glints), len(evidence.rim), evidence.rim_weight))
-        grid = Grid.cube((0.0, 0.0, 0.0), 0.08, 17)
-        value = 0.01 * len(calls)
-        return SdfGrid(grid=grid, values=np.full(grid.shape, value, dtype=np.float32))
-
-    monkeypatch.setattr(refinement, "fit_sdf", field)
-    config = RefineConfig(fit=COARSE)
-    sdf = fit_refined(selected, point_capture(n_poses), BOX, config, num_threads=1)
-    assert calls == n_fits * [(400, 50, 0.2 if n_poses >= 12 else 1.0)]
-    assert sdf.values.max() == sdf.values.min() == pytest.approx(0.005 * (n_fits + 1))
+    few, many = (evidence_of(selected, n, RefineConfig()).rim_weight for n in (11, 12))
+    assert (few, many) == (1.0, RefineConfig().rim_weight)
 
 
-def test_the_mean_of_real_fits_is_the_surface():
-    selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
-    sdf = fit_refined(selected, point_capture(12), BOX, RefineConfig(fit=COARSE))
-    error = np.abs(sdf.sample(selected.linked.positions))
-    assert np.median(error) < 1e-3
+def test_outlines_that_glints_contradict_are_dropped():
+    seen, config = ball_glints(), RefineConfig()
+    right, wrong, elsewhere = (
+        outlines([0], [r, r, r], known)
+        for r, known in ((0.04, None), (0.03, None), (0.04, np.zeros((81, 81), dtype=bool)))
+    )
+    kept = [len(uncontradicted(one, seen, config)) for one in (right, wrong, elsewhere)]
+    assert kept == [1, 0, 0]
+    # Of glints that are false with certainty no outline is to be doubted.
+    false = replace(ball_glints(40, radius_m=0.06), probability=np.full(40, 1e-6))
+    assert len(uncontradicted(right, seen.join(false), config)) == 1

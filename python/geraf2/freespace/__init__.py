@@ -1,1 +1,1 @@
-"""Where nothing is: silhouettes, absent echoes, tangent surfaces, caps."""
+"""Where nothing is: silhouettes, and surfaces that are tangent to their edges."""

@@ -1,7 +1,7 @@
 """Which antennas receive the specular return of a surface.
 
 A surface element returns a specular echo to an antenna of a plane where its normal, prolonged,
-meets the plane's aperture and nothing blocks the path (docs/math/free-space.md#absent-echoes).
+meets the plane's aperture and nothing blocks the path.
 """
 
 from collections.abc import Sequence

@@ -13,7 +13,16 @@ RENAMED = {
 REMOVED = frozenset(
     {
         "autofocus.min_gain",
+        "fit.absence_angle_rad",
+        "fit.absence_clearance_m",
+        "fit.absence_depth_m",
+        "fit.absence_margin_m",
+        "fit.absence_reach_m",
         "fit.absence_wall_m",
+        "fit.absence_weight",
+        "fit.cap_lean",
+        "fit.cap_slope",
+        "fit.cap_start_m",
         "fit.coarse_spacing_m",
         "fit.continuation_weight",
         "fit.more_weight",
@@ -31,17 +40,10 @@ REMOVED = frozenset(
         "glints.neighbor_count",
         "glints.neighbor_offset_m",
         "glints.neighbor_radius_m",
+        "heatmaps",
         "refine.clutter",
+        "refine.few_planes_voxel_scales",
         "refine.few_planes_weight",
-        "refine.fit.absence_wall_m",
-        "refine.fit.coarse_spacing_m",
-        "refine.fit.continuation_weight",
-        "refine.fit.normal_power",
-        "refine.fit.normal_weight",
-        "refine.fit.position_power",
-        "refine.fit.strong_quantile",
-        "refine.fit.support",
-        "refine.fit.support_reach_m",
         "refine.links",
         "refine.plain_far_m",
         "refine.plain_near_m",
@@ -56,7 +58,8 @@ REMOVED = frozenset(
         "refine.voxel_scales",
     }
 )
-"""Settings and sections without a successor, below the present names of their sections."""
+"""Settings and sections without a successor, below the present names of their sections; those of
+`fit` also below `refine.fit`."""
 
 
 def former_preset(name: str) -> str:
@@ -76,7 +79,8 @@ def former_setting(name: str) -> str:
         if f"{key}.".startswith(f"{old}."):
             present = new + key.removeprefix(old)
             break
-    if any(f"{present}.".startswith(f"{removed}.") for removed in REMOVED):
+    shared = present.removeprefix("refine.") if present.startswith("refine.fit.") else present
+    if any(f"{shared}.".startswith(f"{removed}.") for removed in REMOVED):
         return f"{name} was removed and has no successor: leave it out"
     if present == key:
         return ""

@@ -1,13 +1,13 @@
-"""Heat map of the echo of reflecting points, and the adjoint."""
+"""Heat map of the echo of reflecting points."""
 
 from typing import Any
 
 import numpy as np
 
-from geraf2._types import Array, Floats
+from geraf2._types import Array
 from geraf2._validation import require_shape
 from geraf2.ops._matched_filter_native import Settings, make_problem, require_signal
-from geraf2.ops._signal_tracer_native import TracerProblem, make_tracer_problem
+from geraf2.ops._signal_tracer_native import make_tracer_problem
 from geraf2.records import Waveform
 
 
@@ -32,14 +32,6 @@ class FacetEcho:
         # Isolated targets are summed one by one; grouping them costs more.
         settings = Settings("exact", num_threads=num_threads)
         self._filter = make_problem(tx, rx, targets, waveform, settings)
-        self._middles = self._filter.tx.mean(axis=0), self._filter.rx.mean(axis=0)
-        self.targets: Floats = np.asarray(targets, dtype=np.float64)
-        """(n_targets, 3) [m]."""
-
-    @property
-    def antennas(self) -> tuple[Floats, Floats]:
-        """Transmitters and receivers, (n_antennas, 3) [m] each."""
-        return self._filter.tx, self._filter.rx
 
     def matched(self, signal: Array) -> Array:
         """Heat map of a signal complex64 (n_antennas, n_samples) at the targets, (n_targets,)."""
@@ -48,35 +40,13 @@ class FacetEcho:
 
     def image(self, amplitudes: Array, points: Any) -> Array:
         """Heat map of points (n_points, 3) [m] with real amplitudes (n_points,)."""
-        tracer = self._tracer(points)
+        tracer = make_tracer_problem(
+            points,
+            self._filter.tx,
+            self._filter.rx,
+            self._waveform,
+            rtol=1e-3,
+            num_threads=self._num_threads,
+        )
         require_shape("amplitudes", amplitudes, (len(tracer.points),))
         return self._filter.image(tracer.signal(amplitudes.astype(np.float32), None))
-
-    def adjoint(self, image: Array, points: Any) -> Array:
-        """K^H of a complex64 image (n_targets,), at points (n_points, 3) [m]: (n_points,)."""
-        require_shape("image", image, (len(self.targets),))
-        tracer = self._tracer(points)
-        found = tracer.gradients(
-            self._filter.adjoint(image.astype(np.complex64)),
-            np.zeros(len(tracer.points), dtype=np.complex64),
-            None,
-            want_amplitude=True,
-            want_normals=False,
-            want_points=False,
-            want_antennas=False,
-        )
-        back: Array = found.amplitude
-        return back
-
-    def path_gradient(self, points: Floats) -> Floats:
-        """Gradient of the two-way path from the antennas' middle to points (n_points, 3) [m]."""
-        total = np.zeros(points.shape)
-        for middle in self._middles:
-            leg = points - middle
-            total += leg / np.linalg.norm(leg, axis=1, keepdims=True)
-        return total
-
-    def _tracer(self, points: Any) -> TracerProblem:
-        tx, rx = self.antennas
-        threads = self._num_threads
-        return make_tracer_problem(points, tx, rx, self._waveform, rtol=1e-3, num_threads=threads)

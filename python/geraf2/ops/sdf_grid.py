@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
-from geraf2._types import Array
-from geraf2._validation import require_shape
 from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
 
 if TYPE_CHECKING:
     import torch
+
+    from geraf2._types import Array
 
 Interpolation = Literal["linear", "cubic"]
 
@@ -75,31 +75,3 @@ def sdf_grid(
         array, native_grid(grid), require_positions("points", points), cubic, False, threads
     )
     return GridSample(value, gradient)
-
-
-def sdf_grid_adjoint(
-    weights: Array,
-    grid: Grid,
-    points: Any,
-    *,
-    interpolation: Interpolation = "linear",
-    num_threads: int | None = None,
-) -> Array:
-    """Adjoint of the values of `sdf_grid` in the grid: weights at points, spread over voxels.
-
-    weights: float32 or float64, (n_points,).
-    grid, points, interpolation, num_threads: as for `sdf_grid`.
-
-    Returns grid.shape, in the dtype of `weights`.
-    """
-    places = require_positions("points", points)
-    require_shape("weights", weights, (len(places),))
-    spread: Array = _core.sdf_grid_bwd(
-        np.ascontiguousarray(weights),
-        np.zeros((len(places), 3), dtype=weights.dtype),
-        native_grid(grid),
-        places,
-        interpolation == "cubic",
-        resolve_num_threads(num_threads),
-    )
-    return spread

@@ -12,8 +12,6 @@ from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import (
     FIT_NAME,
     GLINTS_NAME,
-    HEATMAP_SDF_NAME,
-    LINKED_NAME,
     PLANES_NAME,
     RIM_NAME,
     SILHOUETTES_NAME,
@@ -72,21 +70,18 @@ def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig
     """Gather what the surface was fitted to, how, and the name of its field."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
-        evidence = Evidence(
-            glints=glints, common_sigma_m=common_sigma_m(run), found_with=config.glints
-        )
-        return evidence, config.fit, FIT_NAME
+        return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit, FIT_NAME
     assert isinstance(config, BestPreset)  # see require_posterior
     shadows = run.written(SILHOUETTES_NAME)
     selected = SelectedGlints(
-        Glints.load(_file(run, LINKED_NAME)),
+        Glints.load(_file(run, GLINTS_NAME)),
         Glints.load(_file(run, RIM_NAME)),
         Silhouettes.load(shadows) if shadows is not None else None,
     )
     n_planes = len(load_planes(run.path / PLANES_NAME).corners_m)
     offset_m = common_sigma_m(run)
-    evidence = evidence_of(selected, n_planes, config.refine, config.glints, offset_m)
-    return evidence, config.refine.fit, HEATMAP_SDF_NAME
+    evidence = evidence_of(selected, n_planes, config.refine, offset_m)
+    return evidence, config.refine.fit, FIT_NAME
 
 
 def _file(run: RunFolder, name: str) -> Path:

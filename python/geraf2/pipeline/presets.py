@@ -25,7 +25,6 @@ from geraf2.pipeline.stages.direct import BEST_STAGES, FAST_STAGES
 from geraf2.pipeline.stages.learned import GERAF1_STAGES, PAPER_STAGES
 from geraf2.pipeline.stages.stage import Stages
 from geraf2.surfaces import FitConfig
-from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.refinement import RefineConfig
 
 
@@ -49,13 +48,12 @@ class FastPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class BestPreset:
-    """Finer, and for scatterers and few planes: rim sub-apertures, shadows, heat maps; 18 s of CPU.
+    """Finer, and for few planes: rim sub-apertures and shadows too; 8 s of CPU.
 
     ValueError for constants out of range. Lengths in metres.
 
-    >>> from geraf2.surfaces.config import HeatmapFitConfig
-    >>> geraf2.BestPreset(heatmaps=HeatmapFitConfig(n_rounds=0)).preset  # no heat maps
-    'best'
+    >>> geraf2.BestPreset().refine.fit.spacing_m
+    0.003
     """
 
     preset: Literal["best"] = "best"
@@ -63,8 +61,6 @@ class BestPreset:
     """Detection of glints."""
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Which glints are selected, and the fit through them."""
-    heatmaps: HeatmapFitConfig = field(default_factory=HeatmapFitConfig)
-    """The last step, the heat-map fit; n_rounds 0 switches it off."""
 
 
 @dataclass(frozen=True, kw_only=True)

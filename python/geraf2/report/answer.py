@@ -86,7 +86,7 @@ def answer_of(
         )
         unseen += _unseen(content, seen)
         unseen += _ends(content, seen, bool(numbers.get("selection", {}).get("outlines")))
-    sure += _labels(numbers) + _unexplained(numbers)
+    sure += _labels(numbers)
     if "scores" in metrics:
         distance = metrics["surface_mesh_to_truth"]
         sure.insert(
@@ -149,16 +149,6 @@ def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
         return []
     each = ", ".join(f"{n:,} {label.replace('_', ' ')}" for label, n in counts.items())
     return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
-
-
-def _unexplained(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    shares = numbers.get("heatmaps", {}).get("unexplained")
-    if not shares:
-        return []
-    return [
-        f"Its computed echo leaves {100 * min(shares):.0f} % of the amplitude of measured heat "
-        "maps unexplained, at positions that were held out of the fit."
-    ]
 
 
 def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:

@@ -144,14 +144,9 @@ def tables(
     other = html.scalar_rows(metrics, known)
     if content is not None or other or stages:
         surface = None if content is None else surface_report(content)
-        numbers = html.part("numbers", surface, _unexplained(stages), other, stages)
+        numbers = html.part("numbers", surface, other, stages)
         sections.append(Section("numbers", "Numbers", parts=(numbers,)))
     return sections
-
-
-def _unexplained(stages: Mapping[str, StageRecord]) -> list[float]:
-    fit = stages.get("heatmaps")
-    return [] if fit is None else list(fit.numbers.get("unexplained", ()))
 
 
 def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
@@ -222,11 +217,11 @@ def definitions(
     """Section with definitions of the terms in this report."""
     model, found = SupportModel(), content is not None
     expected = content is not None and content.expected_error_m is not None
-    unexplained, glints = bool(_unexplained(stages)), "glints" in stages
+    glints = "glints" in stages
     more = metrics.get("definitions", {})
-    if not (unexplained or glints or expected or more):
+    if not (glints or expected or more):
         return []
     seen_mm = 1e3 * model.seen_reach_m if found and glints else None
     seen_deg = np.rad2deg(model.seen_angle_rad)
-    terms = html.part("terms", unexplained, glints, expected, seen_mm, seen_deg, more)
+    terms = html.part("terms", glints, expected, seen_mm, seen_deg, more)
     return [Section("definitions", "Definitions", parts=(terms,), folded="What the numbers mean")]

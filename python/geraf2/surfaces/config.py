@@ -1,4 +1,4 @@
-"""How a finished surface is fitted to heat maps, in its place and in its reflectivity."""
+"""How reflectivity and a residual field are fitted to heat maps beside a finished surface."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -10,20 +10,13 @@ from geraf2._bounds import (
     CellM,
     Count,
     Few,
-    LengthM,
-    MarginM,
-    NotNegative,
     Positive,
-    Rounds,
-    Share,
 )
 
 ECHO_VERSION = 3
 """Raised when the same surface and planes give another echo, or another picture of it."""
 RESIDUAL_VERSION = 1
 """Raised when the same surface, echo and planes give another field beside it."""
-HEATMAP_FIT_VERSION = 3
-"""Raised when the same surface and capture are fitted otherwise."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,39 +50,3 @@ class ResidualFieldConfig(Bounded):
     """Planes whose maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**5)] = 1000
     """Voxels at which a plane's maps are compared: half drawn by what is unexplained."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class HeatmapFitConfig(Bounded):
-    """How a surface is moved to where its heat maps are the measured ones (preset best)."""
-
-    n_rounds: Rounds = 2
-    """Times that visibility, phase and normals are taken anew; 0 leaves the surface as it is."""
-    n_steps: Count = 100
-    """Steps of a round."""
-    n_windows: Few = 2
-    """Windows of planes that a step compares."""
-    parts: Few = 2
-    """Windows that a plane is cut into: sub-apertures side by side."""
-    n_antennas: Count = 200
-    """Most antennas of a window; of larger ones so many are drawn once."""
-    n_targets: Annotated[int, Interval(ge=20, le=10**8)] = 700
-    """Places at which a window's heat map is compared: half drawn by power, half anywhere."""
-    target_spacing_m: CellM = 0.005
-    """They are drawn from a grid of this spacing [m]."""
-    withheld: Annotated[float, Interval(ge=0.05, le=0.5)] = 0.2
-    """Share of them that no step sees: they judge whether a round has made the surface better."""
-    wall_margin_m: MarginM = 0.02
-    """None is nearer to the box's bounds than this [m]: the walls' echoes are not rendered."""
-    max_edge_m: CellM = 0.0025
-    """Longest edge of a facet [m]."""
-    node_spacing_m: CellM = 0.004
-    """Nodes of the displacement, which is tricubic between them [m]."""
-    rate_m: LengthM = 7e-5
-    """Step of a node at the start [m]."""
-    final_rate: Share = 0.1
-    """Share of it that the cosine ends at."""
-    bending: NotNegative = 3e-5
-    """Weight of the displacement's second differences, in units of the spacing, squared, summed."""
-    anchor: NotNegative = 6e-7
-    """Weight of the displacement itself, in the same units, squared, summed."""

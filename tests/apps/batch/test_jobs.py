@@ -16,7 +16,7 @@ from geraf2.apps.batch.plan import Plan
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME
 from geraf2.io.toml import to_table
-from geraf2.pipeline.presets import BestPreset, FastPreset
+from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
 from helpers.console import the_error
 
@@ -61,7 +61,7 @@ def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
 def test_columns_of_a_table_override_common_settings(scans):
     lines = [
         "scene, prior, truth, preset, settings",
-        'two, one/los.ply, one/truth.ply, best, "heatmaps.n_rounds=0; refine.fit.spacing_m=0.01"',
+        'two, one/los.ply, one/truth.ply, best, "refine.shadows=false; refine.fit.spacing_m=0.01"',
         "three,,,,fit.spacing_m = 0.006",
         "one,,,,",
     ]
@@ -69,7 +69,7 @@ def test_columns_of_a_table_override_common_settings(scans):
     two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
     assert (two.config.preset, two.config.refine.fit.spacing_m) == ("best", 0.01)
-    assert two.config.heatmaps == replace(BestPreset().heatmaps, n_rounds=0)
+    assert not two.config.refine.shadows
     assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
     assert (one.config, one.prior.box) == (base, BOX)
 
@@ -85,11 +85,11 @@ REFUSED = {
     "none.ply: no such file": ["scene,prior", "one,none.ply"],
     "two: the outside of the box is not known": ["scene", "two"],
     "unknown preset 'glimt'": ["scene,preset", "one,glimt"],
-    "unknown key 'heatmaps.rounds', did you mean": ["scene,settings", "one,heatmaps.rounds = 1"],
+    "unknown key 'refine.shadow', did you mean": ["scene,settings", "one,refine.shadow = 1"],
     "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],
     "one: the same scene twice, with different settings": [
         "scene,settings",
-        "one,heatmaps.n_rounds = 1",
+        "one,fit.distance_rounds = 1",
         "one,",
     ],
     "there is no scene": ["scene"],

@@ -7,13 +7,14 @@ model have the same bias as the measured ones, so that comparing heat maps remov
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Array, Floats, Ints
+from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measured_windows
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid
@@ -21,15 +22,12 @@ from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals,
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
-from geraf2.surfaces.config import HeatmapFitConfig
 from geraf2.surfaces.facets import Facets
-from geraf2.surfaces.heatmap_fit import lobe, measured_windows
 from geraf2.surfaces.surface_fit import renderer_in_box
 from geraf2.surfaces.workers import Workers
 
 LEAST_EXPLAINED = 0.5
 """Least share of the measured power that models at correct poses explain."""
-_WINDOWS = HeatmapFitConfig(n_antennas=120, n_targets=300)
 _MOST_PLANES = 72
 """Largest number of planes used, evenly chosen; more do not improve a pose."""
 _PIECE_M = 0.0016
@@ -140,8 +138,7 @@ def patches_of(pieces: Facets) -> Ints:
 class WindowView:
     """Visible pieces of the models from one window of antennas."""
 
-    window: Any
-    """As `surfaces.heatmap_fit` measures them."""
+    window: MeasuredWindow
     lit: Ints
     """Pieces of all models in view, (n_lit,)."""
     points: Floats
@@ -170,7 +167,7 @@ class ExpectedEchoes:
         some = replace(capture, poses=capture.poses[::every])
         with Workers(num_threads) as workers:
             rng = np.random.default_rng(seed)
-            self._windows = measured_windows(some, prior, _WINDOWS, rng, workers)
+            self._windows = measured_windows(some, prior, rng, workers)
 
     def match(
         self, models: Sequence[TriangleMesh], placements: Sequence[Placement]
@@ -242,7 +239,7 @@ class ExpectedEchoes:
         blocker = MeshScene(all_of.vertices, all_of.faces, num_threads=1)
         renderer = renderer_in_box(content, blocker, self._prior, self._waveform, num_threads=1)
 
-        def view_from(window: Any) -> WindowView:
+        def view_from(window: MeasuredWindow) -> WindowView:
             lit = renderer.lit_content(window.middle)
             own = model[lit.index]
             arms = (content.points[lit.index] - middles[own]) / reaches[own, None]

@@ -1,7 +1,6 @@
 """Stages of the presets fast and best, and the mesh that ends every preset."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from geraf2._types import Floats, Ints, Progress
@@ -19,8 +18,6 @@ from geraf2.io.run_folder import (
     CONTENT_NAME,
     FIT_NAME,
     GLINTS_NAME,
-    HEATMAP_SDF_NAME,
-    LINKED_NAME,
     MESH_NAME,
     PEAKS_NAME,
     RIM_NAME,
@@ -29,12 +26,10 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
-from geraf2.surfaces.config import HEATMAP_FIT_VERSION
 from geraf2.surfaces.expected_error import quality_numbers
 from geraf2.surfaces.extraction import (
     MESH_VERSION,
     ExtractedMeshes,
-    content_surface,
     extract_cropped_meshes,
     extract_meshes,
 )
@@ -45,18 +40,16 @@ from geraf2.surfaces.fit import (
     fit_sdf,
     zero_level,
 )
-from geraf2.surfaces.heatmap_fit import fit_heatmaps, moved_field
 from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.refinement import (
     SELECTION_VERSION,
     SelectedGlints,
     evidence_of,
-    fit_refined,
     select_glints,
 )
 
 # Fit through first surfaces, only to stop lines of sight.
-_FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1, absence_weight=0.0)
+_FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1)
 
 
 class FoundGlints(NamedTuple):
@@ -89,8 +82,7 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
     )
 
     def surface_through(first: Glints) -> tuple[Floats, Ints]:
-        evidence = Evidence(glints=first, found_with=job.config.glints)
-        return zero_level(fit_sdf(evidence, capture, prior, _FIRST_SURFACE, num_threads=threads))
+        return zero_level(fit_sdf(first, _FIRST_SURFACE, num_threads=threads))
 
     first, body = first_surfaces(glints, surface_through, num_threads=threads)
     labelled = labelled.relabelled(index[~first], Label.SEEN_THROUGH)
@@ -155,9 +147,7 @@ SDF = _fitted_stage(
     (GLINTS,),
     lambda config: config.fit,
     lambda job, progress: fit_sdf(
-        Evidence(glints=job[GLINTS].glints, found_with=job.config.glints),
-        job.capture,
-        job.prior,
+        job[GLINTS].glints,
         job.config.fit,
         num_threads=job.num_threads,
         progress=progress,
@@ -167,21 +157,18 @@ SDF = _fitted_stage(
 
 def _save_selection(job: Job, found: SelectedGlints) -> list[str]:
     folder = job.run.path
-    found.linked.save(folder / LINKED_NAME)
     found.rim.save(folder / RIM_NAME)
     if found.silhouettes is None:
         (folder / SILHOUETTES_NAME).unlink(missing_ok=True)
-        return [LINKED_NAME, RIM_NAME]
+        return [RIM_NAME]
     found.silhouettes.save(folder / SILHOUETTES_NAME)
-    return [LINKED_NAME, RIM_NAME, SILHOUETTES_NAME]
+    return [RIM_NAME, SILHOUETTES_NAME]
 
 
 def _load_selection(job: Job) -> SelectedGlints:
     folder = job.run.path
     shadows = Silhouettes.load(folder / SILHOUETTES_NAME) if job.config.refine.shadows else None
-    return SelectedGlints(
-        Glints.load(folder / LINKED_NAME), Glints.load(folder / RIM_NAME), shadows
-    )
+    return SelectedGlints(job[GLINTS].glints, Glints.load(folder / RIM_NAME), shadows)
 
 
 def _selection_settings(config: Any) -> list[Any]:
@@ -211,58 +198,12 @@ SELECTION = Stage(
 REFINED_SDF = _fitted_stage(
     (SELECTION,),
     lambda config: config.refine,
-    lambda job, progress: fit_refined(
-        job[SELECTION],
-        job.capture,
-        job.prior,
-        job.config.refine,
-        job.config.glints,
+    lambda job, progress: fit_sdf(
+        _selected_evidence(job),
+        job.config.refine.fit,
         num_threads=job.num_threads,
         progress=progress,
     ),
-)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MovedField:
-    """Field of the surface after the heat-map fit."""
-
-    sdf: SdfGrid
-    unexplained: tuple[float, ...] = ()
-    """Share of the heat maps that the surface does not explain, at first and after each round."""
-    best: int = 0
-    """Which of these it is the field of."""
-
-
-def _move(job: Job, progress: Progress) -> MovedField:
-    if job.config.heatmaps.n_rounds == 0:
-        return MovedField(sdf=job[REFINED_SDF])
-    start, threads = job[REFINED_SDF], job.num_threads
-    content, _ = content_surface(start, job[SELECTION].seen, job.prior, num_threads=threads)
-    fit = fit_heatmaps(
-        content,
-        job.capture,
-        job.prior,
-        job.config.heatmaps,
-        seed=job.seed,
-        num_threads=threads,
-        progress=progress,
-    )
-    sdf = moved_field(start, fit.surface, num_threads=threads) if fit.best > 0 else start
-    unexplained = tuple(round(float(share), 4) for share in fit.residuals)
-    return MovedField(sdf=sdf, unexplained=unexplained, best=fit.best)
-
-
-HEATMAPS = Stage(
-    name="heatmaps",
-    version=HEATMAP_FIT_VERSION,
-    inputs=(REFINED_SDF, SELECTION),
-    settings=lambda config: config.heatmaps,
-    seeded=True,
-    compute=_move,
-    save=lambda job, moved: saver(HEATMAP_SDF_NAME)(job, moved.sdf),
-    load=lambda job: MovedField(sdf=loader(HEATMAP_SDF_NAME)(job)),
-    numbers=lambda moved: {"unexplained": moved.unexplained, "best": moved.best},
 )
 
 
@@ -338,30 +279,21 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
 
 
 def _selected_evidence(job: Job) -> Evidence:
-    return evidence_of(
-        job[SELECTION],
-        len(job.capture.poses),
-        job.config.refine,
-        job.config.glints,
-        common_sigma_m(job.run),
-    )
+    n_poses, config = len(job.capture.poses), job.config.refine
+    return evidence_of(job[SELECTION], n_poses, config, common_sigma_m(job.run))
 
 
 FAST_MESH = mesh_stage(
     (SDF, GLINTS),
     lambda job: job[SDF],
-    lambda job: Evidence(
-        glints=job[GLINTS].glints,
-        common_sigma_m=common_sigma_m(job.run),
-        found_with=job.config.glints,
-    ),
+    lambda job: Evidence(glints=job[GLINTS].glints, common_sigma_m=common_sigma_m(job.run)),
     fit=lambda config: config.fit,
 )
 BEST_MESH = mesh_stage(
-    (HEATMAPS, SELECTION),
-    lambda job: job[HEATMAPS].sdf,
+    (REFINED_SDF, SELECTION),
+    lambda job: job[REFINED_SDF],
     _selected_evidence,
     fit=lambda config: config.refine.fit,
 )
 FAST_STAGES: Stages = (GLINTS, SDF, FAST_MESH)
-BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, HEATMAPS, BEST_MESH)
+BEST_STAGES: Stages = (GLINTS, SELECTION, REFINED_SDF, BEST_MESH)
