@@ -10,8 +10,6 @@ from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
 from geraf2.surfaces.refinement import (
     RefineConfig,
-    SelectedGlints,
-    evidence_of,
     select_glints,
     uncontradicted,
 )
@@ -46,12 +44,6 @@ def test_settings_out_of_range_are_refused(setting, value):
 
 def ball_glints(n=400, seed=0, radius_m=0.04):
     return glints_on_sphere(radius_m, n, seed=seed)
-
-
-def test_a_glint_of_the_rim_counts_as_others_where_planes_are_few():
-    selected = SelectedGlints(ball_glints(), ball_glints(50, seed=2))
-    few, many = (evidence_of(selected, n, RefineConfig()).rim_weight for n in (11, 12))
-    assert (few, many) == (1.0, RefineConfig().rim_weight)
 
 
 def test_outlines_that_glints_contradict_are_dropped():

@@ -8,11 +8,9 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import (
     FIT_NAME,
     GLINTS_NAME,
-    PLANES_NAME,
     RIM_NAME,
     SILHOUETTES_NAME,
     RunFolder,
@@ -78,9 +76,7 @@ def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig
         Glints.load(_file(run, RIM_NAME)),
         Silhouettes.load(shadows) if shadows is not None else None,
     )
-    n_planes = len(load_planes(run.path / PLANES_NAME).corners_m)
-    offset_m = common_sigma_m(run)
-    evidence = evidence_of(selected, n_planes, config.refine, offset_m)
+    evidence = evidence_of(selected, config.refine, common_sigma_m(run))
     return evidence, config.refine.fit, FIT_NAME
 
 

@@ -18,8 +18,6 @@ from geraf2.surfaces.workers import Workers
 
 _LEAST_CONFIRMING = 20
 """Glints on lines of sight that an outline knows, at least."""
-FEW_PLANES = 12
-"""With fewer planes the size of the voxels can decide whether a surface is there."""
 SELECTION_VERSION = 8
 """Raised when :func:`select_glints` finds something else in the same capture."""
 
@@ -35,8 +33,8 @@ class RefineConfig(Bounded):
     fit: FitConfig = field(default_factory=lambda: FitConfig(spacing_m=0.003))
     """How the surface is drawn through all; on voxels that resolve what the rim adds."""
     rim_weight: NotNegative = 0.2
-    """Weight of a glint of the rim against one of whole sub-apertures; with fewer than 12 planes 1:
-    it is often the only one at its position."""
+    """Weight of a glint of the rim, whose sub-aperture blurs echoes together, against one of whole
+    sub-apertures."""
     outline_weight: NotNegative = 0.05
     """Weight of a point where the edge of an outline touches the surface, which errs by 2 mm,
     against a strong glint, which errs by 0.4 mm."""
@@ -47,10 +45,6 @@ class RefineConfig(Bounded):
     max_contradicted: Share = 0.03
     """Outlines are dropped if more of the glints on lines that they know lie where they show free
     space. Correct outlines have up to 0.02."""
-
-    def rim_weight_of(self, n_poses: int) -> float:
-        """Weight of a glint of the rim, for a scan of so many planes."""
-        return self.rim_weight if n_poses >= FEW_PLANES else 1.0
 
 
 class SelectedGlints(NamedTuple):
@@ -123,14 +117,10 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
 
 
 def evidence_of(
-    selected: SelectedGlints,
-    n_poses: int,
-    config: RefineConfig,
-    common_sigma_m: float = UNKNOWN_OFFSET_M,
+    selected: SelectedGlints, config: RefineConfig, common_sigma_m: float = UNKNOWN_OFFSET_M
 ) -> Evidence:
     """Gather what the refined surface is fitted to, without outlines that glints contradict.
 
-    n_poses: planes of the scan.
     common_sigma_m: of the range offset that all glints share [m].
     """
     outlines = selected.silhouettes
@@ -139,7 +129,7 @@ def evidence_of(
     return Evidence(
         glints=selected.glints,
         rim=selected.rim,
-        rim_weight=config.rim_weight_of(n_poses),
+        rim_weight=config.rim_weight,
         outlines=outlines,
         outline_weight=config.outline_weight,
         outline_clearance_m=config.outline_clearance_m,

@@ -89,7 +89,7 @@ REFUSED = {
     "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],
     "one: the same scene twice, with different settings": [
         "scene,settings",
-        "one,fit.distance_rounds = 1",
+        "one,refine.shadows = false",
         "one,",
     ],
     "there is no scene": ["scene"],

@@ -279,8 +279,7 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
 
 
 def _selected_evidence(job: Job) -> Evidence:
-    n_poses, config = len(job.capture.poses), job.config.refine
-    return evidence_of(job[SELECTION], n_poses, config, common_sigma_m(job.run))
+    return evidence_of(job[SELECTION], job.config.refine, common_sigma_m(job.run))
 
 
 FAST_MESH = mesh_stage(
