@@ -4,6 +4,7 @@ Paths are relative to a folder of the row's own, into which `things` puts what t
 """
 
 import json
+import os
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -168,9 +169,30 @@ def link(path, target):
     def apply(file):
         if file.exists():
             drop(path).apply(file)
+        file.parent.mkdir(parents=True, exist_ok=True)
         file.symlink_to(target)
 
     return Change(path, f"-> {target}", apply)
+
+
+def pipe(path):
+    """A named pipe in place of a file, which nobody writes."""
+
+    def apply(file):
+        file.unlink(missing_ok=True)
+        os.mkfifo(file)
+
+    return Change(path, "is a pipe", apply)
+
+
+def holes(path, n_bytes=1 << 41):
+    """A file that is longer than any disk, and takes none of it."""
+
+    def apply(file):
+        with file.open("ab") as handle:
+            handle.truncate(n_bytes)
+
+    return Change(path, f"has {n_bytes} bytes", apply)
 
 
 def folder(path):

@@ -16,6 +16,7 @@ from bad_inputs import (
     commands,
     flags,
     importers,
+    irregular,
     meshes,
     photos,
     runs,
@@ -29,7 +30,7 @@ from geraf2.cli.main import main
 
 MOST_CPU_S, MOST_S = 10.0, 60.0
 """Processor time; and wall time, of a machine that others use, too."""
-TABLES = (commands, flags, scenes, meshes, importers, photos, runs, specs)
+TABLES = (commands, flags, scenes, meshes, importers, irregular, photos, runs, specs)
 ROWS = {
     f"{table.__name__.rpartition('.')[2]}_{number} {row.name}"[:150]: row
     for table in TABLES
@@ -93,13 +94,13 @@ def time_limit():
 
 
 def content(folder):
-    """Bytes of each file below a folder; None of a folder, the target of a link."""
+    """Bytes of each file below a folder, the target of a link; None of others and huge files."""
     return {
         path.relative_to(folder).as_posix(): path.readlink()
         if path.is_symlink()
-        else None
-        if path.is_dir()
         else path.read_bytes()
+        if path.is_file() and path.stat().st_size < LIMIT_BYTES
+        else None
         for path in sorted(folder.rglob("*"))
     }
 

@@ -13,6 +13,7 @@ import numpy as np
 from geraf2._memory import require_memory
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
+from geraf2.io.regular import open_regular
 
 _HEADER = (TypeError, EOFError, SyntaxError, TokenError)
 _ARCHIVE = (zlib.error, lzma.LZMAError, struct.error, zipfile.BadZipFile, RuntimeError)
@@ -25,7 +26,7 @@ def read_npy(path: AnyPath, *, header_only: bool = False) -> Array:
     """Array of an .npy file; UserError where it cannot be read. `header_only` maps its data."""
     source = Path(path)
     try:
-        with source.open("rb") as handle:
+        with open_regular(source) as handle:
             if handle.read(len(NPY_MAGIC)) != NPY_MAGIC:  # numpy.load would ask for pickles
                 raise UserError(
                     what="cannot be read as a NumPy array: it is no .npy file", where=source
@@ -43,7 +44,7 @@ def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
     wanted = list(names)
     try:
         # With a handle of our own, numpy leaves none open when the file turns out to be broken.
-        with source.open("rb") as handle, np.load(handle, allow_pickle=False) as stored:
+        with open_regular(source) as handle, np.load(handle, allow_pickle=False) as stored:
             missing = [name for name in wanted if name not in stored]
             if not missing:
                 sizes = {entry.filename: entry.file_size for entry in stored.zip.infolist()}

@@ -31,11 +31,13 @@ from numpy.typing import NDArray
 from geraf2._memory import require_memory
 from geraf2.errors import UserError
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
-from geraf2.io.objects import exists, is_file, zarr_store
+from geraf2.io.objects import exists, is_file, is_remote, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
+from geraf2.io.regular import RECORD_BYTES, require_no_links, require_regular
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of
 from geraf2.io.toml import from_table, read_table
+from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.records import Pose, RawPose, Samples
 
 MANIFEST_NAME = "scene.toml"
@@ -84,6 +86,8 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             where=path,
             hint="make one with 'geraf2 import' or 'geraf2 simulate'",
         )
+    if not is_remote(path):
+        _require_own_files(path)
     table = read_table(path / MANIFEST_NAME)
     version = table.get("version")
     if isinstance(version, int) and version > SCENE_VERSION:
@@ -93,6 +97,13 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             expected=f"version {SCENE_VERSION}",
         )
     return from_table(table, SceneManifest, path / MANIFEST_NAME)
+
+
+def _require_own_files(path: Path) -> None:
+    """Refuse a scene with links, which lead out of it, and metadata without end."""
+    for name, entry in require_no_links(path).items():
+        if name.endswith(METADATA_NAME):
+            require_regular(entry, RECORD_BYTES)
 
 
 def verify_scene(path: Path) -> int:
@@ -232,6 +243,9 @@ class SceneReader:
         if dtype not in ARRAY_TYPES[name]:
             expected = " or ".join(ARRAY_TYPES[name])
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
+        if not is_remote(where):  # zarr reads chunks whole
+            for entry in require_no_links(where).values():
+                require_regular(entry, max(RECORD_BYTES, int(chunk_bytes)))
         n_bytes = float(chunk_bytes)
         if name not in ANTENNA_ARRAYS:  # read whole
             n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))

@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 from geraf2._types import AnyPath
 from geraf2.errors import UserError
 from geraf2.io.objects import is_remote, read_bytes
+from geraf2.io.regular import open_regular
 
 _MOST_NAMED = 4
 
@@ -17,7 +18,7 @@ def file_digest(path: AnyPath) -> str | None:
     try:
         if is_remote(path):
             return hashlib.blake2b(read_bytes(path), digest_size=16).hexdigest()
-        with path.open("rb") as handle:
+        with open_regular(path) as handle:
             return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):
         return None

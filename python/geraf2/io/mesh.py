@@ -20,6 +20,13 @@ from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.objects import is_remote, local_copy
+from geraf2.io.regular import (
+    BINARY_BYTES,
+    RECORD_BYTES,
+    open_regular,
+    read_regular,
+    require_regular,
+)
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
@@ -227,10 +234,12 @@ def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
 
 
 def _require_readable(source: Path) -> None:
-    if not source.exists():
-        raise UserError(what="the mesh file does not exist", where=source)
-    if not source.is_file():
-        raise UserError(what="a mesh file is needed", where=source, got="a folder")
+    try:
+        require_regular(source, BINARY_BYTES)
+    except FileNotFoundError:
+        raise UserError(what="the mesh file does not exist", where=source) from None
+    except IsADirectoryError:
+        raise UserError(what="a mesh file is needed", where=source, got="a folder") from None
     if source.suffix.lower() not in READABLE_SUFFIXES:
         raise UserError(
             what="unknown mesh format",
@@ -253,7 +262,7 @@ def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
 def _require_metres(source: Path) -> None:
     """Refuse a mesh whose sidecar states another unit."""
     try:
-        about = json.loads(source.with_name(source.name + ".json").read_bytes())
+        about = json.loads(read_regular(source.with_name(source.name + ".json"), RECORD_BYTES))
     except (OSError, ValueError, RecursionError):  # none, or not ours
         return
     unit = about.get("unit") if isinstance(about, dict) else None
@@ -267,19 +276,37 @@ def _require_metres(source: Path) -> None:
         )
 
 
+class _Beside:
+    """Reads the buffers of a glTF, which lie beside it or below, for trimesh."""
+
+    def __init__(self, mesh: Path) -> None:
+        self.mesh = mesh
+
+    def __getitem__(self, name: str) -> bytes:
+        folder, path = self.mesh.parent.resolve(), (self.mesh.parent / name).resolve()
+        if not path.is_relative_to(folder):
+            raise UserError(what="names a file outside its folder", where=self.mesh, got=repr(name))
+        return read_regular(path, BINARY_BYTES)
+
+    get = __getitem__
+
+
 def _load(source: Path) -> TriangleMesh:
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
 
     suffix = source.suffix.lower()
-    options: dict[str, Any] = {"process": False}
+    # Materials name further files, and pictures that start programs.
+    options: dict[str, Any] = {"process": False, "skip_materials": True}
     if suffix == ".obj":
-        # Materials name further files, which a mesh of unknown origin should not make us open.
-        options.update(skip_materials=True, maintain_order=True)
+        options["maintain_order"] = True
     try:
-        loaded = trimesh.load(str(source), force="mesh", **options)
+        with open_regular(source, BINARY_BYTES) as file:
+            loaded = trimesh.load(
+                file, suffix[1:], resolver=_Beside(source), force="mesh", **options
+            )
         vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
         faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    except MemoryError:
+    except (MemoryError, UserError):
         raise
     except Exception as error:
         # Readers of foreign formats raise many types; all mean the same to the user.
@@ -296,7 +323,7 @@ def _load(source: Path) -> TriangleMesh:
     mesh = TriangleMesh(vertices=vertices, faces=faces)
     if suffix != ".ply" or not len(faces):
         return mesh
-    with source.open("rb") as file:
+    with open_regular(source) as file:
         encoding = re.search(rb"^format\s+(\S+)", file.read(_PLY_HEAD), re.MULTILINE)
     if encoding is not None and encoding[1] not in _PLY_ENCODINGS:  # trimesh takes any
         name = encoding[1].decode("latin-1")

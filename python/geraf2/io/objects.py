@@ -20,6 +20,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from geraf2.errors import UserError
+from geraf2.io.regular import read_regular
 
 _ADDRESS = re.compile(r"(s3|gs|az|file|memory):/+([^/]*)/?(.*)", re.DOTALL)
 _RETRY: Any = {
@@ -43,10 +44,10 @@ def absolute(path: Path) -> Path:
     return path if is_remote(path) else path.resolve()
 
 
-def read_bytes(path: Path) -> bytes:
-    """Content of a file; OSError where it cannot be had."""
+def read_bytes(path: Path, most: int | None = None) -> bytes:
+    """Content of a file; OSError where it cannot be had, UserError as of `open_regular`."""
     if not is_remote(path):
-        return path.read_bytes()
+        return read_regular(path, most)
     store, key = _place(path)
     with _as_os_errors(path):
         return bytes(store.get(key).bytes())

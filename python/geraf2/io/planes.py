@@ -9,6 +9,7 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
+from geraf2.io.regular import RECORD_BYTES, read_regular
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +32,7 @@ def save_planes(planes: ScannedPlanes, path: Path) -> None:
 def load_planes(path: Path) -> ScannedPlanes:
     """Planes of a run; none where there is no such file. UserError where it cannot be read."""
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
+        stored = json.loads(read_regular(path, RECORD_BYTES))
         corners = np.asarray(stored["corners_m"], dtype=np.float64)
         corners = corners.reshape(len(stored["corners_m"]), 4, 3)
         wavelength = stored.get("wavelength_m")

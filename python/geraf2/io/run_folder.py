@@ -25,6 +25,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, write_json_atomic
 from geraf2.io.digests import file_digest, inside
 from geraf2.io.outputs import is_passing, require_consent, require_folder
+from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
 
 RUN_NAME = "run.json"
 LOCK_NAME = "run.lock"
@@ -167,6 +168,7 @@ class RunFolder:
             run._replaces = stored.scene_digest
             return run
         path.mkdir(parents=True, exist_ok=True)
+        require_no_links(path)
         run._save()
         return run
 
@@ -178,27 +180,12 @@ class RunFolder:
             require_consent(self.path, what, overwrite=overwrite)
             self.forget([result])  # the consent holds for a restart, too
 
-    def _require_no_links(self) -> None:
-        """Refuse a folder with links, which would write and remove files elsewhere."""
-        for name in (
-            LOG_NAME,
-            FIGURES_FOLDER,
-            VIEWS_FOLDER,
-            LIVE_FOLDER,
-            TENSORBOARD_FOLDER,
-            "los",
-        ):
-            if (self.path / name).is_symlink():
-                raise UserError(
-                    what="is a link, which a run folder may not hold", where=self.path / name
-                )
-
     @classmethod
     def read(cls, path: Path) -> "RunFolder":
-        """Open an existing run folder."""
+        """Open an existing run folder; UserError for one with links, which lead out of it."""
         file = Path(path) / RUN_NAME
         try:
-            values = json.loads(file.read_text(encoding="utf-8"))
+            values = json.loads(read_regular(file, RECORD_BYTES))
             known = values["format"] == _FORMAT and values["version"] == _VERSION
             run = cls(Path(path), str(values["scene"]["digest"]), str(values["scene"]["name"]))
             if known:
@@ -218,6 +205,7 @@ class RunFolder:
                 expected=_VERSION,
                 hint="its meshes can be used as they are; run it again into a new folder",
             )
+        require_no_links(run.path)
         return run
 
     def _take(self, values: Mapping[str, Any]) -> None:
@@ -251,7 +239,6 @@ class RunFolder:
         process and host. One whose process is gone, after kill -9 for example, is taken over, but
         a process of another host cannot be looked for.
         """
-        self._require_no_links()
         path = self.path / LOCK_NAME
         lock = SoftFileLock(path, timeout=0.5)
         try:
@@ -329,7 +316,7 @@ class RunFolder:
         Call it before the new mesh_content.ply is written; nothing is removed where the bytes stay.
         """
         mesh = self.path / CONTENT_NAME
-        if mesh.is_file() and mesh.read_bytes() == content:
+        if mesh.is_file() and read_regular(mesh) == content:
             return
         self.release(*_DERIVED)
         for pattern in _DERIVED:
@@ -440,8 +427,8 @@ def _is_empty(path: Path) -> bool:
 
 def _holder_of(lock: Path) -> str:
     try:
-        pid, host, *_ = lock.read_text(encoding="utf-8", errors="replace").split("\n")
-    except (OSError, ValueError):
+        pid, host, *_ = read_regular(lock, RECORD_BYTES).decode(errors="replace").split("\n")
+    except (OSError, ValueError, UserError):
         return "an unnamed process"
     return f"process {pid} on {host}"
 

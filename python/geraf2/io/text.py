@@ -8,12 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, open_regular
 
 
-def read_text(path: Path) -> str:
-    """UTF-8 text of a file; UserError where it cannot be read."""
+def read_text(path: Path, most: int = TEXT_BYTES) -> str:
+    """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
     try:
-        return path.read_text(encoding="utf-8-sig")
+        with io.TextIOWrapper(open_regular(path, most), encoding="utf-8-sig") as file:
+            return file.read()
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
     except UnicodeDecodeError as error:
@@ -30,7 +32,7 @@ def read_lines(path: Path) -> list[str]:
 def read_object(path: Path) -> dict[str, Any]:
     """Object of a JSON file; UserError for anything else."""
     try:
-        values = json.loads(read_text(path))
+        values = json.loads(read_text(path, RECORD_BYTES))
     except (ValueError, RecursionError) as error:
         raise UserError(what=f"is not valid JSON: {error}", where=path) from None
     if not isinstance(values, dict):

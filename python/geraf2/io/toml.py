@@ -21,6 +21,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.former_names import former_preset, former_setting
 from geraf2.io.objects import read_bytes
+from geraf2.io.regular import RECORD_BYTES
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -47,7 +48,7 @@ def write_toml(path: Path, value: Any) -> None:
 def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
     try:
-        content = read_bytes(path) if isinstance(path, Path) else path.read_bytes()
+        content = read_bytes(path, RECORD_BYTES) if isinstance(path, Path) else path.read_bytes()
         return tomllib.loads(content.decode("utf-8"))
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None

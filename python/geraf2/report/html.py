@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from geraf2 import __version__
 from geraf2._types import AnyPath
+from geraf2.io.regular import BINARY_BYTES, read_regular
 
 if TYPE_CHECKING:
     from jinja2 import Environment
@@ -58,12 +59,14 @@ def picture(
 
 def _source(path: AnyPath) -> str:
     """Return the data URL of a picture, as WebP where Pillow supports it and it is smaller."""
-    from PIL import Image, features  # noqa: PLC0415 - takes 0.1 s
+    from PIL import features  # noqa: PLC0415 - takes 0.1 s
 
-    kind, data = "png", Path(path).read_bytes()
+    from geraf2.io.pictures import opened_picture  # noqa: PLC0415 - as above
+
+    kind, data = "png", read_regular(path, BINARY_BYTES)
     if features.check("webp"):
         stream = BytesIO()
-        with Image.open(path) as image:
+        with opened_picture(Path(path)) as image:
             image.convert("RGB").save(stream, format="WEBP", quality=_QUALITY, method=2)
         if stream.tell() < len(data):
             kind, data = "webp", stream.getvalue()

@@ -22,6 +22,7 @@ from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder, StageRecord
+from geraf2.io.text import read_text
 from geraf2.report import html, run_sections
 from geraf2.report.answer import answer_of
 from geraf2.report.figures import (
@@ -100,7 +101,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         content=read_mesh(content) if content else None,
         box=read_mesh(box) if box else None,
         metrics=metrics if of_this_mesh else {},
-        config_text=config.read_text(encoding="utf-8") if config.is_file() else None,
+        config_text=read_text(config) if config.is_file() else None,
         warnings=tuple(run.warnings),
         stages=run.stages,
         silhouettes=Silhouettes.load(shadows) if shadows else None,

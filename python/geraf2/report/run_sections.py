@@ -14,6 +14,7 @@ from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics
 from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.run_folder import StageRecord
 from geraf2.io.text import read_object as read_json
 from geraf2.report import html
@@ -70,7 +71,7 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     if not path.is_file():
         return []
     entries: list[dict[str, Any]] = []
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+    for line in read_regular(path, TEXT_BYTES).decode(errors="replace").splitlines():
         try:
             entry = json.loads(line)
         except ValueError:

@@ -23,8 +23,10 @@ from geraf2 import __version__
 from geraf2.apps.batch.jobs import BatchJob, fingerprint
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
+from geraf2.io.digests import inside
 from geraf2.io.objects import is_remote, read_bytes, remove
 from geraf2.io.outputs import require_folder
+from geraf2.io.regular import RECORD_BYTES, require_no_links
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import from_table
 
@@ -115,7 +117,7 @@ class JobPaths:
     def read(self) -> JobResult | None:
         """Read the record; None where it is missing or broken."""
         try:
-            values = json.loads(read_bytes(self.result))
+            values = json.loads(read_bytes(self.result, RECORD_BYTES))
             return from_table(values, JobResult, self.result)
         except (OSError, ValueError, UserError):
             return None
@@ -142,7 +144,7 @@ class JobPaths:
     def begins(self) -> list[str]:
         """Workers that started the job and wrote no result."""
         try:
-            return read_bytes(self.begun).decode().splitlines()
+            return read_bytes(self.begun, RECORD_BYTES).decode().splitlines()
         except OSError:
             return []
 
@@ -166,6 +168,9 @@ class BatchFolder:
         and settings of the scenes. Nothing is written.
         """
         known = self.jobs()
+        if known is not None and not is_remote(self.out):  # run folders have a check of their own
+            for folder in (self.out, self.out / RESULTS_FOLDER, self.out / RUNS_FOLDER):
+                require_no_links(folder, deep=False)
         try:
             require_folder(self.out, "batch", own=known is not None)
         except UserError:
@@ -197,10 +202,10 @@ class BatchFolder:
         """Keys of the batch's jobs, by scene and settings; None where there is no batch."""
         file = self.out / MARKER_NAME
         try:
-            values: Any = json.loads(read_bytes(file))
+            values: Any = json.loads(read_bytes(file, RECORD_BYTES))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
-            return {str(name): str(key) for name, key in values["jobs"].items()}
+            return {inside(name): inside(key) for name, key in values["jobs"].items()}
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError):

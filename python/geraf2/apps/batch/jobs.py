@@ -19,8 +19,10 @@ from geraf2.io.container import (
     read_scene_manifest,
 )
 from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import merged, nearest, to_table
+from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import (
     BestPreset,
@@ -96,7 +98,9 @@ class BatchJob:
     def estimate(self) -> Estimate | None:
         """Processor time and memory; None where the size of the scene is unknown."""
         try:
-            about = json.loads(read_bytes(self.scene / RADAR_NAME / "signal" / "zarr.json"))
+            about = json.loads(
+                read_bytes(self.scene / RADAR_NAME / "signal" / METADATA_NAME, RECORD_BYTES)
+            )
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
         except (OSError, ValueError, KeyError, TypeError):
             return None
@@ -194,7 +198,7 @@ def _own_truth(scene: Path) -> Path | None:
 
 def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     try:
-        text = read_bytes(table).decode("utf-8-sig")
+        text = read_bytes(table, TEXT_BYTES).decode("utf-8-sig")
     except FileNotFoundError:
         raise UserError(what="no such file", where=table) from None
     except (OSError, ValueError) as error:

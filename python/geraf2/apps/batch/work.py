@@ -34,6 +34,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.objects import is_file, local_folder
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, read_regular
 from geraf2.io.run_folder import LOCK_NAME, LOG_NAME, REPORT_NAME, RUN_NAME, RunFolder
 from geraf2.io.toml import from_table
 from geraf2.pipeline.stages.stage import peak_memory_bytes
@@ -111,7 +112,7 @@ def _in_child(
 
     def tick() -> None:
         with suppress(OSError):
-            os.utime(lock)
+            os.utime(lock, follow_symlinks=False)
 
     arguments = (table, str(run), str(paths.picture), num_threads, report)
     try:
@@ -152,7 +153,7 @@ def _remove_stale(run: Path) -> None:
     if run.is_dir() and not (run / RUN_NAME).exists() and not lock.exists():
         shutil.rmtree(run, ignore_errors=True)  # killed before its first record
     try:
-        host = lock.read_text(encoding="utf-8", errors="replace").split("\n")[1].strip()
+        host = read_regular(lock, RECORD_BYTES).decode(errors="replace").split("\n")[1].strip()
         with tempfile.NamedTemporaryFile(dir=run.parent, prefix=".now-") as now:
             age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by the same clock
     except (OSError, IndexError):
@@ -164,7 +165,7 @@ def _remove_stale(run: Path) -> None:
 
 def _last_lines(path: Path) -> list[str]:
     try:
-        return path.read_text(encoding="utf-8", errors="replace").splitlines()[-_N_TAIL:]
+        return read_regular(path, TEXT_BYTES).decode(errors="replace").splitlines()[-_N_TAIL:]
     except OSError:
         return []
 

@@ -14,6 +14,7 @@ from typing import BinaryIO
 
 from geraf2._memory import require_memory
 from geraf2.errors import UserError
+from geraf2.io.regular import open_regular
 
 _HEADER_BYTES, _TAG_BYTES = 128, 8
 _MATRIX, _COMPRESSED = 14, 15
@@ -28,7 +29,7 @@ _NUMERIC_CLASSES, _IS_COMPLEX = range(6, 16), 0x800
 
 def require_sound_tags(path: Path, names: Collection[str]) -> None:
     """Raise UserError where an array of `names` is no array of numbers, or any tag is broken."""
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
         version = handle.read(_HEADER_BYTES)[124:]
         orders = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}
         if version not in orders:  # version 4, which SciPy reads without such a table

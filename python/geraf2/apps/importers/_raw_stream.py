@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Ints
 from geraf2.errors import UserError
+from geraf2.io.regular import open_regular
 
 HEADER_BYTES = 10
 # 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
@@ -44,7 +45,7 @@ class PlainStream:
             if number >= len(self.files):
                 raise UserError(what="the file became shorter while it was read", where=self)
             first = int(self._ends[number - 1]) if number else 0
-            with self.files[number].open("rb", buffering=0) as handle:
+            with open_regular(self.files[number]) as handle:
                 handle.seek(at - first)
                 n_read = handle.readinto(view[: int(self._ends[number]) - at])
             if not n_read:

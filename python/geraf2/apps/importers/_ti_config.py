@@ -25,6 +25,7 @@ from geraf2.apps.importers._ti_values import (
     to_number,
 )
 from geraf2.errors import UserError
+from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.text import read_text
 
 # Values that a log rounds to the steps of the chip: 0.048 MHz/us of slope, 54 Hz, 10 ns.
@@ -68,7 +69,8 @@ def find_ti_configs(source: Path) -> list[Path]:
     return [
         path
         for path in found
-        if path.is_file() and (path.suffix != ".txt" or b"ProfileConfig" in path.read_bytes())
+        if path.is_file()
+        and (path.suffix != ".txt" or b"ProfileConfig" in read_regular(path, TEXT_BYTES))
     ]
 
 

@@ -27,6 +27,7 @@ from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.regular import open_regular
 from geraf2.records import RawPose
 
 ARRAYS = (
@@ -119,7 +120,7 @@ def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
     """Arrays of the file, by our names."""
     if not path.is_file():
         raise UserError(what="no such file", where=path)
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
         head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
     is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)
     return _open_hdf5(path, names) if is_hdf5 else _open_version_5(path, names)

@@ -29,6 +29,8 @@ from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY, NPY_MAGIC
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.regular import open_regular
+from geraf2.io.text import read_lines
 from geraf2.records import RawPose
 
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
@@ -111,7 +113,7 @@ def _file_of(source: Path) -> Path:
 def _read_scan(path: Path) -> _PlanarScan:
     if not path.is_file():
         raise UserError(what="no such file", where=path)
-    with path.open("rb") as handle:
+    with open_regular(path) as handle:
         data, first, last, count, step, depth = (
             _next_array(handle, path, number) for number in range(1, 7)
         )
@@ -186,10 +188,10 @@ def _next_array(handle: BinaryIO, path: Path, number: int) -> Array:
 def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats | None, list[str]]:
     """Phase of the antenna at each frequency [rad]; None where it was not measured."""
     path = scan.path.parent / PHASE_NAME
-    if not path.is_file():
+    if not path.exists():
         return None, [f"no {PHASE_NAME} beside {scan.path.name}: the phase is not calibrated"]
     try:
-        table = np.loadtxt(path, ndmin=2, dtype=np.float64)
+        table = np.loadtxt(read_lines(path), ndmin=2, dtype=np.float64)
     except ValueError as error:
         raise UserError(what=f"cannot be read as numbers: {error}", where=path) from None
     if table.shape[0] != 2 or table.shape[1] < 2:

@@ -25,6 +25,7 @@ from geraf2.io.container import LOS_RECORD_NAME
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
+from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
 from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
@@ -363,7 +364,7 @@ def write_los(
 def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
     try:
-        values = json.loads((folder / LOS_RECORD_NAME).read_text(encoding="utf-8"))
+        values = json.loads(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
         files = dict(values["files"])
         record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
     except (OSError, ValueError, KeyError, TypeError):
@@ -431,12 +432,13 @@ def _require_own(out: Path) -> None:
     known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
     left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
     require_folder(out, "prior", own=ours or left)
+    require_no_links(out)
 
 
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of another source."""
     try:
-        values = json.loads((out / LOS_RECORD_NAME).read_text(encoding="utf-8"))
+        values = json.loads(read_regular(out / LOS_RECORD_NAME, RECORD_BYTES))
         other, source = values["key"] != key, values["source"]
     except (OSError, ValueError, KeyError, TypeError):
         return

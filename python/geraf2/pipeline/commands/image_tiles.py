@@ -38,6 +38,7 @@ from geraf2.io.objects import (
     remove,
 )
 from geraf2.io.outputs import require_consent
+from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import RUN_NAME, RunFolder
 from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_group
 from geraf2.pipeline.commands.image import (
@@ -240,7 +241,7 @@ def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[in
 def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> None:
     """Make image.zarr without chunks; one of the same key stays as it is."""
     try:
-        about = json.loads(read_bytes(job.group / METADATA_NAME))
+        about = json.loads(read_bytes(job.group / METADATA_NAME, RECORD_BYTES))
         same = about["attributes"]["key"] == key
     except (OSError, ValueError, KeyError, TypeError):
         same = False

@@ -6,6 +6,7 @@ from pathlib import Path
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_RECORD_NAME, is_scene, verify_scene
 from geraf2.io.digests import file_digest, require_digests
+from geraf2.io.regular import require_no_links
 from geraf2.io.run_folder import (
     CONTENT_NAME,
     LOCK_NAME,
@@ -45,6 +46,7 @@ def verify(path: Path | str) -> Verified:
         notes = () if n_files else ("it was written without checksums: nothing to compare with",)
         return Verified(kind="scene", n_files=n_files, notes=notes)
     if (folder / LOS_RECORD_NAME).is_file():
+        require_no_links(folder)
         files = read_object(folder / LOS_RECORD_NAME).get("files")
         if not isinstance(files, dict):
             raise UserError(what="cannot be read as the record of a prior", where=folder)

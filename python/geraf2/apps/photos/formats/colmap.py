@@ -16,6 +16,7 @@ from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
+from geraf2.io.regular import BINARY_BYTES, read_regular
 from geraf2.io.text import read_lines
 
 # Number and name of each model, and how many parameters it has.
@@ -193,7 +194,7 @@ class _Bytes:
     def __init__(self, path: Path) -> None:
         self.path = path
         try:
-            self._data = path.read_bytes()
+            self._data = read_regular(path, BINARY_BYTES)
         except OSError as error:
             raise UserError(what=f"cannot be read: {error.strerror}", where=path) from error
         self._at = 0

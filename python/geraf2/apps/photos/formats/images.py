@@ -5,13 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
 from geraf2._types import Bools, Floats
-from geraf2.errors import UserError
-
-MAX_PIXELS = 200_000_000
-"""Limit of an image; larger sizes are treated as broken or hostile headers."""
+from geraf2.io.pictures import broken_picture, opened_picture
 
 _EIGHT_BITS = 255.0
 _ORIENTATION = 0x0112
@@ -29,14 +26,14 @@ class ReadImage(NamedTuple):
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
-    """Read an image of any format that Pillow knows; UserError if it is missing or broken.
+    """Read an image of `PICTURE_FORMATS`; UserError if it is missing or broken.
 
     path: image file.
     size: width and height of the picture that poses and intrinsics belong to. A stored picture of
         the other orientation is turned if its EXIF tag states so; else pixels stay as stored, as
         COLMAP does.
     """
-    with _opened(path) as stored:
+    with opened_picture(path) as stored:
         try:
             stored.load()
             image = _turned(stored, size)
@@ -46,7 +43,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             array = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
         except (OSError, ValueError, SyntaxError, EOFError) as error:
-            raise _broken(path, error) from error
+            raise broken_picture(path, error) from error
     return ReadImage(
         np.ascontiguousarray(array[:, :, :3]),
         np.ascontiguousarray(array[:, :, 3]) if has_alpha else None,
@@ -63,28 +60,8 @@ def read_mask(path: Path) -> Bools:
 
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height of an image as stored; UserError as :func:`read_image`."""
-    with _opened(path) as image:
+    with opened_picture(path) as image:
         return image.width, image.height
-
-
-def _opened(path: Path) -> Image.Image:
-    try:
-        image = Image.open(path)
-    except FileNotFoundError:
-        raise UserError(what="no such image", where=path) from None
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError) as error:
-        raise _broken(path, error) from error
-    except Image.DecompressionBombError as error:
-        raise UserError(what=f"the image is too large: {error}", where=path) from error
-    if image.width * image.height > MAX_PIXELS:
-        image.close()
-        raise UserError(
-            what="the image is too large",
-            where=path,
-            expected=f"at most {MAX_PIXELS} pixels",
-            got=f"{image.width} x {image.height}",
-        )
-    return image
 
 
 def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
@@ -92,10 +69,6 @@ def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
         return image
     lies = (image.width - image.height) * (size[0] - size[1]) < 0
     return ImageOps.exif_transpose(image) if lies else image
-
-
-def _broken(path: Path, error: Exception) -> UserError:
-    return UserError(what=f"the image cannot be read ({error})", where=path)
 
 
 def _to_eight_bits(grey: Floats) -> NDArray[np.uint8]:

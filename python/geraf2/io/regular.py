@@ -1,0 +1,105 @@
+"""Opener of files that others made: regular files, of a size that their kind may have.
+
+A name may be that of a pipe, which never ends, of a device, or of a file with terabytes of holes. A
+link inside a folder of geraf2 may lead anywhere, so such folders hold none.
+"""
+
+import errno
+import os
+import stat
+from collections.abc import Iterator
+from io import BufferedReader
+from pathlib import Path
+
+from geraf2._memory import require_memory
+from geraf2._types import AnyPath
+from geraf2.errors import UserError
+
+RECORD_BYTES = 64 << 20
+"""Limit of TOML and JSON."""
+TEXT_BYTES = 512 << 20
+"""Limit of tables, logs and configurations."""
+BINARY_BYTES = 4 << 30
+"""Limit of pictures, meshes and others that are read whole."""
+_NAMES = {
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+    stat.S_IFLNK: "a link",
+}
+
+
+def open_regular(path: AnyPath, most: int | None = None) -> BufferedReader:
+    """Open a file for reading; OSError as of `open`.
+
+    most: limit of its size [bytes]. UserError for a larger one, and for what is no regular file.
+    """
+    require_regular(path, most)  # to open a device may change it
+    handle = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - the caller closes it
+    try:
+        _require_regular(path, os.fstat(handle.fileno()), most)
+    except BaseException:
+        handle.close()
+        raise
+    return handle
+
+
+def require_regular(path: AnyPath, most: int | None = None) -> None:
+    """Errors of :func:`open_regular`, for readers that open files by name."""
+    _require_regular(path, Path(path).stat(), most)
+
+
+def read_regular(path: AnyPath, most: int | None = None) -> bytes:
+    """Content of a file; arguments and errors as of :func:`open_regular`."""
+    with open_regular(path, most) as handle:
+        require_memory(os.fstat(handle.fileno()).st_size, "the file is too large", where=path)
+        return handle.read()
+
+
+def require_no_links(folder: Path, *, deep: bool = True) -> dict[str, os.DirEntry[str]]:
+    """Files below a folder, by their path in it; UserError for links, pipes, sockets and devices.
+
+    deep: also in its folders.
+    """
+    return {os.path.relpath(entry.path, folder): entry for entry in _files(folder, deep=deep)}
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _files(top: Path, *, deep: bool) -> Iterator[os.DirEntry[str]]:
+    folders = [str(top)]
+    while folders:
+        try:
+            entries = list(os.scandir(folders.pop()))
+        except FileNotFoundError:  # removed meanwhile, by its writer
+            continue
+        for entry in entries:
+            if entry.is_dir(follow_symlinks=False):
+                folders += [entry.path] * deep
+            elif entry.is_file(follow_symlinks=False):
+                yield entry
+            elif os.path.lexists(entry.path):
+                kind = _kind(os.lstat(entry.path))
+                hint = "put the file or the folder itself there"
+                raise UserError(what=f"is {kind}", where=entry.path, hint=hint)
+
+
+def _require_regular(path: AnyPath, found: os.stat_result, most: int | None) -> None:
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(found.st_mode):
+        raise UserError(what="is no regular file", where=path, got=_kind(found))
+    if most is not None and found.st_size > most:
+        raise UserError(
+            what="the file is too large",
+            where=path,
+            expected=f"at most {most / 2**20:.0f} MiB",
+            got=f"{found.st_size / 2**20:.0f} MiB",
+        )
+
+
+def _kind(found: os.stat_result) -> str:
+    return _NAMES.get(stat.S_IFMT(found.st_mode), "no file")

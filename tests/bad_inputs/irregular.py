@@ -1,0 +1,99 @@
+"""Files that are none: pipes, devices, files of holes, and links, wherever a file is read."""
+
+from bad_inputs.lines import IMPORT, RAW, RUN, RX, SIGNAL, UNPLACED
+from bad_inputs.table import bad, holes, link, pipe, put
+
+BOX = "--box 0.16 0.16 0.16"
+EVALUATE = "evaluate run --truth truth.ply"
+FRAME = "frames/mf/1_120_0"
+READ = """
+info scene|scene/scene.toml
+plan --like scene|scene/scene.toml
+plan --like scan.json|scan.json
+simulate spec.toml out|spec.toml
+import dca1000 raw/adc.bin out --radar radar.toml|radar.toml
+info raw/adc.bin --radar radar.toml|radar.toml
+verify run|run/run.json
+inspect run|run/run.json
+render run|run/config.toml
+evaluate run --truth truth.ply|truth.ply.json
+evaluate run --truth truth.ply|run/planes.json
+evaluate run --truth truth.ply|run/mesh_content.ply.json
+los colmap_text out|colmap_text/sparse/0/cameras.txt|no camera poses
+los nerf out|nerf/transforms.json
+los ring out|ring/ring_par.txt
+los nerf out --unit m --to-radar to.txt|to.txt
+batch scans.csv out|scans.csv
+"""
+"""Command lines that read a record or a table, and its name."""
+STREAMED = """
+verify run|run/prior.npz
+verify run|run/mesh_content.ply
+render run|run/sdf_fit.npz
+los colmap out|colmap/sparse/0/images.bin|no camera poses
+los llff out|llff/poses_bounds.npy
+los neus out|neus/cameras_sphere.npz
+los box.ply out --unit m|box.ply
+import mat scan.mat out|scan.mat
+import mmnorm norm.npz out|norm.npz
+import planar planar out|planar/scan.npy
+import planar planar out|planar/antenna_phase.txt
+info raw/adc.bin --radar radar.toml|raw/adc.bin
+"""
+"""Others, whose length has no limit of its own."""
+
+
+def _rows(table, *changes):
+    for entry in table.strip().splitlines():
+        line, path, *says = entry.split("|")
+        for change in changes:
+            yield bad(line, change(path), says=says[0] if says and change != holes else None)
+
+
+def zero(path):
+    return link(path, "/dev/zero")
+
+
+ROWS = [
+    *_rows(READ, pipe, zero, holes),
+    *_rows(STREAMED, pipe, zero),
+    *(bad(IMPORT, change(f"{FRAME}/adcr.npy")) for change in (pipe, zero)),
+    *(bad(IMPORT, change("frames/capture.json")) for change in (pipe, zero, holes)),
+    *(bad(UNPLACED + " --positions robot.csv", c("robot.csv")) for c in (pipe, zero, holes)),
+    *(
+        bad(RAW + " --config studio.mmwave.json", change("studio.mmwave.json"))
+        for change in (pipe, zero, holes)
+    ),
+    *(
+        bad(RUN + " --config run/config.toml", change("run/config.toml"))
+        for change in (pipe, zero, holes)
+    ),
+    *(
+        bad(line, change(f"scene/radar.zarr/{name}"))
+        for line in ("info scene", "verify scene", RUN)
+        for name in ("zarr.json", "signal/zarr.json", "signal/c/1/0/0", "angle/c/0")
+        for change in (pipe, zero, holes)
+    ),
+    # Links lead out of a folder that came from elsewhere.
+    *(
+        bad(line, link(path, target), says=f"{path}: is a link")
+        for line, path, target in (
+            ("info scene", f"{SIGNAL}/c/1/0/0", "../../../../c/0/0/0"),
+            ("info scene", f"{RX}/c", "/etc"),
+            ("verify scene", "scene/los.ply", "../box.ply"),
+            (f"calibrate scene out {BOX}", "scene/photos/private.png", "/etc/passwd"),
+            (f"calibrate scene out {BOX}", "scene/notes/private", "/etc/passwd"),
+            ("verify run", "run/prior.npz", "../norm.npz"),
+            (EVALUATE, "run/figures", "../other"),
+            (EVALUATE, "run/metrics.json", "../other/diary.txt"),
+            ("render run", "run/views", "../other"),
+            ("inspect run", "run/inspection.json", "../other/diary.txt"),
+        )
+    ),
+    *(
+        bad(f"batch scene out {BOX}", put("out/batch.json", BATCH), change(path))
+        for BATCH in ['{"format": "geraf2-batch", "version": 1, "jobs": {}}']
+        for path in ("out/results", "out/results/x.json", "out/runs", "out/runs/scene-x")
+        for change in (lambda path: link(path, "/etc"),)
+    ),
+]
