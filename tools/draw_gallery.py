@@ -128,7 +128,7 @@ def save(figure: plt.Figure, path: Path) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with io.BytesIO() as data:
         figure.savefig(data, dpi=DPI, format="png")
-        Image.open(data).convert("RGB").quantize(128).save(path, optimize=True)
+        Image.open(data).convert("RGB").quantize(128).save(path, optimize=True)  # noqa: TID251 - our own
 
 
 def main(names: list[str]) -> int:

@@ -1,11 +1,16 @@
 """Files that are none: pipes, devices, files of holes, and links, wherever a file is read."""
 
 from bad_inputs.lines import IMPORT, RAW, RUN, RX, SIGNAL, UNPLACED
-from bad_inputs.table import bad, holes, link, pipe, put
+from bad_inputs.table import bad, holes, link, pipe, put, values
 
 BOX = "--box 0.16 0.16 0.16"
 EVALUATE = "evaluate run --truth truth.ply"
 FRAME = "frames/mf/1_120_0"
+COARSE = "--every 4 --spacing-m 0.02"
+GLTF = """{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
+"nodes": [{"mesh": 0}], "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 4}]}],
+"accessors": [{"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"}],
+"bufferViews": [{"buffer": 0, "byteLength": 36}], "buffers": [{"uri": "%s", "byteLength": 36}]}"""
 READ = """
 info scene|scene/scene.toml
 plan --like scene|scene/scene.toml
@@ -74,6 +79,18 @@ ROWS = [
         for name in ("zarr.json", "signal/zarr.json", "signal/c/1/0/0", "angle/c/0")
         for change in (pipe, zero, holes)
     ),
+    bad("los nerf out", *(pipe(f"nerf/images/photo{n}.png") for n in range(5)), says="photo"),
+    bad("los nerf out", *(holes(f"nerf/images/photo{n}.png") for n in range(5)), says="none of"),
+    *(
+        bad("los a.gltf out --unit m", put("a.gltf", GLTF % name), *changes, says=says)
+        for name, changes, says in (
+            ("a.bin", (pipe("a.bin"),), "a.bin"),
+            ("a.bin", (zero("a.bin"),), "outside"),
+            ("a.bin", (put("a.bin", ""), holes("a.bin")), "a.bin"),
+            ("../a.bin", (), "outside"),
+            ("/dev/zero", (), "outside"),
+        )
+    ),
     # Links lead out of a folder that came from elsewhere.
     *(
         bad(line, link(path, target), says=f"{path}: is a link")
@@ -88,6 +105,23 @@ ROWS = [
             (EVALUATE, "run/metrics.json", "../other/diary.txt"),
             ("render run", "run/views", "../other"),
             ("inspect run", "run/inspection.json", "../other/diary.txt"),
+            (f"image scene run --tiles --overwrite {COARSE}", "run/image.zarr", "../other"),
+            (f"image scene run --tiles --overwrite {COARSE}", "run/run.lock", "../other/diary.txt"),
+        )
+    ),
+    # A record may name any file below a link.
+    *(
+        bad(
+            RUN.replace(" out ", " run ") + flag,
+            link("run/notes", "../other"),
+            values("run/run.json", **{key: named}),
+            says="run/notes: is a link",
+        )
+        for flag in (" --resume", " --overwrite")
+        for key, named in (
+            ("stale", ["notes/diary.txt"]),
+            ("kept", {"notes/diary.txt": ""}),
+            ("scene", {"name": "x", "digest": "x"}),
         )
     ),
     *(

@@ -27,7 +27,7 @@ def settle(page):
 def pixels(page):
     """Read the picture of the view back, (height, width, 3)."""
     shot = page.locator(".viewer canvas").screenshot()
-    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)
+    return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)  # noqa: TID251 - our own
 
 
 def serious_findings(page, axe):

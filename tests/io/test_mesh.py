@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import (
@@ -125,6 +126,40 @@ def test_meshes_of_other_writers_are_read(box, tmp_path, kind):
     assert mesh.vertices.shape == (8, 3)
     assert mesh.faces.shape == (12, 3)
     assert signed_volume(mesh) == pytest.approx(0.024, rel=1e-6)
+
+
+def _with_texture(box, path):
+    """Mesh file whose material names texture.png."""
+    image = Image.new("RGB", (4, 4))
+    material = trimesh.visual.material.SimpleMaterial(image=image)
+    uv = np.zeros((len(box.vertices), 2))
+    visual = trimesh.visual.TextureVisuals(uv=uv, image=image, material=material)
+    textured = trimesh.Trimesh(box.vertices, box.faces, visual=visual, process=False)
+    if path.suffix == ".gltf":
+        for name, data in textured.export(file_type="gltf").items():
+            (path.parent / name.replace("model.gltf", path.name)).write_bytes(data)
+    else:
+        textured.export(path)
+    if path.suffix == ".ply":
+        comment = b"\ncomment TextureFile texture.png\nelement vertex"
+        path.write_bytes(path.read_bytes().replace(b"\nelement vertex", comment, 1))
+    if path.suffix == ".gltf":
+        tree = json.loads(path.read_text())
+        tree["images"] = [{"uri": "texture.png"}]
+        path.write_text(json.dumps(tree))
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "gltf", "glb"])
+@pytest.mark.parametrize("exists", [True, False])
+def test_materials_are_not_opened(box, tmp_path, monkeypatch, caplog, kind, exists):
+    _with_texture(box, tmp_path / f"m.{kind}")
+    if exists:
+        Image.new("RGB", (4, 4)).save(tmp_path / "texture.png")
+    opened = []
+    monkeypatch.setattr(Image, "open", lambda *arguments, **_: opened.append(arguments))
+    assert read_mesh(tmp_path / f"m.{kind}").faces.shape == (12, 3)
+    assert opened == []
+    assert caplog.records == []
 
 
 def test_merging_drops_faces_without_area_and_unused_vertices():

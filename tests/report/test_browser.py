@@ -150,7 +150,7 @@ def test_a_picture_can_be_saved(opened, tmp_path):
         page.locator('.viewer [data-part="save"]').click()
     assert download.value.suggested_filename == "block.png"
     download.value.save_as(tmp_path / "block.png")
-    picture = np.asarray(Image.open(tmp_path / "block.png").convert("RGB")).astype(int)
+    picture = np.asarray(Image.open(tmp_path / "block.png").convert("RGB")).astype(int)  # noqa: TID251 - our own
     assert picture.std(axis=(0, 1)).max() > 10
     assert page.trouble == []
 

@@ -21,7 +21,9 @@ def opened_picture(path: Path) -> Iterator[Image.Image]:
     with ExitStack() as stack:
         try:
             file = stack.enter_context(open_regular(path, BINARY_BYTES))
-            image = stack.enter_context(Image.open(file, formats=PICTURE_FORMATS))
+            image = stack.enter_context(
+                Image.open(file, formats=PICTURE_FORMATS)  # noqa: TID251 - only here
+            )
         except FileNotFoundError:
             raise UserError(what="no such image", where=path) from None
         except UnidentifiedImageError:
