@@ -17,7 +17,8 @@ from geraf2.errors import UserError
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
 
-_COMMAND = (sys.executable, "-c", "from geraf2.pipeline.processes import serve; serve()")
+# With -P, modules of the working directory are not imported.
+_COMMAND = (sys.executable, "-P", "-c", "from geraf2.pipeline.processes import serve; serve()")
 _PR_SET_PDEATHSIG = 1
 _PATIENCE_S = 5.0
 """Time that a process gets to clean up before it is killed [s]."""

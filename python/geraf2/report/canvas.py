@@ -1,5 +1,6 @@
 """Common parts of the pictures: sheets, images of grids, axes in millimetres, colours."""
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,8 +23,22 @@ AXIS_NAMES = ("x", "y", "z")
 _DPI = 130
 
 
+def load_matplotlib() -> Any:
+    """Matplotlib, with its built-in settings unless the caller imported it before.
+
+    A `matplotlibrc` of the working directory may be a stranger's, and starts LaTeX.
+    """
+    is_new = "matplotlib" not in sys.modules
+    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+
+    if is_new:
+        mpl.rcdefaults()
+    return mpl
+
+
 def new_figure(width: float, height: float) -> "Figure":
     """Empty sheet of a size [inch]."""
+    load_matplotlib()
     # Figures made without pyplot hold no global state and need no display.
     from matplotlib.figure import Figure  # noqa: PLC0415 - takes 0.5 s to import
 

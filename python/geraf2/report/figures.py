@@ -279,7 +279,7 @@ def _draw_field(panel: "Axes", sdf: SdfGrid, center: Floats, plane: tuple[int, i
 
 
 def _pale_diverging_map() -> Any:
-    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    mpl = canvas.load_matplotlib()
     from matplotlib.colors import ListedColormap  # noqa: PLC0415 - as above
 
     # Without the dark ends, so that lines and points stay readable.
@@ -346,7 +346,7 @@ def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:
 
 
 def _coloured(values: Floats, largest: float, name: str) -> tuple[Floats, Any]:
-    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    mpl = canvas.load_matplotlib()
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
     from matplotlib.colors import Normalize  # noqa: PLC0415 - as above
 

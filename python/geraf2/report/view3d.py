@@ -14,7 +14,7 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.triangles import closed_edges, face_areas
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.io.mesh_colours import WORST_SHOWN_M
-from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
+from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
 from geraf2.surfaces.expected_error import seen_vertices
 from geraf2.surfaces.isosurface import face_components, signed_distances
@@ -321,7 +321,7 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
 
 
 def _scale_colours(name: str) -> tuple[str, ...]:
-    import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s to import
+    mpl = load_matplotlib()
     from matplotlib.colors import to_hex  # noqa: PLC0415 - as above
 
     return tuple(to_hex(colour) for colour in mpl.colormaps[name](np.linspace(0, 1, _N_COLOURS)))

@@ -22,6 +22,7 @@ from typing import Any
 
 from geraf2.pipeline.processes import end_with
 
+# With -P, modules of the working directory are not imported.
 _COMMAND = "from geraf2.apps.batch.child import serve; serve()"
 TIMEOUT_NAME = "timeout"
 _TICK_S = 5.0
@@ -112,7 +113,7 @@ class Child:
         # a small scene.
         environment.pop("MALLOC_TRIM_THRESHOLD_", None)
         pipe = subprocess.PIPE
-        command = [sys.executable, "-c", _COMMAND, str(os.getpid())]
+        command = [sys.executable, "-P", "-c", _COMMAND, str(os.getpid())]
         return subprocess.Popen(
             command, stdin=pipe, stdout=pipe, stderr=self._stderr, env=environment
         )

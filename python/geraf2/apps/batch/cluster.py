@@ -1,6 +1,7 @@
 """Workers of this machine or of a running scheduler, and checks of their version and memory."""
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
@@ -26,7 +27,8 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
     memory_bytes: of the largest job; limits the default number of processes.
     """
     try:
-        import distributed  # noqa: PLC0415 - an extra
+        import cryptography  # noqa: F401, PLC0415 - an extra, for the certificates
+        import distributed  # noqa: PLC0415 - as above
     except ImportError:
         raise UserError(
             what="several processes need dask.distributed", hint="pip install 'geraf2[cluster]'"
@@ -53,9 +55,13 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
 
 @contextmanager
 def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
-    """Yield a cluster of single-threaded processes of this machine that declare memory."""
+    """Yield a cluster of single-threaded processes of this machine that declare memory.
+
+    A scheduler executes what it is sent: certificates of this cluster keep other users of the
+    machine out.
+    """
     import dask  # noqa: PLC0415 - an extra
-    from distributed import LocalCluster  # noqa: PLC0415 - as above
+    from distributed import LocalCluster, Security  # noqa: PLC0415 - as above
 
     # A lost worker fails its tasks at once: the batch decides which of them caused it, since a
     # scheduler blames all tasks of that worker. The other settings reduce dask's own monitoring, up
@@ -66,7 +72,11 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
         "distributed.admin.tick.interval": "1s",
         "distributed.admin.system-monitor.interval": "10s",
         "distributed.scheduler.work-stealing-interval": "1s",
+        # Pages of dask have no password.
+        "distributed.scheduler.http.routes": [],
+        "distributed.worker.http.routes": [],
     }
+    os.environ["PYTHONSAFEPATH"] = "1"  # modules of the working directory are not imported
     with (
         dask.config.set(settings),
         LocalCluster(
@@ -79,6 +89,7 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
             memory_limit=0,  # dask measures the worker, not the processes of its jobs
             silence_logs=logging.CRITICAL,
             resources={MEMORY_RESOURCE: memory_bytes},
+            security=Security.temporary(),
         ) as cluster,
     ):
         yield cluster

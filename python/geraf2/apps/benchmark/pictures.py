@@ -14,6 +14,7 @@ from geraf2.geometry.transforms import triple
 from geraf2.io.container import TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.report.canvas import new_figure, save
 from geraf2.report.render import MeshPainter, View
 from geraf2.report.sections import plane_section
 
@@ -54,7 +55,7 @@ def draw_gallery(
             mesh = read_mesh(out / str(result.folder) / CONTENT_NAME)
             panel.imshow(_picture(mesh, view, _BLUE, num_threads))
             panel.set_title(_title(row, result), fontsize=7)
-    _save(figure, path)
+    save(figure, path)
     return True
 
 
@@ -70,7 +71,7 @@ def draw_slices(path: Path, out: Path, results: Results) -> bool:
         for panel, (row, result) in zip(axes, line, strict=False):
             _draw_cut(panel, SdfGrid.load(out / str(result.folder) / "sdf.npz"), truth, height)
             panel.set_title(f"{row.scene}\n{_title(row, result)}", fontsize=7)
-    _save(figure, path)
+    save(figure, path)
     return True
 
 
@@ -82,9 +83,8 @@ def draw_sweep(
     known = {row.case.label for row, result in results if result.f1_5mm is not None}
     if len(known) < 3:
         return False
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
-
-    figure, panel = plt.subplots(figsize=(7.2, 3.4))
+    figure = new_figure(7.2, 3.4)
+    panel = figure.subplots()
     for number, method in enumerate(experiment.methods):
         for key, style in (("f1_15mm", "-"), ("f1_5mm", "--")):
             means = []
@@ -104,7 +104,7 @@ def draw_sweep(
     panel.set_ylabel("F1")
     panel.grid(alpha=0.3)
     panel.legend(fontsize=8)
-    _save(figure, path)
+    save(figure, path)
     return True
 
 
@@ -121,10 +121,8 @@ def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, 
 
 def _panels(n_rows: int, n_columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
     """Canvas of Matplotlib and its empty panels of a size [inch], (n_rows, n_columns)."""
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
-
-    whole = (size[0] * n_columns, size[1] * n_rows)
-    figure, panels = plt.subplots(n_rows, n_columns, figsize=whole, squeeze=False)
+    figure = new_figure(size[0] * n_columns, size[1] * n_rows)
+    panels = figure.subplots(n_rows, n_columns, squeeze=False)
     for panel in panels.ravel():
         panel.axis("off")
     return figure, panels
@@ -161,12 +159,3 @@ def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) ->
     middle, half = 0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + _CUT_MARGIN_MM
     panel.set_xlim(middle[0] - half, middle[0] + half)
     panel.set_ylim(middle[1] - half, middle[1] + half)
-
-
-def _save(figure: Any, path: Path) -> None:
-    import matplotlib.pyplot as plt  # noqa: PLC0415 - 0.5 s to import
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.tight_layout()
-    figure.savefig(path, dpi=110)
-    plt.close(figure)

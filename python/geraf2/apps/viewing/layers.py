@@ -17,6 +17,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.run_folder import TRUTH_COPY
 from geraf2.pipeline.commands.image import IMAGE_NAME
+from geraf2.report.canvas import load_matplotlib
 from geraf2.report.run_report import read_run, stored_truth
 from geraf2.scene import Grid
 from geraf2.scene.store import open_capture
@@ -75,8 +76,7 @@ class Volume:
 
         axis: 0, 1 or 2. index: of the voxels along it.
         """
-        import matplotlib as mpl  # noqa: PLC0415 - takes 0.5 s
-
+        mpl = load_matplotlib()
         first, second = (a for a in range(3) if a != axis)
         u, v = self.grid.axes_m[first], self.grid.axes_m[second]
         points = np.zeros((len(u), len(v), 3))
