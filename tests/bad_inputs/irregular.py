@@ -104,6 +104,7 @@ ROWS = [
             (EVALUATE, "run/figures", "../other"),
             (EVALUATE, "run/metrics.json", "../other/diary.txt"),
             ("render run", "run/views", "../other"),
+            ("los box.ply out --unit m", "out/training-1.safetensors", "../other/diary.txt"),
             ("inspect run", "run/inspection.json", "../other/diary.txt"),
             (f"image scene run --tiles --overwrite {COARSE}", "run/image.zarr", "../other"),
             (f"image scene run --tiles --overwrite {COARSE}", "run/run.lock", "../other/diary.txt"),

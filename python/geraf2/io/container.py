@@ -101,9 +101,9 @@ def read_scene_manifest(path: Path) -> SceneManifest:
 
 def _require_own_files(path: Path) -> None:
     """Refuse a scene with links, which lead out of it, and metadata without end."""
-    for name, entry in require_no_links(path).items():
-        if name.endswith(METADATA_NAME):
-            require_regular(entry, RECORD_BYTES)
+    for file in require_no_links(path):
+        if file.name == METADATA_NAME:
+            require_regular(file, RECORD_BYTES)
 
 
 def verify_scene(path: Path) -> int:
@@ -244,8 +244,8 @@ class SceneReader:
             expected = " or ".join(ARRAY_TYPES[name])
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
         if not is_remote(where):  # zarr reads chunks whole
-            for entry in require_no_links(where).values():
-                require_regular(entry, max(RECORD_BYTES, int(chunk_bytes)))
+            for file in require_no_links(where):
+                require_regular(file, max(RECORD_BYTES, int(chunk_bytes)))
         n_bytes = float(chunk_bytes)
         if name not in ANTENNA_ARRAYS:  # read whole
             n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))

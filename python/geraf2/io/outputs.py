@@ -10,6 +10,7 @@ from tempfile import TemporaryDirectory
 
 from geraf2.errors import UserError
 from geraf2.io.objects import exists, is_remote
+from geraf2.io.regular import require_no_links
 
 PROBE_PREFIX = ".geraf2-"
 """Prefix of a temporary folder that tests whether one can be made."""
@@ -20,7 +21,7 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     """Refuse a path where no folder of this kind can be made; nothing in it changes.
 
     kind: what is made there, as "scene". own: whether what lies there is one. UserError for a file,
-    for a folder with other files, and where nothing can be written.
+    for a folder with other files or with links, and where nothing can be written.
     """
     if is_remote(path):
         if not own and exists(path):
@@ -34,6 +35,8 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         raise UserError(
             what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
         )
+    if path.is_dir():
+        require_no_links(path)
     # A scene is replaced as a whole, in the folder above; into the others files are written.
     places = path.absolute().parents if kind == "scene" else (path, *path.absolute().parents)
     place = next(folder for folder in places if folder.exists())

@@ -57,19 +57,16 @@ def read_regular(path: AnyPath, most: int | None = None) -> bytes:
         return handle.read()
 
 
-def require_no_links(folder: Path, *, deep: bool = True) -> dict[str, os.DirEntry[str]]:
-    """Files below a folder, by their path in it; UserError for links, pipes, sockets and devices.
-
-    deep: also in its folders.
-    """
-    return {os.path.relpath(entry.path, folder): entry for entry in _files(folder, deep=deep)}
+def require_no_links(folder: Path) -> list[Path]:
+    """Files below a folder; UserError for links, pipes, sockets and devices."""
+    return [Path(entry.path) for entry in _files(folder)]
 
 
 def _without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 
 
-def _files(top: Path, *, deep: bool) -> Iterator[os.DirEntry[str]]:
+def _files(top: Path) -> Iterator[os.DirEntry[str]]:
     folders = [str(top)]
     while folders:
         try:
@@ -78,7 +75,7 @@ def _files(top: Path, *, deep: bool) -> Iterator[os.DirEntry[str]]:
             continue
         for entry in entries:
             if entry.is_dir(follow_symlinks=False):
-                folders += [entry.path] * deep
+                folders.append(entry.path)
             elif entry.is_file(follow_symlinks=False):
                 yield entry
             elif os.path.lexists(entry.path):

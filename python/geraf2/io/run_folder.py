@@ -168,7 +168,6 @@ class RunFolder:
             run._replaces = stored.scene_digest
             return run
         path.mkdir(parents=True, exist_ok=True)
-        require_no_links(path)
         run._save()
         return run
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
-from geraf2.io.objects import absolute, exists, is_remote
+from geraf2.io.objects import absolute, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
@@ -88,7 +88,9 @@ class RunRecord:
         for name, place in places.items() if isinstance(places, dict) else ():
             moved = path.parent / str(place)
             kept = found.get(name)
-            if kept is not None and not exists(kept) and moved.exists():
+            # A store is not asked: the record may be a stranger's.
+            gone = kept is not None and not is_remote(kept) and not kept.exists()
+            if gone and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
 

@@ -26,7 +26,7 @@ from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.digests import inside
 from geraf2.io.objects import is_remote, read_bytes, remove
 from geraf2.io.outputs import require_folder
-from geraf2.io.regular import RECORD_BYTES, require_no_links
+from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
 from geraf2.io.toml import from_table
 
@@ -168,15 +168,13 @@ class BatchFolder:
         and settings of the scenes. Nothing is written.
         """
         known = self.jobs()
-        if known is not None and not is_remote(self.out):  # run folders have a check of their own
-            for folder in (self.out, self.out / RESULTS_FOLDER, self.out / RUNS_FOLDER):
-                require_no_links(folder, deep=False)
         try:
             require_folder(self.out, "batch", own=known is not None)
         except UserError:
             known = self.jobs()  # another client may have created it
             if known is None:
                 raise
+            require_folder(self.out, "batch", own=True)
         names = {_name(job): key for key, job in jobs.items()}
         if (
             known is not None

@@ -25,7 +25,7 @@ from geraf2.io.container import LOS_RECORD_NAME
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
-from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
+from geraf2.io.regular import RECORD_BYTES, read_regular
 from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
@@ -432,7 +432,6 @@ def _require_own(out: Path) -> None:
     known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
     left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
     require_folder(out, "prior", own=ours or left)
-    require_no_links(out)
 
 
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
