@@ -162,3 +162,33 @@ def test_one_frequency_needs_no_chirp(save, capture):
     assert not scan.notes
     (read,) = scan.poses()
     assert np.array_equal(read.signal, pose.signal[:, :1])
+
+
+def _external_link(file, name, other):
+    file[name] = h5py.ExternalLink(str(other), "tx_positions")
+
+
+def _soft_link(file, name, _):
+    file[name] = h5py.SoftLink("/rx_positions")
+
+
+def _raw_file(file, name, other):
+    other.write_bytes(bytes(3 * 36 * 3 * 8))
+    file.create_dataset(name, (3, 36, 3), "f8", external=[(str(other), 0, h5py.h5f.UNLIMITED)])
+
+
+def _virtual(file, name, other):
+    layout = h5py.VirtualLayout((3, 36, 3), "f8")
+    layout[:] = h5py.VirtualSource(str(other), "tx_positions", (3, 36, 3))
+    file.create_virtual_dataset(name, layout)
+
+
+@pytest.mark.parametrize("elsewhere", [_external_link, _soft_link, _raw_file, _virtual])
+def test_arrays_of_other_files_are_not_read(tmp_path, arrays, elsewhere):
+    path = save_hdf5(tmp_path / "scan.mat", arrays)
+    save_hdf5(tmp_path / "private.mat", arrays)
+    with h5py.File(path, "a") as file:
+        del file["tx_positions"]
+        elsewhere(file, "tx_positions", tmp_path / "private.mat")
+    with pytest.raises(UserError, match=r"scan.mat: tx_positions (is a link|lies in another file)"):
+        opened(path)

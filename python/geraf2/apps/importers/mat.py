@@ -163,11 +163,13 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
         raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
     found = {}
     for ours, theirs in names.items():
-        if theirs not in file:
+        if not _is_own(file, theirs, path):
             continue
         data = file[theirs]
         if not isinstance(data, h5py.Dataset):
             raise UserError(what=f"{theirs} is no array", where=path)
+        if data.external or data.is_virtual:
+            raise UserError(what=f"{theirs} lies in another file", where=path)
         parts = data.dtype.names
         is_complex = parts is not None and set(parts) == {"real", "imag"}
         kind = "c" if is_complex else "O" if parts else data.dtype.kind
@@ -179,6 +181,22 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
 
         found[ours] = _Array(shape=tuple(reversed(data.shape)), kind=kind, read=read)
     return found
+
+
+def _is_own(file: Any, name: str, path: Path) -> bool:
+    """Whether the file has this object; UserError for a link, which may open another file."""
+    import h5py  # noqa: PLC0415 - an extra
+
+    node = file
+    for part in filter(None, name.split("/")):
+        try:
+            kind = node.id.links.get_info(part.encode()).type
+        except (AttributeError, KeyError, RuntimeError):  # no group, or without such an object
+            return False
+        if kind != h5py.h5l.TYPE_HARD:
+            raise UserError(what=f"{name} is a link to another object or file", where=path)
+        node = node[part]
+    return node is not file
 
 
 def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
