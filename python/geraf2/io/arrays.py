@@ -31,6 +31,8 @@ def read_npy(path: AnyPath, *, header_only: bool = False) -> Array:
                 raise UserError(
                     what="cannot be read as a NumPy array: it is no .npy file", where=source
                 )
+        if not header_only:
+            require_memory(source.stat().st_size, "the array is too large", where=source)
         array: Array = np.load(source, mmap_mode="r" if header_only else None, allow_pickle=False)
     except (*BROKEN_ARRAY, MemoryError) as error:
         reason = " ".join(str(error).split()) or "the file is cut short"

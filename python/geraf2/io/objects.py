@@ -110,7 +110,7 @@ def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
 def fetch(source: Path, folder: Path) -> None:
     """Copy all files below a remote folder to one on the disk."""
     for name in listed(source):
-        if ".." in PurePosixPath(name).parts:
+        if ".." in PurePosixPath(name).parts or name.startswith("/"):
             raise UserError(what="holds a name that leads out of it", where=source, got=repr(name))
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)

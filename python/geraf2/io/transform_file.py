@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import require_rigid
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
-from geraf2.io.regular import open_regular
+from geraf2.io.regular import RECORD_BYTES, open_regular
 from geraf2.io.text import read_text
 
 # Below this, a scale is rounding; above, it was meant.
@@ -62,7 +62,7 @@ def _from_scene(folder: Path) -> Floats:
 def _read_matrix(path: Path) -> Floats:
     try:
         if path.suffix == ".npy":
-            with open_regular(path) as handle:
+            with open_regular(path, RECORD_BYTES) as handle:
                 values = np.load(handle, allow_pickle=False)
         elif path.suffix == ".json":
             values = json.loads(read_text(path))
