@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import shutil
 import subprocess
 import sys
 import urllib.error
@@ -42,6 +43,11 @@ def trapped(tmp_path, monkeypatch):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(preload)
     (folder / "matplotlibrc").write_text("text.usetex: True\nbackend: module://evil\n")
+    shared = tmp_path / "tmp" / "dask-scratch-space"  # that another user made before
+    shutil.copytree(folder, shared)
+    for name in ("zarr", "skimage", "matplotlib", "trimesh", "torch", "jinja2", "webbrowser"):
+        (shared / f"{name}.py").write_text(TRAP.format(str(found), f"shared {name}"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "tmp"))
     (tmp_path / "bin").mkdir()
     for name in ("latex", "pdflatex", "dvipng"):
         (tmp_path / "bin" / name).write_text(f"#!/bin/sh\necho {name} ran >> {found}\nexit 1\n")

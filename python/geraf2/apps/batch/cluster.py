@@ -4,6 +4,7 @@ import logging
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from geraf2 import __version__
@@ -78,7 +79,9 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
     }
     os.environ["PYTHONSAFEPATH"] = "1"  # modules of the working directory are not imported
     with (
-        dask.config.set(settings),
+        # dask imports modules of its scratch folder, which by default all users share
+        TemporaryDirectory(prefix="geraf2-", ignore_cleanup_errors=True) as scratch,
+        dask.config.set(settings | {"temporary-directory": scratch}),
         LocalCluster(
             n_workers=n_workers,
             threads_per_worker=1,
