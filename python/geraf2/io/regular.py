@@ -53,7 +53,9 @@ def require_regular(path: AnyPath, most: int | None = None) -> None:
 def read_regular(path: AnyPath, most: int | None = None) -> bytes:
     """Content of a file; arguments and errors as of :func:`open_regular`."""
     with open_regular(path, most) as handle:
-        require_memory(os.fstat(handle.fileno()).st_size, "the file is too large", where=path)
+        size = os.fstat(handle.fileno()).st_size
+        if size > RECORD_BYTES:
+            require_memory(size, "the file is too large", where=path)
         return handle.read()
 
 
