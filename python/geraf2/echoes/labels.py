@@ -201,20 +201,15 @@ class _Rule:
             np.exp(self._prior)
             * (_ALONE + cell * own)
             * (1.0 + cell * other / _OTHER_SCALE) ** _OTHER_POWER
-            / (cell * _PEAK_DENSITY) ** _SHARED
+            / (cell * _peak_density()) ** _SHARED
         )
         return np.asarray(odds / (1.0 + np.bincount(self._of, odds, self._n_peaks))[self._of])
 
 
-_PEAK_DENSITY = 1.0 / (
-    (2.0 * np.pi) ** 2.5
-    * np.sqrt(2.0)
-    * _OFFSET_SIGMA_M
-    * 2.0
-    * _NORMAL_SIGMA_RAD**2
-    * _SPREAD_M**2
-)
-"""Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+def _peak_density() -> float:
+    """Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+    spread = _OFFSET_SIGMA_M * 2.0 * _NORMAL_SIGMA_RAD**2 * _SPREAD_M**2
+    return 1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread)
 
 
 def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
@@ -299,7 +294,7 @@ def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, In
         np.sqrt(np.maximum(square - offset**2, 0.0)),
         np.sqrt(square),
     )
-    some = density > _NEGLIGIBLE * _PEAK_DENSITY
+    some = density > _NEGLIGIBLE * _peak_density()
     return i[some].astype(np.int32), j[some].astype(np.int32), density[some]
 
 
