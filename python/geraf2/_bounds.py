@@ -45,8 +45,9 @@ SampleCount = Annotated[int, Interval(ge=1, le=10**7)]
 ChannelCount = Annotated[int, Interval(ge=2, le=4096)]
 Rounds = Annotated[int, Interval(ge=0, le=1000)]
 Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
-ThreadCount = Annotated[int, Interval(ge=1, le=1024)]
+MAX_THREADS = 1024
 """A thousand threads are more than any machine has cores; a million end the process."""
+ThreadCount = Annotated[int, Interval(ge=1, le=MAX_THREADS)]
 
 Check = Callable[[str, Any], None]
 

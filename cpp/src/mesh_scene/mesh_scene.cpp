@@ -271,9 +271,10 @@ struct MeshScene::Impl {
         return norm(closest_on_triangle(point, a, b, c) - point);
     }
 
-    /// Distance to the nearest face, +inf if that is farther than `limit`. `face` is one that may
-    /// be near, or `no_face`, and becomes the nearest: the search begins with its distance.
-    [[nodiscard]] double distance(const Vec& point, double limit, unsigned& face) const;
+    /// Distance to the nearest face, which is no farther than `reach`; +inf where none is so near.
+    /// `face` is one that may be near, or `no_face`, and becomes the nearest: the search begins
+    /// with its distance. Rounding alone may make the result longer than `reach`.
+    [[nodiscard]] double distance(const Vec& point, double reach, unsigned& face) const;
 
     /// Distances of many points: a point is no farther away than the one before it in the list plus
     /// the step from there, nor than that one's nearest face, which shortens the search where
@@ -299,7 +300,7 @@ struct NearestFace {
 
 } // namespace
 
-double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face) const {
+double MeshScene::Impl::distance(const Vec& point, double reach, unsigned& face) const {
     NearestFace nearest{this, point};
     if (face != no_face) {
         nearest.distance = distance_to_face(point, face);
@@ -309,7 +310,7 @@ double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face)
     query.x = static_cast<float>(point.x);
     query.y = static_cast<float>(point.y);
     query.z = static_cast<float>(point.z);
-    query.radius = search_radius(std::min(limit, nearest.distance));
+    query.radius = search_radius(std::min(reach, nearest.distance));
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
     rtcPointQuery(
@@ -328,7 +329,7 @@ double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face)
         },
         &nearest);
     face = nearest.face;
-    return nearest.distance <= limit ? nearest.distance : std::numeric_limits<double>::infinity();
+    return nearest.distance;
 }
 
 template <class Finish>
@@ -345,11 +346,13 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
         } else {
             const double before = out[static_cast<std::size_t>(i - 1)];
             const double step = norm(point - (load(points, i - 1) - center));
-            reach = std::min(limit, (std::abs(before) + step) * (1.0 + 1e-12));
+            reach = std::min(limit, std::abs(before) + step);
             // No face is between two points that are nearer to each other than to any face.
             same_side = step * (1.0 + 1e-6) + merge_m < std::abs(before) ? before : 0.0;
         }
-        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach, face), same_side);
+        const double found = distance(point, reach, face);
+        out[static_cast<std::size_t>(i)] =
+            finish(point, found <= limit ? found : HUGE_VAL, same_side);
     });
 }
 
