@@ -6,6 +6,7 @@ text a path. A key that is not known is an error. What is None is left out of th
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 
 _Record = TypeVar("_Record")
 _MOST_COMPLAINTS = 4
+_MOST_LEVELS = 32
+_TOO_DEEP = f"more than {_MOST_LEVELS} levels of tables and lists"
+_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{_MOST_LEVELS}}}")
 
 
 def read_toml(
@@ -48,7 +52,12 @@ def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
     try:
         content = read_bytes(path) if isinstance(path, Path) else path.read_bytes()
-        return tomllib.loads(content.decode("utf-8"))
+        text = content.decode("utf-8")
+        if _DEEP.search(text):  # takes the parser quadratic time
+            raise RecursionError(_TOO_DEEP)
+        table = tomllib.loads(text)
+        _require_depth(table, _MOST_LEVELS)
+        return table
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
     except IsADirectoryError:
@@ -61,6 +70,15 @@ def read_table(path: Path | Traversable) -> dict[str, Any]:
         ) from None
     except (RecursionError, ValueError) as error:
         raise UserError(what=f"is not valid TOML: {error}", where=path) from None
+
+
+def _require_depth(value: Any, levels: int) -> None:
+    """Raise RecursionError where tables and lists are nested deeper than some levels."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if levels < 0:
+        raise RecursionError(_TOO_DEEP)
+    for entry in inside:
+        _require_depth(entry, levels - 1)
 
 
 def from_table(
