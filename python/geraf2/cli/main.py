@@ -107,7 +107,7 @@ def run() -> None:
     sys.exit(main(sys.argv[1:]))
 
 
-def _stopper() -> Callable[[int, object], None]:
+def _stopper() -> Callable[[int, FrameType | None], None]:
     """Make a handler of signals that raises KeyboardInterrupt with the signal's number.
 
     A second signal within a second, as `timeout` and process groups send it, does not disturb the

@@ -237,7 +237,7 @@ class SceneReader:
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
         if codecs != ["BytesCodec"]:
             # Others unpack to any size, and no scene has them.
-            what, expected = "is compressed or filtered", "plain numbers (the codec bytes alone)"
+            what, expected = "is compressed or filtered", "plain numbers (codec bytes)"
             raise UserError(what, where=where, expected=expected, got=", ".join(codecs))
         n_bytes = float(chunk_bytes)
         if name not in ANTENNA_ARRAYS:  # read whole
@@ -279,7 +279,7 @@ class SceneReader:
         n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
         if n_poses > MOST_PLANES:
             expected = f"at most {MOST_PLANES} planes"
-            raise UserError("has too many planes", where=where, expected=expected, got=n_poses)
+            raise UserError(what="too many planes", where=where, expected=expected, got=n_poses)
         shape = self._shape("signal")
         of_integers = self._arrays["signal"].dtype.kind == "i"
         if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:

@@ -1,6 +1,5 @@
 """Line-of-sight priors as folders (mesh, distance grid, record), from photos, meshes or sides."""
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -26,6 +25,7 @@ from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import parse_json
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene.los import LosPrior
@@ -363,7 +363,7 @@ def write_los(
 def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
     try:
-        values = json.loads((folder / LOS_RECORD_NAME).read_text(encoding="utf-8"))
+        values = parse_json((folder / LOS_RECORD_NAME).read_text(encoding="utf-8"))
         files = dict(values["files"])
         record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
     except (OSError, ValueError, KeyError, TypeError):
@@ -436,7 +436,7 @@ def _require_own(out: Path) -> None:
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of another source."""
     try:
-        values = json.loads((out / LOS_RECORD_NAME).read_text(encoding="utf-8"))
+        values = parse_json((out / LOS_RECORD_NAME).read_text(encoding="utf-8"))
         other, source = values["key"] != key, values["source"]
     except (OSError, ValueError, KeyError, TypeError):
         return
