@@ -19,6 +19,7 @@ from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
+from geraf2.io.mesh_limits import require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.text import parse_json
 
@@ -114,6 +115,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     if is_remote(source):
         return _read_remote(source, any_unit=any_unit)
     _require_readable(source)
+    require_mesh_size(source)
     if not any_unit:
         _require_metres(source)
     loaded = _load(source)

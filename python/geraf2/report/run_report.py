@@ -16,7 +16,7 @@ from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io import run_folder
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
@@ -44,6 +44,7 @@ _NO_VIEW = (
     "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here; "
     "the pictures below show the same surface."
 )
+_TRUTH = {"vertices": "float n 3", "faces": "index:n m 3", "distances_m": "float k"}
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
 _MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
@@ -252,7 +253,7 @@ def _truth_copy(
 
 def stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
     """Thinned truth that an earlier report kept, and the distances to it [m]."""
-    stored = read_npz(path, ("vertices", "faces", "distances_m"))
+    stored = read_arrays(path, _TRUTH)
     return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 
 

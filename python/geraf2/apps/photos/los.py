@@ -384,11 +384,11 @@ def _from_mesh(
     listener: Listener,
 ) -> LosResult:
     """Prior of a mesh, whose holes are closed by its distance grid."""
-    with listener.step("distance grid"):
+    with listener.step("distance grid") as progress:
         bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
         closed = count_open_edges(mesh.faces) == 0
         grid = grid_about(bounds, _N_LONGEST)
-        sdf = mesh_distance(mesh, grid, closed=closed, num_threads=num_threads)
+        sdf = mesh_distance(mesh, grid, closed=closed, num_threads=num_threads, progress=progress)
         if not closed:
             voxel_mm = 1e3 * grid.spacing_m
             listener.warning(
