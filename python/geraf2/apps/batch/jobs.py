@@ -199,14 +199,17 @@ def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     except (OSError, ValueError) as error:
         raise UserError(what=f"cannot be read: {error}", where=table) from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    try:
+        rows = [(f"{table}, line {reader.line_num}", row) for row in reader]
+    except csv.Error as error:
+        raise UserError(what=f"cannot be read: {error}", where=table) from None
     for name in reader.fieldnames or ():
         if name not in COLUMNS:
             what = f"unknown column {name!r}{nearest(name, COLUMNS)}"
             raise UserError(what=what, where=table, expected=", ".join(COLUMNS))
     if "scene" not in (reader.fieldnames or ()):
         raise UserError(what="has no column 'scene'", where=table)
-    for row in reader:
-        where = f"{table}, line {reader.line_num}"
+    for where, row in rows:
         if None in row or None in row.values():
             raise UserError(what="has more or fewer cells than columns", where=where)
         yield _job_of(row, table.parent, base, where)

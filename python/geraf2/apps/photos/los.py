@@ -163,6 +163,9 @@ def make_los(
                 expected=f"{_MIN_BOX_M:g} to {_MAX_BOX_M:g} m",
                 got=source,
             )
+        if options.unit is not None or options.to_radar is not None:
+            what = "side lengths are metres in the capture's frame: leave out --unit and --to-radar"
+            raise UserError(what=what)
         prior = LosPrior.from_box((x, y, z), box_center_m)
         kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     elif is_photo_set(path) or path.is_dir():

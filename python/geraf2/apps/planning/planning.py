@@ -51,7 +51,7 @@ _PRESETS: dict[str, Waveform] = {
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
 _PICTURES = (".png", ".pdf", ".svg", ".jpg")
-PlanM = Annotated[float, Interval(gt=0.0, le=10.0)]
+PlanM = Annotated[float, Interval(ge=1e-3, le=10.0)]
 PlanSides = tuple[PlanM, PlanM, PlanM]
 _StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
 _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
