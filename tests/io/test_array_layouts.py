@@ -111,10 +111,9 @@ def test_an_array_that_geraf2_does_not_write_is_refused(name, change, tmp_path):
         np.savez(path, **others, **({} if new is None else {key: new}))
         try:
             load(path)
-        except UserError as error:
-            assert str(path) in str(error)
-        else:
-            accepted.append(key)
+        except UserError:
+            continue
+        accepted.append(key)
     assert accepted == []
 
 

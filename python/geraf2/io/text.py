@@ -31,7 +31,7 @@ def read_lines(path: Path) -> list[str]:
 def parse_json(text: str | bytes) -> Any:
     """Value of JSON text; ValueError for what is none, nested too deep, or no finite number."""
     try:
-        return json.loads(text, parse_float=_finite, parse_constant=_finite)  # noqa: TID251 - here
+        return json.loads(text, parse_float=_finite, parse_constant=_finite)
     except RecursionError:
         msg = "tables and lists are nested too deep"
         raise ValueError(msg) from None

@@ -71,7 +71,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     try:
         if _DEEP.search(text):  # takes the parser quadratic time
             raise RecursionError
-        table = tomllib.loads(text)  # noqa: TID251 - here alone
+        table = tomllib.loads(text)
         _require_depth(table, _MOST_LEVELS)
     except RecursionError:
         msg = f"more than {_MOST_LEVELS} levels of tables and lists"
