@@ -4,8 +4,8 @@ import json
 
 import numpy as np
 
-from bad_inputs import commands, flags, importers, runs, scenes, specs
-from bad_inputs.lines import IMPORT, RAW, UNPLACED
+from bad_inputs import commands, flags, importers, meshes, photos, runs, scenes, specs
+from bad_inputs.lines import IMPORT, RAW, RUN, UNPLACED
 from bad_inputs.table import Change, bad, npz, put, values
 
 EVALUATE = "evaluate run --truth truth.ply"
@@ -275,9 +275,23 @@ _ROWS = [
     bad("info " + "x" * 200_000, says="xxx"),
     bad("los " + "x" * 200_000 + " out", says="xxx"),
     bad("view run --host=", says="--host"),
+    *(
+        bad(f"{line} --max-memory {gib}", says="--max-memory")
+        for line in (
+            RUN,
+            "reconstruct scene out --box 0.16 0.16 0.16",
+            "image scene out --every 4",
+            "image scene out --spacing-m 0.0005 --tiles --slab-gib 0.1",
+        )
+        for gib in (1e-6, 0.1)
+    ),
+    bad(RUN + " --fit.spacing-m 0.001 --max-memory 0.4", says="spacing-m"),
+    bad("image scene out --spacing-m 0.0004 --max-memory 0.5", says="voxels"),
 ]
 
 _KNOWN = {
-    row.name for table in (commands, flags, importers, runs, scenes, specs) for row in table.ROWS
+    row.name
+    for table in (commands, flags, importers, meshes, photos, runs, scenes, specs)
+    for row in table.ROWS
 }
 ROWS = [row for row in _ROWS if row.name not in _KNOWN]
