@@ -110,7 +110,9 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
         seconds=2.0 + 1e-9 * _IMAGE_NS_PER_PAIR * pairs / n_threads(),
         memory_bytes=_IMAGE_FIXED_BYTES
         + _BYTES_PER_IMAGE_VOXEL * n_voxels
-        + 8.0 * summary.n_antennas * summary.waveform.n_samples,
+        + 8.0
+        * max((pose.n_antennas for pose in summary.poses), default=0)
+        * summary.waveform.n_samples,  # poses are read one at a time
     )
 
 
