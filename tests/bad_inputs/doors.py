@@ -80,7 +80,6 @@ CODECS = (
 NUMBERS = {
     "n_glints": ("x", [], 1.5, None),
     "labels": ("x", [1], {"wall": "x"}, {"wall": 1.5}),
-    "unexplained": ("x", ["x"], {}, [None]),
     "applied": ("x", [3], {}, 1),
     "left": ("x", [3], {}, 1),
     "outlines": ("x", [], {}, 0.5),

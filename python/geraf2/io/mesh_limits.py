@@ -32,7 +32,7 @@ def require_mesh_size(source: Path) -> None:
             content = parse_json(data)
             what = _complaint(content)
         except (ValueError, LookupError, TypeError, AttributeError):
-            return  # the reader says what is wrong
+            return  # the reader states what is wrong
         if what:
             raise UserError(what=what, where=source)
 

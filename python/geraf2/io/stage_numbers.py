@@ -23,7 +23,6 @@ class _Known:
     thickness_m: _Interval = (0.0, 0.0)
     n_face_pairs: int = 0
     outlines: int | None = None
-    unexplained: tuple[float, ...] = ()
     applied: tuple[str, ...] = ()
     left: tuple[str, ...] = ()
     volume_cm3: float = 0.0

@@ -12,6 +12,7 @@ from geraf2.apps.viewing.layers import Volume, source_of
 from geraf2.apps.viewing.server import LiveView, is_same_origin, require_free
 from geraf2.cli.main import main
 from geraf2.errors import UserError
+from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import write_mesh
@@ -42,7 +43,8 @@ def run(tmp_path_factory):
     (out / "planes.json").write_text(json.dumps({"corners_m": [side, side]}))
     truth = {"vertices": ball.vertices, "faces": ball.faces, "distances_m": np.zeros(162)}
     write_npz_atomic(out / "figures" / "truth.npz", truth)
-    (out / "metrics.json").write_text(json.dumps({"scores": [], **mesh_digest(out)}))
+    scores = evaluate_mesh(ball, ball, n_samples=200, num_threads=1)
+    write_metrics(scores, out / "metrics.json", extra=mesh_digest(out))
     folder = RunFolder(out, "digest", "ball")
     files = ["mesh_content.ply", "mesh_box.ply", "glints.npz", "sdf.npz"]
     folder.mark_done("mesh", "key", files, 1.0)
