@@ -1,6 +1,5 @@
 """Scores beside a mesh: metrics.json and psnr.json, checked against their records."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,7 @@ def read_psnr(path: Path, mesh: Path) -> dict[str, Any]:
     return stored
 
 
-def _read(path: Path, mesh: Path | None, kind: Callable[..., Any]) -> dict[str, Any]:
+def _read(path: Path, mesh: Path | None, kind: type[_Metrics | _Psnr]) -> dict[str, Any]:
     if mesh is None:
         return {}
     stored = read_object(path, "the metrics")
