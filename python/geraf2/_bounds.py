@@ -25,7 +25,8 @@ CellM = Annotated[float, Interval(ge=1e-5, le=1.0)]
 ApertureM = Annotated[float, Interval(ge=1e-3, le=10.0)]
 PlaceM = Annotated[float, Interval(ge=-1e6, le=1e6)]
 Triple = tuple[PlaceM, PlaceM, PlaceM]
-Sides = tuple[LengthM, LengthM, LengthM]
+SideM = Annotated[float, Interval(ge=1e-3, le=1e3)]
+Sides = tuple[SideM, SideM, SideM]
 Degrees = Annotated[float, Interval(ge=-3600.0, le=3600.0)]
 AngleRad = Annotated[float, Interval(gt=0.0, le=math.pi)]
 MarginRad = Annotated[float, Interval(ge=0.0, le=math.pi)]
@@ -45,8 +46,9 @@ SampleCount = Annotated[int, Interval(ge=1, le=10**7)]
 ChannelCount = Annotated[int, Interval(ge=2, le=4096)]
 Rounds = Annotated[int, Interval(ge=0, le=1000)]
 Seed = Annotated[int, Interval(ge=0, le=2**63 - 1)]
-ThreadCount = Annotated[int, Interval(ge=1, le=1024)]
+MAX_THREADS = 1024
 """A thousand threads are more than any machine has cores; a million end the process."""
+ThreadCount = Annotated[int, Interval(ge=1, le=MAX_THREADS)]
 
 Check = Callable[[str, Any], None]
 

@@ -22,16 +22,26 @@ class UserError(Exception):
         got: object = None,
         hint: str | None = None,
     ) -> None:
-        parts = [what if where is None else f"{where}: {what}"]
+        # Names and values of a file may have any length.
+        what = shortened(what, 400)
+        parts = [what if where is None else f"{shortened(str(where), 300)}: {what}"]
         if expected is not None:
-            parts.append(f"expected {expected}")
+            parts.append(f"expected {shortened(str(expected), 300)}")
         if got is not None:
-            parts.append(f"got {got}")
+            parts.append(f"got {shortened(str(got), 150)}")
         line = ", ".join(parts)
         if hint is not None:
             line = f"{line}; {hint}"
         # A value from a file may hold line breaks; the message stays one line all the same.
         super().__init__(" ".join(line.splitlines()))
+
+
+def shortened(text: str, most: int = 600) -> str:
+    """Text of at most so many characters, without its middle: its end often states what to do."""
+    if len(text) <= most:
+        return text
+    end = most // 3
+    return f"{text[: most - end - 5]} ... {text[-end:]}"
 
 
 def printable(text: str) -> str:

@@ -1,6 +1,7 @@
 import errno
 import importlib
 import logging
+import os
 import signal
 import subprocess
 import sys
@@ -175,3 +176,32 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
         assert all(line.isprintable() for line in text.splitlines())
         assert "\r" not in text
     assert len(said.err.splitlines()) == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "line"),
+    [
+        ("OMP_NUM_THREADS", "99999", "OMP_NUM_THREADS: too many threads, expected at most 1024"),
+        ("OMP_NUM_THREADS", "9" * 5000, "OMP_NUM_THREADS: too many threads"),
+        ("OMP_NUM_THREADS", "4096,2", "got 4096"),
+        ("GERAF2_SIMD", "evil", "GERAF2_SIMD must be baseline, avx2 or avx512, got evil"),
+    ],
+)
+def test_an_environment_that_would_end_the_process_is_named(name, value, line, monkeypatch, capsys):
+    monkeypatch.setenv(name, value)
+    assert main(["doctor"]) == 2
+    assert line in capsys.readouterr().err
+
+
+def test_pictures_do_not_depend_on_a_backend_of_matplotlib():
+    code = "from geraf2.cli.main import main; main(['--version']); import matplotlib.figure"
+    environment = {**os.environ, "MPLBACKEND": "evil"}
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
+
+
+def test_an_error_about_a_long_value_stays_short(capsys):
+    assert main(["info", "x" * 200_000]) == 2
+    assert len(capsys.readouterr().err) < 700
+    error = UserError("w" * 9999, where="p" * 9999, expected="e" * 9999, got="g" * 9999, hint="do")
+    assert len(str(error)) < 1300
+    assert str(error).endswith("; do")

@@ -97,6 +97,19 @@ def test_samples_are_written_listed_and_drawn_again(finished_run, scene, capsys)
     assert not (finished_run / "samples.npz").exists()
 
 
+def test_the_offset_that_calibration_leaves_open_is_part_of_every_sample(finished_run):
+    record = json.loads((finished_run / "run.json").read_text())
+    calibration = record["stages"]["calibration"]["numbers"]
+    spreads = []
+    for sigma_mm in (0.1, 4.0):
+        calibration["common_offset_sigma_mm"] = sigma_mm
+        (finished_run / "run.json").write_text(json.dumps(record))
+        found = load_run(finished_run).samples(8)
+        assert found.common_sigma_m == pytest.approx(1e-3 * sigma_mm)
+        spreads.append(found.displacements_m.mean(axis=1).std())
+    assert spreads[1] > spreads[0] + 2e-3
+
+
 def test_samples_need_a_posterior_and_two_draws(finished_run, scene, tmp_path, capsys):
     with pytest.raises(UserError, match="samples must be at least 2"):
         load_run(finished_run).samples(1)

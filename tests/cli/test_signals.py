@@ -122,3 +122,28 @@ main.run()
     assert "interrupted" in done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+IMPORTING = """
+import os, sys, time
+from pathlib import Path
+from geraf2.cli import main
+# A library that drops whatever is raised while it imports another, as several do.
+Path("greedy.py").write_text("try:\\n    import slow\\nexcept BaseException:\\n    pass\\n")
+Path("slow.py").write_text("import os, time\\nos.kill(os.getpid(), 15)\\ntime.sleep(0.1)\\n")
+sys.path.insert(0, "")
+def dispatch(rest):
+    import greedy
+    time.sleep(5)
+main._dispatch, sys.argv = dispatch, ["geraf2", "doctor"]
+main.run()
+"""
+
+
+def test_a_signal_that_an_import_would_swallow_comes_after_it(tmp_path):
+    command = [sys.executable, "-c", IMPORTING]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, timeout=60, cwd=tmp_path
+    )
+    assert done.returncode == 128 + signal.SIGTERM
+    assert done.stderr == "geraf2: interrupted; nothing was written\n"

@@ -39,7 +39,7 @@ def test_a_missing_or_broken_file_is_a_user_error(linear_field, tmp_path):
     with pytest.raises(UserError, match="cannot read the arrays"):
         SdfGrid.load(tmp_path / "cut.npz")
     np.savez(tmp_path / "flat.npz", values=np.zeros(3), origin_m=np.zeros(3), spacing_m=0.1)
-    with pytest.raises(UserError, match="not a signed distance grid"):
+    with pytest.raises(UserError, match="array values is not what geraf2 writes"):
         SdfGrid.load(tmp_path / "flat.npz")
 
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
+from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.ops.visibility import MeshScene
 from reference import visibility as reference
 
@@ -232,3 +233,17 @@ def test_signs_of_a_raster_are_those_of_its_points_one_by_one(torus):
     # Neighbours in this order are far apart, so that no sign is taken over.
     order = np.random.default_rng(0).permutation(len(points))
     np.testing.assert_array_equal(inside[order], scene.signed_distance(points[order]) < 0.0)
+
+
+@pytest.mark.parametrize("step", [0.0, 1e-17, 1e-16, 1e-12, 1e-9])
+def test_points_on_a_surface_that_lie_close_together_are_near_it(step):
+    """The bound by the point before is itself rounded: below 1e-16 m no face was within it."""
+    rng = np.random.default_rng(1)
+    low, high = np.array([-0.07, -0.065, -0.06]), np.array([0.09, 0.105, 0.12])
+    vertices, faces = box_corners(0.5 * (low + high), high - low), FACES
+    corners = vertices[faces[rng.integers(0, 12, 1000)]]
+    points = np.einsum("nk,nki->ni", rng.dirichlet([1, 1, 1], 1000), corners).repeat(4, axis=0)
+    points += step * rng.normal(size=points.shape)
+    scene = MeshScene(vertices, faces, num_threads=1)
+    assert np.abs(scene.signed_distance(points)).max() < 1e-8
+    assert scene.distance(points, max_distance_m=0.1).max() < 1e-8

@@ -57,10 +57,10 @@ void gather_faces(const RTCFilterFunctionNArguments* args) {
     args->valid[0] = 0;
 }
 
-// Runs body(i) for all i; an exception in one of them is rethrown after the loop.
 /// Neighbours in a list that one thread works on in order.
 constexpr index_t chunk_size = 64;
 
+/// Runs body(i) for all i; an exception in one of them is rethrown after the loop.
 template <class Body>
 void parallel_for(index_t count, int num_threads, const Body& body) {
     std::exception_ptr error;
@@ -271,9 +271,9 @@ struct MeshScene::Impl {
         return norm(closest_on_triangle(point, a, b, c) - point);
     }
 
-    /// Distance to the nearest face, +inf if that is farther than `limit`. `face` is one that may
-    /// be near, or `no_face`, and becomes the nearest: the search begins with its distance.
-    [[nodiscard]] double distance(const Vec& point, double limit, unsigned& face) const;
+    /// Distance to the nearest face; +inf where none is within `reach`, up to rounding. `face` is
+    /// one that may be near, or `no_face`, and becomes the nearest: the search begins there.
+    [[nodiscard]] double distance(const Vec& point, double reach, unsigned& face) const;
 
     /// Distances of many points: a point is no farther away than the one before it in the list plus
     /// the step from there, nor than that one's nearest face, which shortens the search where
@@ -299,7 +299,7 @@ struct NearestFace {
 
 } // namespace
 
-double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face) const {
+double MeshScene::Impl::distance(const Vec& point, double reach, unsigned& face) const {
     NearestFace nearest{this, point};
     if (face != no_face) {
         nearest.distance = distance_to_face(point, face);
@@ -309,7 +309,7 @@ double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face)
     query.x = static_cast<float>(point.x);
     query.y = static_cast<float>(point.y);
     query.z = static_cast<float>(point.z);
-    query.radius = search_radius(std::min(limit, nearest.distance));
+    query.radius = search_radius(std::min(reach, nearest.distance));
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
     rtcPointQuery(
@@ -328,7 +328,7 @@ double MeshScene::Impl::distance(const Vec& point, double limit, unsigned& face)
         },
         &nearest);
     face = nearest.face;
-    return nearest.distance <= limit ? nearest.distance : std::numeric_limits<double>::infinity();
+    return nearest.distance;
 }
 
 template <class Finish>
@@ -345,11 +345,12 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
         } else {
             const double before = out[static_cast<std::size_t>(i - 1)];
             const double step = norm(point - (load(points, i - 1) - center));
-            reach = std::min(limit, (std::abs(before) + step) * (1.0 + 1e-12));
+            reach = std::min(limit, std::abs(before) + step);
             // No face is between two points that are nearer to each other than to any face.
             same_side = step * (1.0 + 1e-6) + merge_m < std::abs(before) ? before : 0.0;
         }
-        out[static_cast<std::size_t>(i)] = finish(point, distance(point, reach, face), same_side);
+        const double d = distance(point, reach, face);
+        out[static_cast<std::size_t>(i)] = finish(point, d <= limit ? d : HUGE_VAL, same_side);
     });
 }
 
@@ -362,14 +363,11 @@ void MeshScene::Impl::open() {
     scene.reset(rtcNewScene(device.get()));
     throw_device_error(device.get(), "making the scene");
 #if GERAF2_EMBREE_MAJOR >= 4
-    rtcSetSceneFlags(scene.get(),
-                     static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST |
-                                                RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS));
+    constexpr auto filter = RTC_SCENE_FLAG_FILTER_FUNCTION_IN_ARGUMENTS;
 #else
-    rtcSetSceneFlags(
-        scene.get(),
-        static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION));
+    constexpr auto filter = RTC_SCENE_FLAG_CONTEXT_FILTER_FUNCTION;
 #endif
+    rtcSetSceneFlags(scene.get(), static_cast<RTCSceneFlags>(RTC_SCENE_FLAG_ROBUST | filter));
 }
 
 void MeshScene::Impl::commit() {
@@ -427,11 +425,11 @@ MeshScene& MeshScene::operator=(MeshScene&&) noexcept = default;
 void MeshScene::closest_hit(std::span<const double> origins, std::span<const double> directions,
                             std::span<double> distances, std::span<index_t> hit_faces,
                             int num_threads) const {
-    const Impl& s = *impl_;
     parallel_for(static_cast<index_t>(distances.size()), num_threads, [&](index_t i) {
         const auto out = static_cast<std::size_t>(i);
         unsigned face = no_face;
-        distances[out] = s.closest(load(origins, i) - s.center, unit(load(directions, i)), face);
+        const Vec origin = load(origins, i) - impl_->center;
+        distances[out] = impl_->closest(origin, unit(load(directions, i)), face);
         hit_faces[out] = face == no_face ? -1 : static_cast<index_t>(face);
     });
 }
@@ -569,8 +567,8 @@ void MeshScene::contains(std::span<const double> points, std::span<std::uint8_t>
     parallel_for(static_cast<index_t>(inside.size()), num_threads, [&](index_t i) {
         thread_local std::vector<unsigned> met;
         thread_local std::vector<Impl::Crossing> crossing;
-        inside[static_cast<std::size_t>(i)] =
-            s.inside(load(points, i) - s.center, met, crossing) ? 1 : 0;
+        const bool is_inside = s.inside(load(points, i) - s.center, met, crossing);
+        inside[static_cast<std::size_t>(i)] = is_inside ? 1 : 0;
     });
 }
 

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <exception>
 #include <numbers>
 
 #include "common/aligned_buffer.hpp"
@@ -145,12 +146,15 @@ private:
                                          std::array<T, max_spread_width>& weights) const {
         const int width = lattice_.spread_width;
         const double place = place_m / spacing_m + 0.5 * static_cast<double>(n - 1);
+        // Clamped before it is converted: no integer holds a position of 1e30.
+        const auto within = [](double at, index_t last) {
+            return static_cast<index_t>(std::clamp(at, 0.0, static_cast<double>(last)));
+        };
         if (width == 1) {
             weights[0] = T{1};
-            return std::clamp(static_cast<index_t>(std::lround(place)), index_t{0}, n - 1);
+            return within(std::round(place), n - 1);
         }
-        const auto first =
-            std::clamp(static_cast<index_t>(std::ceil(place - 0.5 * width)), index_t{0}, n - width);
+        const index_t first = within(std::ceil(place - 0.5 * width), n - width);
         for (int k = 0; k < width; ++k) {
             const double x = (static_cast<double>(first + k) - place) / (0.5 * width);
             weights[at(k)] = static_cast<T>(detail::spread_kernel(x, lattice_.spread_exponent));
@@ -167,7 +171,8 @@ private:
     double path_bias_m_;
 };
 
-/// Images every sub-aperture and calls use(subaperture, magnitudes, workspace).
+/// Images every sub-aperture and calls use(subaperture, workspace); an exception in one of them is
+/// rethrown after the loop.
 template <class T, class Use>
 void for_each_image(const PoseImager<T>& imager, index_t n_subapertures, int num_threads, Use use) {
     const int threads = static_cast<int>(std::clamp<index_t>(n_subapertures, 1, num_threads));
@@ -176,11 +181,22 @@ void for_each_image(const PoseImager<T>& imager, index_t n_subapertures, int num
     for (int i = 0; i < threads; ++i) {
         spaces.emplace_back(imager.plan());
     }
+    std::exception_ptr error;
 #pragma omp parallel for num_threads(threads) schedule(dynamic)
     for (index_t s = 0; s < n_subapertures; ++s) {
-        auto& space = spaces[at(omp_get_thread_num())];
-        imager.image(s, space);
-        use(s, space);
+        try {
+            auto& space = spaces[at(omp_get_thread_num())];
+            imager.image(s, space);
+            use(s, space); // lists of peaks grow
+        } catch (...) {
+#pragma omp critical(geraf2_subaperture_error)
+            if (!error) {
+                error = std::current_exception();
+            }
+        }
+    }
+    if (error) {
+        std::rethrow_exception(error);
     }
 }
 

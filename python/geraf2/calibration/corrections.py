@@ -12,11 +12,25 @@ from geraf2.calibration.channel_phase import channels_of, with_channel_phases
 from geraf2.calibration.leakage import Leakage, without_leakage
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, LosPrior
 
 _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
+
+_LAYOUTS = {
+    "channel_phases_rad": "float? c",
+    "n_turns": "int",
+    "delay_m": "float",
+    "axis_shift_m": "float? 2",
+    "angles_rad": "float? p",
+    "drift_coefficients_m": "float? p k",
+    "prior_to_capture": "float? 4 4",
+    "leakage_basis": "complex? s r",
+    "leakage_coefficients": "complex? a r",
+    "leakage_phases_rad": "float? a",
+    "leakage_antennas": "int? p",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,9 +106,12 @@ class Corrections:
     @classmethod
     def load(cls, path: AnyPath) -> "Corrections":
         """Read them back; UserError for a file that holds something else."""
-        names = [entry.name for entry in fields(cls) if entry.name != "leakage"]
-        arrays = read_npz(path, [*names, *_LEAKAGE])
+        arrays = read_arrays(path, _LAYOUTS)
+        names = (entry.name for entry in fields(cls) if entry.name != "leakage")
         values: dict[str, Any] = {k: arrays[k] if arrays[k].size else None for k in names}
+        antennas = arrays["leakage_antennas"]
+        if (antennas < 0).any() or antennas.sum() != len(arrays["leakage_coefficients"]):
+            raise UserError(what="leakage_antennas do not go with the coefficients", where=path)
         values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
         return cls(leakage=_read_leakage(arrays), **values)
 

@@ -12,10 +12,13 @@ from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import INSPECTION_NAME
 
+EXIT_FAILED = 3
+"""Of a verdict; 1 is a defect of geraf2."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Parts of a run with their sizes, compared with CAD models; exit code 0 pass, 1 fail, 2 error.
+    """Parts of a run with their sizes, compared with CAD models; exit code 0 pass, 3 fail, 2 error.
 
     Example: geraf2 inspect OUT --cad bracket.stl --expect 1 --tolerance-mm 3
     """
@@ -59,7 +62,7 @@ def main(config: Config) -> int:
         say(f"fails: {text}")
     say(f"result   {found.verdict}")
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
-    return 0 if found.verdict == PASS else 1
+    return 0 if found.verdict == PASS else EXIT_FAILED
 
 
 def _part(part: BodyReport) -> list[tuple[str, str]]:

@@ -10,10 +10,11 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from types import FrameType
 from typing import Any, Protocol, cast
 
 from geraf2._memory import memory_limit, without_memory_flag
-from geraf2.errors import UserError, printable
+from geraf2.errors import UserError, printable, shortened
 
 EXIT_OK = 0
 EXIT_BUG = 1
@@ -106,7 +107,7 @@ def run() -> None:
     sys.exit(main(sys.argv[1:]))
 
 
-def _stopper() -> Callable[[int, object], None]:
+def _stopper() -> Callable[[int, FrameType | None], None]:
     """Make a handler of signals that raises KeyboardInterrupt with the signal's number.
 
     A second signal within a second, as `timeout` and process groups send it, does not disturb the
@@ -114,20 +115,26 @@ def _stopper() -> Callable[[int, object], None]:
     """
     last = -1.0
 
-    def stop(number: int, _: object) -> None:
+    def stop(number: int, frame: FrameType | None) -> None:
         nonlocal last
         now = time.monotonic()
         if last < 0 or now > last + 1.0:
             last = now
             _received.append(number)
-            raise KeyboardInterrupt(number)
+            _raise_again(number, frame)
 
     return stop
 
 
-def _raise_again(_: int, __: object) -> None:
-    if _received:
+def _raise_again(_: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt for the last signal; after an import, which may swallow it."""
+    if not _received:
+        return
+    while frame is not None and not frame.f_code.co_filename.startswith("<frozen importlib"):
+        frame = frame.f_back
+    if frame is None:
         raise KeyboardInterrupt(_received[-1])
+    signal.setitimer(signal.ITIMER_REAL, 0.01)
 
 
 def _unraisable(args: "sys.UnraisableHookArgs") -> None:
@@ -150,6 +157,7 @@ def main(arguments: Sequence[str]) -> int:
     # Threads that wait for work sleep: where other programs use the cores too, those that spin
     # keep the ones they wait for from running, and short kernels took seven times as long.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    os.environ["MPLBACKEND"] = "agg"  # pictures are files; matplotlib fails where it names none
     debug = "--debug" in arguments
     rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)
@@ -160,6 +168,7 @@ def main(arguments: Sequence[str]) -> int:
 
             print(f"geraf2 {__version__}")
             return EXIT_OK
+        _require_environment()
         rest, allowed = without_memory_flag(rest)
         with memory_limit(allowed):
             return _dispatch(rest)
@@ -176,7 +185,7 @@ def main(arguments: Sequence[str]) -> int:
         # Libraries make other errors of it: "initialization failed" while they are imported.
         why = KeyboardInterrupt(_received[-1]) if _received else error
         message, code = describe_error(why, command, wrote=_n_written() > n_before)
-        print(f"geraf2: {printable(message)}", file=sys.stderr)
+        print(f"geraf2: {printable(shortened(message))}", file=sys.stderr)
         return code
 
 
@@ -205,6 +214,26 @@ def describe_error(
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
     )
+
+
+def _require_environment() -> None:
+    """Raise UserError where a variable would end the process, or every kernel."""
+    if os.environ.get("OMP_NUM_THREADS"):
+        from geraf2._bounds import MAX_THREADS  # noqa: PLC0415 - `--help` does without
+
+        number = os.environ["OMP_NUM_THREADS"].partition(",")[0].strip()
+        if number.isdecimal() and (len(number) > 9 or int(number) > MAX_THREADS):
+            expected = f"at most {MAX_THREADS}"
+            raise UserError(
+                what="too many threads", where="OMP_NUM_THREADS", expected=expected, got=number
+            )
+    if os.environ.get("GERAF2_SIMD"):
+        from geraf2.ops import simd_level  # noqa: PLC0415 - as above
+
+        try:
+            simd_level()
+        except ValueError as error:
+            raise UserError(str(error)) from None
 
 
 def _n_written() -> int:

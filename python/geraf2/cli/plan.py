@@ -49,6 +49,8 @@ def main(config: Config) -> int:
     """Run the command."""
     if any(one is not None for one in (config.minutes, config.like, config.after)):
         return _show_lines(config)
+    if config.array is not None:
+        raise UserError(what="--array is swept by a plan of --minutes, --like or --after: give one")
     if config.out is not None:
         raise UserError(what="--out writes what --minutes, --like or --after planned: give one")
     if config.depth is not None:

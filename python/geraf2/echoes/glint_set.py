@@ -6,9 +6,18 @@ import numpy as np
 
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
-from geraf2.errors import UserError
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
+
+_LAYOUTS = {
+    "positions": "float n 3",
+    "normals": "float n 3",
+    "strengths": "float n",
+    "position_sigma_m": "float n",
+    "normal_sigma_rad": "float n",
+    "poses": "int n",
+    "probability": "float n",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,11 +65,7 @@ class Glints:
     @classmethod
     def load(cls, path: AnyPath) -> "Glints":
         """Read what `save` wrote; UserError for any other file."""
-        arrays = read_npz(path, cls.__dataclass_fields__)
-        try:
-            return cls(**arrays)
-        except (ValueError, TypeError) as error:
-            raise UserError(what=f"not a set of glints: {error}", where=path) from error
+        return cls(**read_arrays(path, _LAYOUTS))
 
 
 def strong_level(strengths: Floats) -> float:

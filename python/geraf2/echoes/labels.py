@@ -49,6 +49,9 @@ _PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
 """Their change with the strength and with the margin above the noise [1/dB]."""
 _MOST_MARGIN_DB = 40.0
 """From which on noise does not matter."""
+_POINTS_AT_ONCE = 1000
+_NEGLIGIBLE = 1e-6
+"""Support that is dropped, over that of a neighbour at the point itself."""
 _ROUNDS = 6
 """Rounds of the fixed-point iteration; more change 2 % of the labels at most."""
 
@@ -198,20 +201,15 @@ class _Rule:
             np.exp(self._prior)
             * (_ALONE + cell * own)
             * (1.0 + cell * other / _OTHER_SCALE) ** _OTHER_POWER
-            / (cell * _PEAK_DENSITY) ** _SHARED
+            / (cell * _peak_density()) ** _SHARED
         )
         return np.asarray(odds / (1.0 + np.bincount(self._of, odds, self._n_peaks))[self._of])
 
 
-_PEAK_DENSITY = 1.0 / (
-    (2.0 * np.pi) ** 2.5
-    * np.sqrt(2.0)
-    * _OFFSET_SIGMA_M
-    * 2.0
-    * _NORMAL_SIGMA_RAD**2
-    * _SPREAD_M**2
-)
-"""Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+def _peak_density() -> float:
+    """Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+    spread = _OFFSET_SIGMA_M * 2.0 * _NORMAL_SIGMA_RAD**2 * _SPREAD_M**2
+    return 1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread)
 
 
 def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
@@ -255,16 +253,35 @@ def _neighbours(
 
     others: the points themselves when None.
     Peaks of one sub-aperture do not support each other: a smooth surface has one return there.
+    Pairs are found for some points at a time, and those that add nothing are dropped: there are
+    many more within reach than support each other.
     """
-    tree = KDTree(points.positions)
-    if others is None:
-        i, j = tree.query_pairs(_REACH_M, output_type="ndarray").astype(np.int64).T
-    else:
-        near = tree.sparse_distance_matrix(
-            KDTree(others.positions), _REACH_M, output_type="ndarray"
-        )
-        i, j = near["i"], near["j"]
     to = points if others is None else others
+    tree, found = KDTree(to.positions), []
+    for first in range(0, len(points.positions), _POINTS_AT_ONCE):
+        rows = slice(first, first + _POINTS_AT_ONCE)
+        near = KDTree(points.positions[rows]).sparse_distance_matrix(
+            tree, _REACH_M, output_type="ndarray"
+        )
+        i, j = near["i"] + first, near["j"]
+        if others is None:  # both directions are alike
+            i, j = i[j > i], j[j > i]
+        found.append(_densities(points, to, i, j))
+    i, j, density = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    alike = points.planes[i] == to.planes[j]
+    if others is None:
+        i, j = np.concatenate([i, j]), np.concatenate([j, i])
+        density, alike = np.tile(density, 2), np.tile(alike, 2)
+    shape = len(points.positions), len(to.positions)
+    same, other = (
+        sparse.csr_array((density[some], (i[some], j[some])), shape=shape)
+        for some in (alike, ~alike)
+    )
+    return same, other
+
+
+def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, Ints, Floats]:
+    """Those of pairs of points that support each other, and their densities, (n,) each."""
     cosine = np.einsum("ij,ij->i", points.normals[i], to.normals[j])
     fits = (points.subapertures[i] != to.subapertures[j]) & (cosine > _ALIKE)
     i, j, cosine = i[fits], j[fits], cosine[fits]
@@ -277,16 +294,8 @@ def _neighbours(
         np.sqrt(np.maximum(square - offset**2, 0.0)),
         np.sqrt(square),
     )
-    alike = points.planes[i] == to.planes[j]
-    if others is None:
-        i, j = np.concatenate([i, j]), np.concatenate([j, i])
-        density, alike = np.tile(density, 2), np.tile(alike, 2)
-    shape = len(points.positions), len(to.positions)
-    same, other = (
-        sparse.csr_array((density[some], (i[some], j[some])), shape=shape)
-        for some in (alike, ~alike)
-    )
-    return same, other
+    some = density > _NEGLIGIBLE * _peak_density()
+    return i[some].astype(np.int32), j[some].astype(np.int32), density[some]
 
 
 def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Progress
 from geraf2._validation import require_shape
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.mesh import TriangleMesh
@@ -10,6 +10,8 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 
 _MARGIN_VOXELS = 3.0
+_PARTS = 50
+"""Calls for a grid: a mesh of millions of triangles takes minutes, and progress is shown."""
 
 
 def grid_about(bounds: Floats, n_longest: int) -> Grid:
@@ -25,7 +27,12 @@ def grid_about(bounds: Floats, n_longest: int) -> Grid:
 
 
 def mesh_distance(
-    mesh: TriangleMesh, grid: Grid, *, closed: bool = True, num_threads: int | None = None
+    mesh: TriangleMesh,
+    grid: Grid,
+    *,
+    closed: bool = True,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
 ) -> SdfGrid:
     """Signed distance to a mesh at the voxels of a grid, negative inside [m].
 
@@ -37,13 +44,19 @@ def mesh_distance(
     Not differentiable.
     """
     scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
-    points = grid.points()
-    if closed:
-        values = scene.signed_distance(points)
-    else:
-        distance = scene.distance(points)
-        values = np.where(scene.winding_number(points) > 0.5, -distance, distance)
-    return SdfGrid(grid=grid, values=values.reshape(grid.shape).astype(np.float32))
+    points, values = grid.points(), np.empty(grid.n_voxels, dtype=np.float32)
+    step = -(-len(points) // _PARTS)
+    for start in range(0, len(points), step):
+        part = points[start : start + step]
+        if closed:
+            distance = scene.signed_distance(part)
+        else:
+            distance = scene.distance(part)
+            distance[scene.winding_number(part) > 0.5] *= -1.0
+        values[start : start + step] = distance
+        if progress is not None:
+            progress((start + len(part)) / len(points))
+    return SdfGrid(grid=grid, values=values.reshape(grid.shape))
 
 
 def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:

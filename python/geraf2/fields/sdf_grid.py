@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from geraf2._types import AnyPath, Floats
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
+
+_LAYOUTS = {"values": "float x y z", "origin_m": "float 3", "spacing_m": "float"}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,10 +52,10 @@ class SdfGrid:
     @classmethod
     def load(cls, path: AnyPath) -> "SdfGrid":
         """Read what `save` wrote; UserError for any other file."""
-        arrays = read_npz(path, ("values", "origin_m", "spacing_m"))
+        arrays = read_arrays(path, _LAYOUTS)
+        x, y, z = arrays["origin_m"].tolist()
+        nx, ny, nz = arrays["values"].shape
         try:
-            x, y, z = (float(v) for v in arrays["origin_m"])
-            nx, ny, nz = arrays["values"].shape
             spacing = float(arrays["spacing_m"])
             grid = Grid(origin_m=(x, y, z), spacing_m=spacing, shape=(nx, ny, nz))
             return cls(grid=grid, values=arrays["values"].astype(np.float32, copy=False))

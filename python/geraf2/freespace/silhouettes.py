@@ -29,9 +29,8 @@ from geraf2._bounds import Bounded, CellM, OpenShare
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.echoes.echo_phases import response_at
-from geraf2.errors import UserError
 from geraf2.freespace.wall_shape import path_shape
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
 
@@ -67,6 +66,17 @@ class SilhouetteConfig(Bounded):
     """The box may be turned against its frame by this [degrees]."""
     min_free: OpenShare = 0.25
     """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
+
+
+_LAYOUTS = {
+    "axes": "int n",
+    "origins_m": "float n 2",
+    "spacing_m": "float",
+    "transmission": "float n u v",
+    "known": "bool n u v",
+    "thresholds": "float n",
+    "reason": "text",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,11 +118,7 @@ class Silhouettes:
     @classmethod
     def load(cls, path: AnyPath) -> "Silhouettes":
         """Read what `save` wrote; UserError for any other file."""
-        arrays = read_npz(path, cls.__dataclass_fields__)
-        try:
-            return cls(**arrays)
-        except (ValueError, TypeError, IndexError) as error:
-            raise UserError(what=f"not a set of silhouettes: {error}", where=path) from error
+        return cls(**read_arrays(path, _LAYOUTS))
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""

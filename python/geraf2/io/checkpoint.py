@@ -14,6 +14,7 @@ from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.regular import require_regular
+from geraf2.io.text import parse_json
 
 _FORMAT = "geraf2-checkpoint"
 
@@ -51,7 +52,7 @@ def _in_order(data: bytes) -> bytes:
     its end, so that only its text changes.
     """
     end = 8 + int.from_bytes(data[:8], "little")
-    text = json.dumps(json.loads(data[8:end]), sort_keys=True, separators=(",", ":")).encode()
+    text = json.dumps(parse_json(data[8:end]), sort_keys=True, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)  # arrays begin at a multiple of 8
     return len(text).to_bytes(8, "little") + text + data[end:]
 
@@ -66,7 +67,7 @@ def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:
             _require_same(source, metadata, kind, version)
             # Copied: what the reader hands out is not to be written to.
             arrays = {name: np.array(stored.get_tensor(name)) for name in stored.keys()}  # noqa: SIM118 - no mapping
-        header = json.loads(metadata["header"])
+        header = parse_json(metadata["header"])
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise UserError(
             what=f"cannot be read as a checkpoint: {type(error).__name__}: {error}",

@@ -58,6 +58,8 @@ ARRAY_TYPES = {
     "antenna_count": ("int64",),
     "angle": ("float64",),
 }
+MOST_PLANES = 10_000
+"""Each takes some milliseconds to check; scans have up to hundreds."""
 CHECKSUMS = "checksums"
 """Attribute of the group: CRC-32 of each pose, antennas without padding, by array, in hex."""
 
@@ -223,7 +225,7 @@ class SceneReader:
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         try:
             where, group = zarr_store(store)
-            return zarr.open_group(where, path=group, mode="r")
+            return zarr.open_group(where, path=group, mode="r", zarr_format=3)
         except MemoryError:
             raise
         except Exception as error:  # zarr raises anything where metadata are wrong
@@ -234,6 +236,7 @@ class SceneReader:
         try:
             array = self._group[name]
             dtype, chunk_bytes = array.dtype.name, array.dtype.itemsize * np.prod(array.chunks)
+            codecs = [type(codec).__name__ for codec in array.metadata.codecs]
         except KeyError:
             raise UserError(what="array is missing", where=where) from None
         except MemoryError:
@@ -246,6 +249,10 @@ class SceneReader:
         if not is_remote(where):  # zarr reads chunks whole
             for file in require_no_links(where):
                 require_regular(file, max(RECORD_BYTES, int(chunk_bytes)))
+        if codecs != ["BytesCodec"]:
+            # Others unpack to any size, and no scene has them.
+            what, expected = "is compressed or filtered", "plain numbers (codec bytes)"
+            raise UserError(what, where=where, expected=expected, got=", ".join(codecs))
         n_bytes = float(chunk_bytes)
         if name not in ANTENNA_ARRAYS:  # read whole
             n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))
@@ -284,6 +291,9 @@ class SceneReader:
     def _check_shapes(self) -> None:
         where = self.path / RADAR_NAME
         n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
+        if n_poses > MOST_PLANES:
+            expected = f"at most {MOST_PLANES} planes"
+            raise UserError(what="too many planes", where=where, expected=expected, got=n_poses)
         shape = self._shape("signal")
         of_integers = self._arrays["signal"].dtype.kind == "i"
         if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:

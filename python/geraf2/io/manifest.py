@@ -126,13 +126,23 @@ class AntennaManifest(_Strict):
     """Looking direction, horizontal, vertical; by default x, y, z."""
 
 
+def _is_step(value: float) -> float:
+    if abs(value) < 1e-6:
+        msg = f"must be a distance between positions, got {value:g} m"
+        raise ValueError(msg)
+    return value
+
+
+_StepM = Annotated[Metres, AfterValidator(_is_step)]
+
+
 class RasterManifest(_Strict):
     """Raster of the radar's positions, one row after the other."""
 
     n_rows: Annotated[int, Field(ge=1, le=1 << 20)]
     n_columns: Annotated[int, Field(ge=1, le=1 << 20)]
-    row_step_m: Metres
-    column_step_m: Metres
+    row_step_m: _StepM
+    column_step_m: _StepM
     serpentine: bool = False
     """Whether every other row was scanned backwards."""
     center_m: _Vector = [0.0, 0.0, 0.0]

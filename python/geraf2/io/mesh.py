@@ -19,6 +19,7 @@ from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
+from geraf2.io.mesh_limits import require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.regular import (
     BINARY_BYTES,
@@ -27,6 +28,7 @@ from geraf2.io.regular import (
     read_regular,
     require_regular,
 )
+from geraf2.io.text import parse_json
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
@@ -120,6 +122,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     if is_remote(source):
         return _read_remote(source, any_unit=any_unit)
     _require_readable(source)
+    require_mesh_size(source)
     if not any_unit:
         _require_metres(source)
     loaded = _load(source)
@@ -262,8 +265,8 @@ def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
 def _require_metres(source: Path) -> None:
     """Refuse a mesh whose sidecar states another unit."""
     try:
-        about = json.loads(read_regular(source.with_name(source.name + ".json"), RECORD_BYTES))
-    except (OSError, ValueError, RecursionError):  # none, or not ours
+        about = parse_json(read_regular(source.with_name(source.name + ".json"), RECORD_BYTES))
+    except (OSError, ValueError):  # none, or not ours
         return
     unit = about.get("unit") if isinstance(about, dict) else None
     if unit not in (None, "m", *_METRES):

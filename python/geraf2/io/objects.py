@@ -168,6 +168,8 @@ def _place(path: Path) -> tuple[Any, str]:
     match = _ADDRESS.fullmatch(str(path))
     assert match is not None
     scheme, bucket, key = match.groups()
+    if {".", ".."} & {bucket, *key.split("/")}:
+        raise UserError(what="an address goes down only, without '.' and '..'", where=_url(path))
     if scheme == "file":
         return _store("file:///"), f"{bucket}/{key}".strip("/")
     return _store(f"{scheme}://{bucket}"), key.strip("/")

@@ -1,6 +1,5 @@
 """Rectangles that the antennas of a run covered, one for each of its planes, in `planes.json`."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.regular import RECORD_BYTES, read_regular
+from geraf2.io.text import parse_json
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +32,7 @@ def save_planes(planes: ScannedPlanes, path: Path) -> None:
 def load_planes(path: Path) -> ScannedPlanes:
     """Planes of a run; none where there is no such file. UserError where it cannot be read."""
     try:
-        stored = json.loads(read_regular(path, RECORD_BYTES))
+        stored = parse_json(read_regular(path, RECORD_BYTES))
         corners = np.asarray(stored["corners_m"], dtype=np.float64)
         corners = corners.reshape(len(stored["corners_m"]), 4, 3)
         wavelength = stored.get("wavelength_m")
@@ -41,7 +41,7 @@ def load_planes(path: Path) -> ScannedPlanes:
         good &= wavelength_m is None or 0.0 < wavelength_m < np.inf
     except FileNotFoundError:
         return ScannedPlanes(corners_m=np.zeros((0, 4, 3)))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         good = False
     if not good:
         raise UserError(

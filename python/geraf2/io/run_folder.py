@@ -26,6 +26,8 @@ from geraf2.io.atomic import sweep_folder, write_json_atomic
 from geraf2.io.digests import file_digest, inside
 from geraf2.io.outputs import is_passing, require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
+from geraf2.io.stage_numbers import checked_numbers
+from geraf2.io.text import parse_json
 
 RUN_NAME = "run.json"
 LOCK_NAME = "run.lock"
@@ -184,7 +186,7 @@ class RunFolder:
         """Open an existing run folder; UserError for one with links, which lead out of it."""
         file = Path(path) / RUN_NAME
         try:
-            values = json.loads(read_regular(file, RECORD_BYTES))
+            values = parse_json(read_regular(file, RECORD_BYTES))
             known = values["format"] == _FORMAT and values["version"] == _VERSION
             run = cls(Path(path), str(values["scene"]["digest"]), str(values["scene"]["name"]))
             if known:
@@ -195,7 +197,7 @@ class RunFolder:
                 where=path,
                 hint="make one with 'geraf2 reconstruct'",
             ) from None
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        except (ValueError, KeyError, TypeError, AttributeError):
             raise UserError(what="cannot be read as the record of a run", where=file) from None
         if not known:
             raise UserError(
@@ -218,7 +220,7 @@ class RunFolder:
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
                 peak_memory_mib=float(record["peak_memory_mib"]),
-                numbers=dict(record["numbers"]),
+                numbers=checked_numbers(record["numbers"], f"{self.path / RUN_NAME}: {name}"),
                 asked=str(record.get("asked", "")),
             )
             for name, record in values["stages"].items()

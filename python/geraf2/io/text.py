@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -29,11 +30,28 @@ def read_lines(path: Path) -> list[str]:
     return read_text(path).splitlines()
 
 
+def parse_json(text: str | bytes) -> Any:
+    """Value of JSON text; ValueError for what is none, nested too deep, or no finite number."""
+    try:
+        return json.loads(text, parse_float=_finite, parse_constant=_finite)
+    except RecursionError:
+        msg = "tables and lists are nested too deep"
+        raise ValueError(msg) from None
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        msg = f"{text} is no finite number"
+        raise ValueError(msg)
+    return value
+
+
 def read_object(path: Path) -> dict[str, Any]:
     """Object of a JSON file; UserError for anything else."""
     try:
-        values = json.loads(read_text(path, RECORD_BYTES))
-    except (ValueError, RecursionError) as error:
+        values = parse_json(read_text(path, RECORD_BYTES))
+    except ValueError as error:
         raise UserError(what=f"is not valid JSON: {error}", where=path) from None
     if not isinstance(values, dict):
         raise UserError(what="is no JSON object", where=path, got=type(values).__name__)

@@ -6,6 +6,7 @@ text a path. A key that is not known is an error. What is None is left out of th
 """
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
@@ -28,6 +29,8 @@ if TYPE_CHECKING:
 
 _Record = TypeVar("_Record")
 _MOST_COMPLAINTS = 4
+_MOST_LEVELS = 32
+_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{_MOST_LEVELS}}}")
 
 
 def read_toml(
@@ -49,7 +52,7 @@ def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
     try:
         content = read_bytes(path, RECORD_BYTES) if isinstance(path, Path) else path.read_bytes()
-        return tomllib.loads(content.decode("utf-8"))
+        return parse_toml(content.decode("utf-8"))
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
     except IsADirectoryError:
@@ -60,8 +63,30 @@ def read_table(path: Path | Traversable) -> dict[str, Any]:
         raise UserError(
             what=f"is not text in UTF-8 (byte {error.start})", where=path, expected="a TOML file"
         ) from None
-    except (RecursionError, ValueError) as error:
+    except ValueError as error:
         raise UserError(what=f"is not valid TOML: {error}", where=path) from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Tables of TOML text; ValueError for what is none, or nested too deep."""
+    try:
+        if _DEEP.search(text):  # takes the parser quadratic time
+            raise RecursionError
+        table = tomllib.loads(text)
+        _require_depth(table, _MOST_LEVELS)
+    except RecursionError:
+        msg = f"more than {_MOST_LEVELS} levels of tables and lists"
+        raise ValueError(msg) from None
+    return table
+
+
+def _require_depth(value: Any, levels: int) -> None:
+    """Raise RecursionError where tables and lists are nested deeper than some levels."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    if levels < 0:
+        raise RecursionError
+    for entry in inside:
+        _require_depth(entry, levels - 1)
 
 
 def from_table(

@@ -1,6 +1,5 @@
 """Rigid and similarity transforms from files."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from geraf2.geometry.transforms import require_rigid
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
 from geraf2.io.regular import RECORD_BYTES, open_regular
-from geraf2.io.text import read_text
+from geraf2.io.text import parse_json, read_text
 
 # Below this, a scale is rounding; above, it was meant.
 _SCALE_TOLERANCE = 1e-3
@@ -65,7 +64,7 @@ def _read_matrix(path: Path) -> Floats:
             with open_regular(path, RECORD_BYTES) as handle:
                 values = np.load(handle, allow_pickle=False)
         elif path.suffix == ".json":
-            values = json.loads(read_text(path))
+            values = parse_json(read_text(path))
         else:
             values = [float(part) for part in read_text(path).replace(",", " ").split()]
         matrix = np.asarray(values, dtype=np.float64)

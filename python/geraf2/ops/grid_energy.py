@@ -60,6 +60,7 @@ class GridEnergy:
             msg = f"sparse must have shape {(n_voxels, n_voxels)}, got {sparse.shape}"
             raise ValueError(msg)
         require_shape("diagonal", diagonal, (n_voxels,))
+        sparse.check_format()  # ValueError for rows and columns outside
         self.shape, self.n_voxels, self.dtype = shape, n_voxels, np.dtype(dtype)
         self._num_threads = resolve_num_threads(num_threads)
         rows = np.nonzero(np.diff(sparse.indptr))[0]

@@ -16,6 +16,8 @@ from geraf2.ops._tensors import to_numpy
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.records import Waveform
 
+_MAX_LOOKS = 10_000
+
 
 class RaySamples(NamedTuple):
     """Contiguous intervals of parallel rays."""
@@ -75,6 +77,9 @@ def facing_samples(
     n_looks: independent draws (signals) among which the samples are divided; neighbours differ.
     """
     places = require_positions("points", points)
+    if not 1 <= n_looks <= _MAX_LOOKS:
+        msg = f"n_looks must be 1 to {_MAX_LOOKS}, got {n_looks}"
+        raise ValueError(msg)
     if not _tensors.has_kernels(alpha, gradient):
         found = _device_ops.facing_samples(alpha, gradient, places, form, n_looks)
         return SamplePairs(*found, n_looks)

@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Floats, Ints
-from geraf2._validation import require_least, require_shape
+from geraf2._validation import require_shape
 from geraf2.ops._geometry import native_waveform, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Wall, Waveform
+
+_MAX_EXPONENT = 100
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,7 +72,9 @@ class AntennaBlocks:
         if ends != (0, self.tx.shape[0]) or (steps < 0).any():
             msg = f"offsets must rise from 0 to {self.tx.shape[0]}, got ends {ends}"
             raise ValueError(msg)
-        require_least(self, pattern_exponent=0)
+        if not 0 <= self.pattern_exponent <= _MAX_EXPONENT:  # it is a loop
+            msg = f"pattern_exponent must be 0 to {_MAX_EXPONENT}, got {self.pattern_exponent}"
+            raise ValueError(msg)
 
 
 def physical_optics(

@@ -283,8 +283,9 @@ def _native_lattice(
     lattice = subapertures.lattice
     if lattice is not None:
         (n_h, n_v), (h_spacing, v_spacing) = lattice.shape, lattice.spacing_m
-        if min(n_h, n_v) < 1 or not min(h_spacing, v_spacing) > 0.0:
-            msg = f"lattice needs a positive shape and positive spacings, got {lattice}"
+        is_small = min(n_h, n_v) >= 1 and n_h * n_v <= _MAX_LATTICE_PLACES
+        if not (is_small and min(h_spacing, v_spacing) > 0.0):
+            msg = f"lattice needs 1 to {_MAX_LATTICE_PLACES} positions and spacings, got {lattice}"
             raise ValueError(msg)
         return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, 1, 0.0)
     places = []

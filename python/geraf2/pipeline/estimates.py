@@ -25,11 +25,17 @@ __all__ = [
 # Processor seconds of `geraf2 reconstruct` with a preset: what threads do not share (imports,
 # pictures), what they do (fits, mesh), and of each antenna sample; 36 planes at 3 mm have 9e6.
 _RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
-# Python with its libraries, the solver's matrices, then bytes per antenna sample.
-_RECONSTRUCT_FIXED_BYTES = 240e6
+# Python with its libraries and the pictures of a report: 304 MiB were the peak of a small scan.
+# Then bytes per antenna sample, and per voxel of the fit: 200 MiB without a report at 1.2 million.
+_RECONSTRUCT_FIXED_BYTES = 320e6
+_RECONSTRUCT_BYTES_PER_SAMPLE = 32.0
+_BYTES_PER_FIT_VOXEL = 64.0
 _BYTES_PER_SAMPLE = 24.0
 # Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
 _IMAGE_NS_PER_PAIR = 0.9
+# 174 MiB were the peak of an image of 70 thousand voxels, 199 MiB of one of four million.
+_IMAGE_FIXED_BYTES = 190e6
+_BYTES_PER_IMAGE_VOXEL = 12.0
 FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
 # The same of the factorised kernel: 3 s for 192^3 voxels and 2025 antennas.
@@ -75,8 +81,21 @@ def reconstruct_cost(n_samples: int, num_threads: int = 1, *, preset: str = "bes
     alone, shared, per_sample = _RECONSTRUCT_S.get(preset, _RECONSTRUCT_S["best"])
     return Estimate(
         seconds=alone + (shared + per_sample * n_samples) / num_threads,
-        memory_bytes=_RECONSTRUCT_FIXED_BYTES + _BYTES_PER_SAMPLE * n_samples,
+        memory_bytes=_RECONSTRUCT_FIXED_BYTES + _RECONSTRUCT_BYTES_PER_SAMPLE * n_samples,
     )
+
+
+def require_reconstructable(
+    summary: CaptureSummary, config: object, size_m: Sequence[float], where: object
+) -> None:
+    """Raise UserError where a reconstruction in a box of this size does not fit into memory."""
+    holders = (config, getattr(config, "refine", None))
+    fits = [holder.fit for holder in holders if hasattr(holder, "fit")]
+    volume_m3 = float(np.prod(size_m))
+    voxels = [min(fit.max_voxels, volume_m3 / fit.spacing_m**3) for fit in fits]
+    memory_bytes = reconstruct_estimate(summary).memory_bytes
+    memory_bytes += _BYTES_PER_FIT_VOXEL * max(voxels, default=0.0)
+    require_memory(memory_bytes, "raise the fit's spacing-m, or leave planes out", where=where)
 
 
 def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Estimate:
@@ -89,9 +108,11 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
     pairs = float(n_voxels) * summary.n_antennas
     return Estimate(
         seconds=2.0 + 1e-9 * _IMAGE_NS_PER_PAIR * pairs / n_threads(),
-        memory_bytes=FIXED_BYTES
-        + _BYTES_PER_VOXEL * n_voxels
-        + 8.0 * summary.n_antennas * summary.waveform.n_samples,
+        memory_bytes=_IMAGE_FIXED_BYTES
+        + _BYTES_PER_IMAGE_VOXEL * n_voxels
+        + 8.0
+        * max((pose.n_antennas for pose in summary.poses), default=0)
+        * summary.waveform.n_samples,  # poses are read one at a time
     )
 
 

@@ -47,6 +47,12 @@ class LosOptions(Bounded):
     seed: Seed = 0
     """Seed of the training."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.unit is not None:
+            _length_of(self.unit)
+        self.limits()
+
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
         """Transform into the capture frame, None if the same, and the unit before it [m].
 

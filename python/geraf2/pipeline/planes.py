@@ -1,6 +1,7 @@
 """Held-out planes: left out of a reconstruction, and found again to score it."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,10 +26,13 @@ def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) ->
     """Find the planes at turntable angles [degrees]; UserError where there is none."""
     if not angles_deg:
         return []
+    twice = [a for a in angles_deg if sum(_apart(a, b) < 1e-6 for b in angles_deg) > 1]
+    if twice:
+        raise UserError(what=f"the plane at {twice[0]:g} degrees is named twice", where=where)
     known = [np.nan if pose.angle_deg is None else pose.angle_deg for pose in capture.poses]
     found: list[int] = []
     for angle in angles_deg:
-        away = np.abs((np.asarray(known) - angle + 180.0) % 360.0 - 180.0)
+        away = _apart(np.asarray(known), angle)
         matches = np.flatnonzero(away <= _TOLERANCE_DEG)
         if matches.size == 0:
             listed = ", ".join("unknown" if np.isnan(a) else f"{a:g}" for a in known[:8])
@@ -39,3 +43,8 @@ def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) ->
             )
         found += [int(index) for index in matches]
     return sorted(set(found))
+
+
+def _apart(a: Any, b: float) -> Any:
+    """Smallest angle between directions [degrees]."""
+    return np.abs((a - b + 180.0) % 360.0 - 180.0)

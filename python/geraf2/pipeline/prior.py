@@ -10,7 +10,7 @@ import numpy as np
 from geraf2._bounds import Arg, Sides, Triple
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.container import LOS_NAME
 from geraf2.io.mesh import read_mesh
@@ -141,9 +141,15 @@ def save_prior(prior: LosPrior, path: Path) -> None:
 
 def read_prior(path: Path) -> LosPrior:
     """Read what :func:`save_prior` wrote."""
-    arrays = read_npz(path, ("vertices", "faces", "walls"))
-    walls = tuple(
-        Wall(size_m=(x, y, z), thickness_m=thickness, permittivity=eps, center_m=(mx, my, mz))
-        for x, y, z, thickness, eps, mx, my, mz in arrays["walls"].tolist()
-    )
+    layouts = {"vertices": "float n 3", "faces": "index:n m 3", "walls": "float k 8"}
+    arrays = read_arrays(path, layouts)
+    try:
+        walls = tuple(
+            Wall(size_m=(x, y, z), thickness_m=thickness, permittivity=eps, center_m=(mx, my, mz))
+            for x, y, z, thickness, eps, mx, my, mz in arrays["walls"].tolist()
+        )
+    except ValueError as error:
+        raise UserError(what=f"no walls of a box: {error}", where=path) from None
+    if not len(arrays["faces"]):
+        raise UserError(what="holds no triangles", where=path)
     return LosPrior(vertices=arrays["vertices"], faces=arrays["faces"], walls=walls)

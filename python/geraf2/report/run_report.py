@@ -16,9 +16,8 @@ from geraf2.evaluation.mesh_metrics import DEFAULT_THRESHOLDS_M
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io import run_folder
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic, write_text_atomic
-from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder, StageRecord
@@ -35,6 +34,7 @@ from geraf2.report.figures import (
 )
 from geraf2.report.outlines import shadow_pictures
 from geraf2.report.run_sections import Section, read_log, read_object
+from geraf2.report.stored_scores import read_metrics, read_psnr
 from geraf2.report.view3d import content_attributes, scene_json, thinned, view_scene
 from geraf2.scene import Grid
 from geraf2.surfaces.isosurface import signed_distances
@@ -44,6 +44,7 @@ _NO_VIEW = (
     "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here; "
     "the pictures below show the same surface."
 )
+_TRUTH = {"vertices": "float n 3", "faces": "index:n m 3", "distances_m": "float k"}
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
 _MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
@@ -93,14 +94,12 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     sdf, glints = run.written(run_folder.SDF_NAME), run.written(run_folder.GLINTS_NAME)
     content, box = run.written(run_folder.CONTENT_NAME), run.written(run_folder.BOX_NAME)
     shadows, config = run.written(run_folder.SILHOUETTES_NAME), folder / run_folder.CONFIG_NAME
-    metrics = read_object(folder / run_folder.METRICS_NAME, "the metrics")
-    of_this_mesh = content is not None and metrics.get("mesh_digest") == file_digest(content)
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,
         content=read_mesh(content) if content else None,
         box=read_mesh(box) if box else None,
-        metrics=metrics if of_this_mesh else {},
+        metrics=read_metrics(folder / run_folder.METRICS_NAME, content),
         config_text=read_text(config) if config.is_file() else None,
         warnings=tuple(run.warnings),
         stages=run.stages,
@@ -254,7 +253,7 @@ def _truth_copy(
 
 def stored_truth(path: Path) -> tuple[TriangleMesh, Floats]:
     """Thinned truth that an earlier report kept, and the distances to it [m]."""
-    stored = read_npz(path, ("vertices", "faces", "distances_m"))
+    stored = read_arrays(path, _TRUTH)
     return TriangleMesh(vertices=stored["vertices"], faces=stored["faces"]), stored["distances_m"]
 
 
@@ -322,8 +321,8 @@ def _renderings(folder: Path) -> list[Section]:
     views = folder / run_folder.VIEWS_FOLDER
     record: dict[str, Any] = {}
     with suppress(UserError):  # a broken record is ignored
-        record = read_object(views / run_folder.PSNR_NAME, "the rendered heat maps")
-    if not record or record.get("mesh_digest") != file_digest(folder / run_folder.CONTENT_NAME):
+        record = read_psnr(views / run_folder.PSNR_NAME, folder / run_folder.CONTENT_NAME)
+    if not record:
         return []
     parts = [html.part("rendered_planes", record)]
     for angle in list(record["psnr_db"])[:_MAX_RENDERED]:

@@ -1,7 +1,5 @@
 """Sections of a run's report without pictures: numbers, files, settings, definitions."""
 
-import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +14,9 @@ from geraf2.io import run_folder
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.run_folder import StageRecord
+from geraf2.io.text import parse_json
 from geraf2.io.text import read_object as read_json
+from geraf2.io.toml import parse_toml
 from geraf2.report import html
 from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
@@ -73,7 +73,7 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
     entries: list[dict[str, Any]] = []
     for line in read_regular(path, TEXT_BYTES).decode(errors="replace").splitlines():
         try:
-            entry = json.loads(line)
+            entry = parse_json(line)
         except ValueError:
             continue
         if isinstance(entry, dict) and "event" in entry:
@@ -96,8 +96,8 @@ def _last(log: Sequence[Mapping[str, Any]], event: str) -> Mapping[str, Any]:
 
 def _config(text: str | None) -> dict[str, Any]:
     try:
-        return tomllib.loads(text or "")
-    except tomllib.TOMLDecodeError:
+        return parse_toml(text or "")
+    except ValueError:
         return {}
 
 
@@ -174,7 +174,7 @@ def provenance(
     if started:
         version, python = started.get("version", "?"), started.get("python", "?")
         rows.append(("run made by", f"geraf2 {version}, Python {python}"))
-        rows.append(("run began", str(started["time"])))
+        rows.append(("run began", str(started.get("time", "?"))))
     made_from = read_object(folder / f"{run_folder.CONTENT_NAME}.json", "the mesh's record").get(
         "made_from"
     )

@@ -47,7 +47,7 @@ def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
     shown = capsys.readouterr().out
     assert "part 1" in shown
     assert "result   pass" in shown
-    assert main(["inspect", str(run), "--expect", "3"]) == 1
+    assert main(["inspect", str(run), "--expect", "3"]) == 3
     assert "fails: 2 parts were found, 3 were expected" in capsys.readouterr().out
     assert verify(run).kind == "run"
 

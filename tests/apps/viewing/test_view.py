@@ -2,15 +2,17 @@
 
 import json
 import socket
+import urllib.error
 import urllib.request
 
 import numpy as np
 import pytest
 
 from geraf2.apps.viewing.layers import Volume, source_of
-from geraf2.apps.viewing.server import LiveView, require_free
+from geraf2.apps.viewing.server import LiveView, is_same_origin, require_free
 from geraf2.cli.main import main
 from geraf2.errors import UserError
+from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import write_mesh
@@ -41,7 +43,8 @@ def run(tmp_path_factory):
     (out / "planes.json").write_text(json.dumps({"corners_m": [side, side]}))
     truth = {"vertices": ball.vertices, "faces": ball.faces, "distances_m": np.zeros(162)}
     write_npz_atomic(out / "figures" / "truth.npz", truth)
-    (out / "metrics.json").write_text(json.dumps({"scores": [], **mesh_digest(out)}))
+    scores = evaluate_mesh(ball, ball, n_samples=200, num_threads=1)
+    write_metrics(scores, out / "metrics.json", extra=mesh_digest(out))
     folder = RunFolder(out, "digest", "ball")
     files = ["mesh_content.ply", "mesh_box.ply", "glints.npz", "sdf.npz"]
     folder.mark_done("mesh", "key", files, 1.0)
@@ -157,3 +160,31 @@ def test_a_client_is_sent_every_layer_and_slices_when_it_asks(view):
     assert not view.layers["/1 ball/planes/plane 0"].visible
     client.socket.close()
     assert view.ssh_line.startswith(f"ssh -N -L {view.port}:localhost:{view.port} ")
+
+
+def test_pages_of_other_sites_are_refused(view):
+    own = urllib.request.Request(view.url, headers={"Origin": view.url})
+    with urllib.request.urlopen(own) as page:
+        assert page.status == 200
+    other = urllib.request.Request(view.url, headers={"Origin": "http://elsewhere.example"})
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        urllib.request.urlopen(other)
+
+
+@pytest.mark.parametrize(
+    ("asked", "origin", "host", "same"),
+    [
+        ("localhost:8080", None, "127.0.0.1", True),
+        ("localhost:8080", "http://localhost:8080", "127.0.0.1", True),
+        ("localhost:9000", "http://localhost:9000", "127.0.0.1", True),  # forwarded by SSH
+        ("localhost:8080", "http://localhost:3000", "127.0.0.1", False),
+        ("localhost:8080", "null", "127.0.0.1", False),
+        ("elsewhere.example", "http://elsewhere.example", "127.0.0.1", False),  # of this address
+        ("elsewhere.example", None, "127.0.0.1", False),
+        ("lab:8080", "http://lab:8080", "0.0.0.0", True),
+        ("lab:8080", "http://elsewhere.example", "0.0.0.0", False),
+    ],
+)
+def test_only_a_page_of_the_server_itself_may_ask(asked, origin, host, same):
+    headers = {"Host": asked} | ({"Origin": origin} if origin else {})
+    assert is_same_origin(headers, host) == same

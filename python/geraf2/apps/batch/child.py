@@ -20,6 +20,7 @@ from contextlib import contextmanager, suppress
 from threading import Lock
 from typing import Any
 
+from geraf2.io.text import parse_json
 from geraf2.pipeline.processes import end_with
 
 # With -P, modules of the working directory are not imported.
@@ -67,7 +68,7 @@ class Child:
             self._process.stdin.flush()
         except OSError:
             raise ChildEndedError(self._ended()) from None
-        return dict(json.loads(self._answer(end, tick)))
+        return dict(parse_json(self._answer(end, tick)))
 
     def _answer(self, end: float | None, tick: Callable[[], None]) -> bytes:
         assert self._process.stdout is not None
@@ -148,7 +149,7 @@ def serve() -> None:
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)  # output of libraries is no answer
     for line in sys.stdin:
-        module, name, arguments = json.loads(line)
+        module, name, arguments = parse_json(line)
         answer = getattr(importlib.import_module(module), name)(*arguments)
         answers.write(json.dumps(answer) + "\n")
         answers.flush()

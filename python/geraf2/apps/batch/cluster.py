@@ -1,5 +1,6 @@
 """Workers of this machine or of a running scheduler, and checks of their version and memory."""
 
+import asyncio
 import logging
 import os
 from collections.abc import Callable, Iterator
@@ -36,8 +37,12 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
         ) from None
     if options.scheduler is not None:
         try:
+            asyncio.run(asyncio.wait_for(_answer_of(options.scheduler), _CONNECT_S))
             client = distributed.Client(options.scheduler, timeout=_CONNECT_S)
-        except (OSError, ValueError) as error:
+        except TimeoutError:
+            what = f"no dask scheduler answers within {_CONNECT_S:g} s"
+            raise UserError(what=what, where=options.scheduler) from None
+        except Exception as error:  # of its protocol, TLS and others: any type
             raise UserError(
                 what=f"no dask scheduler answers: {error}", where=options.scheduler
             ) from None
@@ -52,6 +57,15 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
         distributed.Client(cluster) as client,
     ):
         yield client
+
+
+async def _answer_of(address: str) -> None:
+    """Ask a scheduler for its identity; a client would wait for ever for one that is silent."""
+    from distributed import Security, rpc  # noqa: PLC0415 - an extra
+
+    arguments = Security().get_connection_args("client")
+    async with rpc(address, timeout=_CONNECT_S, connection_args=arguments) as scheduler:
+        await scheduler.identity()
 
 
 @contextmanager

@@ -11,7 +11,6 @@
 results/ alone determines which jobs are done, so that scheduler, client and workers may die.
 """
 
-import json
 import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
@@ -28,6 +27,7 @@ from geraf2.io.objects import is_remote, read_bytes, remove
 from geraf2.io.outputs import require_folder
 from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 
 MARKER_NAME, RESULTS_FOLDER, RUNS_FOLDER = "batch.json", "results", "runs"
@@ -117,7 +117,7 @@ class JobPaths:
     def read(self) -> JobResult | None:
         """Read the record; None where it is missing or broken."""
         try:
-            values = json.loads(read_bytes(self.result, RECORD_BYTES))
+            values = parse_json(read_bytes(self.result, RECORD_BYTES))
             return from_table(values, JobResult, self.result)
         except (OSError, ValueError, UserError):
             return None
@@ -200,7 +200,7 @@ class BatchFolder:
         """Keys of the batch's jobs, by scene and settings; None where there is no batch."""
         file = self.out / MARKER_NAME
         try:
-            values: Any = json.loads(read_bytes(file, RECORD_BYTES))
+            values: Any = parse_json(read_bytes(file, RECORD_BYTES))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
             return {inside(name): inside(key) for name, key in values["jobs"].items()}

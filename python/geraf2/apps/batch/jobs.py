@@ -2,8 +2,6 @@
 
 import csv
 import glob
-import json
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePath
@@ -21,7 +19,8 @@ from geraf2.io.container import (
 from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
 from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 from geraf2.io.run_folder import stage_key
-from geraf2.io.toml import merged, nearest, to_table
+from geraf2.io.text import parse_json
+from geraf2.io.toml import merged, nearest, parse_toml, to_table
 from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import (
@@ -98,7 +97,7 @@ class BatchJob:
     def estimate(self) -> Estimate | None:
         """Processor time and memory; None where the size of the scene is unknown."""
         try:
-            about = json.loads(
+            about = parse_json(
                 read_bytes(self.scene / RADAR_NAME / "signal" / METADATA_NAME, RECORD_BYTES)
             )
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
@@ -204,14 +203,17 @@ def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     except (OSError, ValueError) as error:
         raise UserError(what=f"cannot be read: {error}", where=table) from None
     reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    try:
+        rows = [(f"{table}, line {reader.line_num}", row) for row in reader]
+    except csv.Error as error:
+        raise UserError(what=f"cannot be read: {error}", where=table) from None
     for name in reader.fieldnames or ():
         if name not in COLUMNS:
             what = f"unknown column {name!r}{nearest(name, COLUMNS)}"
             raise UserError(what=what, where=table, expected=", ".join(COLUMNS))
     if "scene" not in (reader.fieldnames or ()):
         raise UserError(what="has no column 'scene'", where=table)
-    for row in reader:
-        where = f"{table}, line {reader.line_num}"
+    for where, row in rows:
         if None in row or None in row.values():
             raise UserError(what="has more or fewer cells than columns", where=where)
         yield _job_of(row, table.parent, base, where)
@@ -252,7 +254,7 @@ def _config(preset: str, settings: str, base: PresetConfig, where: str) -> Prese
     if not settings:
         return config
     try:
-        changes = tomllib.loads(settings.replace(";", "\n"))
+        changes = parse_toml(settings.replace(";", "\n"))
     except ValueError as error:
         raise UserError(what=f"settings are not valid TOML: {error}", where=where) from None
     table = merged(to_table(config), changes)

@@ -20,6 +20,7 @@ from geraf2.apps.benchmark.suite import Case, Method
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import parse_json
 from geraf2.io.toml import read_table, write_toml
 from geraf2.pipeline.presets import PresetConfig, preset_type, versions_of
 from geraf2.simulation import SceneSpec, parse_spec
@@ -199,7 +200,7 @@ def read_results(path: Path) -> list[SeedResult]:
     results = []
     for line in path.read_text(encoding="utf-8").splitlines():
         try:
-            values = json.loads(line)
+            values = parse_json(line)
             results.append(SeedResult(**{k: v for k, v in values.items() if k in names}))
         except (ValueError, TypeError, AttributeError):
             continue

@@ -8,7 +8,6 @@
 The names and units of the keys are those of TI's mmWave Studio and SDK user guides.
 """
 
-import json
 import math
 import re
 from collections.abc import Iterable, Mapping
@@ -26,7 +25,7 @@ from geraf2.apps.importers._ti_values import (
 )
 from geraf2.errors import UserError
 from geraf2.io.regular import TEXT_BYTES, read_regular
-from geraf2.io.text import read_text
+from geraf2.io.text import parse_json, read_text
 
 # Values that a log rounds to the steps of the chip: 0.048 MHz/us of slope, 54 Hz, 10 ns.
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
@@ -81,8 +80,8 @@ def _read_one(path: Path) -> TiConfig:
     if path.suffix.lower() in (".txt", ".lua"):
         return read_log(text, path)
     try:
-        values = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        values = parse_json(text)
+    except ValueError as error:
         raise UserError(what=f"is not valid JSON: {error}", where=path) from None
     if isinstance(values, dict) and "mmWaveDevices" in values:
         return _from_studio(values, path)

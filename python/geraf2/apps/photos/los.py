@@ -1,6 +1,5 @@
 """Line-of-sight priors as folders (mesh, distance grid, record), from photos, meshes or sides."""
 
-import json
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -27,6 +26,7 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular
 from geraf2.io.run_folder import stage_key
+from geraf2.io.text import parse_json
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene.los import LosPrior
@@ -164,6 +164,9 @@ def make_los(
                 expected=f"{_MIN_BOX_M:g} to {_MAX_BOX_M:g} m",
                 got=source,
             )
+        if options.unit is not None or options.to_radar is not None:
+            what = "side lengths are metres in the capture's frame: leave out --unit and --to-radar"
+            raise UserError(what=what)
         prior = LosPrior.from_box((x, y, z), box_center_m)
         kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     elif is_photo_set(path) or path.is_dir():
@@ -364,7 +367,7 @@ def write_los(
 def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
     try:
-        values = json.loads(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
+        values = parse_json(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
         files = dict(values["files"])
         record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
     except (OSError, ValueError, KeyError, TypeError):
@@ -385,11 +388,11 @@ def _from_mesh(
     listener: Listener,
 ) -> LosResult:
     """Prior of a mesh, whose holes are closed by its distance grid."""
-    with listener.step("distance grid"):
+    with listener.step("distance grid") as progress:
         bounds = np.stack([mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)])
         closed = count_open_edges(mesh.faces) == 0
         grid = grid_about(bounds, _N_LONGEST)
-        sdf = mesh_distance(mesh, grid, closed=closed, num_threads=num_threads)
+        sdf = mesh_distance(mesh, grid, closed=closed, num_threads=num_threads, progress=progress)
         if not closed:
             voxel_mm = 1e3 * grid.spacing_m
             listener.warning(
@@ -437,7 +440,7 @@ def _require_own(out: Path) -> None:
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of another source."""
     try:
-        values = json.loads(read_regular(out / LOS_RECORD_NAME, RECORD_BYTES))
+        values = parse_json(read_regular(out / LOS_RECORD_NAME, RECORD_BYTES))
         other, source = values["key"] != key, values["source"]
     except (OSError, ValueError, KeyError, TypeError):
         return

@@ -28,6 +28,7 @@ from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
@@ -237,7 +238,7 @@ class NeuralSurface:
     def save(self, path: AnyPath) -> None:
         """Write everything in safetensors with a JSON header."""
         arrays, header = self.state()
-        header = json.loads(json.dumps(header))
+        header = parse_json(json.dumps(header))
         save_checkpoint(path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header))
 
     @classmethod

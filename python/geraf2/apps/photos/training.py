@@ -26,6 +26,7 @@ from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 from geraf2.scene.photos import PhotoSet
 
@@ -201,7 +202,7 @@ class _Writer:
         if self._path is None or (not now and time.monotonic() - self._last < self._every_s):
             return
         arrays, header = trainer.state()
-        header = json.loads(json.dumps(header | {"photos": self._names}))
+        header = parse_json(json.dumps(header | {"photos": self._names}))
         save_checkpoint(
             self._path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header)
         )
@@ -211,7 +212,7 @@ class _Writer:
 def _require_same(path: Path, stored: Checkpoint, config: PhotoConfig, photos: PhotoSet) -> None:
     wanted: dict[str, Any] = {
         "model": type(config).__name__,
-        "config": json.loads(json.dumps(asdict(config))),
+        "config": parse_json(json.dumps(asdict(config))),
         "photos": list(photos.names),
     }
     for name, value in wanted.items():

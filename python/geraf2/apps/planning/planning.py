@@ -51,7 +51,9 @@ _PRESETS: dict[str, Waveform] = {
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
 _PICTURES = (".png", ".pdf", ".svg", ".jpg")
-PlanM = Annotated[float, Interval(gt=0.0, le=10.0)]
+_MOST_RINGS = 12
+_MOST_PLANES = 1000
+PlanM = Annotated[float, Interval(ge=1e-3, le=10.0)]
 PlanSides = tuple[PlanM, PlanM, PlanM]
 _StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
 _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
@@ -108,6 +110,16 @@ class PlanOptions(Bounded):
     """Run folder: propose the plane that reduces its expected error most per minute."""
     out: Path | None = None
     """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        n_rings = len(self.elevations_deg)
+        if len(set(self.elevations_deg)) < n_rings:
+            raise UserError(what="--elevations-deg names an elevation twice")
+        if n_rings * (self.planes or 1) > _MOST_PLANES or n_rings > _MOST_RINGS:
+            expected = f"at most {_MOST_RINGS} elevations and {_MOST_PLANES} planes in all"
+            got = f"{n_rings} elevations"
+            raise UserError(what="too many planes", where="--planes", expected=expected, got=got)
 
     @property
     def scanner(self) -> Scanner:

@@ -11,7 +11,7 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.geometry.transforms import triple
-from geraf2.io.arrays import read_npz
+from geraf2.io.array_layouts import read_arrays
 from geraf2.io.container import is_scene
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.mesh_colours import error_colours
@@ -191,10 +191,14 @@ def _of_scene(folder: Path) -> Source:
 
 def _image(path: Path) -> Volume:
     """Matched-filter volume in decibels below its largest value."""
-    stored = read_npz(path, ("volume", "origin_m", "spacing_m"))
+    layouts = {"volume": "float x y z", "origin_m": "float 3", "spacing_m": "float"}
+    stored = read_arrays(path, layouts)
     nx, ny, nz = stored["volume"].shape
     origin_m = triple(stored["origin_m"])
-    grid = Grid(origin_m=origin_m, spacing_m=float(stored["spacing_m"]), shape=(nx, ny, nz))
+    try:
+        grid = Grid(origin_m=origin_m, spacing_m=float(stored["spacing_m"]), shape=(nx, ny, nz))
+    except ValueError as error:
+        raise UserError(what=f"no volume on a grid: {error}", where=path) from None
     relative = np.abs(stored["volume"]) / max(float(np.abs(stored["volume"]).max()), 1e-30)
     decibels = 20.0 * np.log10(np.maximum(relative, 1e-6))
     limits = (-_RANGE_DB, 0.0)

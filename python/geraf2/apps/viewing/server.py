@@ -2,12 +2,14 @@
 
 import os
 import socket
-from collections.abc import Sequence
-from contextlib import redirect_stdout
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from http import HTTPStatus
 from io import StringIO
 from pathlib import Path
 from threading import Lock
 from typing import Any
+from urllib.parse import urlsplit
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from geraf2.errors import UserError
 _APART = 1.3
 """Distance between two sources, in units of their size."""
 _OFF = "off"
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _POINT_M, _LINE_M = 0.0012, 0.0006
 
 
@@ -35,7 +38,7 @@ class LiveView:
         viser = _viser()
         sources = [source_of(path) for path in paths]
         require_free(host, port)
-        with redirect_stdout(StringIO()):  # hides its banner
+        with redirect_stdout(StringIO()), _same_origin_only(host):  # hides its banner
             self._server: Any = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, int(self._server.get_port())
         self._drawing = Lock()
@@ -163,6 +166,11 @@ class LiveView:
 
 def require_free(host: str, port: int) -> None:
     """Raise UserError for a used port; viser would silently choose the next one."""
+    if not host.strip():
+        raise UserError(
+            what="--host is empty, which is every address of this machine",
+            hint="name 0.0.0.0 if other machines may connect",
+        )
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -173,6 +181,43 @@ def require_free(host: str, port: int) -> None:
                 where=host,
                 hint=f"choose another one, as --port {port + 1}",
             ) from None
+
+
+@contextmanager
+def _same_origin_only(host: str) -> Iterator[None]:
+    """Make servers that refuse pages of other sites, which viser lets open its socket.
+
+    A page sends its own address as `Origin`. On a server of this machine alone `Host` must be a
+    name of this machine, too: a site may give its own name this machine's address.
+    """
+    from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
+
+    serve = server.serve
+
+    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            if not is_same_origin(request.headers, host):
+                return connection.respond(HTTPStatus.FORBIDDEN, "a page of another site\n")
+            return process_request and process_request(connection, request)
+
+        return serve(*arguments, process_request=check, **options)
+
+    server.serve = guarded  # type: ignore[assignment, misc]
+    try:
+        yield
+    finally:
+        server.serve = serve  # type: ignore[misc]
+
+
+def is_same_origin(headers: Mapping[str, str], host: str) -> bool:
+    """Whether a request comes from the server's own page, or from no page.
+
+    host: address on which the server listens.
+    """
+    asked, origin = headers.get("Host", ""), headers.get("Origin")
+    if host in _LOOPBACK and urlsplit(f"//{asked}").hostname not in _LOOPBACK:
+        return False
+    return origin is None or urlsplit(origin).netloc == asked
 
 
 def _viser() -> Any:

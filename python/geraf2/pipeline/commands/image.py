@@ -12,7 +12,7 @@ from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from geraf2._bounds import Bounded, CellM, Count, CountOrZero, LengthM, MarginM, Sides, Triple
-from geraf2._memory import memory_of_parts
+from geraf2._memory import memory_of_parts, require_memory
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
@@ -23,7 +23,11 @@ from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import RunFolder, stage_key
 from geraf2.ops import explain_method
-from geraf2.pipeline.estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M
+from geraf2.pipeline.estimates import (
+    DEFAULT_IMAGE_SIDE_M,
+    DEFAULT_IMAGE_SPACING_M,
+    image_estimate,
+)
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, Grid, Pose
 from geraf2.scene.capture import LazyPoses
@@ -282,6 +286,8 @@ def plan_image(
     with memory_of_parts() if in_parts else nullcontext():
         by_depth = options.depth_m is not None
         grid = _depth_grid(options, first, len(poses)) if by_depth else _grid(options, summary)
+        needed = image_estimate(summary, grid.n_voxels).memory_bytes
+        require_memory(needed, "raise --spacing-m, or use --tiles", where=name)
     if by_depth:
         axis = _axis_along(first)
         if axis is not None:

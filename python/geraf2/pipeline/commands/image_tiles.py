@@ -8,7 +8,6 @@ whoever wrote it: the same command continues where it stopped. The bytes are tho
 of `geraf2 image`, which is imaged in the same slabs.
 """
 
-import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -40,6 +39,7 @@ from geraf2.io.objects import (
 from geraf2.io.outputs import require_consent
 from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.text import parse_json
 from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_group
 from geraf2.pipeline.commands.image import (
     ImageOptions,
@@ -241,7 +241,7 @@ def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[in
 def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> None:
     """Make image.zarr without chunks; one of the same key stays as it is."""
     try:
-        about = json.loads(read_bytes(job.group / METADATA_NAME, RECORD_BYTES))
+        about = parse_json(read_bytes(job.group / METADATA_NAME, RECORD_BYTES))
         same = about["attributes"]["key"] == key
     except (OSError, ValueError, KeyError, TypeError):
         same = False

@@ -30,6 +30,7 @@ from geraf2.io.run_folder import (
     RunFolder,
     stage_key,
 )
+from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
@@ -166,6 +167,8 @@ class _Request:
         if making is None:
             known = prior if isinstance(prior, LosPrior) else source
             found = _prior(known, capture, summary, listener)
+        if found:
+            require_reconstructable(summary, config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
         outside = _prior_key(found[0]) if found else making.key if making else ""
         return cls(

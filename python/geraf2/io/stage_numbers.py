@@ -1,0 +1,54 @@
+"""Numbers of stages in run.json that the report and later stages read, and their types."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from geraf2.errors import UserError
+from geraf2.io.toml import from_table
+
+_Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Known:
+    """Numbers by name, whatever their stage; each may be missing."""
+
+    n_glints: int = 0
+    labels: dict[str, int] | None = None
+    n_back_faces: int = 0
+    back_face_share: float = 0.0
+    permittivity: float = 1.0
+    permittivity_sigma: float = 0.0
+    thickness_m: _Interval = (0.0, 0.0)
+    n_face_pairs: int = 0
+    outlines: int | None = None
+    applied: tuple[str, ...] = ()
+    left: tuple[str, ...] = ()
+    volume_cm3: float = 0.0
+    volume_95_percent_cm3: _Interval = (0.0, 0.0)
+    extents_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    extents_95_percent_mm: tuple[_Interval, _Interval, _Interval] | None = None
+    common_offset_sigma_mm: float = 0.0
+
+
+# Where the first is there, the others are.
+_TOGETHER = (
+    ("n_back_faces", "back_face_share"),
+    ("permittivity", "permittivity_sigma", "thickness_m", "n_face_pairs"),
+    ("volume_95_percent_cm3", "volume_cm3", "extents_mm", "extents_95_percent_mm"),
+    ("volume_95_percent_cm3", "common_offset_sigma_mm"),
+)
+
+
+def checked_numbers(numbers: Any, where: object) -> dict[str, Any]:
+    """Numbers of one stage; UserError where one that others read has another type or is missing."""
+    if not isinstance(numbers, Mapping):
+        raise UserError(what="must be a table of numbers", where=where, got=repr(numbers)[:40])
+    known = {name: v for name, v in numbers.items() if name in _Known.__dataclass_fields__}
+    from_table(known, _Known, where)
+    for first, *others in _TOGETHER:
+        missing = [name for name in others if first in known and name not in known]
+        if missing:
+            raise UserError(what=f"key {missing[0]!r} is missing", where=where)
+    return dict(numbers)

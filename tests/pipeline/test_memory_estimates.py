@@ -1,0 +1,49 @@
+"""Estimates of memory against the peak of real processes, which --max-memory is compared with."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+import geraf2
+from geraf2._memory import memory_limit
+from geraf2.errors import UserError
+from geraf2.pipeline.estimates import image_estimate, reconstruct_cost, require_reconstructable
+from geraf2.pipeline.presets import BestPreset, FastPreset
+from geraf2.scene.summary import summarize_capture
+from geraf2.surfaces import FitConfig
+from geraf2.surfaces.refinement import RefineConfig
+from helpers.synthetic import point_capture
+
+MIB = 2.0**20
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="peak in KiB")
+def test_the_estimate_of_an_image_is_near_its_peak(tmp_path):
+    capture = point_capture(2)
+    geraf2.save_capture(capture, tmp_path / "scene")
+    words = ["image", "scene", "out", "--size-m", "0.1", "0.1", "0.1", "--spacing-m", "0.001"]
+    command = [sys.executable, "-c", "from geraf2.cli.main import run; run()", *words]
+    process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)  # Popen did not see it end
+    assert process.returncode == 0
+    peak = 1024.0 * used.ru_maxrss
+    estimate = image_estimate(summarize_capture(capture), 101**3).memory_bytes
+    assert peak / 1.3 < estimate < 1.3 * peak
+
+
+def test_voxels_of_the_fit_and_samples_count():
+    summary = summarize_capture(point_capture(2))
+    box = (0.2, 0.2, 0.2)
+    assert reconstruct_cost(9_000_000).memory_bytes > 550 * MIB
+    fine = FitConfig(spacing_m=0.001, max_voxels=10**9)
+    with memory_limit(500 * MIB):
+        for preset in (FastPreset(), BestPreset()):
+            require_reconstructable(summary, preset, box, "scene")
+        for preset in (FastPreset(fit=fine), BestPreset(refine=RefineConfig(fit=fine))):
+            with pytest.raises(UserError, match="scene: the run will not fit into memory"):
+                require_reconstructable(summary, preset, box, "scene")
+        capped = FitConfig(spacing_m=0.001, max_voxels=10**6)
+        require_reconstructable(summary, FastPreset(fit=capped), box, "scene")
