@@ -13,6 +13,7 @@ from safetensors.numpy import save
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.text import parse_json
 
 _FORMAT = "geraf2-checkpoint"
@@ -59,6 +60,7 @@ def _in_order(data: bytes) -> bytes:
 def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:
     """Read a checkpoint of one kind and version; UserError for anything else."""
     source = Path(path)
+    refuse_other_kind(source)
     try:
         with safe_open(source, framework="numpy") as stored:
             metadata = stored.metadata() or {}

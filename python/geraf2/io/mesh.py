@@ -17,6 +17,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.mesh_limits import require_mesh_size
@@ -243,6 +244,7 @@ def _require_readable(source: Path) -> None:
         )
     if source.stat().st_size == 0:
         raise UserError(what="the mesh file is empty", where=source)
+    refuse_other_kind(source)
 
 
 def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:

@@ -9,10 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 
 
 def read_text(path: Path) -> str:
     """UTF-8 text of a file; UserError where it cannot be read."""
+    refuse_other_kind(path)
     try:
         return path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:

@@ -28,6 +28,7 @@ from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import Layout, decode_integers
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_samples
 from geraf2.records import Samples
@@ -195,6 +196,8 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
             facts.append(("files", f"{len(paths)} parts, {paths[0].name} to {paths[-1].name}"))
     streams = []
     for group in groups:
+        for path in group:
+            refuse_other_kind(path, is_raw=True)
         plain = PlainStream(group)
         if not plain.n_bytes and not (per_place and options.keep_good):
             raise UserError(what="is empty", where=group[0])

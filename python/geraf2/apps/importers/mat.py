@@ -26,6 +26,7 @@ from geraf2.apps.importers._mat_tags import require_sound_tags
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose
 
@@ -119,6 +120,7 @@ def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
     """Arrays of the file, by our names."""
     if not path.is_file():
         raise UserError(what="no such file", where=path)
+    refuse_other_kind(path, ("mat", "hdf5"))
     with path.open("rb") as handle:
         head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
     is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)

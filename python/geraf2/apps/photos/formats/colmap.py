@@ -15,6 +15,7 @@ from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 from geraf2.io.text import read_lines
 
@@ -192,6 +193,7 @@ class _Bytes:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        refuse_other_kind(path)
         try:
             self._data = path.read_bytes()
         except OSError as error:

@@ -9,6 +9,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from geraf2._types import Bools, Floats
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 
 MAX_PIXELS = 200_000_000
 """Limit of an image; larger sizes are treated as broken or hostile headers."""
@@ -68,6 +69,7 @@ def read_size(path: Path) -> tuple[int, int]:
 
 
 def _opened(path: Path) -> Image.Image:
+    refuse_other_kind(path, ("image",))
     try:
         image = Image.open(path)
     except FileNotFoundError:
