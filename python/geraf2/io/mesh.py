@@ -129,7 +129,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
             where=source,
             got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
         )
-    if np.abs(vertices).max() > _MAX_PLACE_M:
+    if np.abs(vertices).max(initial=0.0) > _MAX_PLACE_M:
         raise UserError(
             what=f"vertex coordinates reach {np.abs(vertices).max():.3g} m",
             where=source,
