@@ -163,15 +163,7 @@ def open_recording(
     files = _open_files(source, radar, options)
     head = files.head()
     n_rx = radar.raw.n_rx or config.n_rx
-    evidence = find_layout(
-        head,
-        n_rx=n_rx,
-        layout=radar.raw.layout or _layout_of(config),
-        offset_binary=radar.raw.offset_binary,
-        swap_iq=radar.raw.swap_iq,
-        n_samples=radar.n_samples or config.n_samples,
-        where=source,
-    )
+    evidence = _evidence(head, n_rx, radar, config, source)
     n_tx, n_chirps = _frame_structure(radar, config)
     chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     frame_bytes = n_chirps * chirp_bytes
@@ -185,11 +177,7 @@ def open_recording(
     if not files.per_place:
         _require_whole_chirp(head, evidence, source)
         n_empty = trailing_zeros(stream)
-        if n_empty >= chirp_bytes:
-            notes.append(
-                f"the last {n_empty} bytes are zero ({n_empty // chirp_bytes} of "
-                f"{n_bytes // chirp_bytes} chirps): the recording stopped before its end"
-            )
+        notes.extend(_empty_chirps(n_empty, n_bytes, chirp_bytes))
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
     if files.per_place:
@@ -208,9 +196,8 @@ def open_recording(
         *files.facts,
         *describe(evidence, n_tx, n_chirps, n_frames),
         describe_peak(chirps, evidence, radar, config),
+        *([("transmitters", str(config.transmitters))] if config.transmitters else []),
     ]
-    if config.transmitters is not None:
-        facts.append(("transmitters", str(config.transmitters)))
     if dead:
         facts.append(("dead receivers", ", ".join(f"{rx} ({reason})" for rx, reason in dead)))
     return Recording(
@@ -270,6 +257,32 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         notes=notes,
         facts=facts,
     )
+
+
+def _evidence(
+    head: NDArray[np.int16],
+    n_rx: int | None,
+    radar: RadarManifest,
+    config: TiConfig,
+    source: Path,
+) -> LayoutEvidence:
+    return find_layout(
+        head,
+        n_rx=n_rx,
+        layout=radar.raw.layout or _layout_of(config),
+        offset_binary=radar.raw.offset_binary,
+        swap_iq=radar.raw.swap_iq,
+        n_samples=radar.n_samples or config.n_samples,
+        where=source,
+    )
+
+
+def _empty_chirps(n_empty: int, n_bytes: int, chirp_bytes: int) -> list[str]:
+    """Note on a recording that ends with zeros."""
+    if n_empty < chirp_bytes:
+        return []
+    share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
+    return [f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"]
 
 
 def _padding(stream: ByteStream, *, per_place: bool) -> int:
