@@ -78,14 +78,19 @@ def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:
 
 
 def largest_body(sdf: SdfGrid) -> SdfGrid:
-    """Field with the largest connected inside only; of the others the sign is turned."""
+    """Field with the largest connected inside only, its cavities filled.
+
+    Elsewhere the sign is turned.
+    """
     from scipy import ndimage  # noqa: PLC0415 - used here only
 
     labels, n_bodies = ndimage.label(sdf.values < 0.0)
-    if n_bodies < 2:
+    if not n_bodies:
         return sdf
     volumes = np.bincount(labels.ravel())
     volumes[0] = 0
-    other = (labels > 0) & (labels != volumes.argmax())
-    values = np.where(other, np.abs(sdf.values), sdf.values)
+    body = labels == volumes.argmax()
+    filled = ndimage.binary_fill_holes(body)
+    values = np.where((labels > 0) & ~filled, np.abs(sdf.values), sdf.values)
+    values = np.where(filled & ~body, -np.abs(sdf.values), values)
     return SdfGrid(grid=sdf.grid, values=values.astype(np.float32))

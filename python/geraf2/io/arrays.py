@@ -13,6 +13,7 @@ import numpy as np
 from geraf2._memory import require_memory
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.regular import open_regular
 
 _HEADER = (TypeError, EOFError, SyntaxError, TokenError)
@@ -25,6 +26,7 @@ BROKEN_ARRAY = (OSError, ValueError, *_HEADER, *_ARCHIVE)
 def read_npy(path: AnyPath, *, header_only: bool = False) -> Array:
     """Array of an .npy file; UserError where it cannot be read. `header_only` maps its data."""
     source = Path(path)
+    refuse_other_kind(source, ("npy",))
     try:
         with open_regular(source) as handle:
             if handle.read(len(NPY_MAGIC)) != NPY_MAGIC:  # numpy.load would ask for pickles
@@ -44,6 +46,7 @@ def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
     """Arrays of an .npz file by name; UserError if the file or one of them cannot be read."""
     source = Path(path)
     wanted = list(names)
+    refuse_other_kind(source, ("zip",))
     try:
         # With a handle of our own, numpy leaves none open when the file turns out to be broken.
         with open_regular(source) as handle, np.load(handle, allow_pickle=False) as stored:

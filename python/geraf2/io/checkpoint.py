@@ -13,6 +13,7 @@ from safetensors.numpy import save
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.regular import require_regular
 from geraf2.io.text import parse_json
 
@@ -60,6 +61,7 @@ def _in_order(data: bytes) -> bytes:
 def load_checkpoint(path: AnyPath, *, kind: str, version: int) -> Checkpoint:
     """Read a checkpoint of one kind and version; UserError for anything else."""
     source = Path(path)
+    refuse_other_kind(source)
     try:
         require_regular(source)
         with safe_open(source, framework="numpy") as stored:

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from geraf2._memory import require_memory
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.objects import exists, is_file, is_remote, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
@@ -223,6 +224,7 @@ class SceneReader:
         store = self.path / RADAR_NAME
         if not exists(store):
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
+        refuse_other_kind(store / METADATA_NAME)
         try:
             where, group = zarr_store(store)
             return zarr.open_group(where, path=group, mode="r", zarr_format=3)
@@ -233,6 +235,7 @@ class SceneReader:
 
     def _open_array(self, name: str) -> Any:
         where = self.path / RADAR_NAME / name
+        refuse_other_kind(where / METADATA_NAME)
         try:
             array = self._group[name]
             dtype, chunk_bytes = array.dtype.name, array.dtype.itemsize * np.prod(array.chunks)

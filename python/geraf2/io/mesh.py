@@ -1,12 +1,10 @@
 """Triangle meshes: in memory, from and to files."""
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,8 +15,10 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
+from geraf2.io.mesh_formats import RawMesh, parse_obj, parse_ply, parse_stl
 from geraf2.io.mesh_limits import require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.regular import (
@@ -36,10 +36,6 @@ READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 _METRES = ("metre", "metres", "meter", "meters")
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_PLACE_M = 1e6
-_PLY_HEAD = 4096
-_PLY_ENCODINGS = (b"ascii", b"binary_little_endian", b"binary_big_endian")
-_NUMBERS = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
-"""Types of the columns of a PLY, without lists."""
 
 
 class Evidence(IntEnum):
@@ -140,7 +136,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
             where=source,
             got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
         )
-    if np.abs(vertices).max() > _MAX_PLACE_M:
+    if np.abs(vertices).max(initial=0.0) > _MAX_PLACE_M:
         raise UserError(
             what=f"vertex coordinates reach {np.abs(vertices).max():.3g} m",
             where=source,
@@ -252,6 +248,7 @@ def _require_readable(source: Path) -> None:
         )
     if source.stat().st_size == 0:
         raise UserError(what="the mesh file is empty", where=source)
+    refuse_other_kind(source)
 
 
 def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
@@ -295,73 +292,52 @@ class _Beside:
 
 
 def _load(source: Path) -> TriangleMesh:
-    import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
-
-    suffix = source.suffix.lower()
-    # Materials name further files, and pictures that start programs.
-    options: dict[str, Any] = {"process": False, "skip_materials": True}
-    if suffix == ".obj":
-        options["maintain_order"] = True
+    parse = _PARSERS.get(source.suffix.lower())
     try:
-        with open_regular(source, BINARY_BYTES) as file:
-            loaded = trimesh.load(
-                file, suffix[1:], resolver=_Beside(source), force="mesh", **options
-            )
-        vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
+        raw = _parse_gltf(source) if parse is None else parse(read_regular(source, BINARY_BYTES))
     except (MemoryError, UserError):
         raise
     except Exception as error:
         # Readers of foreign formats raise many types; all mean the same to the user.
         reason = str(error).strip().splitlines() or [type(error).__name__]
-        if isinstance(error, ImportError):  # asked for a library that guesses text encodings
-            reason = ["it holds bytes that are no text"]
         raise UserError(
             what=f"cannot read the mesh: {reason[0]}",
             where=source,
             hint="the file may be cut off or in another format than its name suggests",
         ) from error
-    if suffix in (".glb", ".gltf"):
-        vertices = vertices @ FRAME_FROM_GLTF[:3, :3].T
-    mesh = TriangleMesh(vertices=vertices, faces=faces)
-    if suffix != ".ply" or not len(faces):
-        return mesh
-    with open_regular(source) as file:
-        encoding = re.search(rb"^format\s+(\S+)", file.read(_PLY_HEAD), re.MULTILINE)
-    if encoding is not None and encoding[1] not in _PLY_ENCODINGS:  # trimesh takes any
-        name = encoding[1].decode("latin-1")
-        raise UserError(what=f"unknown encoding {name!r} of the mesh", where=source)
-    return _with_stored(mesh, source, loaded.metadata["_ply_raw"])
+    return TriangleMesh(vertices=raw.vertices, faces=raw.faces, **_stored(raw.columns))
 
 
-def _with_stored(mesh: TriangleMesh, source: Path, elements: Mapping[str, Any]) -> TriangleMesh:
-    """Add the columns of the vertices that trimesh read, after a check of the header's counts."""
-    # A text PLY that was cut off reads as a smaller mesh. Polygons become several triangles each.
-    for name, count in {"vertex": len(mesh.vertices), "face": len(mesh.faces)}.items():
-        declared = elements[name]["length"] if name in elements else 0
-        if count < declared:
-            raise UserError(
-                what=f"the mesh lacks {name} rows",
-                where=source,
-                expected=declared,
-                got=count,
-                hint="it may be cut off",
-            )
-    vertex = elements.get("vertex")
-    if vertex is None or vertex["length"] != len(mesh.vertices):
-        return mesh
-    stored = {
-        name: np.asarray(vertex["data"][name], dtype=np.float64).reshape(-1)
-        for name in ("expected_error_m", "evidence")
-        if name in vertex["properties"] and vertex["properties"][name][-2:] in _NUMBERS
-    }
-    error, evidence = stored.get("expected_error_m"), stored.get("evidence")
-    if error is not None and not (np.isfinite(error) & (error >= 0)).all():
-        error = None
-    if evidence is not None and not np.isin(evidence, tuple(Evidence)).all():
-        evidence = None
-    codes = None if evidence is None else evidence.astype(np.uint8)
-    return replace(mesh, expected_error_m=error, evidence=codes)
+def _parse_gltf(source: Path) -> RawMesh:
+    """Mesh of a glTF, which is +Y up, turned to +Z up."""
+    import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
+
+    with open_regular(source, BINARY_BYTES) as file:
+        loaded = trimesh.load(
+            file,
+            source.suffix.lower()[1:],
+            resolver=_Beside(source),
+            force="mesh",
+            process=False,
+            skip_materials=True,  # they name further files, and pictures that start programs
+        )
+    vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
+    return RawMesh(vertices=vertices @ FRAME_FROM_GLTF[:3, :3].T, faces=faces)
+
+
+_PARSERS = {".obj": parse_obj, ".stl": parse_stl, ".ply": parse_ply}
+
+
+def _stored(columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Columns of the vertices that `write_mesh` writes, where their values fit."""
+    found: dict[str, Array] = {}
+    error, evidence = columns.get("expected_error_m"), columns.get("evidence")
+    if error is not None and (np.isfinite(error) & (error >= 0)).all():
+        found["expected_error_m"] = np.asarray(error, dtype=np.float64)
+    if evidence is not None and np.isin(evidence, tuple(Evidence)).all():
+        found["evidence"] = np.asarray(evidence, dtype=np.uint8)
+    return found
 
 
 def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from PIL import Image, UnidentifiedImageError
 
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.regular import BINARY_BYTES, open_regular
 
 PICTURE_FORMATS = ("PNG", "JPEG", "TIFF", "WEBP", "BMP", "PPM", "GIF")
@@ -18,6 +19,7 @@ MAX_PIXELS = 200_000_000
 @contextmanager
 def opened_picture(path: Path) -> Iterator[Image.Image]:
     """Open a picture, which is not decoded yet; UserError if it is missing, broken or too large."""
+    refuse_other_kind(path, ("image",))
     with ExitStack() as stack:
         try:
             file = stack.enter_context(open_regular(path, BINARY_BYTES))

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, open_regular
 
 
 def read_text(path: Path, most: int = TEXT_BYTES) -> str:
     """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
+    refuse_other_kind(path)
     try:
         with io.TextIOWrapper(open_regular(path, most), encoding="utf-8-sig") as file:
             return file.read()

@@ -20,6 +20,7 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.former_names import former_preset, former_setting
 from geraf2.io.objects import read_bytes
 from geraf2.io.regular import RECORD_BYTES
@@ -50,6 +51,8 @@ def write_toml(path: Path, value: Any) -> None:
 
 def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
+    if isinstance(path, Path):
+        refuse_other_kind(path)
     try:
         content = read_bytes(path, RECORD_BYTES) if isinstance(path, Path) else path.read_bytes()
         return parse_toml(content.decode("utf-8"))

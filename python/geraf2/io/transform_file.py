@@ -1,15 +1,15 @@
 """Rigid and similarity transforms from files."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import require_rigid
-from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.arrays import read_npy
 from geraf2.io.container import MANIFEST_NAME, read_scene_manifest
-from geraf2.io.regular import RECORD_BYTES, open_regular
 from geraf2.io.text import parse_json, read_text
 
 # Below this, a scale is rounding; above, it was meant.
@@ -61,16 +61,13 @@ def _from_scene(folder: Path) -> Floats:
 def _read_matrix(path: Path) -> Floats:
     try:
         if path.suffix == ".npy":
-            with open_regular(path, RECORD_BYTES) as handle:
-                values = np.load(handle, allow_pickle=False)
+            values: Any = read_npy(path)
         elif path.suffix == ".json":
             values = parse_json(read_text(path))
         else:
             values = [float(part) for part in read_text(path).replace(",", " ").split()]
         matrix = np.asarray(values, dtype=np.float64)
-    except FileNotFoundError:
-        raise UserError(what="no such file", where=path) from None
-    except (*BROKEN_ARRAY, MemoryError, RecursionError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise UserError(what=f"cannot be read as a matrix: {error}", where=path) from error
     if matrix.size != 16 or not np.isfinite(matrix).all():
         what = "must hold a 4 x 4 matrix"

@@ -1,3 +1,5 @@
+import contextlib
+
 import h5py
 import numpy as np
 import pytest
@@ -142,7 +144,7 @@ def test_no_broken_byte_ends_the_process(tmp_path):
         broken[rng.integers(124, len(whole))] = rng.integers(256)
         path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
         try:
-            found = mat.open_arrays(path, {name: name for name in values})
+            found, _ = mat.open_arrays(path, {name: name for name in values})
             assert set(found) <= set(values)
         except UserError:
             n_refused += 1
@@ -192,3 +194,71 @@ def test_arrays_of_other_files_are_not_read(tmp_path, arrays, elsewhere):
         elsewhere(file, "tx_positions", tmp_path / "private.mat")
     with pytest.raises(UserError, match=r"scan.mat: tx_positions (is a link|lies in another file)"):
         opened(path)
+
+
+def struct_of(arrays):
+    """MATLAB struct of one plane in a struct, beside text."""
+    plane = {name: arrays[name][1] for name in ("signal", "tx_positions", "rx_positions")}
+    return {"data": {"scan": plane, "info": {"name": "carton"}}, **NUMBERS}
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_fields_of_structs_are_found(tmp_path, arrays, compressed):
+    savemat(tmp_path / "a.mat", struct_of(arrays), do_compression=compressed)
+    (part,) = opened(tmp_path / "a.mat").poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+    (named,) = opened(tmp_path / "a.mat", arrays={"signal": "data.scan.signal"}).poses()
+    assert np.allclose(named.signal, part.signal)
+
+
+def test_groups_of_hdf5_are_found(tmp_path, arrays):
+    """Structs of MATLAB 7.3, and arrays of Octave."""
+    plane = struct_of(arrays)["data"]["scan"]
+    named = {"scan/signal": plane["signal"], "rx_positions/value": plane["rx_positions"]}
+    save_hdf5(tmp_path / "a.mat", named | {"tx_positions": plane["tx_positions"]} | NUMBERS)
+    (part,) = opened(tmp_path / "a.mat").poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+    assert np.allclose(part.rx_positions, arrays["rx_positions"][1])
+
+
+def test_names_of_the_command_line_go_before_those_of_the_file(save, arrays):
+    pose = {"sarData": arrays["signal"][1], "r": arrays["tx_positions"][1], "x": np.zeros(3)}
+    options = ImportOptions(arrays=("signal=sarData", "positions=r"))
+    scan = opened(save({**pose, **NUMBERS}), options, arrays={"signal": "x"})
+    (part,) = scan.poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ((), r"lacks the signal, .* got .*sarData 36 x 32 complex, r 36 x 3 real"),
+        (("signal=sarData",), r"lacks tx_positions, .* got .*r 36 x 3 real"),
+        (("signal=sardata", "positions=r"), "lacks what is named: signal = sardata"),
+        (("signal",), "must be OURS=THEIRS, got signal"),
+        (("range=r",), "arrays.range is no array that is read"),
+    ],
+)
+def test_names_that_are_missing_list_what_there_is(save, arrays, given, text):
+    pose = {"sarData": arrays["signal"][1], "r": arrays["tx_positions"][1]}
+    with pytest.raises(UserError, match=text):
+        opened(save({**pose, **NUMBERS}), ImportOptions(arrays=given))
+
+
+def test_what_is_in_a_struct_and_what_cannot_be_read_is_listed(tmp_path, arrays):
+    values = {"s": {"adc": arrays["signal"][1]}, "cells": np.array([1, "a"], dtype=object)}
+    savemat(tmp_path / "a.mat", values)
+    with pytest.raises(UserError, match=r"s 1 x 1 struct of adc 36 x 32 complex, cells 1 x 2 cell"):
+        opened(tmp_path / "a.mat")
+
+
+def test_no_broken_byte_of_a_struct_ends_the_process(tmp_path):
+    path = tmp_path / "a.mat"
+    savemat(path, {"s": {"signal": np.ones((4, 8), complex), "positions": np.ones((4, 3))}})
+    whole, rng = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(300):
+        broken = bytearray(whole)
+        broken[rng.integers(124, len(whole))] = rng.integers(256)
+        path.write_bytes(broken)
+        with contextlib.suppress(UserError):
+            mat.open_arrays(path, {"signal": "signal", "positions": "positions"})

@@ -6,6 +6,7 @@ import pytest
 
 from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.importers._ti_config import read_ti_configs
+from geraf2.apps.importers._transmitters import Transmitters
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from helpers.raw_capture import STUDIO, beat, words_of
@@ -47,7 +48,8 @@ def test_calls_define_chirp_and_frame(tmp_path, text, name):
     assert config.adc_start_s == pytest.approx(6e-6)
     assert config.sample_rate_hz == 1e6
     assert config.frame_period_s == pytest.approx(0.05)
-    assert (config.n_samples, config.n_rx, config.n_tx, config.n_lanes) == (64, 4, 2, 4)
+    assert (config.n_samples, config.n_rx, config.n_lanes) == (64, 4, 4)
+    assert config.transmitters == Transmitters((1, 2), (0, 0))
     assert (config.n_chirps_per_frame, config.n_frames) == (2, 20)
     assert config.interleaved == (True if name == "LogFile.txt" else None)
 
@@ -106,3 +108,84 @@ def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
 def test_a_line_that_cannot_be_read_is_named(tmp_path, old, new, line):
     with pytest.raises(UserError, match=line):
         read(tmp_path, LOG.replace(old, new))
+
+
+BRANCHES = {
+    "a.lua": ("if chip == 1243 then\n  {a}\nelseif chip == 6843 then\n  {b}\nend\n", "--"),
+    "b.lua": ("if (1243 == chip) then {a} else {b} end\n", "--"),
+    "a.m": ("switch chip\n  case 1243\n    SendCommand('{a}');\n  otherwise\n {b}\nend\n", "%"),
+    "a.js": ("if (chip === 1243) {{\n  {a};\n}} else {{\n  {b};\n}}\n", "//"),
+    "a.py": ("if chip == 1243:\n    {a}\nelse:\n    {b}\n", "#"),
+}
+CALL = "ar1.ProfileConfig(0, {}, 7, 6, 60, 0, 0, 0, 0, 0, 0, 60, 0, 64, {}, 0, 0, 30)"
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_different_calls_in_branches_are_refused_with_both(tmp_path, name):
+    form, comment = BRANCHES[name]
+    both = {"a": CALL.format(77, 5000), "b": CALL.format(60.25, 10000)}
+    with pytest.raises(UserError, match=r"expected 77, 5000, got 60\.25, 10000"):
+        read(tmp_path, form.format(**both), name)
+    same = read(tmp_path, form.format(a=both["a"], b=both["a"]), name)
+    assert same.ramp_start_hz == 77e9
+    # A comment is no call.
+    text = f"{comment} {both['b']}\n" + form.format(a=both["a"], b=both["a"])
+    assert read(tmp_path, text, name).ramp_start_hz == 77e9
+
+
+def test_repeated_calls_without_branches_are_valid_to_the_last(tmp_path):
+    text = f"{CALL.format(60, 4000)}\n{CALL.format(77, 5000)}\n"
+    assert read(tmp_path, text, "a.lua").sample_rate_hz == 5e6
+
+
+def test_a_call_may_take_several_lines_and_comments_several_too(tmp_path):
+    text = CALL.format(77, 5000).replace(", 60, 0,", ",\n    60,\n 0,", 1)
+    text = f"--[[ {CALL.format(60, 1)}\n{CALL.format(60, 1)} ]]\n{text}"
+    assert read(tmp_path, text, "a.lua").ramp_start_hz == 77e9
+
+
+def test_the_profile_of_the_chirps_is_read(tmp_path):
+    second = CALL.replace("(0,", "(1,").format(76, 2000)
+    chirp = "ar1.ChirpConfig(0, 0, {}, 0, 0, 0, 0, 1, 0, 0)\nar1.FrameConfig(0, 0, 20, 1, 50, 0)\n"
+    text = f"{CALL.format(77, 5000)}\n{second}\n"
+    assert read(tmp_path, text + chirp.format(0), "a.lua").ramp_start_hz == 77e9
+    assert read(tmp_path, text + chirp.format(1), "a.lua").ramp_start_hz == 76e9
+    both = chirp.format(0) + "ar1.ChirpConfig(1, 1, 1, 0, 0, 0, 0, 1, 0, 0)\n"
+    with pytest.raises(UserError, match="chirps of 2 profiles"):
+        read(tmp_path, text + both, "a.lua")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "told"),
+    [
+        ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
+        ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0\n", "frameCfg has too many values.*got 8"),
+        ("a.cfg", "profileCfg" + " 1" * 16, "profileCfg has too many values.*got 16"),
+        ("a.cfg", "chirpCfg 0 0 0 0 0 0 0 1 0\n", "chirpCfg has too many values.*got 9"),
+        ("a.cfg", "chirpComnCfg 8 0 0 256 1 28 0\n", "low-power chip"),
+        ("a.cfg", "chirpTimingCfg 6 63 0 75 60\n", "low-power chip"),
+        ("a.cfg", "advFrameCfg 2 0 0 1 0\n", "several sub-frames"),
+        ("a.cfg", "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nadcCfg 2 0\n", "are real"),
+        (
+            "a.cfg",
+            "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nlvdsStreamCfg -1 1 4 0\n",
+            "more than samples",
+        ),
+        (
+            "a.setup.json",
+            r'{"configUsed": "C:\\ti\\my.mmwave.json", "DCA1000Config": {"lvdsMode": 1}}',
+            "my.mmwave.json, which it names",
+        ),
+        ("a.json", "{}", "is no configuration of a TI radar"),
+        ("notes.m", "x = 3;\n", "is no configuration of a TI radar"),
+    ],
+)
+def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, told):
+    with pytest.raises(UserError, match=told):
+        read(tmp_path, text, name)
+
+
+def test_names_in_capitals_are_found(tmp_path):
+    (tmp_path / "ADC_Raw_0.bin").write_bytes(words_of(beat()).tobytes())
+    (tmp_path / "A.MMWAVE.JSON").write_text(json.dumps(STUDIO))
+    assert open_recording(tmp_path, RadarManifest()).config.sample_rate_hz == 1e6

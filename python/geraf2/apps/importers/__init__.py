@@ -44,6 +44,9 @@ class ImportOptions:
     """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     config: tuple[Path, ...] = ()
     """Files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt, *.lua."""
+    arrays: Annotated[tuple[str, ...], Arg(metavar="OURS=THEIRS")] = ()
+    """Names of arrays in a MATLAB file, as signal=sarData positions=scan.xyz; they go before
+    [arrays] of --radar."""
     file_per_place: bool = False
     """The source holds one recording a position; a column 'file' of the positions names it, else
     their numbers."""

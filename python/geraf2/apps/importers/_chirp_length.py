@@ -8,6 +8,7 @@ from scipy.linalg import toeplitz
 
 from geraf2._types import Floats
 from geraf2.apps.importers._word_order import WordOrder, decode
+from geraf2.errors import UserError
 
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
 # The signal jumps at the end of a chirp: least median jump there over that elsewhere; 29 and 83 on
@@ -65,7 +66,7 @@ def find_n_samples(
 
 def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
     """Power of the prediction residual of each sample, (n_samples,)."""
-    errors = np.abs(_prediction_error(channels(words, order))).astype(np.float64) ** 2
+    errors = np.abs(prediction_error(channels(words, order))).astype(np.float64) ** 2
     # Channels of different strength count alike; a dead one is ignored.
     usual = np.median(errors, axis=1, keepdims=True)
     ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
@@ -79,10 +80,38 @@ def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> 
     if n_chirps < _MIN_CHIRPS:
         return 0
     folded = np.median(jumps[: n_chirps * n_samples].reshape(n_chirps, n_samples)[1:], axis=0)
-    latest = int(folded.argmax())
+    # A chirp begins with a pair of samples where these are stored in pairs.
+    latest = (
+        int(folded.argmax()) // (step := 2 if order.layout == "2-lane-sequential" else 1) * step
+    )
     usual = float(np.median(jumps))
     is_late = folded[latest] >= MIN_JUMP * max(usual, float(folded[0]))
     return latest if usual > 0 and is_late else 0
+
+
+def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) -> UserError:
+    """UserError for a recording whose first whole chirp begins `late` samples after its start."""
+    n_bytes = 2 * words_per_sample(order) * late
+    return UserError(
+        what=f"begins in the middle of a chirp: one of {n_samples} samples begins after {late}",
+        where=where,
+        hint="is it a later part of a recording? name the folder with all parts"
+        if order.layout == "2-lane-sequential"
+        else f"name the folder with all parts of the recording, or leave out {n_bytes} bytes",
+    )
+
+
+def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, int] | None:
+    """Return the samples per chirp and those before the first whole one."""
+    jumps = _jumps(words, order)[:_MAX_SAMPLES]
+    first = int(jumps.argmax()) // 2 * 2
+    n_samples, _ = find_n_samples(words[words_per_sample(order) * first :], order, None)
+    return None if n_samples is None else (n_samples, first % n_samples)
+
+
+def words_per_sample(order: WordOrder) -> int:
+    """Words of one sample of the receivers that alternate."""
+    return 2 if order.layout == "2-lane-sequential" else 2 * order.n_rx
 
 
 def _jump_score(jumps: Floats, period: int) -> float:
@@ -99,18 +128,20 @@ def _jump_score(jumps: Floats, period: int) -> float:
     return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
 
 
-def _prediction_error(streams: NDArray[np.complex64]) -> NDArray[np.complex64]:
+def prediction_error(
+    streams: NDArray[np.complex64], n_lags: int = _N_LAGS
+) -> NDArray[np.complex64]:
     """Residual of a Yule-Walker linear prediction, (n_channels, n_samples)."""
     error = streams - streams.mean(axis=1, keepdims=True)
     n = streams.shape[1]
     for channel, stream in enumerate(error.copy()):
-        lags = [np.vdot(stream[: n - lag], stream[lag:]) for lag in range(_N_LAGS + 1)]
+        lags = [np.vdot(stream[: n - lag], stream[lag:]) for lag in range(n_lags + 1)]
         if not abs(lags[0]) > 0:
             continue
         # A millionth on the diagonal: a pure tone makes the equations singular.
-        noise = 1e-6 * lags[0] * np.eye(_N_LAGS)
+        noise = 1e-6 * lags[0] * np.eye(n_lags)
         weights = np.linalg.solve(toeplitz(lags[:-1]) + noise, np.array(lags[1:]))
         for lag, weight in enumerate(weights, start=1):
             error[channel, lag:] -= weight.astype(np.complex64) * stream[:-lag]
-    error[:, :_N_LAGS] = 0
+    error[:, :n_lags] = 0
     return np.asarray(error)

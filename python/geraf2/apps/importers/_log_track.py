@@ -18,6 +18,12 @@ _MAX_STEP_M = 1.0
 # long, and matters if the radar moved by more than a few wavelengths in it.
 _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
 
+# Frames that last less than this share of the log are named; they are refused where at most two
+# rows lie between many of them, as with time stamps in milliseconds.
+_LITTLE, _FEWEST_ROWS, _MIN_FRAMES = 0.1, 2, 8
+_TIME_UNITS = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+_SUFFIXES = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
+
 
 def log_track(
     log: RobotLog,
@@ -51,6 +57,7 @@ def log_track(
         n_used = sum(stop - first for first, stop in ranges)
         notes.append(f"{n_frames - n_used} of {n_frames} frames between the lines were left out")
         return replace(timing, ranges=ranges, notes=tuple(notes), plane_starts=starts)
+    outside += _require_rows_between(log, covered, start_time_s, frame_period_s)
     ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)
     notes = [*log.notes, *notes, *outside, *more]
     return replace(timing, ranges=ranges, notes=tuple(notes), tx_delays_s=tx_delays_s)
@@ -88,6 +95,29 @@ def _covered_frames(
     return covered, []
 
 
+def _require_rows_between(
+    log: RobotLog, covered: Range, start_s: float, period_s: float
+) -> list[str]:
+    """Note where the frames cover little of the log; UserError where no row lies between them."""
+    assert log.times_s is not None
+    begin, end = (start_s + period_s * frame for frame in (covered[0], covered[1] - 1))
+    inside = int(((log.times_s >= begin) & (log.times_s <= end)).sum())
+    span_s, log_s = end - begin, float(log.times_s[-1] - log.times_s[0])
+    if not log_s > 0 or span_s > _LITTLE * log_s or covered[1] - covered[0] < _MIN_FRAMES:
+        return []
+    text = f"the frames last {span_s:.4g} s, {100 * span_s / log_s:.2g} % of the {log_s:.4g} s"
+    if inside > _FEWEST_ROWS or len(log.times_s) < _MIN_FRAMES:
+        return [f"{text} of {log.path.name}"]
+    step = float(np.median(np.diff(log.times_s))) / period_s
+    unit = min(_TIME_UNITS, key=lambda name: abs(np.log(step * _TIME_UNITS[name])))
+    raise UserError(
+        what=f"{text} of the log, and fewer than {_FEWEST_ROWS + 1} rows lie between them",
+        where=log.path,
+        expected="time stamps in seconds",
+        hint=f"are they {unit}? name the column time_{_SUFFIXES[unit]}; or correct start_time_s",
+    )
+
+
 def _frames_on_lines(
     log: RobotLog, n_frames: int, start_s: float, period_s: float, keep_good: bool
 ) -> tuple[tuple[int, ...], tuple[Range, ...]]:
@@ -116,12 +146,13 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> LogTra
     per_place, rest = divmod(n_frames, n_rows)
     notes = list(log.notes)
     if rest or not per_place:
-        if not keep_good or log.notes:
+        if not keep_good or not log.is_whole:
             raise UserError(
                 what=f"{n_rows} positions without time stamps do not match {n_frames} frames",
                 where=log.path,
                 expected="one for each frame, or for each group of as many frames",
-                hint="give time stamps" + ("" if log.notes else ", or --keep-good cuts the rest"),
+                hint="give time stamps"
+                + (", or --keep-good cuts the rest" if log.is_whole else ""),
             )
         per_place = max(per_place, 1)
         notes.append(f"{n_rows} positions for {n_frames} frames: the rest was cut")

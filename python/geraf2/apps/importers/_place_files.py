@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._raw_stream import PacketStream, PlainStream, bin_files
+from geraf2.apps.importers._raw_stream import bin_files
 from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._stream_parts import ByteStream
 from geraf2.errors import UserError
 
 _MAX_NAMED = 4
@@ -57,7 +58,7 @@ def _by_numbers(path: Path) -> tuple[tuple[int, int, str], ...]:
 class PlaceStream:
     """Concatenation of the first `bytes_per_place` bytes of each file."""
 
-    files: tuple[PlainStream | PacketStream, ...]
+    files: tuple[ByteStream, ...]
     bytes_per_place: int
 
     @property
@@ -75,14 +76,14 @@ class PlaceStream:
             at += n
 
 
-def usual_bytes(files: Sequence[PlainStream | PacketStream]) -> int:
+def usual_bytes(files: Sequence[ByteStream]) -> int:
     """Most common size of the files [bytes]; the largest of several."""
     counts = Counter(stream.n_bytes for stream in files)
     return max(counts, key=lambda size: (counts[size], size))
 
 
 def odd_places(
-    files: Sequence[PlainStream | PacketStream],
+    files: Sequence[ByteStream],
     names: Sequence[str],
     frame_bytes: int,
     *,

@@ -12,7 +12,14 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._chirp_length import MIN_JUMP, channels, find_n_samples
+from geraf2.apps.importers._chirp_length import (
+    MIN_JUMP,
+    begins_in_chirp,
+    channels,
+    find_late_chirps,
+    find_n_samples,
+)
+from geraf2.apps.importers._real_samples import require_complex
 from geraf2.apps.importers._word_order import LAYOUTS, Layout, WordOrder, decode
 from geraf2.errors import UserError
 
@@ -154,6 +161,8 @@ def find_layout(
         }
     chosen, notes = _chosen_order(ratios, allowed, where)
     is_open = layout is None or offset_binary is None or n_rx is None
+    if layout is None:
+        require_complex(words, chosen, where)
     if is_open and _one_sided(ratios[chosen]) < MIN_RATIO:
         raise UserError(
             what="the layout cannot be found out: no order of the words gives a one-sided "
@@ -257,6 +266,9 @@ def _with_samples(
     found, jump = find_n_samples(words, chosen, None)
     if n_samples is None:
         if found is None:
+            late = find_late_chirps(words, chosen)
+            if late is not None:
+                raise begins_in_chirp(chosen, *late, where)
             raise UserError(
                 what="the number of samples per chirp cannot be found out: the signal jumps "
                 f"nowhere regularly ({jump:.3g} times the mean at best)",

@@ -1,14 +1,16 @@
 """Byte stream of a raw capture: joined files of one recording, without packet headers.
 
 A DCA1000 sends UDP packets: u32 sequence number from 1, six bytes that count the payload bytes
-sent before, payload. Kept headers reveal lost packets: the byte count gives the position of the
-payload, and lost payload is zero.
+sent before, payload. Some recorders add u32 length before the count, or four bytes behind it. Kept
+headers reveal lost packets: the byte count gives the position of the payload, and lost payload is
+zero.
 """
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +19,9 @@ from geraf2._types import Ints
 from geraf2.errors import UserError
 from geraf2.io.regular import open_regular
 
-HEADER_BYTES = 10
+# Bytes of a header, and where its byte count begins.
+_HEADERS = ((10, 4), (14, 8), (14, 4))
+_MOST_HEADER_BYTES = 14
 # 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
 _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _SCAN_BYTES = 1 << 24
@@ -77,16 +81,26 @@ class PacketLoss:
         return text
 
 
+class Packets(NamedTuple):
+    """Sizes of packets [bytes]."""
+
+    payload: int
+    header: int
+    count_at: int
+    """Where the byte count begins in a header."""
+
+
 class PacketStream:
     """Payload of packets at the positions in their headers; lost payload reads as zero."""
 
-    def __init__(self, plain: PlainStream, payload_bytes: int, *, keep_good: bool) -> None:
+    def __init__(self, plain: PlainStream, packets: Packets, *, keep_good: bool) -> None:
         self._plain = plain
-        self._payload = payload_bytes
-        self._step = payload_bytes + HEADER_BYTES
+        self._payload, self._header, self._count_at = packets
+        payload_bytes, header_bytes = packets.payload, packets.header
+        self._step = payload_bytes + header_bytes
         full, rest = divmod(plain.n_bytes, self._step)
-        self._n_slots = full + (rest > HEADER_BYTES)
-        self._last_bytes = rest - HEADER_BYTES if rest > HEADER_BYTES else payload_bytes
+        self._n_slots = full + (rest > header_bytes)
+        self._last_bytes = rest - header_bytes if rest > header_bytes else payload_bytes
         sequence, n_good = self._read_headers()
         if n_good < self._n_slots and not keep_good:
             raise UserError(
@@ -139,7 +153,7 @@ class PacketStream:
         missing = self._payload - self._last_bytes if first + n_slots == self._n_slots else 0
         raw = np.zeros(n_slots * self._step, dtype=np.uint8)
         self._plain.read_into(first * self._step, raw[: len(raw) - missing])
-        payload = raw.reshape(n_slots, self._step)[:, HEADER_BYTES:].reshape(-1)
+        payload = raw.reshape(n_slots, self._step)[:, self._header :].reshape(-1)
         return payload[: len(payload) - missing]
 
     def _read_headers(self) -> tuple[NDArray[np.uint32], int]:
@@ -151,7 +165,8 @@ class PacketStream:
             n_slots = min(per_block, self._n_slots - first)
             n_bytes = min(n_slots * self._step, self._plain.n_bytes - first * self._step)
             self._plain.read_into(first * self._step, block[:n_bytes])
-            numbers, counts = _headers(block[: n_slots * self._step].reshape(n_slots, self._step))
+            packets = block[: n_slots * self._step].reshape(n_slots, self._step)
+            numbers, counts = _headers(packets, self._count_at)
             here = numbers - 1
             good = (counts == here * self._payload) & (here >= 0)
             good &= here * self._payload < self._n_slots * self._payload + _MAX_GAP_BYTES
@@ -163,25 +178,34 @@ class PacketStream:
         return sequence, self._n_slots
 
 
-def _headers(packets: NDArray[np.uint8]) -> tuple[Ints, Ints]:
+def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
     """Sequence numbers and byte counts of packets (n_packets, n_bytes)."""
     numbers = np.ascontiguousarray(packets[:, :4]).view("<u4")[:, 0].astype(np.int64)
     wide = np.zeros((len(packets), 8), dtype=np.uint8)
-    wide[:, :6] = packets[:, 4:HEADER_BYTES]
+    wide[:, :6] = packets[:, count_at : count_at + 6]
     return numbers, wide.view("<i8")[:, 0]
 
 
-def find_payload_bytes(plain: PlainStream) -> int | None:
-    """Payload of each packet; None where the file has no packet headers.
+def find_packets(plain: PlainStream) -> Packets | None:
+    """Sizes of the packets; None where the file has no packet headers.
 
     The first header carries number n and (n - 1) times the payload; a payload later the next
     one must too.
     """
-    head = np.zeros(min(plain.n_bytes, 2 * (_MAX_PAYLOAD + HEADER_BYTES)), dtype=np.uint8)
+    head = np.zeros(min(plain.n_bytes, 2 * (_MAX_PAYLOAD + _MOST_HEADER_BYTES)), dtype=np.uint8)
     plain.read_into(0, head)
-    if len(head) < HEADER_BYTES + _MIN_PAYLOAD:
+    for header, count_at in _HEADERS:
+        payload = _payload_of(head, header, count_at)
+        if payload is not None:
+            return Packets(payload, header, count_at)
+    return None
+
+
+def _payload_of(head: NDArray[np.uint8], header: int, count_at: int) -> int | None:
+    """Payload of each packet, if its header has this size and its byte count begins there."""
+    if len(head) < header + _MIN_PAYLOAD:
         return None
-    (first,), (first_count,) = _headers(head[None, :HEADER_BYTES])
+    (first,), (first_count,) = _headers(head[None, :header], count_at)
     if first == 1 and first_count == 0:
         candidates = range(_MIN_PAYLOAD, _MAX_PAYLOAD + 1)
     elif first > 1 and first_count % (first - 1) == 0:  # the first packets were lost
@@ -190,10 +214,10 @@ def find_payload_bytes(plain: PlainStream) -> int | None:
     else:
         return None
     for payload in candidates:
-        at = payload + HEADER_BYTES
-        if payload < _MIN_PAYLOAD or at + HEADER_BYTES > len(head):
+        at = payload + header
+        if payload < _MIN_PAYLOAD or at + header > len(head):
             break
-        (number,), (count,) = _headers(head[None, at : at + HEADER_BYTES])
+        (number,), (count,) = _headers(head[None, at : at + header], count_at)
         # A few packets may be lost between the first and the second of the file.
         if number > first and count == (number - 1) * payload:
             return payload
@@ -261,9 +285,10 @@ def _why_separate(
 def _begins_anew(path: Path) -> bool:
     """Whether a file begins with the first packet of a capture."""
     plain = PlainStream([path])
-    if find_payload_bytes(plain) is None:
+    packets = find_packets(plain)
+    if packets is None:
         return False
-    head = np.zeros(HEADER_BYTES, dtype=np.uint8)
+    head = np.zeros(packets.header, dtype=np.uint8)
     plain.read_into(0, head)
-    (number,), _ = _headers(head[None])
+    (number,), _ = _headers(head[None], packets.count_at)
     return bool(number == 1)

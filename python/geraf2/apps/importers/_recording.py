@@ -4,30 +4,39 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
-from geraf2.apps.importers._chirp_length import late_samples
+from geraf2.apps.importers._chirp_length import begins_in_chirp, late_samples
 from geraf2.apps.importers._place_files import PlaceStream, odd_places, place_files, usual_bytes
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
     PacketStream,
     PlainStream,
-    find_payload_bytes,
+    find_packets,
     recording_files,
 )
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._stream_parts import (
+    ByteStream,
+    StreamPart,
+    leading_zeros,
+    trailing_zeros,
+    without_chirp_headers,
+)
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import Layout, decode_integers
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_samples
 from geraf2.records import Samples
@@ -40,7 +49,6 @@ BLOCK_BYTES = 1 << 21
 _HEAD_BYTES = 1 << 21
 # The beginning of a file of this size suffices for the layout: 16000 samples of each receiver.
 _LONG_FILE_BYTES = 1 << 18
-RecordingStream = PlainStream | PacketStream | PlaceStream
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +56,7 @@ class Recording:
     """A raw recording with known layout, without positions."""
 
     source: Path
-    stream: RecordingStream
+    stream: ByteStream
     evidence: LayoutEvidence
     config: TiConfig
     n_tx: int
@@ -69,16 +77,28 @@ class Recording:
         return self.n_chirps_per_frame * chirp
 
     @property
+    def decoder(self) -> Floats | None:
+        """Matrix that separates transmitters which send together, (n_tx, n_tx); None: none do."""
+        found = self.config.transmitters
+        if found is None or found.take_turns or found.n_chirps != self.n_tx:
+            return None
+        return found.decoder
+
+    @property
     def n_loops(self) -> int:
         """Chirps of each transmitter in a frame."""
         return self.n_chirps_per_frame // self.n_tx
 
     def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
         """Complex samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
-        return complex_samples(self.read_integers(first, stop))
+        chirps = complex_samples(self.read_integers(first, stop))
+        if self.decoder is None:
+            return chirps
+        separated = np.einsum("tc,flcrn->fltrn", self.decoder.astype(np.float32), chirps)
+        return np.asarray(separated)
 
     def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
-        """I and Q of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2)."""
+        """I and Q of the chirps of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2)."""
         raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
         self.stream.read_into(first * self.frame_bytes, raw)
         chirps = decode_integers(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
@@ -97,7 +117,9 @@ class Recording:
 class _Files:
     """Opened files of a recording: one stream, or one for each position."""
 
-    streams: tuple[PlainStream | PacketStream, ...]
+    streams: tuple[ByteStream, ...]
+    zeros: tuple[int, ...]
+    """Bytes of zeros at the beginning of each."""
     names: tuple[str, ...]
     per_place: bool
     notes: list[str]
@@ -106,13 +128,30 @@ class _Files:
     def head(self) -> NDArray[np.int16]:
         """Words at the beginning; several files of the usual size where these are short."""
         size = usual_bytes(self.streams)
-        usual = [stream for stream in self.streams if stream.n_bytes == size]
+        usual = [
+            pair for pair in zip(self.streams, self.zeros, strict=True) if pair[0].n_bytes == size
+        ]
+        size -= max(zeros for _, zeros in usual)
         n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
         n_bytes = min(_HEAD_BYTES, size) // 2 * 2
         parts = np.empty((min(n_files, len(usual)), n_bytes), dtype=np.uint8)
-        for stream, part in zip(usual, parts, strict=False):
-            stream.read_into(0, part)
+        for (stream, zeros), part in zip(usual, parts, strict=False):
+            stream.read_into(zeros, part)
         return parts.reshape(-1).view("<i2")
+
+    def without_zeros(self, frame_bytes: int) -> "_Files":
+        """Files less the zeros at their beginning, unless these are whole frames."""
+        streams, notes = [], []
+        for stream, zeros, name in zip(self.streams, self.zeros, self.names, strict=True):
+            is_padding = zeros % frame_bytes > 0
+            streams.append(
+                StreamPart(base=stream, start=zeros, stop=stream.n_bytes) if is_padding else stream
+            )
+            if zeros:
+                text = f"the first {zeros} bytes of {name} are zero"
+                whole = f", {zeros // frame_bytes} frames in which nothing was recorded"
+                notes.append(f"{text} and were left out" if is_padding else f"{text}{whole}")
+        return replace(self, streams=tuple(streams), notes=[*self.notes, *notes])
 
 
 def open_recording(
@@ -122,26 +161,24 @@ def open_recording(
     source = Path(source)
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
     files = _open_files(source, radar, options)
-    notes, head = files.notes, files.head()
+    head = files.head()
     n_rx = radar.raw.n_rx or config.n_rx
-    evidence = find_layout(
-        head,
-        n_rx=n_rx,
-        layout=radar.raw.layout or _layout_of(config),
-        offset_binary=radar.raw.offset_binary,
-        swap_iq=radar.raw.swap_iq,
-        n_samples=radar.n_samples or config.n_samples,
-        where=source,
-    )
-    notes.extend(evidence.notes)
+    evidence = _evidence(head, n_rx, radar, config, source)
+    n_tx, n_chirps = _frame_structure(radar, config)
+    chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
+    frame_bytes = n_chirps * chirp_bytes
+    files = files.without_zeros(frame_bytes)
+    notes = [*files.notes, *evidence.notes]
     _check_lanes(evidence, config, source)
     if n_rx is None and evidence.order.layout == "2-lane-sequential":
         notes.append(f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}")
-    n_tx, n_chirps = _frame_structure(radar, config)
-    frame_bytes = n_chirps * evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     n_bytes = usual_bytes(files.streams)
+    stream, n_empty = files.streams[0], 0
+    if not files.per_place:
+        _require_whole_chirp(head, evidence, source)
+        n_empty = trailing_zeros(stream)
+        notes.extend(_empty_chirps(n_empty, n_bytes, chirp_bytes))
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
-    stream: RecordingStream = files.streams[0]
     missing: tuple[int, ...] = ()
     if files.per_place:
         missing, odd = odd_places(
@@ -151,7 +188,7 @@ def open_recording(
         stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
         n_frames *= len(files.streams)
     else:
-        notes.extend(_check_end(stream, evidence))
+        notes.extend(_check_end(stream, evidence, n_empty))
     chirps = first_chirps(head, evidence)
     dead = dead_receivers(chirps)
     notes.extend(f"receiver {rx} is dead: {reason}" for rx, reason in dead)
@@ -159,6 +196,7 @@ def open_recording(
         *files.facts,
         *describe(evidence, n_tx, n_chirps, n_frames),
         describe_peak(chirps, evidence, radar, config),
+        *([("transmitters", str(config.transmitters))] if config.transmitters else []),
     ]
     if dead:
         facts.append(("dead receivers", ", ".join(f"{rx} ({reason})" for rx, reason in dead)))
@@ -193,12 +231,16 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         groups = [paths]
         if len(paths) > 1:
             facts.append(("files", f"{len(paths)} parts, {paths[0].name} to {paths[-1].name}"))
-    streams = []
+    streams: list[ByteStream] = []
     for group in groups:
+        for path in group:
+            refuse_other_kind(path, is_raw=True)
         plain = PlainStream(group)
         if not plain.n_bytes and not (per_place and options.keep_good):
             raise UserError(what="is empty", where=group[0])
         stream, more, found = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+        stream, headers = without_chirp_headers(stream)
+        more += headers
         if stream.n_bytes % 2:
             wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
             got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
@@ -209,6 +251,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         facts += [] if per_place else found
     return _Files(
         streams=tuple(streams),
+        zeros=tuple(_padding(stream, per_place=per_place) for stream in streams),
         names=tuple(group[0].name for group in groups),
         per_place=per_place,
         notes=notes,
@@ -216,10 +259,50 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
     )
 
 
-def _check_end(stream: RecordingStream, evidence: LayoutEvidence) -> list[str]:
-    """Note where the last chirps are shifted, after lost packets."""
+def _evidence(
+    head: NDArray[np.int16],
+    n_rx: int | None,
+    radar: RadarManifest,
+    config: TiConfig,
+    source: Path,
+) -> LayoutEvidence:
+    return find_layout(
+        head,
+        n_rx=n_rx,
+        layout=radar.raw.layout or _layout_of(config),
+        offset_binary=radar.raw.offset_binary,
+        swap_iq=radar.raw.swap_iq,
+        n_samples=radar.n_samples or config.n_samples,
+        where=source,
+    )
+
+
+def _empty_chirps(n_empty: int, n_bytes: int, chirp_bytes: int) -> list[str]:
+    """Note on a recording that ends with zeros."""
+    if n_empty < chirp_bytes:
+        return []
+    share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
+    return [f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"]
+
+
+def _padding(stream: ByteStream, *, per_place: bool) -> int:
+    """Bytes of zeros before the samples; those of lost packets belong to the recording."""
+    if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes):
+        return 0
+    return leading_zeros(stream)
+
+
+def _require_whole_chirp(head: NDArray[np.int16], evidence: LayoutEvidence, source: Path) -> None:
+    """Raise UserError where the recording begins in mid-chirp."""
+    late = late_samples(head, evidence.order, evidence.n_samples)
+    if late:
+        raise begins_in_chirp(evidence.order, evidence.n_samples, late, source)
+
+
+def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> list[str]:
+    """Note where the last chirps before `n_empty` bytes of zeros are shifted."""
     chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
-    n_chirps = stream.n_bytes // chirp_bytes
+    n_chirps = (stream.n_bytes - n_empty) // chirp_bytes
     n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
     words = np.empty(n_last * chirp_bytes // 2, dtype="<i2")
     if not n_last:
@@ -236,9 +319,9 @@ def _check_end(stream: RecordingStream, evidence: LayoutEvidence) -> list[str]:
 
 def _without_headers(
     plain: PlainStream, expected: bool | None, keep_good: bool
-) -> tuple[PlainStream | PacketStream, list[str], list[tuple[str, str]]]:
-    payload = None if expected is False else find_payload_bytes(plain)
-    if payload is None:
+) -> tuple[ByteStream, list[str], list[tuple[str, str]]]:
+    packets = None if expected is False else find_packets(plain)
+    if packets is None:
         if expected:
             raise UserError(
                 what="has no packet headers",
@@ -247,8 +330,9 @@ def _without_headers(
                 hint="leave packet_headers out",
             )
         return plain, [], []
-    stream = PacketStream(plain, payload, keep_good=keep_good)
-    facts = [("packets", f"{stream.loss} (headers found, {payload} bytes each)")]
+    stream = PacketStream(plain, packets, keep_good=keep_good)
+    found = f"headers of {packets.header} bytes found, {packets.payload} bytes each"
+    facts = [("packets", f"{stream.loss} ({found})")]
     notes = list(stream.notes)
     if stream.loss.n_lost:
         notes.append(f"{stream.loss}: expect noise where they belong")
@@ -275,7 +359,7 @@ def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> No
 
 def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
     """Numbers of transmitters and of chirps of a frame."""
-    n_tx = radar.raw.n_tx or config.n_tx or 1
+    n_tx = radar.raw.n_tx or (config.transmitters.n_chirps if config.transmitters else 1)
     n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
     if n_chirps % n_tx:
         raise UserError(
@@ -320,7 +404,7 @@ _MAX_THREADS = 2
 
 def is_kept(recording: Recording, per_place: int) -> bool:
     """Whether samples are kept as integers, as without averaging."""
-    return per_place == 1 and recording.n_loops == 1
+    return per_place == 1 and recording.n_loops == 1 and recording.decoder is None
 
 
 def read_places(

@@ -11,6 +11,7 @@ from numpy.lib import format as npy_format
 from geraf2._types import Array, Bools
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
+from geraf2.io.file_kinds import refuse_other_kind
 
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
@@ -104,6 +105,7 @@ class NpzRows:
         return np.frombuffer(data, dtype=self.dtype).reshape(stop - first, *self.shape[1:])
 
     def _open(self) -> Any:
+        refuse_other_kind(self._path, ("zip",))
         try:
             with zipfile.ZipFile(self._path) as archive:
                 return archive.open(self._name)

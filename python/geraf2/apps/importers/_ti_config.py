@@ -12,23 +12,35 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._ti_log import read_log
+from geraf2.apps.importers._ti_log import has_calls, read_log
 from geraf2.apps.importers._ti_values import (
     TiConfig,
-    n_transmitters,
+    bpm_mask,
     ones,
     require_complex_16,
     to_number,
 )
+from geraf2.apps.importers._transmitters import Transmitters, transmitters_of
 from geraf2.errors import UserError
 from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.text import parse_json, read_text
 
 # Values that a log rounds to the steps of the chip: 0.048 MHz/us of slope, 54 Hz, 10 ns.
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
+
+
+_LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432), whose samples are real"
+_BPM = "constBpmVal"
+_GIVE = "give the parameters in --radar"
+_NO_CONFIG = "is no configuration of a TI radar"
+_KNOWN_CONFIGS = (
+    "mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, LogFile.txt, or a script with "
+    "its calls"
+)
 
 
 def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
@@ -43,7 +55,10 @@ def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
                 continue
             before = known.get(field.name)
             close = _CLOSE.get(field.name, 1e-6)
-            if before is not None and not math.isclose(before, value, rel_tol=close):
+            same = before in (None, value) or (
+                isinstance(value, (int, float)) and math.isclose(before, value, rel_tol=close)
+            )
+            if not same:
                 raise UserError(
                     what=f"contradicts {source_of[field.name]} on {field.name}",
                     where=path,
@@ -61,9 +76,10 @@ def find_ti_configs(source: Path) -> list[Path]:
         stem = re.sub(r"_Raw_\d+$", "", source.stem, flags=re.IGNORECASE)
         found = [source.with_name(f"{stem}_LogFile.txt")]
     else:
-        patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*LogFile.txt")
+        patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*logfile.txt")
         # Logs come last, since their values are rounded; the first value is used.
-        found = [path for pattern in patterns for path in sorted(source.glob(pattern))]
+        names = sorted(source.iterdir())
+        found = [path for end in patterns for path in names if fnmatch(path.name.lower(), end)]
     # Logs of sessions without a profile are ignored.
     return [
         path
@@ -77,21 +93,29 @@ def _read_one(path: Path) -> TiConfig:
     text = read_text(path)
     if path.suffix.lower() == ".cfg":
         return _from_profile(text, path)
-    if path.suffix.lower() in (".txt", ".lua"):
+    if has_calls(text) or path.suffix.lower() in (".txt", ".lua"):
         return read_log(text, path)
     try:
         values = parse_json(text)
     except ValueError as error:
-        raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+        raise UserError(
+            what=f"is not valid JSON: {error}" if text.lstrip()[:1] in "{[" else _NO_CONFIG,
+            where=path,
+            expected=None if text.lstrip()[:1] in "{[" else _KNOWN_CONFIGS,
+        ) from None
     if isinstance(values, dict) and "mmWaveDevices" in values:
         return _from_studio(values, path)
+    if isinstance(values, dict) and "configUsed" in values:  # its DCA1000Config is no profile
+        meant = re.split(r"[\\/]", str(values["configUsed"]))[-1] or "the *.mmwave.json"
+        raise UserError(
+            what="is the setup of a recording, without the radar's parameters",
+            where=path,
+            expected=f"{meant}, which it names",
+            hint=f"give --config {meant}",
+        )
     if isinstance(values, dict) and "DCA1000Config" in values:
         return _from_capture_card(values["DCA1000Config"], path)
-    raise UserError(
-        what="is no configuration of a TI radar",
-        where=path,
-        expected="mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, or LogFile.txt",
-    )
+    raise UserError(what=_NO_CONFIG, where=path, expected=_KNOWN_CONFIGS)
 
 
 class _Table:
@@ -154,7 +178,10 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         for c in chirps
     ]
     first, last = int(frame.number("chirpStartIdx")), int(frame.number("chirpEndIdx"))
-    n_tx = n_transmitters(table, first, last, path)
+    turned = [
+        (int(c.number("chirpStartIdx")), int(c.number("chirpEndIdx")), bpm_mask(c.number(_BPM)))
+        for c in (rf.tables("rlBpmChirps", "rlBpmChirpCfg_t") if rf.has("rlBpmChirps") else ())
+    ]
     n_frames = int(frame.number("numFrames"))
     lanes, interleaved = None, None
     if device.has("rawDataCaptureConfig"):
@@ -174,7 +201,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         sample_rate_hz=1e3 * profile.number("digOutSampleRate"),
         n_samples=int(profile.number("numAdcSamples")),
         n_rx=ones(channels.number("rxChannelEn")) if channels else None,
-        n_tx=n_tx,
+        transmitters=transmitters_of(table, first, last, path, turned) if table else None,
         n_chirps_per_frame=(last - first + 1) * int(frame.number("numLoops")),
         n_frames=n_frames or None,
         frame_period_s=1e-3 * frame.number("framePeriodicity_msec"),
@@ -196,23 +223,48 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
     return TiConfig(n_lanes=lanes)
 
 
-# Least number of values in a line of a profile.
-_LINE_LENGTHS = {"profileCfg": 11, "frameCfg": 5, "chirpCfg": 8, "channelCfg": 2, "adcCfg": 2}
+# Least and largest number of values in a line of a profile. Newer chips have others: a frameCfg of
+# the AWR2944 has the number of samples before the period.
+_LINE_LENGTHS = {
+    "profileCfg": (11, 14),
+    "frameCfg": (5, 7),
+    "chirpCfg": (8, 8),
+    "channelCfg": (2, 5),
+    "adcCfg": (2, 2),
+    "bpmCfg": (4, 4),
+    "lvdsStreamCfg": (4, 4),
+}
+# Lines of what is not read.
+_UNREAD_LINES = {
+    "advFrameCfg": "describes frames of several sub-frames",
+    "subFrameCfg": "describes frames of several sub-frames",
+    "chirpComnCfg": _LOW_POWER,
+    "chirpTimingCfg": _LOW_POWER,
+}
 
 
 def _from_profile(text: str, path: Path) -> TiConfig:
     lines: dict[str, list[list[float]]] = {}
     for number, line in enumerate(text.splitlines(), start=1):
         name, *words = line.split("%", 1)[0].split() or [""]
+        if name in _UNREAD_LINES:
+            raise UserError(
+                what=f"line {number}: {name}: the profile {_UNREAD_LINES[name]}",
+                where=path,
+                expected="one profileCfg, chirpCfg and frameCfg of complex samples",
+            )
         if name not in _LINE_LENGTHS:
             continue
+        least, most = _LINE_LENGTHS[name]
         values = [to_number(word, f"line {number}, {name}", path) for word in words]
-        if len(values) < _LINE_LENGTHS[name]:
+        if not least <= len(values) <= most:
+            size = "few" if len(values) < least else "many"
             raise UserError(
-                what=f"line {number}: {name} has too few values",
+                what=f"line {number}: {name} has too {size} values",
                 where=path,
-                expected=f"{_LINE_LENGTHS[name]} or more",
+                expected=f"{least} or more" if size == "few" else f"{most} or fewer",
                 got=len(values),
+                hint=None if size == "few" else f"other chips have other values: {_GIVE}",
             )
         lines.setdefault(name, []).append(values)
     if len(lines.get("profileCfg", [])) != 1:
@@ -224,8 +276,14 @@ def _from_profile(text: str, path: Path) -> TiConfig:
     channel = lines.get("channelCfg", [[]])[-1]
     if "adcCfg" in lines:
         require_complex_16(lines["adcCfg"][-1][0], lines["adcCfg"][-1][1], path)
-    chirps = [(int(c[0]), int(c[1]), int(c[7])) for c in lines.get("chirpCfg", [])]
-    n_tx = n_transmitters(chirps, int(frame[0]), int(frame[1]), path) if frame else None
+    for _, _, data_format, _ in lines.get("lvdsStreamCfg", [])[-1:]:
+        if data_format not in (0, 1):
+            raise UserError(
+                what="lvdsStreamCfg puts more than samples into the stream",
+                where=path,
+                expected="-1 0 1 0, samples alone",
+                got=f"format {data_format:g}",
+            )
     return TiConfig(
         ramp_start_hz=1e9 * profile[1],
         adc_start_s=1e-6 * profile[3],
@@ -233,8 +291,21 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         n_samples=int(profile[9]),
         sample_rate_hz=1e3 * profile[10],
         n_rx=ones(channel[0]) if channel else None,
-        n_tx=n_tx,
+        transmitters=_transmitters(lines, frame, path) if frame else None,
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,
         n_frames=(int(frame[3]) or None) if frame else None,
         frame_period_s=1e-3 * frame[4] if frame else None,
     )
+
+
+def _transmitters(
+    lines: Mapping[str, list[list[float]]], frame: list[float], path: Path
+) -> Transmitters | None:
+    chirps = [(int(c[0]), int(c[1]), int(c[7])) for c in lines.get("chirpCfg", [])]
+    # 'bpmCfg subframe enabled chirp0 chirp1': the second transmitter of chirp1 is turned.
+    turned = []
+    for _, enabled, _, chirp in lines.get("bpmCfg", [])[-1:]:
+        mask = next((m for a, b, m in chirps if a <= int(chirp) <= b), 0) if enabled else 0
+        if mask.bit_count() > 1:
+            turned.append((int(chirp), int(chirp), 1 << mask.bit_length() - 1))
+    return transmitters_of(chirps, int(frame[0]), int(frame[1]), path, turned)

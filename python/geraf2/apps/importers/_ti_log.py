@@ -1,4 +1,4 @@
-"""Calls in LogFile.txt of mmWave Studio, and in its Lua scripts.
+"""Calls in LogFile.txt of mmWave Studio, and in scripts (Lua, MATLAB, JavaScript, Python).
 
     25-Oct-2018 12:03:07: API:ProfileConfig,0,1435384036,10000,600,6000,0,0,1243,0,256,10000,...
     ar1.ProfileConfig(0, 77, 100, 6, 60, 0, 0, 0, 0, 0, 0, 60.012, 0, 256, 10000, 0, 0, 30)
@@ -7,16 +7,16 @@ A line 'API:' holds values in steps of the chip; a line 'ar1.' holds typed value
 and units are those of TI's mmWave Studio user guide (ar1 calls) and of its mmWaveLink reference
 (rlProfileCfg_t, rlChirpCfg_t, rlFrameCfg_t, rlAdcOutCfg_t, rlDevDataFmtCfg_t), in
 https://software-dl.ti.com/ra-processors/esd/MMWAVE-DFP-2G/. The last
-of repeated calls is valid.
+of repeated calls is valid; in a script with branches, calls of different values are refused.
 """
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._ti_values import TiConfig, n_transmitters, ones, require_complex_16
+from geraf2.apps.importers._ti_values import TiConfig, bpm_mask, ones, require_complex_16
+from geraf2.apps.importers._transmitters import transmitters_of
 from geraf2.errors import UserError
 
 # Steps of the chip: of a 2^26 part of 3.6 GHz (77 GHz devices) or 2.7 GHz (60 GHz devices).
@@ -27,7 +27,16 @@ _TIME_STEP_S, _FRAME_STEP_S = 1e-8, 5e-9
 # 77 GHz devices sweep up to here; a code beyond is of a 60 GHz device.
 _HIGHEST_HZ = 81.1e9
 _DEVICE_60 = re.compile(r"[AI]WR\W*(?:68|64)\d\d|XWR\W*(?:68|64)\w\w|\b60G\b", re.IGNORECASE)
-_CALL = re.compile(r"\bAPI:\s*(\w+)\s*,(.*)$|\bar1\.(\w+)\s*\(([^()]*)\)")
+_LOG_CALL = re.compile(r"\bAPI:[^\S\n]*(\w+)[^\S\n]*,(.*)$", re.MULTILINE)
+_SCRIPT_CALL = re.compile(r"\bar1\.(\w+)\s*\(([^()]*)\)")
+# Comments of each language; three dots continue a line of MATLAB.
+_COMMENTS = {
+    ".m": r"^\s*%\{.*?^\s*%\}|%[^\n]*|\.\.\.",
+    ".js": r"/\*.*?\*/|//[^\n]*",
+    ".py": r"#[^\n]*",
+}
+_LUA_COMMENTS = r"--\[\[.*?\]\]|--[^\n]*"
+_BRANCH = re.compile(r"^\s*(?:\}\s*)?(?:if|else\s*if|elseif|elif|else|switch|case)\b", re.MULTILINE)
 # Number of arguments read of each call, in the log and in a script.
 _LENGTHS = {
     "ProfileConfig": (11, 15),
@@ -39,7 +48,12 @@ _LENGTHS = {
     "LaneConfig": (1, 1),
     "ChanNAdcConfig": (9, 9),
     "LVDSLaneConfig": (5, 5),
+    "BpmChirpConfig": (3, 8),
 }
+# Most arguments in a script: newer chips have more transmitters, and others follow.
+_MOST = {"ProfileConfig": 18, "ChirpConfig": 10}
+# Number of arguments that name what a call configures: a profile, or a range of chirps.
+_N_KEYS = {"ProfileConfig": 1, "ChirpConfig": 2, "BpmChirpConfig": 2}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,9 +65,15 @@ class _Call:
     values: list[float]
 
 
+def has_calls(text: str) -> bool:
+    """Whether a text is a log or a script with calls that are read."""
+    found = (*_LOG_CALL.finditer(text), *_SCRIPT_CALL.finditer(text))
+    return any(match[1] in _LENGTHS for match in found)
+
+
 def read_log(text: str, path: Path) -> TiConfig:
     """Values of the last calls of a log or a script; UserError names a line that cannot be read."""
-    calls = list(_calls(text, path))
+    calls = _calls(text, path)
     last = {call.name: call for call in calls}
     if "ProfileConfig" not in last:
         raise UserError(
@@ -65,7 +85,7 @@ def read_log(text: str, path: Path) -> TiConfig:
         require_complex_16(*codes, path)
     rx_mask = _rx_mask(last)
     known: dict[str, Any] = {
-        **_profile(last["ProfileConfig"], text),
+        **_profile(_used_profile(calls, last, path), text),
         "n_rx": ones(rx_mask) if rx_mask else None,
         "n_lanes": _n_lanes(last),
     }
@@ -74,9 +94,11 @@ def read_log(text: str, path: Path) -> TiConfig:
     if "FrameConfig" in last:
         frame = last["FrameConfig"]
         first, stop, n_frames, n_loops = (int(value) for value in frame.values[:4])
-        chirps = [_chirp(call) for call in reversed(calls) if call.name == "ChirpConfig"]
+        backwards = calls[::-1]
+        chirps = [_chirp(call) for call in backwards if call.name == "ChirpConfig"]
+        turned = [_turned(call) for call in backwards if call.name == "BpmChirpConfig"]
         known |= {
-            "n_tx": n_transmitters(chirps, first, stop, path),
+            "transmitters": transmitters_of(chirps, first, stop, path, turned),
             "n_chirps_per_frame": (stop - first + 1) * n_loops,
             "n_frames": n_frames or None,
             "frame_period_s": frame.values[4] * (_FRAME_STEP_S if frame.raw else 1e-3),
@@ -84,26 +106,77 @@ def read_log(text: str, path: Path) -> TiConfig:
     return TiConfig(**known)
 
 
-def _calls(text: str, path: Path) -> Iterator[_Call]:
-    for number, line in enumerate(text.splitlines(), start=1):
-        if line.lstrip().startswith("--"):  # a comment in Lua
+def _calls(text: str, path: Path) -> list[_Call]:
+    """Return the calls in their order in the file."""
+    pattern = _COMMENTS.get(path.suffix.lower(), _LUA_COMMENTS)
+    script = re.sub(pattern, _blank, text, flags=re.DOTALL | re.MULTILINE)
+    found = [(match.start(), True, match) for match in _LOG_CALL.finditer(script)]
+    found += [(match.start(), False, match) for match in _SCRIPT_CALL.finditer(script)]
+    calls = []
+    for start, raw, match in sorted(found, key=lambda entry: entry[0]):
+        name, arguments = match[1], match[2]
+        if name not in _LENGTHS:
             continue
-        for match in _CALL.finditer(line):
-            raw = match[1] is not None
-            name, arguments = (match[1], match[2]) if raw else (match[3], match[4])
-            if name not in _LENGTHS:
-                continue
-            where = f"{path}, line {number}"
-            wanted = _LENGTHS[name][0 if raw else 1]
-            words = [word.strip() for word in arguments.split(",")][:wanted]
-            if len(words) < wanted or not words[-1]:
-                raise UserError(
-                    what=f"{name} has too few values",
-                    where=where,
-                    expected=f"{wanted} or more",
-                    got=len([word for word in words if word]),
-                )
-            yield _Call(name=name, where=where, raw=raw, values=[_number(w, where) for w in words])
+        where = f"{path}, line {script.count(chr(10), 0, start) + 1}"
+        wanted = _LENGTHS[name][0 if raw else 1]
+        words = [word.strip() for word in arguments.split(",")]
+        n_values = len([word for word in words if word])
+        if n_values < wanted or not words[wanted - 1]:
+            raise UserError(
+                what=f"{name} has too few values",
+                where=where,
+                expected=f"{wanted} or more",
+                got=n_values,
+            )
+        if not raw and n_values > _MOST.get(name, n_values):
+            raise UserError(
+                what=f"{name} has too many values",
+                where=where,
+                expected=_MOST[name],
+                got=n_values,
+                hint="other chips have other values: give the parameters in --radar",
+            )
+        values = [_number(word, where) for word in words[:wanted]]
+        calls.append(_Call(name=name, where=where, raw=raw, values=values))
+    if _BRANCH.search(script):
+        _require_one_branch([call for call in calls if not call.raw])
+    return calls
+
+
+def _blank(match: re.Match[str]) -> str:
+    """Line ends of a comment, which keep the numbers of the lines."""
+    return "\n" * match[0].count("\n") or " "
+
+
+def _require_one_branch(calls: list[_Call]) -> None:
+    """Raise UserError where calls of one thing differ, of which only one branch is run."""
+    first: dict[tuple[Any, ...], _Call] = {}
+    for call in calls:
+        before = first.setdefault((call.name, *call.values[: _N_KEYS.get(call.name, 0)]), call)
+        pairs = zip(before.values, call.values, strict=True)
+        differing = [(a, b) for a, b in pairs if a != b]
+        if differing:
+            a, b = (", ".join(f"{pair[side]:g}" for pair in differing) for side in range(2))
+            raise UserError(
+                what=f"{call.name} differs from that of line {before.where.rsplit(' ', 1)[1]}, and "
+                "branches of the script decide which one is run",
+                where=call.where,
+                expected=a,
+                got=b,
+                hint="delete the branches of other chips, or give the parameters in --radar",
+            )
+
+
+def _used_profile(calls: list[_Call], last: dict[str, _Call], path: Path) -> _Call:
+    """Last profile that the chirps name; the last of all where they name none."""
+    used = {call.values[2] for call in calls if call.name == "ChirpConfig"}
+    profiles = [call for call in calls if call.name == "ProfileConfig"]
+    if len(used) > 1 and len({call.values[0] for call in profiles}) > 1:
+        raise UserError(
+            what=f"chirps of {len(used)} profiles alternate", where=path, expected="one profile"
+        )
+    named = [call for call in profiles if call.values[0] in used]
+    return named[-1] if named else last["ProfileConfig"]
 
 
 def _number(word: str, where: str) -> float:
@@ -143,6 +216,14 @@ def _chirp(call: _Call) -> tuple[int, int, int]:
     if call.raw:
         return first, last, int(call.values[7])
     return first, last, sum(1 << bit for bit, flag in enumerate(call.values[7:10]) if flag)
+
+
+def _turned(call: _Call) -> tuple[int, int, int]:
+    """Chirps and the transmitters that are turned by 180 degrees in them."""
+    first, last = (int(value) for value in call.values[:2])
+    if call.raw:
+        return first, last, bpm_mask(call.values[2])
+    return first, last, bpm_mask(sum(1 << k for k, on in enumerate(call.values[2:8]) if on))
 
 
 def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from geraf2.apps.importers._transmitters import Transmitters
 from geraf2.errors import UserError
 
 
@@ -18,8 +19,8 @@ class TiConfig:
     sample_rate_hz: float | None = None
     n_samples: int | None = None
     n_rx: int | None = None
-    n_tx: int | None = None
-    """Number of transmitters that alternate."""
+    transmitters: Transmitters | None = None
+    """Transmitters of each chirp of a loop."""
     n_chirps_per_frame: int | None = None
     n_frames: int | None = None
     """Frames to record; None also for recordings of unlimited length."""
@@ -54,19 +55,12 @@ def ones(mask: float) -> int:
     return int(mask).bit_count()
 
 
-def n_transmitters(
-    chirps: list[tuple[int, int, int]], first: int, last: int, path: Path
-) -> int | None:
-    """Period of the alternating transmitters, from chirps (start, end, mask)."""
-    if last < first:
-        raise UserError(what="chirpEndIdx of the frame lies before chirpStartIdx", where=path)
-    masks = [
-        next((mask for start, end, mask in chirps if start <= index <= end), None)
-        for index in range(first, last + 1)
-    ]
-    if not chirps or None in masks:
-        return None
-    return len(masks) if len(set(masks)) > 1 else 1
+def bpm_mask(code: float) -> int:
+    """Mask of the transmitters that a BPM code turns by 180 degrees while they are on.
+
+    Bits 2 k and 2 k + 1 of the code are of transmitter k, off and on.
+    """
+    return sum(1 << k for k in range(int(code).bit_length()) if int(code) >> 2 * k + 1 & 1)
 
 
 def require_complex_16(bits: float, output: float, path: Path) -> None:

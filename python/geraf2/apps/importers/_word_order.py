@@ -13,7 +13,7 @@ LAYOUTS: tuple[Layout, ...] = get_args(Layout)
 # Words decoded at a time: with their copies they fit into the second-level cache, and threads
 # seldom wait for the interpreter.
 _DECODE_WORDS = 1 << 18
-_SIGN_BIT = np.int16(-0x8000)
+SIGN_BIT = np.int16(-0x8000)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +61,7 @@ def decode_integers(
         some = flat[chosen]
         _pack(words[chosen], some, order, n_samples)
         if order.offset_binary:
-            some ^= _SIGN_BIT
+            some ^= SIGN_BIT
     return signal
 
 

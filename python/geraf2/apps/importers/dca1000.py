@@ -37,6 +37,7 @@ class Dca1000Importer:
         """Estimate layout and frames, check the positions; see Importer.open."""
         recording = open_recording(source, radar, options)
         evidence, config = recording.evidence, recording.config
+        _require_single_places(recording, radar)
         manifest, notes = scene_manifest(
             "dca1000",
             Path(source),
@@ -82,6 +83,19 @@ class Dca1000Importer:
             integers=is_kept(recording, track.frames_per_place),
             phase_sign=_phase_sign(evidence.energy_ratio),
         )
+
+
+def _require_single_places(recording: Recording, radar: RadarManifest) -> None:
+    """Raise UserError where transmitters send together and cannot be separated."""
+    found = recording.config.transmitters
+    if found is None or found.take_turns or recording.decoder is not None or radar.raw.n_tx:
+        return
+    raise UserError(
+        what=f"transmitters send together and have no position of their own: {found}",
+        where=recording.source,
+        expected="one transmitter a chirp, or as many chirps as transmitters with BPM codes",
+        hint="give n_tx under [raw] of --radar, and tx_offsets_m of the point between them",
+    )
 
 
 def _phase_sign(energy_ratio: float) -> int | None:

@@ -8,9 +8,11 @@
                         the normal of the antennas, towards the origin
     start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz, path_bias_m      numbers, optional
 
-Other names are given by the table [arrays] of radar.toml: signal = "adc".
+They may be fields of structs. Other names are given by --arrays signal=adc, or by the table
+[arrays] of radar.toml: signal = "scan.adc".
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -22,10 +24,11 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import plane_axes
-from geraf2.apps.importers._mat_tags import require_sound_tags
+from geraf2.apps.importers._mat_tags import Variable, sound_variables
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.regular import open_regular
 from geraf2.records import RawPose
@@ -42,6 +45,9 @@ ARRAYS = (
 NUMBERS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512)
+_KIND_NAMES = {"c": "complex", "f": "real", "i": "real", "u": "real", "O": "other"}
+# Letters of a list of what a file holds.
+_LONGEST_LIST = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,15 +65,14 @@ class MatImporter:
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check names and shapes; see Importer.open."""
         source = Path(source)
-        unknown = sorted(set(radar.arrays) - {*ARRAYS, *NUMBERS})
-        if unknown:
+        given = _given_names(radar, options)
+        arrays, there = open_arrays(source, {n: given.get(n, n) for n in (*ARRAYS, *NUMBERS)})
+        missing = [f"{n} = {given[n]}" for n in given if n not in arrays]
+        if missing:
             raise UserError(
-                what=f"arrays.{unknown[0]} is no array that is read",
-                expected=", ".join((*ARRAYS, *NUMBERS)),
+                what=f"the file lacks what is named: {', '.join(missing)}", where=source, got=there
             )
-        arrays = open_arrays(
-            source, {name: radar.arrays.get(name, name) for name in (*ARRAYS, *NUMBERS)}
-        )
+        _require_arrays(arrays, source, there)
         signal = _signal(arrays, source)
         shape = signal.shape if len(signal.shape) == 3 else (1, *signal.shape)
         n_poses, n_antennas, n_samples = shape
@@ -116,39 +121,98 @@ class MatImporter:
         )
 
 
-def open_arrays(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
-    """Arrays of the file, by our names."""
+def _given_names(radar: RadarManifest, options: ImportOptions) -> dict[str, str]:
+    """Names in the file by our names, of the command line and of radar.toml."""
+    pairs = [text.partition("=") for text in options.arrays]
+    wrong = ["".join(pair) for pair in pairs if not pair[0] or not pair[2]]
+    if wrong:
+        raise UserError(what="--arrays must be OURS=THEIRS", got=wrong[0])
+    given = {**radar.arrays, **{ours: theirs for ours, _, theirs in pairs}}
+    unknown = sorted(set(given) - {*ARRAYS, *NUMBERS})
+    if unknown:
+        raise UserError(
+            what=f"arrays.{unknown[0]} is no array that is read",
+            expected=", ".join((*ARRAYS, *NUMBERS)),
+        )
+    return given
+
+
+def _require_arrays(arrays: Mapping[str, _Array], path: Path, there: str) -> None:
+    """Raise UserError that lists what the file holds where signal or positions are missing."""
+    hint = "give the names with --arrays, as signal=NAME"
+    if "signal" not in arrays and not {"signal_real", "signal_imag"} <= set(arrays):
+        raise UserError(
+            what="the file lacks the signal",
+            where=path,
+            expected="signal, or signal_real and signal_imag",
+            got=there,
+            hint=hint,
+        )
+    for name in ("tx_positions", "rx_positions") if "positions" not in arrays else ():
+        if name not in arrays:
+            raise UserError(
+                what=f"the file lacks {name}",
+                where=path,
+                expected="tx_positions and rx_positions, or positions",
+                got=there,
+                hint=hint,
+            )
+
+
+def open_arrays(path: Path, names: Mapping[str, str]) -> tuple[dict[str, _Array], str]:
+    """Arrays of the file, by our names, and a list of all that it holds."""
     if not path.is_file():
         raise UserError(what="no such file", where=path)
+    refuse_other_kind(path, ("mat", "hdf5"))
     with open_regular(path) as handle:
         head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
     is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)
-    return _open_hdf5(path, names) if is_hdf5 else _open_version_5(path, names)
+    known, there = (_open_hdf5 if is_hdf5 else _open_version_5)(path, list(names.values()))
+    found = {}
+    for ours, theirs in names.items():
+        # By its name, or as the only field of this name in a struct.
+        fields = [name for name in known if name.endswith(f".{theirs}")]
+        if theirs in known:
+            found[ours] = known[theirs]
+        elif len(fields) == 1:
+            found[ours] = known[fields[0]]
+    text = ", ".join(there)
+    return found, text if len(text) <= _LONGEST_LIST else f"{text[:_LONGEST_LIST]} ..."
 
 
-def _open_version_5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
-    from scipy.io import loadmat  # noqa: PLC0415 - other formats do without
+def _open_version_5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
+    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - other formats do without
 
-    require_sound_tags(path, list(names.values()))
+    tops = [name.split(".")[0] for name in names]
+    variables = sound_variables(path, tops)
+    structs = [variable.name for variable in variables if variable.fields]
     try:
-        values = loadmat(path, variable_names=list(names.values()), struct_as_record=True)
+        if not variables:
+            variables = [Variable(name=n, shape=s, kind=k) for n, s, k in whosmat(path)]
+        values = loadmat(path, variable_names=[*tops, *structs], struct_as_record=True)
     except Exception as error:  # SciPy raises anything on broken files
         reason = " ".join(str(error).split()) or type(error).__name__
         raise UserError(what=f"cannot be read as a MATLAB file: {reason}", where=path) from None
-    found = {}
-    for ours, theirs in names.items():
-        if theirs not in values:
-            continue
-        array = np.asarray(values[theirs])
-        found[ours] = _Array(
-            shape=array.shape,
-            kind=array.dtype.kind,
-            read=lambda index, array=array: array[index],  # type: ignore[misc]
+    known: dict[str, _Array] = {}
+    for name, value in values.items():
+        if not name.startswith("__"):
+            _add_arrays(known, name, np.asarray(value))
+    return known, [str(variable) for variable in variables]
+
+
+def _add_arrays(known: dict[str, _Array], name: str, value: Array) -> None:
+    """Add an array of numbers, or those of the fields of a struct."""
+    if value.dtype.names and value.size == 1:
+        for part in value.dtype.names:
+            _add_arrays(known, f"{name}.{part}", np.asarray(value[part].reshape(-1)[0]))
+    elif not value.dtype.names:
+        known[name] = _Array(
+            shape=value.shape, kind=value.dtype.kind, read=lambda index: np.asarray(value[index])
         )
-    return found
 
 
-def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
+def _open_hdf5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
+    del names
     try:
         import h5py  # noqa: PLC0415 - an extra
     except ImportError:
@@ -161,48 +225,65 @@ def _open_hdf5(path: Path, names: Mapping[str, str]) -> dict[str, _Array]:
         file = h5py.File(path, "r")
     except OSError as error:
         raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
-    found = {}
-    for ours, theirs in names.items():
-        if not _is_own(file, theirs, path):
-            continue
-        data = file[theirs]
-        if not isinstance(data, h5py.Dataset):
-            raise UserError(what=f"{theirs} is no array", where=path)
+    known: dict[str, _Array] = {}
+    foreign = set()
+
+    def add(place: str, data: Any) -> None:
+        if not isinstance(data, h5py.Dataset) or place.startswith("#"):
+            return
+        name = place.replace("/", ".").removesuffix(".value")  # Octave's arrays are groups
         if data.external or data.is_virtual:
-            raise UserError(what=f"{theirs} lies in another file", where=path)
-        parts = data.dtype.names
-        is_complex = parts is not None and set(parts) == {"real", "imag"}
-        kind = "c" if is_complex else "O" if parts else data.dtype.kind
+            foreign.add(name)
+        else:
+            known[name] = _hdf5_array(data)
 
-        def read(index: tuple[Any, ...], data: Any = data, is_complex: bool = is_complex) -> Array:
-            # HDF5 holds MATLAB's arrays with the axes reversed.
-            stored = data[(..., *reversed(index))].T
-            return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
+    try:
+        file.visititems(add)
+    except (OSError, RuntimeError, KeyError, TypeError) as error:
+        raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
+    for name in names:
+        _require_no_link(file, name, path)
+        if name in foreign:
+            raise UserError(what=f"{name} lies in another file", where=path)
+    there = [
+        str(Variable(name=name, shape=array.shape, kind=_KIND_NAMES.get(array.kind, "other")))
+        for name, array in known.items()
+    ]
+    return known, there
 
-        found[ours] = _Array(shape=tuple(reversed(data.shape)), kind=kind, read=read)
-    return found
+
+def _hdf5_array(data: Any) -> _Array:
+    parts = data.dtype.names
+    is_complex = parts is not None and set(parts) == {"real", "imag"}
+    kind = "c" if is_complex else "O" if parts else data.dtype.kind
+
+    def read(index: tuple[Any, ...]) -> Array:
+        # HDF5 holds MATLAB's arrays with the axes reversed.
+        stored = data[(..., *reversed(index))].T
+        return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
+
+    return _Array(shape=tuple(reversed(data.shape)), kind=kind, read=read)
 
 
-def _is_own(file: Any, name: str, path: Path) -> bool:
-    """Whether the file has this object; UserError for a link, which may open another file."""
+def _require_no_link(file: Any, name: str, path: Path) -> None:
+    """Raise UserError where an object of the file is a link, which may open another file."""
     import h5py  # noqa: PLC0415 - an extra
 
     node = file
-    for part in filter(None, name.split("/")):
+    for part in filter(None, re.split(r"[./]", name)):
         try:
             kind = node.id.links.get_info(part.encode()).type
         except (AttributeError, KeyError, RuntimeError):  # no group, or without such an object
-            return False
+            return
         if kind != h5py.h5l.TYPE_HARD:
             raise UserError(what=f"{name} is a link to another object or file", where=path)
         node = node[part]
-    return node is not file
 
 
 def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
     if "signal" in arrays:
         signal = arrays["signal"]
-    elif "signal_real" in arrays and "signal_imag" in arrays:
+    else:
         real, imag = arrays["signal_real"], arrays["signal_imag"]
         if real.shape != imag.shape:
             raise wrong_shape(path, "signal_imag", real.shape, imag.shape)
@@ -210,13 +291,6 @@ def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
             shape=real.shape,
             kind="c" if {real.kind, imag.kind} <= set("fiu") else "O",
             read=lambda index: real.read(index) + 1j * imag.read(index),
-        )
-    else:
-        raise UserError(
-            what="the file lacks the signal",
-            where=path,
-            expected="signal, or signal_real and signal_imag",
-            hint="give other names under [arrays] of --radar",
         )
     if len(signal.shape) not in (2, 3) or 0 in signal.shape or signal.kind != "c":
         expected = "complex (n_antennas, n_samples) or (n_poses, n_antennas, n_samples)"
@@ -233,13 +307,6 @@ def _positions(
     )
     found = []
     for name in names:
-        if name not in arrays:
-            raise UserError(
-                what=f"the file lacks {name}",
-                where=path,
-                expected="tx_positions and rx_positions, or positions",
-                hint="give other names under [arrays] of --radar",
-            )
         array = arrays[name]
         shapes = [(n_poses, n_antennas, 3)] + ([(n_antennas, 3)] if n_poses == 1 else [])
         if array.shape not in shapes or array.kind not in "fiu":

@@ -28,6 +28,7 @@ from geraf2.apps.importers._rows import left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY, NPY_MAGIC
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.regular import open_regular
 from geraf2.io.text import read_lines
@@ -113,6 +114,7 @@ def _file_of(source: Path) -> Path:
 def _read_scan(path: Path) -> _PlanarScan:
     if not path.is_file():
         raise UserError(what="no such file", where=path)
+    refuse_other_kind(path, ("npy",))
     with open_regular(path) as handle:
         data, first, last, count, step, depth = (
             _next_array(handle, path, number) for number in range(1, 7)
@@ -190,6 +192,7 @@ def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats |
     path = scan.path.parent / PHASE_NAME
     if not path.exists():
         return None, [f"no {PHASE_NAME} beside {scan.path.name}: the phase is not calibrated"]
+    refuse_other_kind(path)
     try:
         table = np.loadtxt(read_lines(path), ndmin=2, dtype=np.float64)
     except ValueError as error:

@@ -17,6 +17,7 @@ from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
+from geraf2.geometry.shells import outer_shells
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.io.atomic import write_json_atomic
@@ -426,7 +427,10 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
         raise UserError(what="the mesh is flat and encloses nothing", where=path)
     vertices = mesh.vertices * (unit_m or 1.0)
     moved = vertices if rigid is None else apply_rigid(rigid, vertices)
-    return TriangleMesh(vertices=moved, faces=mesh.faces)
+    placed = TriangleMesh(vertices=moved, faces=mesh.faces)
+    if count_open_edges(mesh.faces):
+        return placed
+    return placed.with_faces(mesh.faces[outer_shells(moved, mesh.faces)])
 
 
 def _require_own(out: Path) -> None:

@@ -10,6 +10,7 @@ from geraf2._validation import require_positive
 from geraf2.apps.photos.formats import PhotoRecord, PhotoSource, open_photos
 from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
+from geraf2.apps.photos.orientation import exif_turns
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import SIGNS
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV, require_rigid
@@ -72,10 +73,11 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     cameras: list[Camera] = []
     images: list[Array] = []
     masks: list[Bools | None] = []
-    notes = [*source.notes, *unit_notes]
-    for record in source.records:
+    turns, turn_notes = exif_turns(source.records)
+    notes = [*source.notes, *unit_notes, *turn_notes]
+    for record, turn in zip(source.records, turns, strict=True):
         try:
-            image = read_image(record.path, record.size)
+            image = read_image(record.path, record.size, turn=turn)
             camera = _camera(record, image, unit_m, options, source.format)
             mask = _mask(record, image, camera, options)
         except UserError as error:

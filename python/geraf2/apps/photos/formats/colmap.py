@@ -5,16 +5,17 @@ The scale of a model is arbitrary. https://colmap.github.io/format.html
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, found
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
+from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.photo_files import N_DISTORTION, PhotoRecord
 from geraf2.io.regular import BINARY_BYTES, read_regular
 from geraf2.io.text import read_lines
@@ -34,7 +35,8 @@ _MODELS = {
     10: ("THIN_PRISM_FISHEYE", 12),
 }
 _KNOWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-_FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0", "colmap")
+_FOLDERS = ("", "sparse", "colmap/sparse", "colmap")
+_IMAGE_FOLDER = "images"
 _LONGEST_NAME = 4096
 
 
@@ -55,32 +57,57 @@ class _ImagePose(NamedTuple):
 
 
 def find_colmap(source: Path) -> Path | None:
-    """Folder of a COLMAP model in or below a folder."""
+    """Folder of the COLMAP model with the most photos in or below a folder."""
     if source.is_file():
-        return source.parent if source.name in ("images.bin", "images.txt") else None
+        return source.parent if source.name.lower() in ("images.bin", "images.txt") else None
     for name in _FOLDERS:
-        folder = source / name
-        for suffix in ("bin", "txt"):
-            if all((folder / f"{stem}.{suffix}").is_file() for stem in ("cameras", "images")):
-                return folder
+        folder = found(source, name)
+        if folder is None or not folder.is_dir():
+            continue
+        if _files_of(folder):
+            return folder
+        models = _models_in(folder)
+        if models:
+            return max(models, key=lambda model: (models[model], -len(model.name)))
     return None
+
+
+def _files_of(folder: Path) -> tuple[Path, Path] | None:
+    """Files of cameras and images of a model; None where it has none."""
+    for suffix in ("bin", "txt"):
+        cameras, images = (found(folder, f"{stem}.{suffix}") for stem in ("cameras", "images"))
+        if cameras and images and cameras.is_file() and images.is_file():
+            return cameras, images
+    return None
+
+
+def _models_in(folder: Path) -> dict[Path, int]:
+    """Models in a folder, by name, and their numbers of photos."""
+    models = {}
+    for entry in sorted(folder.iterdir()):
+        files = _files_of(entry) if entry.is_dir() else None
+        if files:
+            models[entry] = _count_images(files[1])
+    return models
 
 
 def read_colmap(folder: Path) -> PhotoSource:
     """Photo set of a model; images lie in `images` next to or above it, or with its files."""
-    if (folder / "images.bin").is_file() and (folder / "cameras.bin").is_file():
-        cameras = _read_cameras_binary(folder / "cameras.bin")
-        images = _read_images_binary(folder / "images.bin")
-    else:
-        cameras = _read_cameras_text(folder / "cameras.txt")
-        images = _read_images_text(folder / "images.txt")
+    files = _files_of(folder)
+    if files is None:
+        raise UserError(
+            what="is no COLMAP model", where=folder, expected="cameras and images, .bin or .txt"
+        )
+    is_text = files[0].suffix.lower() == ".txt"
+    cameras = (_read_cameras_text if is_text else _read_cameras_binary)(files[0])
+    images = _read_images(files[1])
     if not images:
         raise UserError(
             what="the COLMAP model holds no photo",
             where=folder,
             hint="COLMAP found no pose: take more photos that overlap",
         )
-    root = _image_folder(folder, images[0].name)
+    root = _image_folder(folder, [image.name for image in images])
     records = []
     for image in sorted(images, key=lambda entry: entry.name):
         if image.camera_id not in cameras:
@@ -91,21 +118,35 @@ def read_colmap(folder: Path) -> PhotoSource:
         records.append(
             PhotoRecord(
                 name=image.name,
-                path=root / image.name,
+                path=found(root, image.name) or root / image.name,
                 intrinsics=camera.intrinsics,
                 camera_to_world=image.camera_to_world,
                 distortion=camera.distortion,
                 size=camera.size,
             )
         )
-    return PhotoSource(format="colmap", records=tuple(records))
+    return PhotoSource(
+        format="colmap", records=tuple(records), notes=_other_models(folder, len(images))
+    )
 
 
-def _image_folder(folder: Path, name: str) -> Path:
-    above = [folder, folder.parent, folder.parent.parent, folder.parent.parent.parent]
-    for candidate in [parent / "images" for parent in above] + above:
-        if (candidate / name).is_file():
-            return candidate
+def _other_models(folder: Path, n_photos: int) -> tuple[str, ...]:
+    """Note on the models beside this one."""
+    others = {model: count for model, count in _models_in(folder.parent).items() if model != folder}
+    if not others:
+        return ()
+    names = ", ".join(f"{model.name} of {count}" for model, count in others.items())
+    return (f"COLMAP made several models: {folder.name} of {n_photos} photos is read, not {names}",)
+
+
+def _image_folder(folder: Path, names: Sequence[str]) -> Path:
+    """Folder that holds the most images of these names."""
+    above = [folder, *folder.absolute().parents[:3]]
+    candidates = [found(parent, _IMAGE_FOLDER) for parent in above] + [*above]
+    there = [candidate for candidate in candidates if candidate is not None]
+    counts = [sum(found(root, name) is not None for name in names) for root in there]
+    if any(counts):
+        return there[int(np.argmax(counts))]
     return folder.parent.parent / "images" if "sparse" in folder.parts else folder / "images"
 
 
@@ -158,18 +199,30 @@ def _read_cameras_text(path: Path) -> dict[int, _CameraModel]:
     return cameras
 
 
+def _count_images(path: Path) -> int:
+    """Return the number of photos; 0 where they cannot be read, as the reader will state."""
+    try:
+        if path.suffix.lower() == ".txt":
+            return len(_read_images_text(path))
+        return int(_Bytes(path).take("Q")[0])
+    except UserError:
+        return 0
+
+
+def _read_images(path: Path) -> list[_ImagePose]:
+    return (_read_images_text if path.suffix.lower() == ".txt" else _read_images_binary)(path)
+
+
 def _read_images_text(path: Path) -> list[_ImagePose]:
-    lines = [
-        (number, line)
-        for number, line in enumerate(read_lines(path), start=1)
-        if not line.startswith("#")
-    ]
-    images = []
-    # Each photo has two lines, the second (its points) may be empty.
-    for number, line in lines[::2]:
-        if not line.strip():
-            continue
+    images, may_be_points = [], False
+    for number, line in enumerate(read_lines(path), start=1):
         parts = line.split(maxsplit=9)
+        if not parts or line.startswith("#"):
+            continue
+        # The line behind that of a photo holds its points, X Y ID each; some writers leave it out.
+        if may_be_points and _are_points(line.split()):
+            may_be_points = False
+            continue
         try:
             values = np.array([float(part) for part in parts[1:8]])
             camera_id, name = int(parts[8]), parts[9].strip()
@@ -180,7 +233,15 @@ def _read_images_text(path: Path) -> list[_ImagePose]:
                 got=repr(line[:60]),
             ) from None
         images.append(_image_pose(name, camera_id, values))
+        may_be_points = True
     return images
+
+
+def _are_points(words: list[str]) -> bool:
+    try:
+        return len(words) % 3 == 0 and all(np.isfinite(float(word)) for word in words)
+    except ValueError:
+        return False
 
 
 def _image_pose(name: str, camera_id: int, values: Floats) -> _ImagePose:
@@ -193,6 +254,7 @@ class _Bytes:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        refuse_other_kind(path)
         try:
             self._data = read_regular(path, BINARY_BYTES)
         except OSError as error:

@@ -25,18 +25,21 @@ class ReadImage(NamedTuple):
     """(height, width), None where the file has none."""
 
 
-def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
+def read_image(
+    path: Path, size: tuple[int, int] | None = None, *, turn: bool | None = None
+) -> ReadImage:
     """Read an image of `PICTURE_FORMATS`; UserError if it is missing or broken.
 
     path: image file.
     size: width and height of the picture that poses and intrinsics belong to. A stored picture of
         the other orientation is turned if its EXIF tag states so; else pixels stay as stored, as
         COLMAP does.
+    turn: whether the picture is turned as its EXIF tag states; None: as `size` decides.
     """
     with opened_picture(path) as stored:
         try:
             stored.load()
-            image = _turned(stored, size)
+            image = _turned(stored, size, turn)
             if image.mode in ("I", "I;16", "I;16B", "F"):
                 grey = _to_eight_bits(np.asarray(image, dtype=np.float64))
                 return ReadImage(np.repeat(grey[:, :, None], 3, axis=2), None)
@@ -58,13 +61,25 @@ def read_mask(path: Path) -> Bools:
     return np.asarray(image.colour.max(axis=2) >= 128)
 
 
+def read_orientation(path: Path) -> tuple[int, tuple[int, int]]:
+    """EXIF orientation, 1 where there is none, and size as stored; UserError as `read_image`."""
+    with opened_picture(path) as image:
+        try:
+            tag = image.getexif().get(_ORIENTATION, 1)
+        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            raise broken_picture(path, error) from error
+        return tag if tag in range(1, 9) else 1, (image.width, image.height)
+
+
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height of an image as stored; UserError as :func:`read_image`."""
     with opened_picture(path) as image:
         return image.width, image.height
 
 
-def _turned(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
+def _turned(image: Image.Image, size: tuple[int, int] | None, turn: bool | None) -> Image.Image:
+    if turn is not None:
+        return ImageOps.exif_transpose(image) if turn else image
     if size is None or image.getexif().get(_ORIENTATION) not in _ON_ITS_SIDE:
         return image
     lies = (image.width - image.height) * (size[0] - size[1]) < 0

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import PhotoSource, listed_images
+from geraf2.apps.photos.formats.records import PhotoSource, found, listed_images
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
 from geraf2.io.photo_files import PhotoRecord
@@ -26,8 +26,8 @@ _N_NUMBERS = 17
 
 def find_llff(source: Path) -> Path | None:
     """File poses_bounds.npy of a folder, or the file itself."""
-    path = source if source.is_file() else source / _NAME
-    return path if path.name == _NAME and path.is_file() else None
+    path = source if source.is_file() else found(source, _NAME)
+    return path if path and path.name.lower() == _NAME and path.is_file() else None
 
 
 def read_llff(path: Path) -> PhotoSource:

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, found
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.photo_files import PhotoRecord
 from geraf2.io.text import read_lines
 
-_PATTERN = "*_par.txt"
+_ENDING = "_par.txt"
 _N_NUMBERS = 21
 # The origin is "top-left" (README of the sets), read here as the middle of that pixel.
 _HALF_PIXEL = 0.5
@@ -25,9 +25,9 @@ _HALF_PIXEL = 0.5
 def find_middlebury(source: Path) -> Path | None:
     """Parameter file of a folder, or the file itself."""
     if source.is_file():
-        return source if source.name.endswith("_par.txt") else None
-    found = sorted(source.glob(_PATTERN))
-    return found[0] if found else None
+        return source if source.name.lower().endswith(_ENDING) else None
+    files = sorted(path for path in source.glob("*") if path.name.lower().endswith(_ENDING))
+    return files[0] if files else None
 
 
 def read_middlebury(path: Path) -> PhotoSource:
@@ -63,7 +63,7 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
         )
     return PhotoRecord(
         name=name,
-        path=path.parent / name,
+        path=found(path.parent, name) or path.parent / name,
         intrinsics=_with_half_pixel(values[:9].reshape(3, 3)),
         camera_to_world=inverse_rigid(values[9:18].reshape(3, 3), values[18:]),
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import PhotoSource, images_in, listed_images
+from geraf2.apps.photos.formats.records import PhotoSource, found, images_in, listed_images
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
 from geraf2.io.arrays import read_npz
@@ -27,8 +27,9 @@ def find_neus(source: Path) -> Path | None:
     if source.is_file():
         return source if source.suffix == ".npz" else None
     for name in _NAMES:
-        if (source / name).is_file():
-            return source / name
+        file = found(source, name)
+        if file is not None and file.is_file():
+            return file
     return None
 
 
@@ -60,9 +61,9 @@ def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
     """
     named = [folder / "mask" / image.with_suffix(".png").name for image in images]
     if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
-        found = images_in(folder / "mask")
-        if len(found) == len(images):
-            return list(found)
+        others = images_in(folder / "mask")
+        if len(others) == len(images):
+            return list(others)
     return [mask if mask.is_file() else None for mask in named]
 
 

@@ -25,6 +25,21 @@ class PhotoSource:
     """Notes for the user."""
 
 
+def found(folder: Path, name: str | Path) -> Path | None:
+    """File or folder of this path below a folder, in capitals or not; None where there is none."""
+    here = folder
+    for part in Path(name).parts:
+        there = here / part
+        try:
+            if not there.exists():
+                entries = sorted(here.iterdir()) if here.is_dir() else []
+                there = next(e for e in entries if e.name.casefold() == part.casefold())
+        except (OSError, StopIteration):  # none, or the name is too long
+            return None
+        here = there
+    return here
+
+
 def images_in(folder: Path) -> list[Path]:
     """PNG and JPEG files of a folder, sorted by name."""
     return sorted(entry for entry in folder.iterdir() if entry.suffix.lower() in _SUFFIXES)
@@ -33,10 +48,9 @@ def images_in(folder: Path) -> list[Path]:
 def listed_images(folder: Path, names: tuple[str, ...]) -> list[Path]:
     """Images of the first of the folder's subfolders `names` that has any; an error if none has."""
     for name in names:
-        if (folder / name).is_dir():
-            found = images_in(folder / name)
-            if found:
-                return found
+        there = found(folder, name)
+        if there is not None and there.is_dir() and (images := images_in(there)):
+            return images
     raise UserError(
         what="no images beside the camera poses",
         where=folder,

@@ -16,7 +16,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.images import read_size
-from geraf2.apps.photos.formats.records import PhotoSource
+from geraf2.apps.photos.formats.records import PhotoSource, found
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
 from geraf2.io.photo_files import (
@@ -41,8 +41,8 @@ def find_transforms(source: Path) -> Path | None:
     """File transforms.json of a folder, or the file itself."""
     if source.is_file():
         return source if source.suffix == ".json" else None
-    names = (TRANSFORMS_NAME, _NERF_NAME)
-    return next((source / name for name in names if (source / name).is_file()), None)
+    files = (found(source, name) for name in (TRANSFORMS_NAME, _NERF_NAME))
+    return next((file for file in files if file is not None and file.is_file()), None)
 
 
 def read_transforms(path: Path) -> PhotoSource:
@@ -156,6 +156,10 @@ def _image_path(folder: Path, name: str) -> Path:
         for candidate in _candidates(path):
             if _is_file(candidate):
                 return candidate
+    for path in paths:  # in other capitals
+        there = found(folder, path.relative_to(folder)) if path.is_relative_to(folder) else None
+        if there is not None and _is_file(there):
+            return there
     return paths[0]
 
 
@@ -187,11 +191,11 @@ def _ends_of(name: str) -> Iterator[Path]:
 def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[str]) -> list[str]:
     """Note on images found at other paths; UserError where two frames share one image."""
     pairs = list(zip(records, named, strict=True))
-    found = [(record, name) for record, name in pairs if record.name != Path(name).as_posix()]
-    if not found:
+    elsewhere = [(record, name) for record, name in pairs if record.name != Path(name).as_posix()]
+    if not elsewhere:
         return []
     uses = Counter(record.path for record in records)
-    for record, _ in found:
+    for record, _ in elsewhere:
         if uses[record.path] > 1:
             same = [name for other, name in pairs if other.path == record.path]
             raise UserError(
@@ -200,10 +204,10 @@ def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[
                 expected=f"one frame for {record.path.name}",
                 got=" and ".join(same[:2]),
             )
-    record, name = found[0]
+    record, name = elsewhere[0]
     return [
-        f"{len(found)} images are not at the paths of {path.name} ({name}); they were found by the "
-        f"end of their paths, as {record.name}"
+        f"{len(elsewhere)} images are not at the paths of {path.name} ({name}); they were found by "
+        f"the end of their paths, as {record.name}"
     ]
 
 

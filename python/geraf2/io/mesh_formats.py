@@ -1,0 +1,258 @@
+"""Readers of OBJ, STL and PLY: vertices, triangles, and columns of the vertices.
+
+ValueError states what is wrong with the bytes.
+"""
+
+import re
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Array, Floats, Ints
+from geraf2.geometry.polygons import strip_triangles, triangulated
+
+_STL_HEAD, _STL_FACET = 84, 50
+_PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
+    "int32": "i4", "uint32": "u4", "float32": "f4", "float64": "f8", "int64": "i8", "uint64": "u8",
+}  # fmt: skip
+_PLY_ENCODINGS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RawMesh:
+    """Content of a mesh file."""
+
+    vertices: Floats
+    """(n_vertices, 3)."""
+    faces: Ints
+    """(n_faces, 3)."""
+    columns: Mapping[str, Array] = field(default_factory=dict)
+    """Scalar properties of the vertices, (n_vertices,) each."""
+
+
+def parse_obj(data: bytes) -> RawMesh:
+    """Mesh of an OBJ; relative indices count back from the line of their face."""
+    vertices: list[list[float]] = []
+    corners: list[int] = []
+    counts = []
+    text = data.decode("latin-1").replace("\\\r\n", " ").replace("\\\n", " ")
+    for number, line in enumerate(text.splitlines(), start=1):
+        kind, *words = line.split("#", 1)[0].split() or [""]
+        try:
+            if kind == "v":
+                x, y, z, *_ = words
+                vertices.append([float(x), float(y), float(z)])
+            elif kind == "f":
+                indices = [int(word.split("/", 1)[0]) for word in words]
+                if 0 in indices:
+                    raise ValueError
+                n = len(vertices)
+                corners += [index - 1 if index > 0 else n + index for index in indices]
+                counts.append(len(indices))
+        except ValueError:
+            msg = f"line {number} cannot be read: {line.strip()[:40]!r}"
+            raise ValueError(msg) from None
+    places = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    faces = triangulated(places, np.array(corners, dtype=np.int64), np.array(counts, dtype=int))
+    return RawMesh(vertices=places, faces=faces)
+
+
+def parse_stl(data: bytes) -> RawMesh:
+    """Mesh of an STL, text or binary.
+
+    Some writers begin binary files with 'solid', leave the number of triangles 0 or -1, or write
+    more bytes behind the last one.
+    """
+    if _is_text_stl(data):
+        pattern = rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)"
+        found = re.findall(pattern, data, re.IGNORECASE)
+        corners = np.array(found, dtype=np.float64).reshape(-1, 3)
+        n_facets = len(re.findall(rb"\bouter\s+loop\b", data, re.IGNORECASE))
+        if len(corners) != 3 * n_facets:
+            msg = f"it has {n_facets} facets and {len(corners)} corners, three each are needed"
+            raise ValueError(msg)
+    else:
+        if len(data) < _STL_HEAD:
+            msg = "it is neither text nor long enough for a binary STL"
+            raise ValueError(msg)
+        (n_facets,) = struct.unpack_from("<I", data, _STL_HEAD - 4)
+        n_there = (len(data) - _STL_HEAD) // _STL_FACET
+        if n_facets in (0, 0xFFFFFFFF):
+            n_facets = n_there
+        if n_facets > n_there:
+            msg = f"it holds {n_there} of {n_facets} triangles"
+            raise ValueError(msg)
+        facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
+        facets = np.frombuffer(data, facet, count=n_facets, offset=_STL_HEAD)
+        corners = facets["corners"].astype(np.float64).reshape(-1, 3)
+    return RawMesh(vertices=corners, faces=np.arange(len(corners)).reshape(-1, 3))
+
+
+def _is_text_stl(data: bytes) -> bool:
+    head = data[:4096].lstrip().lower()
+    if not head.startswith(b"solid") or b"\0" in head:
+        return False
+    return b"facet" in head or b"endsolid" in head
+
+
+def parse_ply(data: bytes) -> RawMesh:
+    """Mesh of a PLY: faces of any number of corners, and strips."""
+    elements, order, at = _ply_header(data)
+    rows: dict[str, dict[str, Any]] = {}
+    words = [] if order else data[at:].split()
+    at = at if order else 0
+    for element in elements:
+        if order:
+            rows[element[0]], at = _binary_rows(data, order, at, element)
+        else:
+            rows[element[0]], at = _text_rows(words, at, element)
+    vertex = rows.get("vertex", {})
+    if not {"x", "y", "z"} <= set(vertex):
+        msg = "it has no vertices x, y, z"
+        raise ValueError(msg)
+    vertices = np.stack([np.asarray(vertex[axis], dtype=np.float64) for axis in "xyz"], axis=1)
+    faces = [np.zeros((0, 3), dtype=np.int64)]
+    for name in ("vertex_indices", "vertex_index"):
+        if name in rows.get("face", {}):
+            corners, counts = rows["face"][name]
+            faces.append(triangulated(vertices, corners, counts))
+        if name in rows.get("tristrips", {}):
+            corners, counts = rows["tristrips"][name]
+            strips = np.split(corners, np.cumsum(counts)[:-1])
+            faces += [strip_triangles(strip) for strip in strips]
+    scalars = {name: values for name, values in vertex.items() if isinstance(values, np.ndarray)}
+    return RawMesh(vertices=vertices, faces=np.concatenate(faces), columns=scalars)
+
+
+_Property = tuple[str, str, str | None]
+"""Name, type, and type of the length of a list."""
+_Element = tuple[str, int, list[_Property]]
+"""Name, number of rows, and properties."""
+
+
+def _ply_header(data: bytes) -> tuple[list[_Element], str, int]:
+    """Elements, byte order (empty: text) and where the rows begin."""
+    end = re.search(rb"^end_header[^\n]*\n", data, re.MULTILINE)
+    if not data.startswith(b"ply") or end is None:
+        msg = "it has no header of a PLY"
+        raise ValueError(msg)
+    elements: list[_Element] = []
+    order = None
+    for line in data[: end.start()].decode("latin-1").splitlines():
+        words = line.split()
+        if words[:1] == ["format"] and len(words) > 1:
+            if words[1] not in _PLY_ENCODINGS:
+                msg = f"unknown encoding {words[1]!r}"
+                raise ValueError(msg)
+            order = _PLY_ENCODINGS[words[1]]
+        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdigit():
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] in (["element"], ["property"]):
+            *types, name = words[1:] or [""]
+            known = [_PLY_TYPES.get(kind) for kind in types if kind != "list"]
+            if not elements or words[0] == "element" or not known or None in known:
+                msg = f"line {line.strip()[:40]!r} of its header cannot be read"
+                raise ValueError(msg)
+            if len(known) != (2 if types[0] == "list" else 1):
+                msg = f"line {line.strip()[:40]!r} of its header cannot be read"
+                raise ValueError(msg)
+            length = known[0] if types[0] == "list" else None
+            elements[-1][2].append((name, str(known[-1]), length))
+    if order is None or not all(properties for _, _, properties in elements):
+        msg = "its header has no format, or an element without properties"
+        raise ValueError(msg)
+    return elements, order, end.end()
+
+
+def _too_short(name: str, count: int, got: int) -> ValueError:
+    return ValueError(f"the mesh lacks {name} rows, expected {count}, got {got}; it may be cut off")
+
+
+def _text_rows(words: list[bytes], at: int, element: _Element) -> tuple[dict[str, Any], int]:
+    """Values of each property, and the word behind the last row."""
+    name, count, properties = element
+    if not any(length for *_, length in properties):
+        stop = at + count * len(properties)
+        if stop > len(words):
+            raise _too_short(name, count, (len(words) - at) // len(properties))
+        table = np.array(words[at:stop], dtype=np.float64).reshape(count, len(properties))
+        return {one: table[:, k] for k, (one, *_) in enumerate(properties)}, stop
+    lists = _Lists(properties)
+    for row in range(count):
+        for one, _, length in properties:
+            n, at = (1, at) if length is None else (int((words[at : at + 1] or [b"0"])[0]), at + 1)
+            if n < 0 or at + n > len(words):
+                raise _too_short(name, count, row)
+            lists.add(one, [float(word) for word in words[at : at + n]])
+            at += n
+    return lists.values(), at
+
+
+class _Lists:
+    """Values of properties of varying lengths."""
+
+    def __init__(self, properties: list[_Property]) -> None:
+        self._parts: dict[str, tuple[list[float], list[int]]] = {
+            one: ([], []) for one, *_ in properties
+        }
+
+    def add(self, name: str, values: list[float]) -> None:
+        self._parts[name][0].extend(values)
+        self._parts[name][1].append(len(values))
+
+    def values(self) -> dict[str, Any]:
+        return {name: _indices(*parts) for name, parts in self._parts.items()}
+
+
+def _indices(values: Any, counts: Any) -> tuple[Ints, Ints]:
+    numbers = np.asarray(values)
+    if not np.isfinite(numbers).all():
+        msg = "a list holds what is no number"
+        raise ValueError(msg)
+    return numbers.astype(np.int64), np.asarray(counts, dtype=np.int64)
+
+
+def _binary_rows(data: bytes, order: str, at: int, element: _Element) -> tuple[dict[str, Any], int]:
+    """Values of each property, and the byte behind the last row."""
+    count, properties = element[1:]
+    size, layout, lengths = 0, [], {}
+    # Rows of the same lengths as the first are read at once: triangles, or quadrilaterals.
+    for one, kind, length in properties:
+        n = 1
+        if length is not None:
+            n = int(_values(data, at + size, order + length, 1, element, 0)[0]) if count else 0
+            layout.append((f"length of {one}", order + length, (1,)))
+            lengths[f"length of {one}"] = n
+            size += np.dtype(length).itemsize
+        layout.append((one, order + kind, (max(n, 0),)))
+        size += np.dtype(kind).itemsize * n
+    if at + count * size <= len(data) and min(lengths.values(), default=0) >= 0:
+        rows = np.frombuffer(data, np.dtype(layout), count=count, offset=at)
+        if all((rows[one] == n).all() for one, n in lengths.items()):
+            found: dict[str, Any] = {}
+            for one, _, length in properties:
+                flat = rows[one].reshape(-1)
+                counts = np.full(count, rows[one].shape[1])
+                found[one] = flat if length is None else _indices(flat, counts)
+            return found, at + count * size
+    lists = _Lists(properties)
+    for row in range(count):
+        for one, kind, length in properties:
+            n = 1
+            if length is not None:
+                n = int(_values(data, at, order + length, 1, element, row)[0])
+                at += np.dtype(length).itemsize
+            lists.add(one, _values(data, at, order + kind, n, element, row))
+            at += n * np.dtype(kind).itemsize
+    return lists.values(), at
+
+
+def _values(data: bytes, at: int, kind: str, n: int, element: _Element, row: int) -> list[float]:
+    if n < 0 or at + n * np.dtype(kind).itemsize > len(data):
+        raise _too_short(element[0], element[1], row)
+    return [float(value) for value in np.frombuffer(data, kind, count=n, offset=at)]

@@ -1,0 +1,173 @@
+"""Robot logs as other programs and robots write them."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geraf2.apps.importers._log_columns import quantity_of
+from geraf2.apps.importers._log_track import log_track
+from geraf2.apps.importers._robot_log import read_log
+from geraf2.errors import UserError
+
+TIMES = 0.04 * np.arange(20)
+POSITIONS = np.stack([0.3 + 0.02 * TIMES, -0.1 * TIMES, 0.05 + 0 * TIMES], axis=1)
+TURN = Rotation.from_euler("xyz", [10, 20, 90], degrees=True)
+
+
+def text_of(table, names, mark=",", end="", comma=False):
+    def cell(value):
+        return f"{value:.9f}".replace(".", ",") if comma else f"{value:.9g}"
+
+    rows = [mark.join(map(cell, row)) + end for row in table]
+    return "\n".join([names + end, *rows] if names else rows) + "\n"
+
+
+def read(folder, text, encoding="utf-8"):
+    (folder / "log.csv").write_text(text, encoding=encoding)
+    return read_log(folder / "log.csv", keep_good=False)
+
+
+PLAIN = np.column_stack([TIMES, POSITIONS])
+DIALECTS = {
+    "quotes": text_of(PLAIN, '"time_s","x_m","y_m","z_m"'),
+    "quotes around numbers": "time_s,x_m,y_m,z_m\n"
+    + "\n".join(",".join(f'"{value:.9g}"' for value in row) for row in PLAIN),
+    "comma at the end": text_of(PLAIN, "time_s,x_m,y_m,z_m", end=","),
+    "comma at the end of rows": text_of(PLAIN, "time_s,x_m,y_m,z_m\n#", end=",").replace(
+        "time_s,x_m,y_m,z_m\n#,", "time_s,x_m,y_m,z_m"
+    ),
+    "comma at the end without names": text_of(PLAIN, "", end=","),
+    "semicolons and decimal commas": text_of(PLAIN, "time_s;x_m;y_m;z_m", ";", comma=True),
+    "the same without names": text_of(PLAIN, "", ";", comma=True),
+    "the same with a mark for a spreadsheet": "sep=;\n"
+    + text_of(PLAIN, "time_s;x_m;y_m;z_m", ";", comma=True),
+    "tabs and decimal commas": text_of(PLAIN, "time_s\tx_m\ty_m\tz_m", "\t", comma=True),
+    "spaces after commas": text_of(PLAIN, "time_s, x_m, y_m, z_m", ", "),
+    "names in a comment": text_of(PLAIN, "# time_s x_m y_m z_m", " "),
+    "names in a comment, other order": text_of(PLAIN[:, [1, 2, 3, 0]], "# x_m y_m z_m t", " "),
+    "names of rostopic": text_of(
+        PLAIN, "%time,field.pose.position.x,field.pose.position.y,field.pose.position.z"
+    ),
+    "milliseconds": text_of(PLAIN * [1e3, 1, 1, 1], "Time (ms),x,y,z"),
+    "microseconds": text_of(PLAIN * [1e6, 1, 1, 1], "timestamp_us,x,y,z"),
+    "other microseconds": text_of(PLAIN * [1e6, 1, 1, 1], "t [\u00b5s],x,y,z"),
+    "units in brackets": text_of(PLAIN * [1, 1e3, 1e3, 1e3], "time [s],X [mm],Y [mm],Z [mm]"),
+    "words": text_of(PLAIN * [1, 1e3, 1e3, 1e3], "Timestamp,PosX_mm,PosY_mm,PosZ_mm"),
+    "of a tool": text_of(PLAIN, "t,tcp_x,tcp_y,tcp_z"),
+    "of a camera": text_of(PLAIN, "timestamp,tx,ty,tz"),
+    "axis first": text_of(PLAIN, "time,x_pos_m,y_pos_m,z_pos_m"),
+    "of Universal Robots": text_of(
+        PLAIN, "timestamp actual_TCP_pose_0 actual_TCP_pose_1 actual_TCP_pose_2", " "
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
+def test_every_dialect_is_read(tmp_path, name, encoding):
+    log = read(tmp_path, DIALECTS[name], encoding)
+    assert np.allclose(log.times_s, TIMES)
+    assert np.allclose(log.positions, POSITIONS)
+    assert log.notes == ()
+
+
+w_first = TURN.as_quat()[[3, 0, 1, 2]]
+w_last = TURN.as_quat()
+ORIENTATION = ",".join(f"pose.orientation.{k}" for k in "xyzw")
+TURNS = {
+    "time_s,x_m,y_m,z_m,qw,qx,qy,qz": w_first,
+    "time_s,x_m,y_m,z_m,qx,qy,qz,qw": w_last,
+    "# timestamp,tx,ty,tz,qx,qy,qz,qw": w_last,
+    "time," + ",".join(f"position.{k}" for k in "xyz") + "," + ORIENTATION: w_last,
+    "time_s,x_m,y_m,z_m,rx,ry,rz": TURN.as_rotvec(),
+    "time_s,x_m,y_m,z_m,Rx [rad],Ry [rad],Rz [rad]": TURN.as_rotvec(),
+    "timestamp," + ",".join(f"actual_TCP_pose_{k}" for k in range(6)): TURN.as_rotvec(),
+}
+
+
+@pytest.mark.parametrize("names", TURNS)
+def test_orientations_are_read_by_their_names(tmp_path, names):
+    turns = np.broadcast_to(TURNS[names], (20, len(TURNS[names])))
+    log = read(tmp_path, text_of(np.column_stack([PLAIN, turns]), names))
+    assert np.allclose(log.rotations.as_matrix(), TURN.as_matrix(), atol=1e-6)
+    assert any("rotation vectors" in note for note in log.notes) == (turns.shape[1] == 3)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        "roll,pitch,yaw",
+        "A,B,C",
+        "w,p,r",
+        "rx_deg,ry_deg,rz_deg",
+        "Alpha,Beta,Gamma",
+        "phi,theta,psi",
+    ],
+)
+def test_angles_of_other_conventions_are_refused_if_they_turn(tmp_path, names):
+    table = np.column_stack([PLAIN, np.tile([0, 0, 90.0], (20, 1))])
+    with pytest.raises(UserError, match="holds an orientation that is not read"):
+        read(tmp_path, text_of(table, f"time_s,x_m,y_m,z_m,{names}"))
+    table[:, 4:] = 0
+    log = read(tmp_path, text_of(table, f"time_s,x_m,y_m,z_m,{names}"))
+    assert log.quaternions is None
+    assert names.replace(",", ", ") in log.notes[0]
+
+
+def test_rotation_vectors_in_degrees_are_refused(tmp_path):
+    table = np.column_stack([PLAIN, np.tile([0, 0, 90.0], (20, 1))])
+    with pytest.raises(UserError, match="up to 90 long, no rotation vectors in radians"):
+        read(tmp_path, text_of(table, "time_s,x_m,y_m,z_m,rx,ry,rz"))
+
+
+def test_columns_that_are_not_read_are_named_and_may_hold_text(tmp_path):
+    rows = [f"{t},moving,{x},{y},{z},1.5" for t, x, y, z in PLAIN]
+    log = read(tmp_path, "time_s,state,x_m,y_m,z_m,vx\n" + "\n".join(rows))
+    assert np.allclose(log.positions, POSITIONS)
+    assert log.notes == ("columns of log.csv that are not read: state, vx",)
+
+
+def test_quaternions_without_names_are_said_to_be_assumed(tmp_path):
+    table = np.column_stack([PLAIN, np.tile(w_first, (20, 1))])
+    log = read(tmp_path, text_of(table, ""))
+    assert np.allclose(log.rotations.as_matrix(), TURN.as_matrix(), atol=1e-6)
+    assert "read as time x y z qw qx qy qz" in log.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("time_s,x_m,y_m,z_m\n0,1,a,0\n", "row 1, column 'y_m'"),
+        ("time_s,x_m,y_m,z_m\n0,1,0\n", "rows and names differ in number, expected 4, got 3"),
+        ("time_s,x_m,y_m,z_m,rx,ry\n0,1,0,0,0,0\n", "columns are missing"),
+        ("time_s,x_m,y_m,z_m,pos_x\n0,1,0,0,0\n", "two columns are x: 'x_m' and 'pos_x'"),
+        ("time_s,x_m,y_m,z_m\n0,,0,0\n", "1 of 1 rows hold NaN"),
+    ],
+)
+def test_what_cannot_be_read_names_row_and_column(tmp_path, text, told):
+    with pytest.raises(UserError, match=told):
+        read(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["vx", "target_x", "actual_q_0", "actual_TCP_speed_0", "target_TCP_pose_0", "fx", "joint_x",
+     "twist.linear.x", "accel_x", "x_kg", "", "status", "index", "q", "items"],
+)  # fmt: skip
+def test_other_quantities_are_no_positions(name):
+    assert quantity_of(name) is None
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])
+def test_times_of_another_unit_are_refused(tmp_path, factor, unit):
+    log = read(tmp_path, text_of(PLAIN * [factor, 1, 1, 1], "time_s,x_m,y_m,z_m"))
+    with pytest.raises(UserError, match=f"name the column time_{unit}"):
+        log_track(log, 20, frame_period_s=0.04, start_time_s=0.0, keep_good=False)
+
+
+def test_frames_of_a_small_part_of_a_log_are_named(tmp_path):
+    times = 0.04 * np.arange(2000)
+    table = np.column_stack([times, 0.001 * times, 0 * times, 0 * times])
+    log = read(tmp_path, text_of(table, "time_s,x_m,y_m,z_m"))
+    track = log_track(log, 20, frame_period_s=0.04, start_time_s=8.0, keep_good=False)
+    assert any("0.95 % of the 79.96 s" in note for note in track.notes)

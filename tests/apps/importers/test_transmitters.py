@@ -1,0 +1,170 @@
+"""Transmitters that send together are separated by their codes, or refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.apps.importers._ti_config import read_ti_configs
+from geraf2.cli.main import main
+from geraf2.errors import UserError
+from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
+from helpers.raw_capture import (
+    PROFILE,
+    RADAR,
+    RADAR_TOML,
+    STUDIO,
+    quantised,
+    whole_pose,
+    words_of,
+)
+
+# Chirps by their masks, and those whose second transmitter is turned.
+TOGETHER = {
+    "two, then a third": ([5, 5, 2], {1: 4}, [0, 2, 1]),
+    "a third, then two": ([2, 5, 5], {2: 4}, [1, 0, 2]),
+    "two": ([3, 3], {1: 2}, [0, 1]),
+}
+
+
+def signals(n_tx, n_loops=20, n_rx=4, n_samples=64):
+    """Echoes of each transmitter, (n_loops, n_tx, n_rx, n_samples)."""
+    rng = np.random.default_rng(n_tx)
+    t = np.arange(n_samples) / n_samples
+    phases = rng.uniform(0, 2 * np.pi, (1, n_tx, n_rx, 1))
+    waves = np.exp(1j * (2 * np.pi * 5.3 * t + phases))
+    return np.repeat(600 * waves, n_loops, axis=0)
+
+
+def recorded(folder, masks, turned, order):
+    """Recording of chirps with these masks, and the signals of the transmitters."""
+    alone = signals(len(order))
+    chirps = [
+        sum(
+            (-1 if turned.get(k, 0) >> tx & 1 else 1) * alone[:, order.index(tx)]
+            for tx in range(3)
+            if mask >> tx & 1
+        )
+        for k, mask in enumerate(masks)
+    ]
+    both = quantised(np.stack(chirps, axis=1)).reshape(-1, *alone.shape[2:])
+    (folder / "a.bin").write_bytes(words_of(both).tobytes())
+    return alone
+
+
+def profile(folder, masks, turned):
+    head = PROFILE.split("chirpCfg")[0]
+    lines = [f"chirpCfg {k} {k} 0 0 0 0 0 {mask}" for k, mask in enumerate(masks)]
+    lines.append(f"frameCfg 0 {len(masks) - 1} 20 1 50 1 0")
+    lines += [f"bpmCfg -1 1 {k - 1} {k}" for k in turned]
+    (folder / "a.cfg").write_text(head + "\n".join(lines) + "\n")
+    return folder / "a.cfg"
+
+
+def studio(folder, masks, turned):
+    values = json.loads(json.dumps(STUDIO))
+    rf = values["mmWaveDevices"][0]["rfConfig"]
+    rf["rlChirps"] = [
+        {
+            "rlChirpCfg_t": {
+                "chirpStartIdx": k,
+                "chirpEndIdx": k,
+                "profileId": 0,
+                "txEnable": hex(mask),
+            }
+        }
+        for k, mask in enumerate(masks)
+    ]
+    rf["rlFrameCfg_t"] |= {"chirpEndIdx": len(masks) - 1, "numLoops": 20, "numFrames": 1}
+    code = {k: sum(3 << 2 * tx for tx in range(3) if mask >> tx & 1) for k, mask in turned.items()}
+    rf["rlBpmChirps"] = [
+        {"rlBpmChirpCfg_t": {"chirpStartIdx": k, "chirpEndIdx": k, "constBpmVal": hex(value)}}
+        for k, value in code.items()
+    ]
+    (folder / "a.mmwave.json").write_text(json.dumps(values))
+    return folder / "a.mmwave.json"
+
+
+def script(folder, masks, turned):
+    def bits(mask, n=3):
+        return ", ".join(str(mask >> k & 1) for k in range(n))
+
+    lines = ["ar1.ProfileConfig(0, 77, 7, 6, 60, 0, 0, 0, 0, 0, 0, 60, 0, 64, 1000, 0, 0, 30)"]
+    lines += [f"ar1.ChirpConfig({k}, {k}, 0, 0, 0, 0, 0, {bits(m)})" for k, m in enumerate(masks)]
+    for k, mask in turned.items():
+        on = ", ".join(f"0, {mask >> tx & 1}" for tx in range(3))
+        lines.append(f"ar1.BpmChirpConfig({k}, {k}, {on})")
+    lines.append(f"ar1.FrameConfig(0, {len(masks) - 1}, 1, 20, 50, 0, 0)")
+    (folder / "a.lua").write_text("\n".join(lines))
+    return folder / "a.lua"
+
+
+def scan(folder, config, **raw):
+    n_tx = raw.get("n_tx") or 3
+    antennas = AntennaManifest(
+        tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(n_tx)],
+        rx_offsets_m=[[0.0, -0.005 - 0.002 * k, 0.0] for k in range(4)],
+    )
+    radar = RadarManifest(**RADAR, antennas=antennas, raw=RawManifest(**raw))
+    options = ImportOptions(config=(config,), static=True)
+    return load_importer("dca1000").open(folder / "a.bin", radar, options)
+
+
+@pytest.mark.parametrize("write", [profile, studio, script])
+@pytest.mark.parametrize("name", TOGETHER)
+def test_two_that_send_together_are_separated(tmp_path, write, name):
+    masks, turned, order = TOGETHER[name]
+    alone = recorded(tmp_path, masks, turned, order)
+    config = write(tmp_path, masks, turned)
+    assert list(read_ti_configs([config]).transmitters.together) == order
+    antennas = AntennaManifest(tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(len(order))])
+    radar = RadarManifest(**RADAR, antennas=antennas)
+    options = ImportOptions(config=(config,), static=True)
+    opened = load_importer("dca1000").open(tmp_path / "a.bin", radar, options)
+    signal, tx, _ = whole_pose(opened)
+    assert np.abs(signal.reshape(alone.shape[1:]) - alone[0]).max() < 1.0
+    assert np.allclose(tx[::4, 1], 0.002 * np.arange(len(order)))
+
+
+@pytest.mark.parametrize("write", [profile, studio, script])
+@pytest.mark.parametrize(
+    ("masks", "turned"), [([3], {}), ([3, 3], {}), ([7, 7], {1: 2}), ([3, 4], {}), ([7], {})]
+)
+def test_what_cannot_be_separated_is_refused_and_named(tmp_path, capsys, write, masks, turned):
+    recorded(tmp_path, masks, turned, [0, 1, 2])
+    config = write(tmp_path, masks, turned)
+    with pytest.raises(UserError, match=f"send together .*masks? {masks[0]}"):
+        scan(tmp_path, config)
+    assert main(["info", str(tmp_path / "a.bin"), "--config", str(config)]) == 0
+    shown = capsys.readouterr().out
+    assert f"{masks[0]}" in shown
+    assert "no code separates them" in shown
+
+
+def test_a_given_number_of_transmitters_takes_the_chirps_as_they_are(tmp_path):
+    recorded(tmp_path, [3, 3], {}, [0, 1])
+    config = profile(tmp_path, [3, 3], {})
+    signal, _, _ = whole_pose(scan(tmp_path, config, n_tx=1))
+    assert signal.shape == (4, 64)
+
+
+def test_a_pattern_that_repeats_within_a_frame_is_its_shortest_period(tmp_path):
+    config = read_ti_configs([profile(tmp_path, [1, 4, 1, 4], {})])
+    assert config.transmitters.masks == (1, 4)
+    assert config.n_chirps_per_frame == 80
+    alone = recorded(tmp_path, [1, 4], {}, [0, 2])
+    assert alone.shape[1] == 2
+
+
+def test_masks_of_plain_turns_are_named_by_info(tmp_path, capsys):
+    recorded(tmp_path, [1, 4], {}, [0, 2])
+    config = profile(tmp_path, [1, 4], {})
+    (tmp_path / "radar.toml").write_text(RADAR_TOML)
+    assert main(["info", str(tmp_path / "a.bin"), "--config", str(config)]) == 0
+    assert "masks 1, 4, chirp by chirp" in capsys.readouterr().out
+
+
+def test_a_chirp_without_transmitter_is_refused(tmp_path):
+    with pytest.raises(UserError, match="chirp 1 has no transmitter"):
+        read_ti_configs([profile(tmp_path, [1, 0], {})])

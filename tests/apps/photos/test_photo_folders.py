@@ -1,0 +1,179 @@
+"""Photo folders as people have them: several models, other capitals, missing and turned photos."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image, ImageOps
+
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.geometry.transforms import OPENGL_TO_OPENCV
+from helpers.scene_photos import (
+    image_of,
+    ring_of_cameras,
+    write_colmap,
+    write_llff,
+    write_middlebury,
+    write_neus,
+)
+
+UNIT = PhotoOptions(unit_m=1.0)
+
+
+def two_models(folder, *, binary, few="0", many="1"):
+    """Models of 3 and 6 photos in sparse/0 and sparse/1."""
+    write_colmap(folder / "few", 3, binary=binary)
+    cameras = write_colmap(folder, 6, binary=binary)
+    (folder / "sparse" / "0").rename(folder / "sparse" / "later")
+    (folder / "few" / "sparse" / "0").rename(folder / "sparse" / few)
+    (folder / "sparse" / "later").rename(folder / "sparse" / many)
+    return cameras
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(("few", "many"), [("0", "1"), ("1", "0")])
+def test_the_largest_model_is_read_and_the_others_named(tmp_path, binary, few, many):
+    two_models(tmp_path, binary=binary, few=few, many=many)
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 6
+    note = f"COLMAP made several models: {many} of 6 photos is read, not {few} of 3"
+    assert loaded.notes == (note,)
+    # The folder that the user names is read, whichever it is.
+    named = load_photos(tmp_path / "sparse" / few, UNIT)
+    assert len(named.photos) == 3
+    assert f"{few} of 3 photos is read, not {many} of 6" in named.notes[0]
+
+
+def test_a_broken_model_does_not_hide_a_good_one(tmp_path):
+    two_models(tmp_path, binary=True)
+    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\1")
+    assert len(load_photos(tmp_path, UNIT).photos) == 6
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_models_without_point_lines(tmp_path, every):
+    cameras = write_colmap(tmp_path, 6, binary=False)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    lines = [line for line in path.read_text().splitlines() if ".png" in line]
+    kept = [line for k, line in enumerate(lines) for line in (line, *["1 2 -1"][k % every :])]
+    path.write_text("\n".join(lines if every == 1 else kept) + "\n")
+    photos = load_photos(tmp_path, UNIT).photos
+    assert len(photos) == 6
+    for read, camera in zip(photos.cameras, cameras, strict=True):
+        np.testing.assert_allclose(read.position, camera.position, atol=1e-9)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_missing_first_photo_does_not_lose_the_folder(tmp_path, binary):
+    write_colmap(tmp_path, 6, binary=binary)
+    for name in ("photo0.png", "photo1.png"):
+        (tmp_path / "images" / name).unlink()
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 4
+    assert sum("left out" in note for note in loaded.notes) == 2
+
+
+WRITERS = {
+    "colmap": lambda folder: write_colmap(folder, binary=True),
+    "colmap text": lambda folder: write_colmap(folder, binary=False),
+    "middlebury": write_middlebury,
+    "neus": write_neus,
+    "llff": write_llff,
+}
+
+
+def capitals(folder):
+    for path in sorted(folder.rglob("*"), key=lambda path: -len(path.parts)):
+        path.rename(path.with_name(path.name.upper()))
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_names_in_capitals_are_found(tmp_path, name):
+    cameras = WRITERS[name](tmp_path)
+    capitals(tmp_path)
+    photos = load_photos(tmp_path, UNIT).photos
+    assert len(photos) == len(cameras)
+
+
+def transforms(folder, cameras, *, size=(64, 48), name="images/photo{}.jpg"):
+    frames = [
+        {
+            "file_path": name.format(k),
+            "transform_matrix": (camera.camera_to_world @ OPENGL_TO_OPENCV).tolist(),
+        }
+        for k, camera in enumerate(cameras)
+    ]
+    head = {"fl_x": 60.0, "cx": 32.5, "cy": 24.5, "w": size[0], "h": size[1], "unit": "m"}
+    (folder / "transforms.json").write_text(json.dumps(head | {"frames": frames}))
+
+
+def write_photo(path, image, tag):
+    """Store an upright image so that the tag turns it back."""
+    inverse = {6: 8, 8: 6}.get(tag, tag)
+    exif = Image.Exif()
+    exif[0x0112] = inverse
+    picture = Image.fromarray(image)
+    picture.getexif()[0x0112] = inverse
+    stored = ImageOps.exif_transpose(picture)
+    exif[0x0112] = tag
+    stored.save(path, exif=exif, quality=95)
+
+
+def test_names_of_transforms_in_other_capitals_are_found(tmp_path):
+    (tmp_path / "Images").mkdir()
+    for k in range(4):
+        Image.fromarray(image_of(64, 48)).save(tmp_path / "Images" / f"PHOTO{k}.JPG")
+    transforms(tmp_path, ring_of_cameras(4))
+    assert len(load_photos(tmp_path, UNIT).photos) == 4
+
+
+GRADED = np.repeat(np.linspace(0, 250, 48).astype(np.uint8)[:, None], 64, axis=1)
+GRADED = np.stack(
+    [GRADED, GRADED // 2, np.tile(np.arange(64, dtype=np.uint8) * 3, (48, 1))], axis=2
+)
+
+
+@pytest.mark.parametrize("tag", range(1, 9))
+def test_every_turn_of_a_phone_is_undone_where_cameras_are_upright(tmp_path, tag):
+    (tmp_path / "images").mkdir()
+    for k in range(6):
+        write_photo(tmp_path / "images" / f"photo{k}.jpg", GRADED, tag if k % 2 else 1)
+    transforms(tmp_path, ring_of_cameras(6))
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 6
+    for image in loaded.photos.images:
+        assert np.abs(image.astype(int) - GRADED).mean() < 6
+    assert any("were turned" in note for note in loaded.notes) == (tag in (2, 3, 4))
+
+
+@pytest.mark.parametrize("tag", [3, 6, 8])
+def test_a_square_photo_is_turned_by_its_camera(tmp_path, tag):
+    square = np.ascontiguousarray(GRADED[:, :48])
+    (tmp_path / "images").mkdir()
+    for k in range(6):
+        write_photo(tmp_path / "images" / f"photo{k}.jpg", square, tag if k % 2 else 1)
+    transforms(tmp_path, ring_of_cameras(6), size=(48, 48))
+    for image in load_photos(tmp_path, UNIT).photos.images:
+        assert np.abs(image.astype(int) - square).mean() < 6
+
+
+def test_pixels_that_were_read_as_stored_stay(tmp_path):
+    """Poses of the stored pixels: the cameras of these photos stand on their heads."""
+    (tmp_path / "images").mkdir()
+    cameras = ring_of_cameras(6)
+    for k in range(6):
+        write_photo(tmp_path / "images" / f"photo{k}.jpg", GRADED, 3 if k % 2 else 1)
+        if k % 2:
+            cameras[k].camera_to_world[:3, :2] *= -1
+    transforms(tmp_path, cameras)
+    loaded = load_photos(tmp_path, UNIT)
+    assert np.abs(loaded.photos.images[1].astype(int) - GRADED[::-1, ::-1]).mean() < 6
+    assert any("3 photos with an EXIF orientation were taken as stored" in n for n in loaded.notes)
+
+
+def test_photos_that_are_all_upside_down_are_named(tmp_path):
+    (tmp_path / "images").mkdir()
+    for k in range(4):
+        write_photo(tmp_path / "images" / f"photo{k}.jpg", GRADED, 3)
+    transforms(tmp_path, ring_of_cameras(4))
+    assert any("4 photos with an EXIF" in note for note in load_photos(tmp_path, UNIT).notes)

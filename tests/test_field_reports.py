@@ -1,0 +1,163 @@
+"""Field reports: inputs of public bug reports, read right or refused in one line."""
+
+import numpy as np
+import pytest
+
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.apps.importers._recording import open_recording
+from geraf2.apps.photos.los import make_los
+from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.cli.main import main
+from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
+from geraf2.geometry.triangles import enclosed_volume_m3
+from geraf2.io.manifest import RadarManifest
+from geraf2.io.mesh import read_mesh
+from geraf2.io.toml import read_toml
+from geraf2.pipeline.los_options import LosOptions
+
+pytestmark = pytest.mark.data
+
+
+@pytest.fixture
+def reports(shared_data):
+    folder = shared_data / "field_reports"
+    if not folder.is_dir():
+        pytest.skip("the field reports are absent from ../shared/data")
+    return folder
+
+
+def recording(path, *configs):
+    return open_recording(path, RadarManifest(), ImportOptions(config=configs, keep_good=True))
+
+
+def scan_of(folder, **options):
+    radar = read_toml(folder / "radar.toml", RadarManifest)
+    return load_importer("dca1000").open(folder / "capture.bin", radar, ImportOptions(**options))
+
+
+@pytest.mark.parametrize("config", ["profile.cfg", "profile.mmwave.json"])
+def test_two_transmitters_at_once_are_separated(reports, config):
+    folder = reports / "bpm_two_transmitters"
+    scan = scan_of(folder, config=(folder / config,), static=True)
+    assert "masks 5, 5, 2" in dict(scan.facts)["transmitters"]
+    signal = np.concatenate([part.signal for part in scan.poses()])
+    # Each transmitter alone has an amplitude of 2000; sums and differences have others.
+    assert np.abs(signal).mean(axis=1) == pytest.approx(np.full(12, 2000), rel=0.001)
+
+
+@pytest.mark.parametrize("name", ["real_2_lanes.bin", "real_4_lanes.bin"])
+def test_real_samples_are_refused(reports, name):
+    with pytest.raises(UserError, match="the samples are real"):
+        recording(reports / "real_samples" / name)
+
+
+@pytest.mark.parametrize("name", ["two_lanes.bin", "four_lanes.bin"])
+@pytest.mark.parametrize("given", [False, True])
+def test_headers_of_chirps_are_removed(reports, name, given):
+    folder = reports / "stream_headers"
+    found = recording(folder / name, *([folder / "profile.cfg"] if given else []))
+    assert (found.evidence.n_samples, found.evidence.order.n_rx) == (64, 4)
+    assert any("64 bytes before each 1024 were removed" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("n_more", [0, 400000])
+def test_zeros_at_the_start_are_left_out_and_named(reports, tmp_path, n_more):
+    data = (reports / "zeros_at_the_start" / "no_whole_chirps.bin").read_bytes()
+    (tmp_path / "a.bin").write_bytes(bytes(n_more) + data)
+    found = recording(tmp_path / "a.bin")
+    assert (found.evidence.n_samples, found.n_frames) == (32, 32)
+    assert any(f"the first {1000 + n_more} bytes of a.bin are zero" in n for n in found.notes)
+
+
+def test_a_script_with_branches_is_refused_with_both_values(reports):
+    folder = reports / "script_with_branches"
+    with pytest.raises(UserError, match=r"line 6: .* line 4, .* 77, 5000, got 60\.25, 10000"):
+        recording(folder / "capture.bin", folder / "setup.lua")
+
+
+def test_dialects_of_logs(reports):
+    folder = reports / "log_dialects"
+    for name in ("comma_at_end.csv", "quoted_names.csv"):
+        assert scan_of(folder, positions=folder / name).n_antennas == (256,)
+    with pytest.raises(UserError, match=r"0\.1 % of the 2520 s .* name the column time_ms"):
+        scan_of(folder, positions=folder / "time_in_ms.csv")
+
+
+def test_rotation_vectors_turn_the_antennas(reports):
+    folder = reports / "log_rotation_vector"
+    parts = [
+        np.concatenate([part.rx_positions for part in scan_of(folder, positions=path).poses()])
+        for path in (folder / "log.csv", folder / "same_as_quaternions.csv")
+    ]
+    np.testing.assert_allclose(parts[0], parts[1], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("names.mat", "sarData 16 x 8 .*, xyz_m 16 x 3 real"),
+        ("octave_text.mat", "Octave.*save -v7"),
+    ],
+)
+def test_other_names_of_matlab_are_listed(reports, name, text):
+    with pytest.raises(UserError, match=text):
+        load_importer("mat").open(reports / "mat_other_names" / name, RadarManifest())
+
+
+def test_structs_of_matlab_are_opened(reports):
+    radar = RadarManifest(
+        start_frequency_hz=77e9, chirp_slope_hz_per_s=6e13, sample_rate_hz=1e6, path_bias_m=0.0
+    )
+    with pytest.raises(UserError, match="viewing direction is not known") as caught:
+        load_importer("mat").open(reports / "mat_other_names" / "struct.mat", radar)
+    assert "lacks" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "info capture.bin",
+        "import dca1000 capture.bin OUT --static",
+        "los part.stl OUT",
+        "los part.obj OUT",
+        "los part.ply OUT",
+        "import mat scan.mat OUT",
+        "import planar scan.npy OUT",
+    ],
+)
+def test_pointers_are_named(reports, tmp_path, monkeypatch, capsys, line):
+    monkeypatch.chdir(reports / "lfs_pointer")
+    assert main(line.replace("OUT", str(tmp_path / "out")).split()) == 2
+    assert "git lfs pull" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_relative_indices_count_from_their_line(reports):
+    mesh = read_mesh(reports / "obj_relative_indices" / "two_parts.obj", any_unit=True)
+    assert np.ptp(mesh.vertices, axis=0).tolist() == [110, 40, 20]
+    assert enclosed_volume_m3(mesh.vertices, mesh.faces) == pytest.approx(49000)
+
+
+def test_the_outer_skin_of_a_hollow_carton_is_the_prior(reports, tmp_path):
+    folder, options = reports / "hollow_carton", LosOptions(unit="mm")
+    middles = []
+    for name in ("carton_with_walls", "outside_only"):
+        made = make_los(folder / f"{name}.stl", tmp_path / name, options)
+        values = SdfGrid.load(made.path / "los.npz").values
+        middles.append(values[tuple(n // 2 for n in values.shape)])
+        assert len(made.prior.faces) == 12
+    assert middles[0] == middles[1] == pytest.approx(-0.109, abs=0.002)
+    with pytest.raises(UserError, match="hollow"):
+        make_los(folder / "carton_open_top.stl", tmp_path / "open", options)
+
+
+def test_the_largest_model_of_colmap_is_read(reports):
+    loaded = load_photos(reports / "colmap_two_models", PhotoOptions(unit_m=1.0))
+    assert len(loaded.photos) == 16
+    assert any("1 of 16 photos is read, not 0 of 3" in note for note in loaded.notes)
+
+
+def test_photos_that_are_stored_upside_down_are_turned(reports):
+    loaded = load_photos(reports / "photo_upside_down", PhotoOptions(unit_m=1.0))
+    assert any("8 photos were turned" in note for note in loaded.notes)
