@@ -212,7 +212,6 @@ def _add_arrays(known: dict[str, _Array], name: str, value: Array) -> None:
 
 
 def _open_hdf5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
-    del names
     try:
         import h5py  # noqa: PLC0415 - an extra
     except ImportError:
