@@ -50,7 +50,7 @@ def test_a_scale_is_told_apart(tmp_path):
 
 def test_npy_is_not_unpickled(tmp_path):
     np.save(tmp_path / "move.npy", np.array([{}], dtype=object), allow_pickle=True)
-    with pytest.raises(UserError, match="cannot be read as a matrix"):
+    with pytest.raises(UserError, match="cannot be read as a NumPy array"):
         read_transform(tmp_path / "move.npy")
 
 

@@ -232,7 +232,7 @@ def test_names_of_the_command_line_go_before_those_of_the_file(save, arrays):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ((), r"lacks the signal, .* got .*sarData 36 x 32 complex, r 36 x 3 real"),
+        ((), r"lacks the signal(?=.* got .*sarData 36 x 32 complex)(?=.* got .*\br 36 x 3 real)"),
         (("signal=sarData",), r"lacks tx_positions, .* got .*r 36 x 3 real"),
         (("signal=sardata", "positions=r"), "lacks what is named: signal = sardata"),
         (("signal",), "must be OURS=THEIRS, got signal"),

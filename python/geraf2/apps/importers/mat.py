@@ -47,7 +47,7 @@ _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512)
 _KIND_NAMES = {"c": "complex", "f": "real", "i": "real", "u": "real", "O": "other"}
 # Letters of a list of what a file holds.
-_LONGEST_LIST = 400
+_LONGEST_LIST = 250
 
 
 @dataclass(frozen=True, kw_only=True)
