@@ -340,7 +340,7 @@ def test_a_full_disk_is_lost_files_in_one_line(small_scan, tmp_path, monkeypatch
 def test_workers_without_this_geraf2_are_refused_by_name(client, named, tmp_path, monkeypatch):
     jobs = named("good-1")
     monkeypatch.setattr(cluster, "__version__", "9.9")
-    with pytest.raises(geraf2.UserError, match=r"^worker tcp://.* has another geraf2, expected 9"):
+    with pytest.raises(geraf2.UserError, match=r"^worker tls://.* has another geraf2, expected 9"):
         run(jobs, tmp_path / "out", client)
     monkeypatch.undo()
     worker = next(iter(client.nthreads()))
@@ -358,7 +358,7 @@ def test_a_scene_that_no_worker_can_hold_is_refused_before_the_start(client, nam
     about = tmp_path / "huge" / "radar.zarr" / "signal"
     about.mkdir(parents=True)
     (about / "zarr.json").write_text('{"shape": [100, 100000, 64]}')  # 24 bytes a sample
-    too_large = r"huge: no worker has enough memory, expected about 14"
+    too_large = r"huge: no worker has enough memory, expected about \d+"
     with pytest.raises(geraf2.UserError, match=too_large):
         run(jobs, tmp_path / "out", client)
     assert not (tmp_path / "out" / "calls.txt").exists()

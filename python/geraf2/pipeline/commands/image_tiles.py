@@ -134,6 +134,9 @@ def image_tiles(
     listener = listener or Listener()
     plan = plan_image(scene, options or ImageOptions(), listener, in_parts=True)
     remote = is_remote(out)
+    if run_slabs is None:
+        needed = slab_job(plan, Path(scene), out / TILES_NAME).memory_bytes
+        require_memory(needed, "lower --slab-gib", where="a slab")
     with _run_folder(out) as folder:
         run = RunFolder.open(
             folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
@@ -142,8 +145,6 @@ def image_tiles(
         job = slab_job(plan, Path(scene), (out if remote else run.path) / TILES_NAME)
         with run.locked("image", key, overwrite=overwrite):
             start = time.perf_counter()
-            if run_slabs is None:
-                require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
             _prepare(job, plan, key, overwrite=overwrite)
             method, left = note_method(plan, run), job.left()
             _image(job, left, run_slabs or partial(_here, num_threads), plan.step, listener)
