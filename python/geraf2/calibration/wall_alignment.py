@@ -67,6 +67,8 @@ class AlignmentConfig(Bounded):
     """Expected error of each pose's turntable angle [rad]."""
     plane_sigma_m: MarginM = 0.00015
     """Expected error of each plane's distance, from drift of positions [m]."""
+    wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
+    """Expected error of each wall's distance from the middle of the prior [m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -236,7 +238,7 @@ class WallProblem:
             "angles": np.full(n_poses, config.angle_sigma_rad * several),
             "planes": np.full(n_poses, config.plane_sigma_m * several),
             "middles": np.array(self.middles.sigmas_m),
-            "shapes": np.tile(MODE_SIGMAS_M, len(self.faces.centers)),
+            "shapes": np.tile([config.wall_sigma_m, *MODE_SIGMAS_M[1:]], len(self.faces.centers)),
         }
 
     def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:

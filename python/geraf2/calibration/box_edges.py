@@ -1,0 +1,93 @@
+"""Faces of the box that no aperture sees squarely: where their edges echo, and what they enclose.
+
+The edge between an unseen face and one that is seen echoes along the seen wall, in directions
+square to the edge; the flashes of the seen wall lie within it.
+"""
+
+import numpy as np
+
+from geraf2._types import Bools, Floats
+from geraf2.calibration.box_search import densest_planes
+from geraf2.imaging.peaks import PeakSet
+
+SQUARE_COSINE = float(np.cos(0.2))
+"""Viewing directions within this of a wall's normal can show its flash."""
+# Edges lie in their wall's plane, are seen across it, and square to themselves.
+_ON_WALL_M, _CORNER_M = 0.006, 0.01
+_LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
+_FEWEST = 3
+# The middle of an edge's echo lies up to so much inside of the edge, and scatters.
+_EDGE_SIGMA_M = 0.004
+# Content within walls: side lobes and multipath of the strongest echoes are weaker [dB].
+_CONTENT_DB, _CONTENT_SHARE = -20.0, 0.98
+_CLEARANCE_M = 0.01
+
+Face = tuple[int, int]
+"""Axis and side of a face."""
+
+
+def reach_of(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face) -> float:
+    """How far out the box reaches at least towards a face: feet of flashes, and its content [m].
+
+    offsets_m, seen: of all faces, (3, 2).
+    """
+    k, side = face
+    along, toward, strength = _projected(peaks, axes)
+    outward = along[:, k] * (1.0 if side else -1.0)
+    clearance = np.where(seen, offsets_m - _CLEARANCE_M, np.inf)
+    inside = ((along < clearance[:, 1]) & (along > -clearance[:, 0])).all(axis=1)
+    inside &= 20.0 * np.log10(strength / strength.max()) > _CONTENT_DB
+    least = 0.0
+    if inside.any():
+        order = np.argsort(outward[inside])
+        share = np.cumsum(strength[inside][order])
+        found = np.searchsorted(share, _CONTENT_SHARE * share[-1])
+        least = float(outward[inside][order][found]) + _CLEARANCE_M
+    for j, other in zip(*np.nonzero(seen), strict=True):
+        if j == k:
+            continue
+        sign = 1.0 if other else -1.0
+        flash = np.abs(sign * along[:, j] - offsets_m[j, other]) < _ON_WALL_M
+        flash &= np.abs(toward[:, j]) > np.cos(0.05)
+        least = max(least, float(outward[flash].max(initial=-np.inf)))
+    return least
+
+
+def find_edge(
+    peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face, least_m: float
+) -> tuple[float, float] | None:
+    """Offset of an unseen face and its standard deviation [m]; None where no edge echoes.
+
+    The outermost position at which several echoes of seen walls lie that are no flashes.
+    """
+    k, side = face
+    along, toward, strength = _projected(peaks, axes)
+    outward = along[:, k] * (1.0 if side else -1.0)
+    centers = peaks.centers @ axes.T
+    on_edge = np.zeros(len(peaks), dtype=bool)
+    for j, other in zip(*np.nonzero(seen), strict=True):
+        if j == k:
+            continue
+        sign, third = (1.0 if other else -1.0), 3 - j - k
+        on_wall = np.abs(sign * along[:, j] - offsets_m[j, other]) < _ON_WALL_M
+        on_wall &= sign * centers[:, j] > offsets_m[j, other]
+        across = np.abs(toward[:, k]) > _LEAST_SLOPE
+        square = np.abs(toward[:, third]) < _SQUARE_TO_EDGE
+        for end in range(2):
+            if seen[third, end]:
+                corner = along[:, third] * (1.0 if end else -1.0) - offsets_m[third, end]
+                square |= np.abs(corner) < _CORNER_M
+                on_wall &= corner < _CORNER_M
+        on_edge |= on_wall & across & square
+    on_edge &= outward > least_m
+    for position, members in densest_planes(outward[on_edge], np.sqrt(strength[on_edge])):
+        own = np.flatnonzero(on_edge)[members]
+        if len(np.unique(peaks.subapertures[own])) >= _FEWEST:
+            spread = float(np.std(outward[own])) / np.sqrt(len(own))
+            return position, float(np.hypot(_EDGE_SIGMA_M, spread))
+    return None
+
+
+def _projected(peaks: PeakSet, axes: Floats) -> tuple[Floats, Floats, Floats]:
+    """Points and directions along the axes, (n, 3) each, and strengths of reflectors, (n,)."""
+    return peaks.points @ axes.T, peaks.directions @ axes.T, peaks.magnitudes * peaks.ranges_m

@@ -1,0 +1,186 @@
+"""The box of a scan, found from the flashes of its walls: a cuboid of any yaw, size and position.
+
+A flat wall answers where it is seen along its normal, at the foot of the perpendicular: each such
+peak is a plane. Planes at right angles make the box; the content's lie inside
+(docs/math/calibration.md#box-from-the-scan).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.imaging.peaks import PeakSet
+from geraf2.scene import Capture
+
+# Direction of a flash against the wall's normal: 0.6 degrees of noise, and a bulge's slopes.
+_MAX_ANGLE_RAD = 0.06
+_YAW_STEP_RAD = np.deg2rad(0.5)
+# Flashes of one wall lie within this; bulges of 1 to 3 mm, and near and far are 3 mm apart.
+_OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.001, 0.0025
+# Walls of one box reflect alike; content may hide a part, and its own flashes be 20 dB stronger.
+_WEAKEST_DB = -15.0
+# Of the strongest plane of a direction: less is a side lobe before the wall.
+_LEAST_SHARE = 0.25
+# The same range ahead of so many planes: leakage, or a reflector that moves with the antennas.
+_BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
+NEAR_OPTICAL_M, FAR_OPTICAL_M = 0.0025, -0.0004
+"""How far near and far walls of cardboard echo behind their outer face (`wall_echoes`) [m]."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flashes:
+    """Planes that peaks may be the specular return of, each from before and from behind."""
+
+    normals: Floats
+    """Outward, (n, 3)."""
+    offsets_m: Floats
+    """Of the outer face along the normal, from the origin, (n,) [m]."""
+    far: Bools
+    """Seen from behind, through the box, (n,)."""
+    weights: Floats
+    """Root of the reflectivity of a large flat wall with this echo, up to a factor, (n,)."""
+    subapertures: Ints
+    """(n,)."""
+
+    @classmethod
+    def of(cls, peaks: PeakSet) -> "Flashes":
+        """Both readings of each peak."""
+        along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
+        near = NEAR_OPTICAL_M - along - peaks.ranges_m
+        far = FAR_OPTICAL_M + along + peaks.ranges_m
+        weights = np.sqrt(peaks.magnitudes * peaks.ranges_m)
+        return cls(
+            normals=np.concatenate([-peaks.directions, peaks.directions]),
+            offsets_m=np.concatenate([near, far]),
+            far=np.repeat([False, True], len(peaks)),
+            weights=np.tile(weights, 2),
+            subapertures=np.tile(peaks.subapertures, 2),
+        )
+
+    def along(self, direction: Floats) -> "Flashes":
+        """Those of walls with this outward normal, (3,)."""
+        keep = self.normals @ direction > np.cos(_MAX_ANGLE_RAD)
+        return Flashes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+def leaking(capture: Capture, peaks: PeakSet) -> Bools:
+    """Peaks ahead of the antennas at a range that most planes share, (n_peaks,)."""
+    ahead = np.stack([pose.axes[0] for pose in capture.poses])[peaks.planes]
+    broadside = np.einsum("ij,ij->i", ahead, peaks.directions) > np.cos(_BROADSIDE)
+    found = np.zeros(len(peaks), dtype=bool)
+    index = np.flatnonzero(broadside)
+    ranges, planes = peaks.ranges_m[index], peaks.planes[index]
+    n_planes = len(np.unique(peaks.planes))
+    least = max(_LEAKING_PLANES, _LEAKING_SHARE * n_planes)
+    for middle in np.unique(np.rint(ranges / _SAME_RANGE_M)) * _SAME_RANGE_M:
+        same = np.abs(ranges - middle) < _SAME_RANGE_M
+        if len(np.unique(planes[same])) >= least:
+            found[index[same]] = True
+    return found
+
+
+def upward(capture: Capture) -> Floats:
+    """Axis of the capture's frame nearest to the planes' vertical axes, (3,)."""
+    mean = np.mean([pose.axes[2] for pose in capture.poses if pose.n_antennas], axis=0)
+    nearest = int(np.abs(mean).argmax())
+    return np.asarray(np.eye(3)[nearest] * np.sign(mean[nearest]))
+
+
+def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
+    """Density of planes over their offset, and its positions [m]."""
+    reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
+    edges = np.arange(-reach, reach + _OFFSET_STEP_M, _OFFSET_STEP_M)
+    counts, _ = np.histogram(offsets_m, edges, weights=weights)
+    middles = 0.5 * (edges[1:] + edges[:-1])
+    return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
+
+
+def find_axes(flashes: Flashes, up: Floats) -> list[Floats]:
+    """Candidates of the axes of the box, (3, 3) each, the likeliest first.
+
+    The yaw at which the four sides have the densest planes; content may have another.
+    """
+    first = np.abs(np.roll(up, 1))
+    second = np.cross(up, first)
+    level = np.abs(flashes.normals @ up) < np.sin(_MAX_ANGLE_RAD)
+    yaw = np.arctan2(flashes.normals[level] @ second, flashes.normals[level] @ first)
+    offsets, weights = flashes.offsets_m[level], flashes.weights[level]
+    steps = np.arange(0.0, 0.5 * np.pi, _YAW_STEP_RAD)
+    scores = np.zeros(len(steps))
+    for number, step in enumerate(steps):
+        quarter = np.rint((yaw - step) / (0.5 * np.pi))
+        off = yaw - step - 0.5 * np.pi * quarter
+        share = np.maximum(1.0 - (off / _MAX_ANGLE_RAD) ** 2, 0.0)
+        for side in range(4):
+            own = (quarter % 4 == side) & (share > 0.0)
+            if own.any():
+                scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
+    order = np.argsort(scores)[::-1]
+    chosen = list[int]()
+    for number in order:
+        apart = [abs((number - other + 90) % 180 - 90) for other in chosen]
+        if scores[number] >= 0.5 * scores[order[0]] and min(apart, default=90) > 12:
+            chosen.append(int(number))
+    found = []
+    for number in chosen:
+        # The nearest to the frame's axes of four that are the same box.
+        angle = steps[number] if steps[number] < 0.25 * np.pi else steps[number] - 0.5 * np.pi
+        x = np.cos(angle) * first + np.sin(angle) * second
+        found.append(np.stack([x, np.cross(up, x), up]))
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoughFaces:
+    """Planes of a cuboid that flashes show."""
+
+    axes: Floats
+    """Rows, unit, (3, 3)."""
+    offsets_m: Floats
+    """Of the faces against and along each axis, outward from the origin, (3, 2); NaN: unseen."""
+    strength: float
+    """Weight of the strongest flash of these faces, as of `Flashes`."""
+
+
+def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:
+    """Outermost strong planes along the axes, near ones first."""
+    offsets = np.full((3, 2), np.nan)
+    own = [[flashes.along(sign * axis) for sign in (-1.0, 1.0)] for axis in axes]
+    top = max((float(f.weights.max(initial=0.0)) for pair in own for f in pair), default=0.0)
+    least = top * 10.0 ** (_WEAKEST_DB / 40.0)
+    for k, side in np.ndindex(3, 2):
+        planes = own[k][side]
+        for far in (False, True):
+            found = _outermost(planes, planes.far == far, least)
+            if found is not None and np.isnan(offsets[k, side]):
+                offsets[k, side] = found
+    return RoughFaces(axes=axes, offsets_m=offsets, strength=top)
+
+
+def _outermost(planes: Flashes, kind: Bools, least: float) -> float | None:
+    """Offset of the outermost plane with a strong flash [m]."""
+    offsets, weights = planes.offsets_m[kind], planes.weights[kind]
+    for position, members in densest_planes(offsets, weights, _LEAST_SHARE):
+        if (weights[members] > least).any():
+            return position
+    return None
+
+
+def densest_planes(
+    offsets_m: Floats, weights: Floats, least_share: float = 0.0
+) -> Iterator[tuple[float, Ints]]:
+    """Positions at which offsets are densest, the outermost first, and which lie there.
+
+    least_share: of the largest density; others are left out.
+    """
+    if not len(offsets_m):
+        return
+    density, middles = _profile(offsets_m, weights)
+    peaks = 1 + np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
+    for peak in peaks[::-1]:
+        near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _OFFSET_SIGMA_M)
+        if len(near) and density[peak] >= least_share * density.max():
+            yield float(np.average(offsets_m[near], weights=weights[near])), near

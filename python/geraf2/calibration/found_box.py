@@ -1,0 +1,316 @@
+"""The outside of the box as a scan shows it, with standard deviations and what was not seen."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Floats, Ints
+from geraf2.calibration.box_edges import SQUARE_COSINE, find_edge, reach_of
+from geraf2.calibration.box_search import (
+    Flashes,
+    RoughFaces,
+    find_axes,
+    leaking,
+    rough_faces,
+    upward,
+)
+from geraf2.calibration.leakage import find_leakage, without_leakage
+from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
+from geraf2.calibration.wall_faces import N_MODES
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
+from geraf2.imaging.peaks import KeptPeaks, PeakSet
+from geraf2.imaging.subapertures import SubapertureConfig
+from geraf2.scene import Capture, LosPrior
+from geraf2.scene.summary import CaptureSummary, summarize_capture
+
+BOX_VERSION = 1
+"""Raised when the same capture gives another box."""
+# Half as many sub-apertures and directions as glints need: a fifth of the time.
+_COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+# The region that is imaged, over the distance of the planes: a box within them is smaller.
+_REGION = 1.3
+# How well flashes fix a face before the fit; walls of one scan are refined in so many rounds.
+_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005)
+_N_ROUNDS = 2
+# Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
+_SEEN_SHARE, _FEWEST = 0.5, 2
+# Leakage this much below the walls moves none of their echoes.
+_LEAKAGE_DB = -25.0
+_COVER = 1.96
+
+
+class Seen(IntEnum):
+    """How a face of the box was found."""
+
+    NOT = 0
+    """By nothing: its position is a bound."""
+    EDGES = 1
+    """By echoes of its edges on neighbouring faces."""
+    SQUARELY = 2
+    """By flashes: antennas stand before it, or see it from behind."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundBox:
+    """A cuboid of any orientation.
+
+    Faces are in rows by axis, (3, 2): against it, then along it.
+    """
+
+    axes: Floats
+    """Rows, unit; the last is nearest to the vertical, (3, 3)."""
+    turn_sigma_rad: Floats
+    """Standard deviations of turns about the frame's axes, (3,) [rad]."""
+    offsets_m: Floats
+    """Of the faces, outward from the frame's origin, (3, 2) [m]."""
+    sigmas_m: Floats
+    """Standard deviations of these; infinite where a face was not seen, (3, 2) [m]."""
+    bounds_m: Floats
+    """95 % intervals of the offsets, (3, 2, 2) [m]; infinite where nothing bounds them."""
+    seen: Ints
+    """`Seen` of each face, (3, 2)."""
+
+    @property
+    def size_m(self) -> Floats:
+        """Side lengths along the axes, (3,) [m]."""
+        return np.asarray(self.offsets_m.sum(axis=1))
+
+    @property
+    def center_m(self) -> Floats:
+        """Middle, (3,) [m]."""
+        return np.asarray(0.5 * (self.offsets_m[:, 1] - self.offsets_m[:, 0]) @ self.axes)
+
+    @property
+    def yaw_deg(self) -> float:
+        """Turn of the box about the vertical against the frame, -45 to 45 [degrees]."""
+        yaw = np.rad2deg(np.arctan2(self.axes[0, 1], self.axes[0, 0]))
+        return float((yaw + 45.0) % 90.0 - 45.0)
+
+    @property
+    def prior(self) -> LosPrior:
+        """Line-of-sight prior of these sides, without walls."""
+        return LosPrior.from_box(triple(self.size_m), triple(self.center_m), axes=self.axes)
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json: lengths in metres, angles in degrees; None where nothing bounds a face."""
+        return {
+            "size_m": _plain(self.size_m),
+            "size_sigma_m": _plain(np.linalg.norm(self.sigmas_m, axis=1)),
+            "center_m": _plain(self.center_m),
+            "axes": self.axes.round(6).tolist(),
+            "yaw_deg": round(self.yaw_deg, 4),
+            "yaw_sigma_deg": round(float(np.rad2deg(self.turn_sigma_rad[2])), 4),
+            "faces": {
+                name: {
+                    "seen": Seen(int(self.seen[k, side])).name.lower(),
+                    "offset_m": _plain(self.offsets_m[k, side]),
+                    "sigma_m": _plain(self.sigmas_m[k, side]),
+                    "interval_m": _plain(self.bounds_m[k, side]),
+                }
+                for name, k, side in _face_names()
+            },
+        }
+
+    def __str__(self) -> str:
+        sizes = []
+        for size, sigma in zip(self.size_m, np.linalg.norm(self.sigmas_m, axis=1), strict=True):
+            error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
+            sizes.append(f"{1e3 * size:.1f}{error}")
+        kinds = {
+            kind: [name for name, k, side in _face_names() if self.seen[k, side] == kind]
+            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
+        }
+        seen = ", ".join(
+            f"{' '.join(names)} {text}"
+            for names, text in zip(
+                kinds.values(), ("seen squarely", "by their edges", "not seen"), strict=True
+            )
+            if names
+        )
+        turn = f"{self.yaw_deg:.2f} +- {np.rad2deg(self.turn_sigma_rad[2]):.2f} degrees"
+        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {seen}"
+
+
+def _face_names() -> list[tuple[str, int, int]]:
+    """Name, axis and column of each face."""
+    return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
+
+
+def _plain(values: Floats | float) -> Any:
+    """Lengths as numbers of JSON, None where there is none, to a micrometre."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim:
+        return [_plain(value) for value in array]
+    return round(float(array), 6) if np.isfinite(array) else None
+
+
+def find_box(
+    capture: Capture,
+    *,
+    summary: CaptureSummary | None = None,
+    num_threads: int | None = None,
+) -> FoundBox:
+    """Find the box around the content from the scan alone.
+
+    capture: the scan. Its instrument delay must be known to a centimetre.
+    summary: of the capture, where it was made already.
+    num_threads: all cores when None.
+
+    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
+    interval; their position is then its middle, or the least box around what was seen.
+    Raises UserError where no walls are found, or where the antennas stand within them.
+
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> box = geraf2.find_box(capture)
+    >>> [round(side, 2) for side in box.size_m[:2].tolist()]
+    [0.16, 0.16]
+    """
+    summary = summary or summarize_capture(capture)
+    focus, reach = summary.focus, summary.standoff_m
+    if focus is None or not np.isfinite(reach):
+        raise _without_box(seen="the planes face no common point")
+    region = LosPrior.from_box((_REGION * reach,) * 3, triple(focus))
+    peaks = KeptPeaks(region, _COARSE, num_threads=num_threads)
+    rough, seen, leakage_db = _rough(capture, peaks)
+    if leakage_db > _LEAKAGE_DB:
+        leakage = find_leakage(capture, _filled(rough).prior, peaks)
+        if leakage.method != "none":
+            capture = without_leakage(capture, leakage)
+            rough, seen, _ = _rough(capture, peaks)
+    box = _filled(rough)
+    for _ in range(_N_ROUNDS):
+        box = _refined(capture, box, peaks)
+    return _bounded(capture, box, seen)
+
+
+def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, float]:
+    """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
+    found = peaks.of(capture)
+    leaks = leaking(capture, found)
+    kept = found.select(~leaks)
+    flashes, up = Flashes.of(kept), upward(capture)
+    choices = [rough_faces(flashes, axes) for axes in find_axes(flashes, up)]
+    choices = [one for one in choices if np.isfinite(one.offsets_m).any()]
+    if not choices:
+        raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
+    # Content lies inside: of several that are likely, the box is the outermost.
+    rough = max(choices, key=lambda one: float(np.nanmean(one.offsets_m)))
+    strength = found.magnitudes * found.ranges_m
+    walls = rough.strength**2
+    leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
+    return rough, kept, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
+
+
+def _filled(rough: RoughFaces) -> FoundBox:
+    """Box whose unseen faces lie as far out as the seen ones, until they are bounded."""
+    unseen = np.isnan(rough.offsets_m)
+    offsets = rough.offsets_m.copy()
+    half = float(np.nanmean(offsets))
+    for k in range(3):
+        if unseen[k].all():
+            offsets[k] = half
+        elif unseen[k].any():
+            offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
+    return FoundBox(
+        axes=rough.axes,
+        turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
+        offsets_m=offsets,
+        sigmas_m=np.where(unseen, np.inf, _ROUGH.wall_sigma_m),
+        bounds_m=np.zeros((3, 2, 2)),
+        seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
+    )
+
+
+def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
+    """Box after one estimate of delay, orientation and each wall's distance."""
+    try:
+        problem = WallProblem(capture, box.prior, _ROUGH, peaks)
+    except UserError as error:
+        raise _without_box(seen=str(error).partition(", expected")[0]) from error
+    fit = problem.fit(("delay", "frame"))
+    found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
+    turn = found.prior_to_capture[:3, :3]
+    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]
+    sigmas = np.sqrt(np.diag(fit.covariance))[shapes]
+    axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
+    seen = box.seen.copy()
+    for wall, normal in enumerate(problem.faces.normals):
+        along = box.axes @ normal
+        k = int(np.abs(along).argmax())
+        side = int(along[k] > 0.0)
+        middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
+        offsets[k, side] = middle @ (turn @ normal) + fit.values[shapes[wall]]
+        widths[k, side] = sigmas[wall]
+        is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
+        seen[k, side] = Seen.SQUARELY if is_seen else Seen.NOT
+    return replace(
+        box,
+        axes=axes,
+        turn_sigma_rad=found.rotation_sigma_rad,
+        offsets_m=offsets,
+        sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
+        seen=seen,
+    )
+
+
+def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
+    """Whether most sub-apertures that face a wall squarely, from before or behind, have its echo.
+
+    echoes: peaks that are interpreted as the wall's.
+    """
+    peaks, normal = problem.echoes, problem.faces.normals[wall]
+    own = np.unique(peaks.subapertures[echoes])
+    if len(own) < _FEWEST:
+        return False
+    centers = peaks.subaperture_centers
+    ahead = problem.axes[peaks.subaperture_planes][:, 0]
+    facing = np.abs(ahead @ normal) > SQUARE_COSINE
+    used = np.isin(np.arange(len(centers)), np.unique(peaks.subapertures))
+    feet = centers - np.outer((centers - centers[own].mean(axis=0)) @ normal, normal)
+    low, high = feet[own].min(axis=0) - 1e-3, feet[own].max(axis=0) + 1e-3
+    between = ((feet >= low) & (feet <= high)).all(axis=1)
+    same_side = np.isin(np.sign(ahead @ normal), np.unique(np.sign(ahead[own] @ normal)))
+    return len(own) >= _SEEN_SHARE * int((facing & between & used & same_side).sum())
+
+
+def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
+    """Box whose unseen faces lie at their edges, or around all that was seen; with intervals."""
+    offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
+    square = seen == Seen.SQUARELY
+    bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
+    for _, k, side in _face_names():
+        if square[k, side]:
+            continue
+        least = reach_of(peaks, box.axes, offsets, square, (k, side))
+        edge = find_edge(peaks, box.axes, offsets, square, (k, side), least)
+        if edge is None:
+            offsets[k, side], bounds[k, side] = least, (least, np.inf)
+        else:
+            offsets[k, side], sigmas[k, side] = edge
+            seen[k, side] = Seen.EDGES
+            bounds[k, side] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
+    _require_outside(capture, box.axes, offsets)
+    return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
+
+
+def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
+    """Raise UserError where antennas stand within the walls that were found."""
+    n_inside = 0
+    for pose in capture.poses:
+        along = pose.phase_centers @ axes.T
+        inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
+        n_inside += bool(inside.all(axis=1).any())
+    if n_inside:
+        raise _without_box(seen=f"planes around which walls would stand: {n_inside}")
+
+
+def _without_box(seen: str) -> UserError:
+    return UserError(
+        what="no walls of a box are found in the scan",
+        expected="flashes of at least one flat wall that antennas face squarely",
+        got=seen,
+        hint="give the outside of the box with --box X Y Z or --los MESH",
+    )
