@@ -18,39 +18,49 @@ _LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
 _FEWEST = 3
 # The middle of an edge's echo lies up to so much inside of the edge, and scatters.
 _EDGE_SIGMA_M = 0.004
-# Content within walls: side lobes and multipath of the strongest echoes are weaker [dB].
-_CONTENT_DB, _CONTENT_SHARE = -20.0, 0.98
-_CLEARANCE_M = 0.01
+# A flash is this square to its wall; content lies this far within, the rest are grating lobes.
+_FLASH_COSINE = float(np.cos(0.05))
+_CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
+# Of the densest echoes beyond the flashes; less are grating lobes.
+_LEAST_SHARE = 0.4
 
 Face = tuple[int, int]
 """Axis and side of a face."""
 
 
-def reach_of(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face) -> float:
-    """How far out the box reaches at least towards a face: feet of flashes, and its content [m].
+def flash_reach(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face) -> float:
+    """How far out the seen walls reach at least towards a face, by the feet of flashes [m].
 
     offsets_m, seen: of all faces, (3, 2).
     """
     k, side = face
-    along, toward, strength = _projected(peaks, axes)
+    along, toward, _ = _projected(peaks, axes)
     outward = along[:, k] * (1.0 if side else -1.0)
+    least = 0.0
+    for j, other in zip(*np.nonzero(seen), strict=True):
+        if j != k:
+            flash = (
+                np.abs(along[:, j] * (1.0 if other else -1.0) - offsets_m[j, other]) < _ON_WALL_M
+            )
+            flash &= np.abs(toward[:, j]) > _FLASH_COSINE
+            least = max(least, float(outward[flash].max(initial=0.0)))
+    return least
+
+
+def content_reach(
+    peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face
+) -> float:
+    """How far out nine tenths of the energy from within the seen walls reach towards a face [m]."""
+    k, side = face
+    along, _, strength = _projected(peaks, axes)
     clearance = np.where(seen, offsets_m - _CLEARANCE_M, np.inf)
     inside = ((along < clearance[:, 1]) & (along > -clearance[:, 0])).all(axis=1)
-    inside &= 20.0 * np.log10(strength / strength.max()) > _CONTENT_DB
-    least = 0.0
-    if inside.any():
-        order = np.argsort(outward[inside])
-        share = np.cumsum(strength[inside][order])
-        found = np.searchsorted(share, _CONTENT_SHARE * share[-1])
-        least = float(outward[inside][order][found]) + _CLEARANCE_M
-    for j, other in zip(*np.nonzero(seen), strict=True):
-        if j == k:
-            continue
-        sign = 1.0 if other else -1.0
-        flash = np.abs(sign * along[:, j] - offsets_m[j, other]) < _ON_WALL_M
-        flash &= np.abs(toward[:, j]) > np.cos(0.05)
-        least = max(least, float(outward[flash].max(initial=-np.inf)))
-    return least
+    outward = along[inside, k] * (1.0 if side else -1.0)
+    if not len(outward):
+        return 0.0
+    order = np.argsort(outward)
+    energy = np.cumsum(strength[inside][order] ** 2)
+    return float(outward[order][np.searchsorted(energy, _CONTENT_SHARE * energy[-1])])
 
 
 def find_edge(
@@ -59,6 +69,8 @@ def find_edge(
     """Offset of an unseen face and its standard deviation [m]; None where no edge echoes.
 
     The outermost position at which several echoes of seen walls lie that are no flashes.
+
+    least_m: reach of the flashes.
     """
     k, side = face
     along, toward, strength = _projected(peaks, axes)
@@ -79,8 +91,10 @@ def find_edge(
                 square |= np.abs(corner) < _CORNER_M
                 on_wall &= corner < _CORNER_M
         on_edge |= on_wall & across & square
-    on_edge &= outward > least_m
-    for position, members in densest_planes(outward[on_edge], np.sqrt(strength[on_edge])):
+    on_edge &= outward > least_m + _ON_WALL_M
+    for position, members in densest_planes(
+        outward[on_edge], np.sqrt(strength[on_edge]), _LEAST_SHARE
+    ):
         own = np.flatnonzero(on_edge)[members]
         if len(np.unique(peaks.subapertures[own])) >= _FEWEST:
             spread = float(np.std(outward[own])) / np.sqrt(len(own))

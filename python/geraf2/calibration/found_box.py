@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.box_edges import SQUARE_COSINE, find_edge, reach_of
+from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
     Flashes,
     RoughFaces,
@@ -33,13 +33,16 @@ _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # The region that is imaged, over the distance of the planes: a box within them is smaller.
 _REGION = 1.3
 # How well flashes fix a face before the fit; walls of one scan are refined in so many rounds.
-_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005)
+_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
 _N_ROUNDS = 2
 # Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
 _SEEN_SHARE, _FEWEST = 0.5, 2
 # Leakage this much below the walls moves none of their echoes.
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
+# A face that nothing shows lies so much beyond those of a cube as large as what was seen: content
+# that a wall would cut is lost, empty space costs nothing.
+_SLACK_M = 0.04
 
 
 class Seen(IntEnum):
@@ -160,7 +163,7 @@ def find_box(
     num_threads: all cores when None.
 
     Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
-    interval; their position is then its middle, or the least box around what was seen.
+    interval. Where nothing but the seen walls bounds them, they are placed generously.
     Raises UserError where no walls are found, or where the antennas stand within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
@@ -183,7 +186,7 @@ def find_box(
     box = _filled(rough)
     for _ in range(_N_ROUNDS):
         box = _refined(capture, box, peaks)
-    return _bounded(capture, box, seen)
+    return _bounded(capture, box, seen, focus)
 
 
 def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, float]:
@@ -276,22 +279,31 @@ def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
     return len(own) >= _SEEN_SHARE * int((facing & between & used & same_side).sum())
 
 
-def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
-    """Box whose unseen faces lie at their edges, or around all that was seen; with intervals."""
+def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> FoundBox:
+    """Box whose unseen faces lie at their edges, or generously around all that was seen.
+
+    focus: middle of what the planes face, (3,) [m].
+    """
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
     bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
     for _, k, side in _face_names():
-        if square[k, side]:
+        face = (k, side)
+        if square[face]:
             continue
-        least = reach_of(peaks, box.axes, offsets, square, (k, side))
-        edge = find_edge(peaks, box.axes, offsets, square, (k, side), least)
+        known = (seen != Seen.NOT).all(axis=1)
+        usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
+        least = flash_reach(peaks, box.axes, box.offsets_m, square, face)
+        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, least)
         if edge is None:
-            offsets[k, side], bounds[k, side] = least, (least, np.inf)
+            content = content_reach(peaks, box.axes, box.offsets_m, square, face)
+            middle = float(box.axes[k] @ focus) * (1.0 if side else -1.0)
+            offsets[face] = max(least, content, middle + usual)
+            bounds[face] = least, np.inf
         else:
-            offsets[k, side], sigmas[k, side] = edge
-            seen[k, side] = Seen.EDGES
-            bounds[k, side] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
+            offsets[face], sigmas[face] = edge
+            seen[face] = Seen.EDGES
+            bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
     _require_outside(capture, box.axes, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
 

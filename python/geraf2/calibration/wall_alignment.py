@@ -7,10 +7,11 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geraf2._bounds import Bounded, MarginM, MarginRad, SignedM
+from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
 from geraf2.calibration.wall_echoes import (
+    MIN_ECHOES,
     OffsetPeak,
     WallEchoes,
     WallMiddles,
@@ -69,6 +70,8 @@ class AlignmentConfig(Bounded):
     """Expected error of each plane's distance, from drift of positions [m]."""
     wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
     """Expected error of each wall's distance from the middle of the prior [m]."""
+    least_echoes: Few = MIN_ECHOES
+    """Echoes of near walls that agree, at least."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -220,7 +223,7 @@ class WallProblem:
         off = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(off[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
-        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high))
+        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
         # Twice as far: the box may be turned or moved.
         self.maybe = maybe.select(np.abs(off - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
 
