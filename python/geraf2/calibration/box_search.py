@@ -6,13 +6,13 @@ peak is a plane. Planes at right angles make the box; the content's lie inside
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.imaging.peaks import PeakSet
+from geraf2.imaging.peaks import PeakSet, grating_lobes
 from geraf2.scene import Capture
 
 # Direction of a flash against the wall's normal: 0.6 degrees of noise, and a bulge's slopes.
@@ -26,6 +26,8 @@ _WEAKEST_DB = -15.0
 _LEAST_SHARE = 0.25
 # The same range ahead of so many planes: leakage, or a reflector that moves with the antennas.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
+# Cosine to the viewing axis of the directions that are considered.
+_LEAST_AHEAD = 0.8
 NEAR_OPTICAL_M, FAR_OPTICAL_M = 0.0025, -0.0004
 """How far near and far walls of cardboard echo behind their outer face (`wall_echoes`) [m]."""
 
@@ -47,7 +49,7 @@ class Flashes:
 
     @classmethod
     def of(cls, peaks: PeakSet) -> "Flashes":
-        """Both readings of each peak."""
+        """Both readings of each peak; a coarse raster's have some in each direction it may mean."""
         along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
         near = NEAR_OPTICAL_M - along - peaks.ranges_m
         far = FAR_OPTICAL_M + along + peaks.ranges_m
@@ -64,6 +66,44 @@ class Flashes:
         """Those of walls with this outward normal, (3,)."""
         keep = self.normals @ direction > np.cos(_MAX_ANGLE_RAD)
         return Flashes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+
+
+def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
+    """Peaks in every direction that the raster cannot tell apart, and which peak each is of."""
+    parts, index = [peaks], [np.arange(len(peaks))]
+    for number in np.unique(peaks.planes):
+        own = np.flatnonzero(peaks.planes == number)
+        periods = peaks.periods[peaks.subapertures[own[0]]]
+        axes = capture.poses[number].axes
+        for directions in grating_lobes(peaks.directions[own], axes, periods):
+            known = np.isfinite(directions).all(axis=1) & (directions @ axes[0] > _LEAST_AHEAD)
+            if known.any():
+                index.append(own[known])
+                parts.append(replace(peaks.select(own[known]), directions=directions[known]))
+    chosen = np.concatenate(index)
+    directions = np.concatenate([part.directions for part in parts])
+    return replace(peaks.select(chosen), directions=directions), chosen
+
+
+def without_lobes(
+    peaks: PeakSet, lobes: PeakSet, index: Ints, axes: Floats, offsets_m: Floats
+) -> PeakSet:
+    """Peaks in the direction in which they are a wall's flash, where one of their lobes is.
+
+    lobes, index: as of `with_lobes`. axes, offsets_m: of the walls; NaN where there is none.
+    """
+    flashes = Flashes.of(lobes)
+    off = np.full(len(flashes.offsets_m), np.inf)
+    for k, side in np.ndindex(3, 2):
+        along = flashes.normals @ axes[k] * (1.0 if side else -1.0) > np.cos(_MAX_ANGLE_RAD)
+        found = np.abs(flashes.offsets_m - offsets_m[k, side])
+        off = np.where(along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(off, found), off)
+    # Each lobe once from before and once from behind.
+    off = off.reshape(2, -1).min(axis=0)
+    order = np.lexsort((off, index))
+    first = order[np.unique(index[order], return_index=True)[1]]
+    best = np.where(np.isfinite(off[first]), first, np.arange(len(peaks)))
+    return replace(peaks, directions=lobes.directions[best])
 
 
 def leaking(capture: Capture, peaks: PeakSet) -> Bools:

@@ -15,6 +15,8 @@ from geraf2.calibration.box_search import (
     leaking,
     rough_faces,
     upward,
+    with_lobes,
+    without_lobes,
 )
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
@@ -37,6 +39,8 @@ _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echo
 _N_ROUNDS = 2
 # Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
 _SEEN_SHARE, _FEWEST = 0.5, 2
+# How far a box's walls lie outside of planes of its content on average, at least.
+_OUTSIDE_M = 0.02
 # Leakage this much below the walls moves none of their echoes.
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
@@ -185,7 +189,7 @@ def find_box(
             rough, seen, _ = _rough(capture, peaks)
     box = _filled(rough)
     for _ in range(_N_ROUNDS):
-        box = _refined(capture, box, peaks)
+        box = _refined(capture, box, _Known(peaks, seen))
     return _bounded(capture, box, seen, focus)
 
 
@@ -194,13 +198,18 @@ def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, flo
     found = peaks.of(capture)
     leaks = leaking(capture, found)
     kept = found.select(~leaks)
-    flashes, up = Flashes.of(kept), upward(capture)
+    lobes, index = with_lobes(capture, kept)
+    flashes, up = Flashes.of(lobes), upward(capture)
     choices = [rough_faces(flashes, axes) for axes in find_axes(flashes, up)]
     choices = [one for one in choices if np.isfinite(one.offsets_m).any()]
     if not choices:
         raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
-    # Content lies inside: of several that are likely, the box is the outermost.
-    rough = max(choices, key=lambda one: float(np.nanmean(one.offsets_m)))
+    # Content lies inside: of several that are likely, the box is the first, or one well outside.
+    rough = choices[0]
+    for one in choices[1:]:
+        if np.nanmean(one.offsets_m) > np.nanmean(rough.offsets_m) + _OUTSIDE_M:
+            rough = one
+    kept = without_lobes(kept, lobes, index, rough.axes, rough.offsets_m)
     strength = found.magnitudes * found.ranges_m
     walls = rough.strength**2
     leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
@@ -225,6 +234,18 @@ def _filled(rough: RoughFaces) -> FoundBox:
         bounds_m=np.zeros((3, 2, 2)),
         seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
     )
+
+
+class _Known(KeptPeaks):
+    """Peaks whose directions are known by now."""
+
+    def __init__(self, peaks: KeptPeaks, known: PeakSet) -> None:
+        super().__init__(peaks.prior, peaks.subaperture, num_threads=peaks.num_threads)
+        self.known = known
+
+    def of(self, *_: Any, **__: Any) -> PeakSet:
+        """Return these, whatever the capture."""
+        return self.known
 
 
 def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
