@@ -86,24 +86,25 @@ def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
 
 
 def without_lobes(
-    peaks: PeakSet, lobes: PeakSet, index: Ints, axes: Floats, offsets_m: Floats
-) -> PeakSet:
-    """Peaks in the direction in which they are a wall's flash, where one of their lobes is.
+    peaks: PeakSet, lobes: PeakSet, index: Ints, rough: "RoughFaces"
+) -> tuple[PeakSet, Bools]:
+    """Peaks in the direction in which they are a wall's flash, and which are one.
 
-    lobes, index: as of `with_lobes`. axes, offsets_m: of the walls; NaN where there is none.
+    lobes, index: as of `with_lobes`.
     """
     flashes = Flashes.of(lobes)
     off = np.full(len(flashes.offsets_m), np.inf)
     for k, side in np.ndindex(3, 2):
-        along = flashes.normals @ axes[k] * (1.0 if side else -1.0) > np.cos(_MAX_ANGLE_RAD)
-        found = np.abs(flashes.offsets_m - offsets_m[k, side])
+        normal = rough.axes[k] * (1.0 if side else -1.0)
+        along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
+        found = np.abs(flashes.offsets_m - rough.offsets_m[k, side])
         off = np.where(along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(off, found), off)
-    # Each lobe once from before and once from behind.
-    off = off.reshape(2, -1).min(axis=0)
+    off = off.reshape(2, -1).min(axis=0)  # each lobe once from before and once from behind
     order = np.lexsort((off, index))
     first = order[np.unique(index[order], return_index=True)[1]]
-    best = np.where(np.isfinite(off[first]), first, np.arange(len(peaks)))
-    return replace(peaks, directions=lobes.directions[best])
+    is_flash = np.isfinite(off[first])
+    best = np.where(is_flash, first, np.arange(len(peaks)))
+    return replace(peaks, directions=lobes.directions[best]), is_flash
 
 
 def leaking(capture: Capture, peaks: PeakSet) -> Bools:
@@ -138,11 +139,8 @@ def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
     return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
 
 
-def find_axes(flashes: Flashes, up: Floats) -> list[Floats]:
-    """Candidates of the axes of the box, (3, 3) each, the likeliest first.
-
-    The yaw at which the four sides have the densest planes; content may have another.
-    """
+def find_axes(flashes: Flashes, up: Floats) -> Floats:
+    """Axes at whose yaw the four sides have the densest planes, (3, 3)."""
     first = np.abs(np.roll(up, 1))
     second = np.cross(up, first)
     level = np.abs(flashes.normals @ up) < np.sin(_MAX_ANGLE_RAD)
@@ -158,19 +156,11 @@ def find_axes(flashes: Flashes, up: Floats) -> list[Floats]:
             own = (quarter % 4 == side) & (share > 0.0)
             if own.any():
                 scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
-    order = np.argsort(scores)[::-1]
-    chosen = list[int]()
-    for number in order:
-        apart = [abs((number - other + 90) % 180 - 90) for other in chosen]
-        if scores[number] >= 0.5 * scores[order[0]] and min(apart, default=90) > 12:
-            chosen.append(int(number))
-    found = []
-    for number in chosen:
-        # The nearest to the frame's axes of four that are the same box.
-        angle = steps[number] if steps[number] < 0.25 * np.pi else steps[number] - 0.5 * np.pi
-        x = np.cos(angle) * first + np.sin(angle) * second
-        found.append(np.stack([x, np.cross(up, x), up]))
-    return found
+    yaw_rad = float(steps[int(scores.argmax())])
+    # The nearest to the frame's axes of four that are the same box.
+    yaw_rad -= 0.5 * np.pi * (yaw_rad > 0.25 * np.pi)
+    x = np.cos(yaw_rad) * first + np.sin(yaw_rad) * second
+    return np.stack([x, np.cross(up, x), up])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,6 +173,12 @@ class RoughFaces:
     """Of the faces against and along each axis, outward from the origin, (3, 2); NaN: unseen."""
     strength: float
     """Weight of the strongest flash of these faces, as of `Flashes`."""
+
+    @property
+    def mean_m(self) -> float:
+        """Mean of the offsets; -inf where there is none [m]."""
+        known = self.offsets_m[np.isfinite(self.offsets_m)]
+        return float(known.mean()) if len(known) else -np.inf
 
 
 def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
     Flashes,
@@ -39,8 +39,14 @@ _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echo
 _N_ROUNDS = 2
 # Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
 _SEEN_SHARE, _FEWEST = 0.5, 2
+# Of a plane 0, of a ball half as far behind its surface as the antennas are before it 0.67.
+_MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
+# Sides of a box at least; echoes outside of it are grating lobes, multipath and clutter.
+_LEAST_SIDE_M, _MARGIN_M, _MOST_OUTSIDE = 0.04, 0.01, 0.3
 # How far a box's walls lie outside of planes of its content on average, at least.
 _OUTSIDE_M = 0.02
+# And their least weight (the root of a strength): 22 dB below metal content; multipath is weaker.
+_FAINTEST = 0.28
 # Leakage this much below the walls moves none of their echoes.
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
@@ -189,7 +195,10 @@ def find_box(
             rough, seen, _ = _rough(capture, peaks)
     box = _filled(rough)
     for _ in range(_N_ROUNDS):
+        if not box.size_m.min() > _LEAST_SIDE_M:
+            raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
         box = _refined(capture, box, _Known(peaks, seen))
+    _require_around(box, seen)
     return _bounded(capture, box, seen, focus)
 
 
@@ -198,22 +207,28 @@ def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, flo
     found = peaks.of(capture)
     leaks = leaking(capture, found)
     kept = found.select(~leaks)
-    lobes, index = with_lobes(capture, kept)
-    flashes, up = Flashes.of(lobes), upward(capture)
-    choices = [rough_faces(flashes, axes) for axes in find_axes(flashes, up)]
-    choices = [one for one in choices if np.isfinite(one.offsets_m).any()]
-    if not choices:
+    rough, known, is_flash = _planes(capture, kept)
+    # The densest planes may be of flat content, and others stand around them.
+    around, outer, _ = _planes(capture, kept.select(~is_flash))
+    if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
+        rough, known = around, outer
+    if rough.mean_m == -np.inf:
         raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
-    # Content lies inside: of several that are likely, the box is the first, or one well outside.
-    rough = choices[0]
-    for one in choices[1:]:
-        if np.nanmean(one.offsets_m) > np.nanmean(rough.offsets_m) + _OUTSIDE_M:
-            rough = one
-    kept = without_lobes(kept, lobes, index, rough.axes, rough.offsets_m)
     strength = found.magnitudes * found.ranges_m
     walls = rough.strength**2
     leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
-    return rough, kept, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
+    return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
+
+
+def _planes(capture: Capture, peaks: PeakSet) -> tuple[RoughFaces, PeakSet, Bools]:
+    """Faces of planes at right angles; peaks in their true direction, and which are flashes."""
+    if not len(peaks):
+        nothing = RoughFaces(axes=np.eye(3), offsets_m=np.full((3, 2), np.nan), strength=0.0)
+        return nothing, peaks, np.zeros(0, dtype=bool)
+    lobes, index = with_lobes(capture, peaks)
+    flashes = Flashes.of(lobes)
+    rough = rough_faces(flashes, find_axes(flashes, upward(capture)))
+    return rough, *without_lobes(peaks, lobes, index, rough)
 
 
 def _filled(rough: RoughFaces) -> FoundBox:
@@ -281,23 +296,35 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
 
 
 def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
-    """Whether most sub-apertures that face a wall squarely, from before or behind, have its echo.
+    """Whether a wall is flat, and most sub-apertures that face it squarely have its echo.
 
     echoes: peaks that are interpreted as the wall's.
     """
     peaks, normal = problem.echoes, problem.faces.normals[wall]
     own = np.unique(peaks.subapertures[echoes])
-    if len(own) < _FEWEST:
+    if len(own) < _FEWEST or _curvature(peaks.select(echoes)) > _MOST_CURVED:
         return False
     centers = peaks.subaperture_centers
-    ahead = problem.axes[peaks.subaperture_planes][:, 0]
-    facing = np.abs(ahead @ normal) > SQUARE_COSINE
-    used = np.isin(np.arange(len(centers)), np.unique(peaks.subapertures))
+    ahead = problem.axes[peaks.subaperture_planes][:, 0] @ normal
     feet = centers - np.outer((centers - centers[own].mean(axis=0)) @ normal, normal)
     low, high = feet[own].min(axis=0) - 1e-3, feet[own].max(axis=0) + 1e-3
-    between = ((feet >= low) & (feet <= high)).all(axis=1)
-    same_side = np.isin(np.sign(ahead @ normal), np.unique(np.sign(ahead[own] @ normal)))
-    return len(own) >= _SEEN_SHARE * int((facing & between & used & same_side).sum())
+    expected = (np.abs(ahead) > SQUARE_COSINE) & ((feet >= low) & (feet <= high)).all(axis=1)
+    expected &= np.isin(np.arange(len(centers)), peaks.subapertures)
+    expected &= np.isin(np.sign(ahead), np.sign(ahead[own]))
+    return len(own) >= _SEEN_SHARE * int(expected.sum())
+
+
+def _curvature(echoes: PeakSet) -> float:
+    """How much lines of sight converge: 0 to a plane, 1 to a point, less than 0 to a hollow."""
+    off_center, off_direction = np.zeros((2, len(echoes), 3))
+    for number in np.unique(echoes.planes):
+        own = echoes.planes == number
+        off_center[own] = echoes.centers[own] - echoes.centers[own].mean(axis=0)
+        off_direction[own] = echoes.directions[own] - echoes.directions[own].mean(axis=0)
+    spread = float((off_center**2).sum())
+    if spread < _LEAST_SPREAD_M**2:
+        return 0.0
+    return -float((off_center * off_direction).sum() / spread * echoes.ranges_m.mean())
 
 
 def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> FoundBox:
@@ -327,6 +354,19 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> 
             bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
     _require_outside(capture, box.axes, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
+
+
+def _require_around(box: FoundBox, peaks: PeakSet) -> None:
+    """Raise UserError unless planes were seen, with most of the echoes within them."""
+    square = box.seen == Seen.SQUARELY
+    if not square.any():
+        raise _without_box(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
+    along, energy = peaks.points @ box.axes.T, (peaks.magnitudes * peaks.ranges_m) ** 2
+    limits = np.where(square, box.offsets_m + _MARGIN_M, np.inf)
+    outside = ((along > limits[:, 1]) | (along < -limits[:, 0])).any(axis=1)
+    share = float(energy[outside].sum() / energy.sum())
+    if share > _MOST_OUTSIDE:
+        raise _without_box(seen=f"planes with {100 * share:.0f} % of the echoes outside of them")
 
 
 def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
