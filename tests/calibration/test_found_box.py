@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
-from geraf2.calibration.found_box import FoundBox, Seen, find_box
+from geraf2.calibration.found_box import Seen, find_box
 from geraf2.errors import UserError
-from geraf2.scene import LosPrior
-from geraf2.scene.summary import summarize_capture
 
 SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
 SIDES = ("-x", "+x", "-y", "+y")
@@ -89,7 +87,7 @@ def test_noise_has_no_walls(scan):
         replace(pose, signal=rng.normal(size=(pose.n_antennas, 64)).astype("f4").view("c8"))
         for pose in scan.poses
     )
-    with pytest.raises(UserError, match="no walls of a box are found .*--box X Y Z"):
+    with pytest.raises(UserError, match=r"no walls of a box are found .*--box X Y Z"):
         find_box(replace(scan, poses=noise))
 
 

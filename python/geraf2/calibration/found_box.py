@@ -47,6 +47,8 @@ _LEAST_SIDE_M, _MARGIN_M, _MOST_OUTSIDE = 0.04, 0.01, 0.3
 _OUTSIDE_M = 0.02
 # And their least weight (the root of a strength): 22 dB below metal content; multipath is weaker.
 _FAINTEST = 0.28
+# Echoes of walls and of their edges are stronger, over the strongest of all [dB].
+_DYNAMIC_RANGE_DB = -45.0
 # Leakage this much below the walls moves none of their echoes.
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
@@ -206,7 +208,9 @@ def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, flo
     """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
     found = peaks.of(capture)
     leaks = leaking(capture, found)
-    kept = found.select(~leaks)
+    strength = found.magnitudes * found.ranges_m
+    strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
+    kept = found.select(~leaks & strong)
     rough, known, is_flash = _planes(capture, kept)
     # The densest planes may be of flat content, and others stand around them.
     around, outer, _ = _planes(capture, kept.select(~is_flash))
@@ -214,7 +218,6 @@ def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, flo
         rough, known = around, outer
     if rough.mean_m == -np.inf:
         raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
-    strength = found.magnitudes * found.ranges_m
     walls = rough.strength**2
     leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
     return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
