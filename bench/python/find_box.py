@@ -150,7 +150,7 @@ def summary(rows: list[dict]) -> list[str]:
         change = both[:, 1] - both[:, 0]
         lines.append(
             f"F1 5 mm              {both[:, 0].mean():.4f} with the true box, "
-            f"{both[:, 1].mean():.4f} without a prior; {change.mean():+.4f}, worst {change.min():+.3f}"
+            f"{both[:, 1].mean():.4f} without; {change.mean():+.4f}, worst {change.min():+.3f}"
         )
     return lines
 

@@ -49,7 +49,7 @@ class Flashes:
 
     @classmethod
     def of(cls, peaks: PeakSet) -> "Flashes":
-        """Both readings of each peak; a coarse raster's have some in each direction it may mean."""
+        """Both readings of each peak; a coarse raster's have some in each possible direction."""
         along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
         near = NEAR_OPTICAL_M - along - peaks.ranges_m
         far = FAR_OPTICAL_M + along + peaks.ranges_m
@@ -69,7 +69,7 @@ class Flashes:
 
 
 def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
-    """Peaks in every direction that the raster cannot tell apart, and which peak each is of."""
+    """Peaks in every direction that looks the same to the raster, and which peak each is of."""
     parts, index = [peaks], [np.arange(len(peaks))]
     for number in np.unique(peaks.planes):
         own = np.flatnonzero(peaks.planes == number)
