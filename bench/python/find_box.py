@@ -69,7 +69,7 @@ def compared(found: FoundBox, truth: LosPrior, turn_deg: float) -> dict:
         "size_mm": (1e3 * (found.size_m - size[order])[both]).round(2).tolist(),
         "size_covered": covered[both].tolist(),
         "yaw_deg": round(yaw, 3) if square[:2].any() else None,
-        "yaw_covered": bool(yaw < 1.96 * np.rad2deg(found.turn_sigma_rad[2])),
+        "yaw_covered": bool(yaw < 1.96 * found.yaw_sigma_deg),
         "edges_mm": (1e3 * off[edges]).round(1).tolist(),
         "unseen_mm": (1e3 * off[found.seen == Seen.NOT]).round(1).tolist(),
         "unseen_covered": inside[~square].tolist(),

@@ -75,6 +75,18 @@ def test_sides_that_no_antenna_faces_are_found_by_their_edges():
     assert (high > 0.08).all()
 
 
+def test_the_origin_of_the_frame_may_lie_anywhere(scan):
+    shift = np.array([0.3, -0.2, 1.0])
+    poses = tuple(
+        replace(p, tx_positions=p.tx_positions + shift, rx_positions=p.rx_positions + shift)
+        for p in scan.poses
+    )
+    here, there = find_box(scan), find_box(replace(scan, poses=poses))
+    np.testing.assert_allclose(there.center_m - here.center_m, shift, atol=1e-5)
+    np.testing.assert_allclose(there.size_m, here.size_m, atol=1e-5)
+    np.testing.assert_array_equal(there.seen, here.seen)
+
+
 def test_the_walls_of_the_scene_do_not_give_the_size(scan):
     other = tuple(replace(wall, size_m=(0.3, 0.3, 0.3)) for wall in scan.walls)
     unlike = find_box(replace(scan, walls=other))
@@ -95,3 +107,16 @@ def test_content_without_a_box_has_no_walls():
     spec = examples.small_scene()
     with pytest.raises(UserError, match="no walls of a box are found"):
         find_box(simulate(replace(spec, walls=()), seed=0)[0])
+
+
+def test_antennas_within_the_walls_are_refused(scan):
+    middle = scan.poses[3]
+    inward = 0.38 * middle.axes[0]
+    lost = replace(
+        middle,
+        tx_positions=middle.tx_positions + inward,
+        rx_positions=middle.rx_positions + inward,
+    )
+    poses = (*scan.poses[:3], lost, *scan.poses[4:])
+    with pytest.raises(UserError, match="planes around which walls would stand: 1"):
+        find_box(replace(scan, poses=poses))

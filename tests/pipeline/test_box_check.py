@@ -1,5 +1,7 @@
 """A given prior against the box that the radar sees."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -29,6 +31,7 @@ def a_box(seen=((2, 2), (2, 2), (0, 0)), degrees=0.0):
         sigmas_m=np.where(seen == Seen.SQUARELY, 5e-4, np.inf),
         bounds_m=np.zeros((3, 2, 2)),
         seen=seen,
+        content_share=0.3,
     )
 
 
@@ -89,6 +92,15 @@ def test_another_parcel_is_an_error_with_both_sizes(monkeypatch):
     )
     with pytest.raises(UserError, match=text):
         check(given(1.2 * SIZE), a_box(), monkeypatch)
+
+
+def test_flat_content_is_no_other_box(monkeypatch):
+    solid = replace(a_box(), content_share=0.001)
+    checked = check(given(1.5 * SIZE), solid, monkeypatch)
+    assert checked.found is None
+    assert checked.text == "planes of 300 x 200 mm within the prior are content"
+    with pytest.raises(UserError, match="another box"):  # it does not fit into the prior
+        check(given(0.7 * SIZE), solid, monkeypatch)
 
 
 def test_a_prior_of_another_shape_is_kept(monkeypatch):

@@ -18,6 +18,8 @@ from geraf2.scene import Capture
 # Direction of a flash against the wall's normal: 0.6 degrees of noise, and a bulge's slopes.
 _MAX_ANGLE_RAD = 0.06
 _YAW_STEP_RAD = np.deg2rad(0.5)
+# A yaw that is expected wins within this, if it has this share of the densest planes.
+_LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Flashes of one wall lie within this; bulges of 1 to 3 mm, and near and far are 3 mm apart.
 _OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.001, 0.0025
 # Walls of one box reflect alike; content may hide a part, and its own flashes be 20 dB stronger.
@@ -139,8 +141,11 @@ def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
     return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
 
 
-def find_axes(flashes: Flashes, up: Floats) -> Floats:
-    """Axes at whose yaw the four sides have the densest planes, (3, 3)."""
+def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Floats:
+    """Axes at whose yaw the four sides have the densest planes, (3, 3).
+
+    like: axes that are preferred where nearly as many planes agree, (3, 3).
+    """
     first = np.abs(np.roll(up, 1))
     second = np.cross(up, first)
     level = np.abs(flashes.normals @ up) < np.sin(_MAX_ANGLE_RAD)
@@ -156,6 +161,12 @@ def find_axes(flashes: Flashes, up: Floats) -> Floats:
             own = (quarter % 4 == side) & (share > 0.0)
             if own.any():
                 scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
+    if like is not None:
+        side_axis = like[int(np.abs(like @ up).argmin())]
+        off = steps - np.arctan2(side_axis @ second, side_axis @ first)
+        near = np.abs(off - 0.5 * np.pi * np.rint(off / (0.5 * np.pi))) < _LIKE_RAD
+        if scores[near].max() > _LIKE_SHARE * scores.max():
+            scores = np.where(near, scores, 0.0)
     yaw_rad = float(steps[int(scores.argmax())])
     # The nearest to the frame's axes of four that are the same box.
     yaw_rad -= 0.5 * np.pi * (yaw_rad > 0.25 * np.pi)

@@ -34,9 +34,8 @@ BOX_VERSION = 1
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # The region that is imaged, over the distance of the planes: a box within them is smaller.
 _REGION = 1.3
-# How well flashes fix a face before the fit; walls of one scan are refined in so many rounds.
+# How well flashes fix a face before the fit.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
-_N_ROUNDS = 2
 # Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
 _SEEN_SHARE, _FEWEST = 0.5, 2
 # Of a plane 0, of a ball half as far behind its surface as the antennas are before it 0.67.
@@ -87,6 +86,8 @@ class FoundBox:
     """95 % intervals of the offsets, (3, 2, 2) [m]; infinite where nothing bounds them."""
     seen: Ints
     """`Seen` of each face, (3, 2)."""
+    content_share: float = 0.0
+    """Share of the energy that comes from within; nearly none where the planes are a metal body."""
 
     @property
     def size_m(self) -> Floats:
@@ -100,9 +101,22 @@ class FoundBox:
 
     @property
     def yaw_deg(self) -> float:
-        """Turn of the box about the vertical against the frame, -45 to 45 [degrees]."""
-        yaw = np.rad2deg(np.arctan2(self.axes[0, 1], self.axes[0, 0]))
-        return float((yaw + 45.0) % 90.0 - 45.0)
+        """Turn about the vertical from the nearest axis of the frame, -45 to 45 [degrees]."""
+        first, nearest = self.axes[0], int(np.abs(self.axes[0]).argmax())
+        frame = np.sign(first[nearest]) * np.eye(3)[nearest]
+        return float(np.rad2deg(np.arctan2(self.axes[2] @ np.cross(frame, first), frame @ first)))
+
+    @property
+    def yaw_sigma_deg(self) -> float:
+        """Its standard deviation [degrees]."""
+        return float(np.rad2deg(np.linalg.norm(self.axes[2] * self.turn_sigma_rad)))
+
+    def moved(self, shift_m: Floats) -> "FoundBox":
+        """Box in a frame whose origin is elsewhere."""
+        shift = (self.axes @ shift_m)[:, None] * [-1.0, 1.0]
+        return replace(
+            self, offsets_m=self.offsets_m + shift, bounds_m=self.bounds_m + shift[..., None]
+        )
 
     @property
     def prior(self) -> LosPrior:
@@ -117,7 +131,7 @@ class FoundBox:
             "center_m": _plain(self.center_m),
             "axes": self.axes.round(6).tolist(),
             "yaw_deg": round(self.yaw_deg, 4),
-            "yaw_sigma_deg": round(float(np.rad2deg(self.turn_sigma_rad[2])), 4),
+            "yaw_sigma_deg": round(self.yaw_sigma_deg, 4),
             "faces": {
                 name: {
                     "seen": Seen(int(self.seen[k, side])).name.lower(),
@@ -145,7 +159,7 @@ class FoundBox:
             )
             if names
         )
-        turn = f"{self.yaw_deg:.2f} +- {np.rad2deg(self.turn_sigma_rad[2]):.2f} degrees"
+        turn = f"{self.yaw_deg:.2f} +- {self.yaw_sigma_deg:.2f} degrees"
         return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {seen}"
 
 
@@ -165,12 +179,14 @@ def _plain(values: Floats | float) -> Any:
 def find_box(
     capture: Capture,
     *,
+    expected: LosPrior | None = None,
     summary: CaptureSummary | None = None,
     num_threads: int | None = None,
 ) -> FoundBox:
     """Find the box around the content from the scan alone.
 
     capture: the scan. Its instrument delay must be known to a centimetre.
+    expected: a cuboid whose orientation is preferred where the scan leaves several.
     summary: of the capture, where it was made already.
     num_threads: all cores when None.
 
@@ -187,33 +203,45 @@ def find_box(
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
         raise _without_box(seen="the planes face no common point")
-    region = LosPrior.from_box((_REGION * reach,) * 3, triple(focus))
+    capture = _moved(capture, -focus)
+    region = LosPrior.from_box((_REGION * reach,) * 3)
     peaks = KeptPeaks(region, _COARSE, num_threads=num_threads)
-    rough, seen, leakage_db = _rough(capture, peaks)
+    like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
+    rough, seen, leakage_db = _rough(capture, peaks, like)
     if leakage_db > _LEAKAGE_DB:
         leakage = find_leakage(capture, _filled(rough).prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-            rough, seen, _ = _rough(capture, peaks)
+            rough, seen, _ = _rough(capture, peaks, like)
     box = _filled(rough)
-    for _ in range(_N_ROUNDS):
-        if not box.size_m.min() > _LEAST_SIDE_M:
-            raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
-        box = _refined(capture, box, _Known(peaks, seen))
-    _require_around(box, seen)
-    return _bounded(capture, box, seen, focus)
+    if not box.size_m.min() > _LEAST_SIDE_M:
+        raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
+    box = _refined(capture, box, _Known(peaks, seen))
+    box = replace(box, content_share=_content_share(box, seen))
+    return _bounded(capture, box, seen).moved(focus)
 
 
-def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, float]:
+def _moved(capture: Capture, shift_m: Floats) -> Capture:
+    """Capture in a frame whose origin is elsewhere."""
+    poses = (
+        replace(p, tx_positions=p.tx_positions + shift_m, rx_positions=p.rx_positions + shift_m)
+        for p in capture.poses
+    )
+    return replace(capture, poses=tuple(poses))
+
+
+def _rough(
+    capture: Capture, peaks: KeptPeaks, like: Floats | None
+) -> tuple[RoughFaces, PeakSet, float]:
     """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
     found = peaks.of(capture)
     leaks = leaking(capture, found)
     strength = found.magnitudes * found.ranges_m
     strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
     kept = found.select(~leaks & strong)
-    rough, known, is_flash = _planes(capture, kept)
+    rough, known, is_flash = _planes(capture, kept, like)
     # The densest planes may be of flat content, and others stand around them.
-    around, outer, _ = _planes(capture, kept.select(~is_flash))
+    around, outer, _ = _planes(capture, kept.select(~is_flash), like)
     if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
         rough, known = around, outer
     if rough.mean_m == -np.inf:
@@ -223,14 +251,16 @@ def _rough(capture: Capture, peaks: KeptPeaks) -> tuple[RoughFaces, PeakSet, flo
     return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
 
 
-def _planes(capture: Capture, peaks: PeakSet) -> tuple[RoughFaces, PeakSet, Bools]:
+def _planes(
+    capture: Capture, peaks: PeakSet, like: Floats | None
+) -> tuple[RoughFaces, PeakSet, Bools]:
     """Faces of planes at right angles; peaks in their true direction, and which are flashes."""
     if not len(peaks):
         nothing = RoughFaces(axes=np.eye(3), offsets_m=np.full((3, 2), np.nan), strength=0.0)
         return nothing, peaks, np.zeros(0, dtype=bool)
     lobes, index = with_lobes(capture, peaks)
     flashes = Flashes.of(lobes)
-    rough = rough_faces(flashes, find_axes(flashes, upward(capture)))
+    rough = rough_faces(flashes, find_axes(flashes, upward(capture), like))
     return rough, *without_lobes(peaks, lobes, index, rough)
 
 
@@ -330,11 +360,8 @@ def _curvature(echoes: PeakSet) -> float:
     return -float((off_center * off_direction).sum() / spread * echoes.ranges_m.mean())
 
 
-def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> FoundBox:
-    """Box whose unseen faces lie at their edges, or generously around all that was seen.
-
-    focus: middle of what the planes face, (3,) [m].
-    """
+def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
+    """Box whose unseen faces lie at their edges, or generously around all that was seen."""
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
     bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
@@ -348,8 +375,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> 
         edge = find_edge(peaks, box.axes, box.offsets_m, square, face, least)
         if edge is None:
             content = content_reach(peaks, box.axes, box.offsets_m, square, face)
-            middle = float(box.axes[k] @ focus) * (1.0 if side else -1.0)
-            offsets[face] = max(least, content, middle + usual)
+            offsets[face] = max(least, content, usual)
             bounds[face] = least, np.inf
         else:
             offsets[face], sigmas[face] = edge
@@ -359,17 +385,22 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet, focus: Floats) -> 
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
 
 
-def _require_around(box: FoundBox, peaks: PeakSet) -> None:
-    """Raise UserError unless planes were seen, with most of the echoes within them."""
+def _content_share(box: FoundBox, peaks: PeakSet) -> float:
+    """Share of the energy within the walls; UserError where they do not enclose the echoes."""
     square = box.seen == Seen.SQUARELY
     if not square.any():
         raise _without_box(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
     along, energy = peaks.points @ box.axes.T, (peaks.magnitudes * peaks.ranges_m) ** 2
-    limits = np.where(square, box.offsets_m + _MARGIN_M, np.inf)
-    outside = ((along > limits[:, 1]) | (along < -limits[:, 0])).any(axis=1)
-    share = float(energy[outside].sum() / energy.sum())
-    if share > _MOST_OUTSIDE:
-        raise _without_box(seen=f"planes with {100 * share:.0f} % of the echoes outside of them")
+
+    def share(margin_m: float) -> float:
+        limits = np.where(square, box.offsets_m + margin_m, np.inf)
+        inside = ((along <= limits[:, 1]) & (along >= -limits[:, 0])).all(axis=1)
+        return float(energy[inside].sum() / energy.sum())
+
+    outside = 1.0 - share(_MARGIN_M)
+    if outside > _MOST_OUTSIDE:
+        raise _without_box(seen=f"planes with {100 * outside:.0f} % of the echoes outside of them")
+    return share(-_MARGIN_M)
 
 
 def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:

@@ -20,9 +20,9 @@ BOX_STAGE = "box"
 _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
 # A box that differs by more is another one.
 _OTHER_BOX_M = 0.03
+# Planes with less energy from within belong to a body, not to walls.
+_EMPTY = 0.02
 _COVER = 2.0
-# Silhouettes follow walls along the frame, turned by up to this.
-_ALONG_FRAME_DEG = 2.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,13 +35,14 @@ class BoxCheck:
     text: str
     """In a line."""
     seconds: float
+    is_new: bool = False
+    """Whether the prior is the found box, or was corrected by it."""
 
     def placed(self, capture: Capture) -> Capture:
         """Capture whose walls are where the prior is; none where they are turned."""
-        if self.found is None or self.prior.walls == capture.walls:
+        if not self.is_new:
             return capture
-        is_along = abs(self.found.yaw_deg) < _ALONG_FRAME_DEG
-        return replace(capture, walls=self.prior.walls if is_along else ())
+        return replace(capture, walls=() if self.prior.is_turned else self.prior.walls)
 
 
 def box_from_radar(
@@ -52,7 +53,8 @@ def box_from_radar(
     with listener.step(BOX_STAGE):
         found = find_box(capture, summary=summary, num_threads=num_threads)
     prior = with_walls(found.prior, capture.walls, listener)
-    return BoxCheck(prior=prior, found=found, text=str(found), seconds=time.perf_counter() - start)
+    seconds = time.perf_counter() - start
+    return BoxCheck(prior=prior, found=found, text=str(found), seconds=seconds, is_new=True)
 
 
 def checked_prior(
@@ -72,15 +74,22 @@ def checked_prior(
     start = time.perf_counter()
     with listener.step(BOX_STAGE):
         try:
-            found = find_box(capture, summary=summary, num_threads=num_threads)
-        except UserError as error:
-            seconds = time.perf_counter() - start
-            return BoxCheck(prior=prior, found=None, text=str(error), seconds=seconds)
-    sides = prior.cuboid
-    if sides is None:
+            found: FoundBox | None = find_box(
+                capture, expected=prior, summary=summary, num_threads=num_threads
+            )
+        except UserError:
+            found = None
+    seconds = time.perf_counter() - start
+    if found is None:
+        text = "no wall is seen squarely, with which the prior would be compared"
+        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
+    if prior.cuboid is None:
         text = f"{found}; the prior is no cuboid and is not compared with it"
-        return BoxCheck(prior=prior, found=found, text=text, seconds=time.perf_counter() - start)
-    difference = Difference.of(found, *sides)
+        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+    difference = Difference.of(found, *prior.cuboid)
+    if difference.is_other and difference.is_within and found.content_share < _EMPTY:
+        text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
+        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
     if difference.is_other:
         raise UserError(
             what="the scan shows another box than the prior",
@@ -89,12 +98,13 @@ def checked_prior(
             got=f"{_in_mm(found.size_m, difference.both)} mm by the walls' echoes",
             hint="leave the prior out, or keep it with --trust-los",
         )
-    text = f"{found}; the prior agrees"
-    if difference.text:
-        corrected = difference.corrected(found)
-        text = f"the prior is off by {difference.text} and was corrected: {corrected}"
-        prior = with_walls(corrected.prior, capture.walls, listener)
-    return BoxCheck(prior=prior, found=found, text=text, seconds=time.perf_counter() - start)
+    if not difference.text:
+        text = f"{found}; the prior agrees"
+        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+    corrected = difference.corrected(found)
+    text = f"the prior is off by {difference.text} and was corrected: {corrected}"
+    prior = with_walls(corrected.prior, capture.walls, listener)
+    return BoxCheck(prior=prior, found=found, text=text, seconds=seconds, is_new=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,6 +118,8 @@ class Difference:
     both: Ints
     """Axes of which both faces are seen squarely."""
     is_other: bool
+    is_within: bool
+    """Whether all found sides are shorter."""
     text: str
     """What is off, and by how much; empty where the prior agrees."""
 
@@ -131,7 +143,7 @@ class Difference:
         parts = []
         if len(both) and (np.abs(off_size[both]) > _SIZE_M + tolerance[both]).any():
             parts.append(f"{1e3 * np.abs(off_size[both]).max():.1f} mm of size")
-        if turn_deg > _TURN_DEG + _COVER * np.rad2deg(found.turn_sigma_rad[2]):
+        if turn_deg > _TURN_DEG + _COVER * found.yaw_sigma_deg:
             parts.append(f"{turn_deg:.1f} degrees of turn")
         shift = float(np.linalg.norm(center[both]))
         if shift > _CENTER_M:
@@ -140,6 +152,7 @@ class Difference:
             given_size_m=size,
             given_offsets_m=offsets,
             both=both,
+            is_within=bool((off_size[both] < 0.0).all()),
             is_other=bool((np.abs(off_size[both]) > _OTHER_BOX_M).any()),
             text=", ".join(parts),
         )

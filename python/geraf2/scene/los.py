@@ -32,6 +32,8 @@ from geraf2.scene.notebook import (
 
 # Cosine of angles, and corners over the size, off those of a cuboid.
 _SQUARE = 1e-3
+# A box turned by 2.5 degrees stands along the frame: calibration and silhouettes allow for it.
+_ALONG_COSINE = float(np.cos(np.deg2rad(2.5)))
 # Volume over diagonal^3 below which a box is flat: a sheet of 1 m with 0.1 mm has 4e-5.
 _FLAT = 1e-6
 # Volume over that of the convex hull below which a mesh encloses walls, and not what is between
@@ -150,6 +152,11 @@ class LosPrior:
         if not np.allclose(np.abs(along), half, atol=_SQUARE * float(half.max())):
             return None
         return axes, 2.0 * half, middle
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether this is a cuboid that does not stand along the axes of the frame."""
+        return self.cuboid is not None and float(np.diag(self.cuboid[0]).min()) < _ALONG_COSINE
 
     def moved(self, transform: Floats) -> "LosPrior":
         """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""

@@ -164,7 +164,7 @@ def make_los(
     if from_radar:
         with listener.step("box"):
             box = find_box(load_capture(path), num_threads=num_threads)
-        kind, mesh, numbers = "radar", box.prior.mesh, {"result": str(box), **box.numbers()}
+        kind, mesh, numbers = "radar", box.prior.mesh, {"by_radar": str(box), **box.numbers()}
     elif sides is not None and not path.exists():
         x, y, z = (float(side) for side in sides.groups())
         if not (min(x, y, z) >= _MIN_BOX_M and max(x, y, z) <= _MAX_BOX_M):

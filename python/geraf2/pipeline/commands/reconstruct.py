@@ -223,7 +223,7 @@ def _started(
     run.forget([BOX_STAGE])
     if request.box is not None:
         box = request.box
-        numbers = {"result": box.text, **(box.found.numbers() if box.found else {})}
+        numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
         run.mark_done(BOX_STAGE, key, [], round(box.seconds, 3), numbers=numbers)
         heard.note(box.text)
     job = Job(
