@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.calibration.wall_echoes import UNKNOWN_MIDDLES_M
 from geraf2.imaging.peaks import PeakSet, grating_lobes
 from geraf2.scene import Capture
 
@@ -30,8 +31,6 @@ _LEAST_SHARE = 0.25
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 # Cosine to the viewing axis of the directions that are considered.
 _LEAST_AHEAD = 0.8
-NEAR_OPTICAL_M, FAR_OPTICAL_M = 0.0025, -0.0004
-"""How far near and far walls of cardboard echo behind their outer face (`wall_echoes`) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,22 +45,20 @@ class Flashes:
     """Seen from behind, through the box, (n,)."""
     weights: Floats
     """Root of the reflectivity of a large flat wall with this echo, up to a factor, (n,)."""
-    subapertures: Ints
-    """(n,)."""
 
     @classmethod
     def of(cls, peaks: PeakSet) -> "Flashes":
         """Both readings of each peak; a coarse raster's have some in each possible direction."""
         along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
-        near = NEAR_OPTICAL_M - along - peaks.ranges_m
-        far = FAR_OPTICAL_M + along + peaks.ranges_m
+        (near_m, _), (far_m, _) = UNKNOWN_MIDDLES_M
+        near = near_m - along - peaks.ranges_m
+        far = far_m + along + peaks.ranges_m
         weights = np.sqrt(peaks.magnitudes * peaks.ranges_m)
         return cls(
             normals=np.concatenate([-peaks.directions, peaks.directions]),
             offsets_m=np.concatenate([near, far]),
             far=np.repeat([False, True], len(peaks)),
             weights=np.tile(weights, 2),
-            subapertures=np.tile(peaks.subapertures, 2),
         )
 
     def along(self, direction: Floats) -> "Flashes":
