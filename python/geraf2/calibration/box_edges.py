@@ -16,8 +16,8 @@ SQUARE_COSINE = float(np.cos(0.2))
 _ON_WALL_M, _CORNER_M = 0.006, 0.01
 _LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
 _FEWEST = 3
-# The middle of an edge's echo lies up to so much inside of the edge, and scatters.
-_EDGE_SIGMA_M = 0.004
+# The middle of an edge's echo lies so much inside of the edge (median of 10), and scatters.
+_EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
 # A flash is this square to its wall; content lies this far within, the rest are grating lobes.
 _FLASH_COSINE = float(np.cos(0.05))
 _CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
@@ -98,7 +98,7 @@ def find_edge(
         own = np.flatnonzero(on_edge)[members]
         if len(np.unique(peaks.subapertures[own])) >= _FEWEST:
             spread = float(np.std(outward[own])) / np.sqrt(len(own))
-            return position, float(np.hypot(_EDGE_SIGMA_M, spread))
+            return position + _EDGE_INSIDE_M, float(np.hypot(_EDGE_SIGMA_M, spread))
     return None
 
 
