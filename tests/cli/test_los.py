@@ -290,3 +290,15 @@ def test_photos_are_added_to_a_scene_that_is_there(tmp_path):
     assert len(loaded.photos) == 3
     assert loaded.notes == ()
     assert loaded.photos.frame == "capture"
+
+
+def test_a_scan_gives_the_prior_of_its_box(scene, tmp_path, capsys):
+    out = tmp_path / "los"
+    assert main(["los", "--from-radar", str(scene), str(out)]) == 0
+    assert "faces -x +x -y +y seen squarely" in capsys.readouterr().out
+    record = json.loads((out / "los.json").read_text())
+    assert record["kind"] == "radar"
+    np.testing.assert_allclose(record["size_m"][:2], 0.2, atol=4e-3)
+    assert record["numbers"]["faces"]["+x"]["seen"] == "squarely"
+    assert main(["los", "--from-radar", str(tmp_path / "none"), str(out)]) == 2
+    assert "none" in the_error(capsys)

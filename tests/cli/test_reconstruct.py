@@ -58,7 +58,7 @@ def test_a_run_holds_everything(finished_run):
     for stage in ("calibration", "glints", "sdf", "mesh", "report"):
         assert ("done", stage) in named
     assert named[-1][0] == "finished"
-    stages = {"calibration", "glints", "sdf", "mesh", "report"}
+    stages = {"box", "calibration", "glints", "sdf", "mesh", "report"}
     assert set(RunFolder.read(finished_run).stages) == stages
 
 
@@ -147,7 +147,7 @@ def test_what_stops_a_run_is_one_line_and_resume_gives_the_uninterrupted_one(
         assert run(scene, out, *BOX) == code
     assert said in the_error(capsys)
     assert events(out)[-1]["event"].startswith("the run stopped")
-    done = ("calibration", "glints", "sdf", "mesh")
+    done = ("box", "calibration", "glints", "sdf", "mesh")
     assert tuple(RunFolder.read(out).stages) == done[: done.index(stage)]
     assert run(scene, out, *BOX, "--resume") == 0
     assert digests(out) == digests(built_run)
@@ -229,8 +229,42 @@ def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
 
 def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):
     assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14") == 2
-    assert "smaller than its content or lies elsewhere" in the_error(capsys)
+    error = the_error(capsys)
+    assert "the scan shows another box than the prior, expected sides of 140" in error
+    assert "by the walls' echoes; leave the prior out, or keep it with --trust-los" in error
     assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14", "--trust-los") == 0
+
+
+def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
+    manifest = scene / "scene.toml"
+    text = manifest.read_text()
+    manifest.write_text(text.replace("0.2,", "0.15,"))  # what the scene states of the box
+    assert manifest.read_text() != text
+    assert run(scene, tmp_path / "out") == 0
+    assert "faces -x +x -y +y seen squarely" in capsys.readouterr().err
+    box = load_run(tmp_path / "out").numbers["box"]
+    np.testing.assert_allclose(box["size_m"][:2], 0.2, atol=2e-3)
+    assert set(box["faces"]) == {"-x", "+x", "-y", "+y", "-z", "+z"}
+    np.testing.assert_allclose(load_run(tmp_path / "out").prior.cuboid[1], box["size_m"], atol=1e-5)
+    assert run(scene, tmp_path / "out", "--resume") == 0
+    assert [e["stage"] for e in events(tmp_path / "out") if e["event"] == "reused"][:1] == [
+        "calibration"
+    ]
+
+
+def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
+    assert run(scene, tmp_path / "out", "--box", "0.208", "0.208", "0.2") == 0
+    lines = [x for x in capsys.readouterr().err.splitlines() if "corrected" in x]
+    assert len(lines) == 1
+    assert "the prior is off by" in lines[0]
+    _, size, _ = load_run(tmp_path / "out").prior.cuboid
+    np.testing.assert_allclose(size, 0.2, atol=2e-3)
+
+
+def test_a_box_given_twice_is_refused(scene, tmp_path, capsys):
+    los = write_box(tmp_path / "los.ply", lambda m: m)
+    assert run(scene, tmp_path / "out", *BOX, "--los", str(los)) == 2
+    assert "give the outside of the box once" in the_error(capsys)
 
 
 def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):

@@ -94,7 +94,7 @@ def test_a_second_run_is_refused_and_nothing_is_lost(finished_run, built_scene, 
         (finished_run / LOCK_NAME).touch()
         assert {p: p.read_bytes() for p in before} == before
         holder.communicate("\n", timeout=30)
-    stages = {"calibration", "glints", "sdf", "mesh", "report"}
+    stages = {"box", "calibration", "glints", "sdf", "mesh", "report"}
     assert set(RunFolder.read(finished_run).stages) == stages
 
 

@@ -67,3 +67,25 @@ def test_a_cropped_prior_is_its_bounding_box_without_walls_and_never_empty():
     assert cropped.walls == ()
     with pytest.raises(UserError, match="below half of its shortest side, 100 mm, got 100 mm"):
         prior.cropped(0.1)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, -44.0, 80.0])
+def test_a_cuboid_knows_its_own_axes_and_sides(degrees):
+    turn = np.deg2rad(degrees)
+    axes = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+    prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03), axes=axes)
+    found, size, center = prior.cuboid
+    np.testing.assert_allclose(center, (0.01, 0.02, 0.03))
+    # Of the names of the axes those nearest to the frame's: past 45 degrees they change.
+    np.testing.assert_allclose(size, (0.2, 0.3, 0.4) if degrees < 45 else (0.3, 0.2, 0.4))
+    assert np.linalg.det(found) == pytest.approx(1.0)
+    np.testing.assert_allclose(np.abs(found @ axes.T).max(axis=1), 1.0)
+
+
+def test_other_shapes_are_no_cuboids():
+    box = LosPrior.from_box((0.2, 0.3, 0.4))
+    skewed = box.vertices + 0.1 * box.vertices[:, ::-1]
+    assert LosPrior(vertices=skewed, faces=box.faces).cuboid is None
+    pyramid = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    assert LosPrior(vertices=pyramid, faces=faces).cuboid is None

@@ -7,10 +7,11 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from geraf2._bounds import Bounded, MarginM, MarginRad, SignedM
+from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
 from geraf2.calibration.wall_echoes import (
+    MIN_ECHOES,
     OffsetPeak,
     WallEchoes,
     WallMiddles,
@@ -67,6 +68,10 @@ class AlignmentConfig(Bounded):
     """Expected error of each pose's turntable angle [rad]."""
     plane_sigma_m: MarginM = 0.00015
     """Expected error of each plane's distance, from drift of positions [m]."""
+    wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
+    """Expected error of each wall's distance from the middle of the prior [m]."""
+    least_echoes: Few = MIN_ECHOES
+    """Echoes of near walls that agree, at least."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -218,7 +223,7 @@ class WallProblem:
         off = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(off[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
-        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high))
+        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
         # Twice as far: the box may be turned or moved.
         self.maybe = maybe.select(np.abs(off - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
 
@@ -236,7 +241,7 @@ class WallProblem:
             "angles": np.full(n_poses, config.angle_sigma_rad * several),
             "planes": np.full(n_poses, config.plane_sigma_m * several),
             "middles": np.array(self.middles.sigmas_m),
-            "shapes": np.tile(MODE_SIGMAS_M, len(self.faces.centers)),
+            "shapes": np.tile([config.wall_sigma_m, *MODE_SIGMAS_M[1:]], len(self.faces.centers)),
         }
 
     def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:

@@ -177,7 +177,10 @@ class OffsetPeak:
 
 
 def find_wall_peak(
-    near: tuple[Floats, Floats], far: tuple[Floats, Floats], search_m: tuple[float, float]
+    near: tuple[Floats, Floats],
+    far: tuple[Floats, Floats],
+    search_m: tuple[float, float],
+    least: int = MIN_ECHOES,
 ) -> OffsetPeak:
     """Offset at which echoes of near and of far walls are densest together.
 
@@ -188,8 +191,9 @@ def find_wall_peak(
     near: offsets of echoes from near walls, less the wall's middle [m], and magnitudes, each (n,).
     far: those of far walls.
     search_m: smallest and largest offset [m].
+    least: echoes of near walls that agree.
 
-    Raises UserError: fewer than twelve echoes of near walls agree, or only at the search's edge.
+    Raises UserError: fewer of them agree, or only at the search's edge.
     """
     n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
@@ -205,15 +209,15 @@ def find_wall_peak(
         return [int((np.abs(kind[0] - candidates[best]) < 0.01).sum()) for kind in (near, far)]
 
     best = int(score.argmax())
-    if counts(best)[1] < MIN_ECHOES:  # the content, which may agree as well, is farther
+    if counts(best)[1] < least:  # the content, which may agree as well, is farther
         rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
         peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
         best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
-    if n_near < MIN_ECHOES or best in (0, n_steps - 1):  # an edge is no peak
+    if n_near < least or best in (0, n_steps - 1):  # an edge is no peak
         raise UserError(
             what="the walls of the box do not stand out",
-            expected=f"at least {MIN_ECHOES} echoes along the prior's faces at one offset between "
+            expected=f"at least {least} echoes along the prior's faces at one offset between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
             got=n_near,
             hint="check that the prior lies in the scan's frame and in metres; widen "

@@ -1,4 +1,4 @@
-"""`geraf2 los`: the line-of-sight prior from photos, a mesh or box sides."""
+"""`geraf2 los`: the line-of-sight prior from photos, a mesh, box sides or a radar scan."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,11 +15,14 @@ from geraf2.pipeline.los_options import LosOptions
 class Config:
     """Make the line-of-sight prior: closed mesh and signed distance of the outside of the box."""
 
-    source: Positional[Annotated[str, Arg(metavar="PHOTOS|MESH|XxYxZ")]]
+    source: Positional[Annotated[str, Arg(metavar="PHOTOS|MESH|XxYxZ|SCENE")]]
     """Photos with poses (transforms.json, COLMAP, LLFF, NeuS, Middlebury), a mesh (closed, or a
-    scan with holes), or three outer side lengths in metres, as 0.22x0.22x0.22."""
+    scan with holes), three outer side lengths in metres, as 0.22x0.22x0.22, or with --from-radar a
+    scene."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
+    from_radar: bool = False
+    """Find the box in a radar scan, from the echoes of its walls."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of a box of given sides lies [m]."""
     overwrite: bool = False
@@ -36,6 +39,7 @@ def main(config: Config) -> int:
         config.source,
         config.out,
         config.options,
+        from_radar=config.from_radar,
         box_center_m=config.box_center,
         overwrite=config.overwrite,
         num_threads=config.threads,
@@ -46,7 +50,11 @@ def main(config: Config) -> int:
     center = ", ".join(f"{1e3 * value:.1f}" for value in prior.center_m)
     pairs = [
         ("outside", f"{size} mm around ({center}) mm, {len(prior.faces)} triangles"),
-        *[(name, _number(value)) for name, value in made.record.numbers.items()],
+        *[
+            (name, _number(value))
+            for name, value in made.record.numbers.items()
+            if not isinstance(value, list | dict)
+        ],
         ("mesh", str(made.path / MESH_NAME)),
         ("distance", str(made.path / FIELD_NAME)),
     ]

@@ -24,7 +24,7 @@ from geraf2.surfaces.samples import size_lines
 class Config(RunOptions, PriorSource):
     """Reconstruct the surface of what is hidden in the box; box and content in metres.
 
-    For example: geraf2 reconstruct scene out --box 0.22 0.22 0.22
+    For example: geraf2 reconstruct scene out
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -80,7 +80,6 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
 
 def main(config: Config) -> int:
     """Run the command."""
-    config.require_one()
     with showing_log_records():
         result = reconstruct(
             config.scene,

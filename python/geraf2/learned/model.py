@@ -82,7 +82,7 @@ class StartDistance:
         self._start = config.start
         self._ball = ball
         self._inner = None
-        if prior.walls:
+        if prior.walls and not prior.is_turned:
             wall = prior.walls[0]
             if config.field != "mlp":
                 # A thinner wall would fall between the voxels; its outer face stays.

@@ -29,33 +29,40 @@ class PriorSource:
     """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
     photos with poses, from which a surface is trained first."""
     box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
-    """Or the outer side lengths of the box, axes along the frame's [m]."""
+    """Or the outer side lengths of the box, axes along the frame's [m]. Neither: by radar."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of the box of these sides lies [m]."""
 
     @classmethod
-    def of(cls, prior: "LosPrior | PriorSource | Path | str | Triple") -> "PriorSource":
-        """Source of what a user gives; empty for a prior in memory."""
+    def of(cls, prior: "LosPrior | PriorSource | Path | str | Triple | None") -> "PriorSource":
+        """Source of what a user gives; empty for a prior in memory, and for none."""
         if isinstance(prior, PriorSource):
             return prior
-        if isinstance(prior, LosPrior):
+        if prior is None or isinstance(prior, LosPrior):
             return cls()
         return cls(los=Path(prior)) if isinstance(prior, str | Path) else cls(box=prior)
 
-    def require_one(self) -> None:
-        """Raise UserError unless either the mesh or the sides are given."""
-        if (self.los is None) == (self.box is None):
+    @property
+    def is_given(self) -> bool:
+        """Whether there is a source; UserError where there are two."""
+        if self.los is not None and self.box is not None:
             raise UserError(
-                what="give the outside of the box",
+                what="give the outside of the box once",
                 expected="either --los MESH or --box X Y Z",
-                got="both" if self.los is not None else "neither",
+                got="both",
             )
+        return self.los is not None or self.box is not None
 
     def load(
         self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
     ) -> tuple[LosPrior, str]:
         """Prior, and its name in errors; arguments as of :func:`load_prior`."""
-        self.require_one()
+        if not self.is_given:
+            raise UserError(
+                what="give the outside of the box",
+                expected="either --los MESH or --box X Y Z",
+                got="neither",
+            )
         source = self.los or self.box or ""
         prior = load_prior(source, center_m=self.box_center, walls=walls, listener=listener)
         return prior, str(self.los) if self.box is None else f"--box {spaced(self.box)}"
@@ -106,24 +113,28 @@ def with_walls(
 ) -> LosPrior:
     """Prior with the walls of a capture, the outermost as large as the prior: that was measured.
 
-    Inner walls that are larger than the prior are left out.
+    Inner walls that are larger than the prior are left out. A turned cuboid has its own sides.
+
+    listener: warned where the scene states another size.
     """
     if not walls:
         return prior
-    outer = walls[0]
-    if np.abs(np.asarray(outer.size_m) - prior.size_m).max() > _WALL_MISMATCH_M:
+    outer, size_m = walls[0], prior.size_m
+    if prior.cuboid is not None:
+        size_m = triple(prior.cuboid[1])
+    if np.abs(np.asarray(outer.size_m) - size_m).max() > _WALL_MISMATCH_M:
         (listener or Listener()).warning(
             f"by the scene the box is {spaced(outer.size_m)} m, the prior is "
-            f"{spaced(prior.size_m)} m; the prior is used"
+            f"{spaced(size_m)} m; the prior is used"
         )
-    if 2.0 * outer.thickness_m >= min(prior.size_m):
+    if 2.0 * outer.thickness_m >= min(size_m):
         raise UserError(
-            what=f"the box is {spaced(prior.size_m)} m, no larger than its walls are thick",
+            what=f"the box is {spaced(size_m)} m, no larger than its walls are thick",
             expected=f"more than {2.0 * outer.thickness_m:g} m",
             hint="is it in metres?",
         )
-    fitted = replace(outer, size_m=prior.size_m, center_m=prior.center_m)
-    inner = (wall for wall in walls[1:] if np.less(wall.size_m, prior.size_m).all())
+    fitted = replace(outer, size_m=size_m, center_m=prior.center_m)
+    inner = (wall for wall in walls[1:] if np.less(wall.size_m, size_m).all())
     return replace(prior, walls=(fitted, *inner))
 
 

@@ -28,7 +28,7 @@ class RunOptions(Bounded):
     hold_out: Annotated[tuple[Degrees, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
-    """Continue even if most of the echoes come from outside the box."""
+    """Take the prior as it is, even if echoes of walls or content contradict it."""
     calibrate: Literal["auto", "no"] = "auto"
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
     where held-out data confirm it. no: take the scene as it is."""

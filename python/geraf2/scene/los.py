@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import permutations
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -9,10 +10,15 @@ from scipy.spatial import ConvexHull, QhullError
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_positive, require_shape
 from geraf2.errors import UserError
-from geraf2.geometry.boxes import FACES, box_corners
+from geraf2.geometry.boxes import FACES, SIGNS, box_corners
 from geraf2.geometry.shells import outer_shells
 from geraf2.geometry.transforms import apply_rigid, triple
-from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
+from geraf2.geometry.triangles import (
+    count_open_edges,
+    enclosed_volume_m3,
+    face_areas,
+    unit_normals,
+)
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
 from geraf2.scene.notebook import (
@@ -24,6 +30,10 @@ from geraf2.scene.notebook import (
     wall_rows,
 )
 
+# Cosine of angles, and corners over the size, off those of a cuboid.
+_SQUARE = 1e-3
+# A box turned by 2.5 degrees stands along the frame: calibration and silhouettes allow for it.
+_ALONG_COSINE = float(np.cos(np.deg2rad(2.5)))
 # Volume over diagonal^3 below which a box is flat: a sheet of 1 m with 0.1 mm has 4e-5.
 _FLAT = 1e-6
 # Volume over that of the convex hull below which a mesh encloses walls, and not what is between
@@ -59,11 +69,19 @@ class LosPrior:
         size_m: tuple[float, float, float],
         center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         walls: tuple[Wall, ...] = (),
+        *,
+        axes: Floats | None = None,
     ) -> "LosPrior":
-        """Prior from three outer side lengths [m], axes along the frame's."""
+        """Prior from three outer side lengths [m], axes along the frame's.
+
+        axes: or along these unit vectors, a right-handed set of rows, (3, 3).
+        """
         for side in size_m:
             require_positive("size_m", side)
-        return cls(vertices=box_corners(center_m, size_m), faces=FACES.copy(), walls=walls)
+        corners = box_corners(center_m, size_m)
+        if axes is not None:
+            corners = box_corners((0.0, 0.0, 0.0), size_m) @ axes + np.asarray(center_m)
+        return cls(vertices=corners, faces=FACES.copy(), walls=walls)
 
     @classmethod
     def from_mesh(
@@ -110,6 +128,35 @@ class LosPrior:
             return np.asarray(self.vertices[ConvexHull(self.vertices).vertices])
         except QhullError:  # flat
             return self.vertices
+
+    @cached_property
+    def cuboid(self) -> tuple[Floats, Floats, Floats] | None:
+        """Axes (rows, right-handed), side lengths and middle of a cuboid; None of other shapes."""
+        if len(self.vertices) != len(SIGNS):
+            return None
+        middle = self.vertices.mean(axis=0)
+        normals, areas = (
+            unit_normals(self.vertices[self.faces]),
+            face_areas(self.vertices[self.faces]),
+        )
+        first = normals[areas.argmax()]
+        across = np.abs(normals @ first) < _SQUARE
+        if not across.any():
+            return None
+        second = normals[np.flatnonzero(across)[areas[across].argmax()]]
+        second = second - (second @ first) * first
+        second /= np.linalg.norm(second)
+        axes = _nearest_order(np.stack([first, second, np.cross(first, second)]))
+        along = (self.vertices - middle) @ axes.T
+        half = np.abs(along).mean(axis=0)
+        if not np.allclose(np.abs(along), half, atol=_SQUARE * float(half.max())):
+            return None
+        return axes, 2.0 * half, middle
+
+    @property
+    def is_turned(self) -> bool:
+        """Whether this is a cuboid that does not stand along the axes of the frame."""
+        return self.cuboid is not None and float(np.diag(self.cuboid[0]).min()) < _ALONG_COSINE
 
     def moved(self, transform: Floats) -> "LosPrior":
         """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""
@@ -176,3 +223,11 @@ def _require_solid(mesh: TriangleMesh, where: object) -> None:
             expected="the closed outer surface of the box",
             hint="close the opening and leave out the inner skin, or use --box X Y Z",
         )
+
+
+def _nearest_order(axes: Floats) -> Floats:
+    """Axes, rows, in the order and with the signs in which they are nearest to the frame's."""
+    order = max(permutations(range(3)), key=lambda o: np.abs(axes[list(o)]).trace())
+    turned = axes[list(order)]
+    turned = turned * np.where(np.diag(turned) < 0.0, -1.0, 1.0)[:, None]
+    return np.asarray(turned if np.linalg.det(turned) > 0.0 else turned * [[1.0], [-1.0], [1.0]])

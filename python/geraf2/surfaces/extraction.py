@@ -9,6 +9,7 @@ from scipy.ndimage import binary_dilation
 from geraf2._types import Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.fields import SdfGrid
+from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.fit import Evidence, FitConfig
@@ -173,17 +174,10 @@ def _flipped(mesh: TriangleMesh) -> TriangleMesh:
 
 def _inner_face(prior: LosPrior, wall: Wall) -> TriangleMesh:
     """Inner face of the outermost wall, wound so that it faces the air inside."""
-    described = LosPrior.from_box(wall.size_m, wall.center_m).bounds
-    is_this_box = prior.vertices.shape[0] == 8 and np.allclose(
-        prior.bounds, described, atol=wall.thickness_m
-    )
-    if is_this_box:
-        size = prior.bounds[1] - prior.bounds[0] - 2.0 * wall.thickness_m
-        center = prior.bounds.mean(axis=0)
-        inner = LosPrior.from_box(
-            (float(size[0]), float(size[1]), float(size[2])),
-            (float(center[0]), float(center[1]), float(center[2])),
-        )
+    if prior.cuboid is not None:
+        axes, size, center = prior.cuboid
+        sides = triple(size - 2.0 * wall.thickness_m)
+        inner = LosPrior.from_box(sides, triple(center), axes=axes)
         return _flipped(TriangleMesh(vertices=inner.vertices, faces=inner.faces))
     # Any other closed shape: the level set one thickness inside. Flat parts come out exactly, edges
     # are rounded by a voxel; 80 voxels a side take about a second.

@@ -14,6 +14,7 @@ from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.calibration.found_box import find_box
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
@@ -30,6 +31,7 @@ from geraf2.io.run_folder import stage_key
 from geraf2.io.text import parse_json
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
+from geraf2.scene import load_capture
 from geraf2.scene.los import LosPrior
 from geraf2.scene.photos import PhotoSet
 from geraf2.scene.summary import CaptureSummary
@@ -76,13 +78,13 @@ class LosRecord:
     """Where a prior came from, for los.json."""
 
     kind: str
-    """photos, mesh or box."""
+    """photos, mesh, box or radar."""
     source: str
     """As the user named it."""
     key: str
     """Hash of everything that it depends on."""
     numbers: dict[str, Any] = field(default_factory=dict)
-    """Results of the training."""
+    """Results of the training, or of the search in a scan."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,18 +130,20 @@ def make_los(
     out: Path | str,
     options: LosOptions | None = None,
     *,
+    from_radar: bool = False,
     box_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     overwrite: bool = False,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> LosResult:
-    """Make the prior of a box in a folder from photos, a mesh or side lengths.
+    """Make the prior of a box in a folder from photos, a mesh, side lengths or a radar scan.
 
     source: photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
     metres, as "0.22x0.22x0.22".
     out: folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
     that lies there is kept; an interrupted training is continued.
     options: interpretation of the source, and settings of the training.
+    from_radar: the source is a scene, whose box is found by :func:`find_box`.
     box_center_m: middle of a box of given sides [m].
     overwrite: replace a finished prior of something else in the folder.
     num_threads: all when None.
@@ -156,8 +160,12 @@ def make_los(
     options, listener, path = options or LosOptions(), listener or Listener(), Path(source)
     out, sides = Path(out), _SIDES.fullmatch(str(source))
     _require_own(out)
-    kind, mesh = "mesh", None
-    if sides is not None and not path.exists():
+    kind, mesh, numbers = "mesh", None, dict[str, Any]()
+    if from_radar:
+        with listener.step("box"):
+            box = find_box(load_capture(path), num_threads=num_threads)
+        kind, mesh, numbers = "radar", box.prior.mesh, {"by_radar": str(box), **box.numbers()}
+    elif sides is not None and not path.exists():
         x, y, z = (float(side) for side in sides.groups())
         if not (min(x, y, z) >= _MIN_BOX_M and max(x, y, z) <= _MAX_BOX_M):
             raise UserError(
@@ -179,7 +187,7 @@ def make_los(
     mesh, limits = mesh or _read_placed(path, options), options.limits()
     key = stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits)
     _require_same(out, key, overwrite=overwrite)
-    record = LosRecord(kind=kind, source=str(source), key=key)
+    record = LosRecord(kind=kind, source=str(source), key=key, numbers=numbers)
     return _from_mesh(mesh, out, record, limits, num_threads, listener)
 
 

@@ -30,6 +30,7 @@ from geraf2.io.run_folder import (
     RunFolder,
     stage_key,
 )
+from geraf2.pipeline.box_check import BOX_STAGE, BoxCheck, box_from_radar, checked_prior
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
@@ -60,7 +61,7 @@ SAMPLES_STAGE = "samples"
 
 def reconstruct(
     capture: Capture | Path | str,
-    prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
+    prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,
     config: PresetConfig | str = "best",
     out: Path | str | None = None,
     *,
@@ -75,8 +76,9 @@ def reconstruct(
 
     capture: scene folder, or a capture in memory.
     prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
-    in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. A prior
-    without walls takes those that the capture knows.
+    in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses; None:
+    found by radar (:func:`find_box`). A cuboid that is off by millimetres or degrees is corrected.
+    A prior without walls takes those that the capture knows.
     config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
@@ -87,8 +89,8 @@ def reconstruct(
     listener: hears progress and warnings.
 
     Returns meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
-    Raises UserError where capture and prior do not go together, echoes come from outside the box,
-    or `out` holds something else or is being written into.
+    Raises UserError where capture and prior do not go together, no box is found, echoes come from
+    outside the box, or `out` holds something else or is being written into.
 
     >>> from geraf2.surfaces import FitConfig
     >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
@@ -105,7 +107,9 @@ def reconstruct(
         require_posterior(config, options.samples)
     scene = None if isinstance(capture, Capture) else Path(capture)
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
-    request = _Request.of(loaded, prior, config, options, scene, listener or Listener())
+    record = RunRecord(scene=scene, prior=PriorSource.of(prior), options=options, config=config)
+    given = prior if isinstance(prior, LosPrior) else None
+    request = _Request.of(loaded, given, record, listener or Listener(), num_threads)
     folder = _temporary_folder() if out is None else Path(out)
     run = RunFolder.open(
         folder,
@@ -139,6 +143,8 @@ class _Request:
     """Warnings about the capture."""
     prior: tuple[LosPrior, str] | None
     """Prior and its name in errors; None where it is first made of photos."""
+    box: BoxCheck | None
+    """Comparison with the box by radar; None where the prior is trusted, or made of photos."""
     making: PriorJob | None
     """Job that makes it."""
     record: RunRecord
@@ -150,35 +156,42 @@ class _Request:
     def of(
         cls,
         capture: Capture,
-        prior: LosPrior | PriorSource | Path | str | tuple[float, float, float],
-        config: PresetConfig,
-        options: RunOptions,
-        scene: Path | None,
+        given: LosPrior | None,
+        record: RunRecord,
         listener: Listener,
+        num_threads: int | None,
     ) -> "_Request":
-        """Check capture, prior and angles; UserError where one of them cannot be used."""
-        where = scene or "capture"
+        """Check capture, prior and angles; UserError where one of them cannot be used.
+
+        given: prior in memory; else the record names its source, or none.
+        """
+        where, options, source = record.scene or "capture", record.options, record.prior
         summary = summarize_capture(capture)
         findings = require_plausible(summary, where)
         listener.findings(findings)
-        source = PriorSource.of(prior)
         making = find_prior_job(source.los, options.photos, summary, listener)
-        found = None
-        if making is None:
-            known = prior if isinstance(prior, LosPrior) else source
-            found = _prior(known, capture, summary, listener)
+        found, box = None, None
+        if making is None and (given is not None or source.is_given):
+            found = _prior(given or source, capture, summary, listener)
+            if not options.trust_los:
+                box = checked_prior(capture, *found, summary, listener, num_threads)
+        elif making is None:
+            box = box_from_radar(capture, summary, listener, num_threads)
+        if box is not None:
+            found = box.prior, found[1] if found else "the box by radar"
         if found:
-            require_reconstructable(summary, config, found[0].size_m, where)
+            require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
         outside = _prior_key(found[0]) if found else making.key if making else ""
         return cls(
-            capture=capture,
+            capture=capture if box is None else box.placed(capture),
             summary=summary,
             findings=findings,
             prior=found,
+            box=box,
             making=making,
-            record=RunRecord(scene=scene, prior=source, options=options, config=config),
-            key=_request_key(outside, options, config),
+            record=record,
+            key=_request_key(outside, options, record.config),
             listener=listener,
         )
 
@@ -207,6 +220,12 @@ def _started(
         prior, name = request.prior
         run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
     key = _prior_key(prior)
+    run.forget([BOX_STAGE])
+    if request.box is not None:
+        box = request.box
+        numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
+        run.mark_done(BOX_STAGE, key, [], round(box.seconds, 3), numbers=numbers)
+        heard.note(box.text)
     job = Job(
         run=run,
         capture=request.capture,

@@ -1,0 +1,423 @@
+"""The outside of the box as a scan shows it, with standard deviations and what was not seen."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Bools, Floats, Ints
+from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
+from geraf2.calibration.box_search import (
+    Flashes,
+    RoughFaces,
+    find_axes,
+    leaking,
+    rough_faces,
+    upward,
+    with_lobes,
+    without_lobes,
+)
+from geraf2.calibration.leakage import find_leakage, without_leakage
+from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
+from geraf2.calibration.wall_faces import N_MODES
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
+from geraf2.imaging.peaks import KeptPeaks, PeakSet
+from geraf2.imaging.subapertures import SubapertureConfig
+from geraf2.scene import Capture, LosPrior
+from geraf2.scene.summary import CaptureSummary, summarize_capture
+
+BOX_VERSION = 1
+"""Raised when the same capture gives another box."""
+# Half as many sub-apertures and directions as glints need: a fifth of the time.
+_COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+# The region that is imaged, over the distance of the planes: a box within them is smaller.
+_REGION = 1.3
+# How well flashes fix a face before the fit.
+_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
+# Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
+_SEEN_SHARE, _FEWEST = 0.5, 2
+# Of a plane 0, of a ball half as far behind its surface as the antennas are before it 0.67.
+_MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
+# Sides of a box at least; echoes outside of it are grating lobes, multipath and clutter.
+_LEAST_SIDE_M, _MARGIN_M, _MOST_OUTSIDE = 0.04, 0.01, 0.3
+# How far a box's walls lie outside of planes of its content on average, at least.
+_OUTSIDE_M = 0.02
+# And their least weight (the root of a strength): 22 dB below metal content; multipath is weaker.
+_FAINTEST = 0.28
+# Echoes of walls and of their edges are stronger, over the strongest of all [dB].
+_DYNAMIC_RANGE_DB = -45.0
+# Leakage this much below the walls moves none of their echoes.
+_LEAKAGE_DB = -25.0
+_COVER = 1.96
+# A face that nothing shows lies so much beyond those of a cube as large as what was seen: content
+# that a wall would cut is lost, empty space costs nothing.
+_SLACK_M = 0.04
+
+
+class Seen(IntEnum):
+    """How a face of the box was found."""
+
+    NOT = 0
+    """By nothing: its position is a bound."""
+    EDGES = 1
+    """By echoes of its edges on neighbouring faces."""
+    SQUARELY = 2
+    """By flashes: antennas stand before it, or see it from behind."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundBox:
+    """A cuboid of any orientation.
+
+    Faces are in rows by axis, (3, 2): against it, then along it.
+    """
+
+    axes: Floats
+    """Rows, unit; the last is nearest to the vertical, (3, 3)."""
+    turn_sigma_rad: Floats
+    """Standard deviations of turns about the frame's axes, (3,) [rad]."""
+    offsets_m: Floats
+    """Of the faces, outward from the frame's origin, (3, 2) [m]."""
+    sigmas_m: Floats
+    """Standard deviations of these; infinite where a face was not seen, (3, 2) [m]."""
+    bounds_m: Floats
+    """95 % intervals of the offsets, (3, 2, 2) [m]; infinite where nothing bounds them."""
+    seen: Ints
+    """`Seen` of each face, (3, 2)."""
+    content_share: float = 0.0
+    """Share of the energy that comes from within; nearly none where the planes are a metal body."""
+
+    @property
+    def size_m(self) -> Floats:
+        """Side lengths along the axes, (3,) [m]."""
+        return np.asarray(self.offsets_m.sum(axis=1))
+
+    @property
+    def center_m(self) -> Floats:
+        """Middle, (3,) [m]."""
+        return np.asarray(0.5 * (self.offsets_m[:, 1] - self.offsets_m[:, 0]) @ self.axes)
+
+    @property
+    def yaw_deg(self) -> float:
+        """Turn about the vertical from the nearest axis of the frame, -45 to 45 [degrees]."""
+        first, nearest = self.axes[0], int(np.abs(self.axes[0]).argmax())
+        frame = np.sign(first[nearest]) * np.eye(3)[nearest]
+        return float(np.rad2deg(np.arctan2(self.axes[2] @ np.cross(frame, first), frame @ first)))
+
+    @property
+    def yaw_sigma_deg(self) -> float:
+        """Its standard deviation [degrees]."""
+        return float(np.rad2deg(np.linalg.norm(self.axes[2] * self.turn_sigma_rad)))
+
+    def moved(self, shift_m: Floats) -> "FoundBox":
+        """Box in a frame whose origin is elsewhere."""
+        shift = (self.axes @ shift_m)[:, None] * [-1.0, 1.0]
+        return replace(
+            self, offsets_m=self.offsets_m + shift, bounds_m=self.bounds_m + shift[..., None]
+        )
+
+    @property
+    def prior(self) -> LosPrior:
+        """Line-of-sight prior of these sides, without walls."""
+        return LosPrior.from_box(triple(self.size_m), triple(self.center_m), axes=self.axes)
+
+    def numbers(self) -> dict[str, Any]:
+        """For run.json: lengths in metres, angles in degrees; None where nothing bounds a face."""
+        return {
+            "size_m": _plain(self.size_m),
+            "size_sigma_m": _plain(np.linalg.norm(self.sigmas_m, axis=1)),
+            "center_m": _plain(self.center_m),
+            "axes": self.axes.round(6).tolist(),
+            "yaw_deg": round(self.yaw_deg, 4),
+            "yaw_sigma_deg": round(self.yaw_sigma_deg, 4),
+            "faces": {
+                name: {
+                    "seen": Seen(int(self.seen[k, side])).name.lower(),
+                    "offset_m": _plain(self.offsets_m[k, side]),
+                    "sigma_m": _plain(self.sigmas_m[k, side]),
+                    "interval_m": _plain(self.bounds_m[k, side]),
+                }
+                for name, k, side in _face_names()
+            },
+        }
+
+    def __str__(self) -> str:
+        sizes = []
+        for size, sigma in zip(self.size_m, np.linalg.norm(self.sigmas_m, axis=1), strict=True):
+            error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
+            sizes.append(f"{1e3 * size:.1f}{error}")
+        kinds = {
+            kind: [name for name, k, side in _face_names() if self.seen[k, side] == kind]
+            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
+        }
+        seen = ", ".join(
+            f"{' '.join(names)} {text}"
+            for names, text in zip(
+                kinds.values(), ("seen squarely", "by their edges", "not seen"), strict=True
+            )
+            if names
+        )
+        turn = f"{self.yaw_deg:.2f} +- {self.yaw_sigma_deg:.2f} degrees"
+        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {seen}"
+
+
+def _face_names() -> list[tuple[str, int, int]]:
+    """Name, axis and column of each face."""
+    return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
+
+
+def _plain(values: Floats | float) -> Any:
+    """Lengths as numbers of JSON, None where there is none, to a micrometre."""
+    array = np.asarray(values, dtype=np.float64)
+    if array.ndim:
+        return [_plain(value) for value in array]
+    return round(float(array), 6) if np.isfinite(array) else None
+
+
+def find_box(
+    capture: Capture,
+    *,
+    expected: LosPrior | None = None,
+    summary: CaptureSummary | None = None,
+    num_threads: int | None = None,
+) -> FoundBox:
+    """Find the box around the content from the scan alone.
+
+    capture: the scan. Its instrument delay must be known to a centimetre.
+    expected: a cuboid whose orientation is preferred where the scan leaves several.
+    summary: of the capture, where it was made already.
+    num_threads: all cores when None.
+
+    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
+    interval. Where nothing but the seen walls bounds them, they are placed generously.
+    Raises UserError where no walls are found, or where the antennas stand within them.
+
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> box = geraf2.find_box(capture)
+    >>> [round(side, 2) for side in box.size_m[:2].tolist()]
+    [0.16, 0.16]
+    """
+    summary = summary or summarize_capture(capture)
+    focus, reach = summary.focus, summary.standoff_m
+    if focus is None or not np.isfinite(reach):
+        raise _without_box(seen="the planes face no common point")
+    capture = _moved(capture, -focus)
+    region = LosPrior.from_box((_REGION * reach,) * 3)
+    peaks = KeptPeaks(region, _COARSE, num_threads=num_threads)
+    like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
+    rough, seen, leakage_db = _rough(capture, peaks, like)
+    if leakage_db > _LEAKAGE_DB:
+        leakage = find_leakage(capture, _filled(rough).prior, peaks)
+        if leakage.method != "none":
+            capture = without_leakage(capture, leakage)
+            rough, seen, _ = _rough(capture, peaks, like)
+    box = _filled(rough)
+    if not box.size_m.min() > _LEAST_SIDE_M:
+        raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
+    box = _refined(capture, box, _Known(peaks, seen))
+    box = replace(box, content_share=_content_share(box, seen))
+    return _bounded(capture, box, seen).moved(focus)
+
+
+def _moved(capture: Capture, shift_m: Floats) -> Capture:
+    """Capture in a frame whose origin is elsewhere."""
+    poses = (
+        replace(p, tx_positions=p.tx_positions + shift_m, rx_positions=p.rx_positions + shift_m)
+        for p in capture.poses
+    )
+    return replace(capture, poses=tuple(poses))
+
+
+def _rough(
+    capture: Capture, peaks: KeptPeaks, like: Floats | None
+) -> tuple[RoughFaces, PeakSet, float]:
+    """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
+    found = peaks.of(capture)
+    leaks = leaking(capture, found)
+    strength = found.magnitudes * found.ranges_m
+    strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
+    kept = found.select(~leaks & strong)
+    rough, known, is_flash = _planes(capture, kept, like)
+    # The densest planes may be of flat content, and others stand around them.
+    around, outer, _ = _planes(capture, kept.select(~is_flash), like)
+    if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
+        rough, known = around, outer
+    if rough.mean_m == -np.inf:
+        raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
+    walls = rough.strength**2
+    leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
+    return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
+
+
+def _planes(
+    capture: Capture, peaks: PeakSet, like: Floats | None
+) -> tuple[RoughFaces, PeakSet, Bools]:
+    """Faces of planes at right angles; peaks in their true direction, and which are flashes."""
+    if not len(peaks):
+        nothing = RoughFaces(axes=np.eye(3), offsets_m=np.full((3, 2), np.nan), strength=0.0)
+        return nothing, peaks, np.zeros(0, dtype=bool)
+    lobes, index = with_lobes(capture, peaks)
+    flashes = Flashes.of(lobes)
+    rough = rough_faces(flashes, find_axes(flashes, upward(capture), like))
+    return rough, *without_lobes(peaks, lobes, index, rough)
+
+
+def _filled(rough: RoughFaces) -> FoundBox:
+    """Box whose unseen faces lie as far out as the seen ones, until they are bounded."""
+    unseen = np.isnan(rough.offsets_m)
+    offsets = rough.offsets_m.copy()
+    half = float(np.nanmean(offsets))
+    for k in range(3):
+        if unseen[k].all():
+            offsets[k] = half
+        elif unseen[k].any():
+            offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
+    return FoundBox(
+        axes=rough.axes,
+        turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
+        offsets_m=offsets,
+        sigmas_m=np.where(unseen, np.inf, _ROUGH.wall_sigma_m),
+        bounds_m=np.zeros((3, 2, 2)),
+        seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
+    )
+
+
+class _Known(KeptPeaks):
+    """Peaks whose directions are known by now."""
+
+    def __init__(self, peaks: KeptPeaks, known: PeakSet) -> None:
+        super().__init__(peaks.prior, peaks.subaperture, num_threads=peaks.num_threads)
+        self.known = known
+
+    def of(self, *_: Any, **__: Any) -> PeakSet:
+        """Return these, whatever the capture."""
+        return self.known
+
+
+def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
+    """Box after one estimate of delay, orientation and each wall's distance."""
+    try:
+        problem = WallProblem(capture, box.prior, _ROUGH, peaks)
+    except UserError as error:
+        raise _without_box(seen=str(error).partition(", expected")[0]) from error
+    fit = problem.fit(("delay", "frame"))
+    found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
+    turn = found.prior_to_capture[:3, :3]
+    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]
+    sigmas = np.sqrt(np.diag(fit.covariance))[shapes]
+    axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
+    seen = box.seen.copy()
+    for wall, normal in enumerate(problem.faces.normals):
+        along = box.axes @ normal
+        k = int(np.abs(along).argmax())
+        side = int(along[k] > 0.0)
+        middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
+        offsets[k, side] = middle @ (turn @ normal) + fit.values[shapes[wall]]
+        widths[k, side] = sigmas[wall]
+        is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
+        seen[k, side] = Seen.SQUARELY if is_seen else Seen.NOT
+    return replace(
+        box,
+        axes=axes,
+        turn_sigma_rad=found.rotation_sigma_rad,
+        offsets_m=offsets,
+        sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
+        seen=seen,
+    )
+
+
+def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
+    """Whether a wall is flat, and most sub-apertures that face it squarely have its echo.
+
+    echoes: peaks that are interpreted as the wall's.
+    """
+    peaks, normal = problem.echoes, problem.faces.normals[wall]
+    own = np.unique(peaks.subapertures[echoes])
+    if len(own) < _FEWEST or _curvature(peaks.select(echoes)) > _MOST_CURVED:
+        return False
+    centers = peaks.subaperture_centers
+    ahead = problem.axes[peaks.subaperture_planes][:, 0] @ normal
+    feet = centers - np.outer((centers - centers[own].mean(axis=0)) @ normal, normal)
+    low, high = feet[own].min(axis=0) - 1e-3, feet[own].max(axis=0) + 1e-3
+    expected = (np.abs(ahead) > SQUARE_COSINE) & ((feet >= low) & (feet <= high)).all(axis=1)
+    expected &= np.isin(np.arange(len(centers)), peaks.subapertures)
+    expected &= np.isin(np.sign(ahead), np.sign(ahead[own]))
+    return len(own) >= _SEEN_SHARE * int(expected.sum())
+
+
+def _curvature(echoes: PeakSet) -> float:
+    """How much lines of sight converge: 0 to a plane, 1 to a point, less than 0 to a hollow."""
+    off_center, off_direction = np.zeros((2, len(echoes), 3))
+    for number in np.unique(echoes.planes):
+        own = echoes.planes == number
+        off_center[own] = echoes.centers[own] - echoes.centers[own].mean(axis=0)
+        off_direction[own] = echoes.directions[own] - echoes.directions[own].mean(axis=0)
+    spread = float((off_center**2).sum())
+    if spread < _LEAST_SPREAD_M**2:
+        return 0.0
+    return -float((off_center * off_direction).sum() / spread * echoes.ranges_m.mean())
+
+
+def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
+    """Box whose unseen faces lie at their edges, or generously around all that was seen."""
+    offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
+    square = seen == Seen.SQUARELY
+    bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
+    for _, k, side in _face_names():
+        face = (k, side)
+        if square[face]:
+            continue
+        known = (seen != Seen.NOT).all(axis=1)
+        usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
+        least = flash_reach(peaks, box.axes, box.offsets_m, square, face)
+        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, least)
+        if edge is None:
+            content = content_reach(peaks, box.axes, box.offsets_m, square, face)
+            offsets[face] = max(least, content, usual)
+            bounds[face] = least, np.inf
+        else:
+            offsets[face], sigmas[face] = edge
+            seen[face] = Seen.EDGES
+            bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
+    _require_outside(capture, box.axes, offsets)
+    return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
+
+
+def _content_share(box: FoundBox, peaks: PeakSet) -> float:
+    """Share of the energy within the walls; UserError where they do not enclose the echoes."""
+    square = box.seen == Seen.SQUARELY
+    if not square.any():
+        raise _without_box(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
+    along, energy = peaks.points @ box.axes.T, (peaks.magnitudes * peaks.ranges_m) ** 2
+
+    def share(margin_m: float) -> float:
+        limits = np.where(square, box.offsets_m + margin_m, np.inf)
+        inside = ((along <= limits[:, 1]) & (along >= -limits[:, 0])).all(axis=1)
+        return float(energy[inside].sum() / energy.sum())
+
+    outside = 1.0 - share(_MARGIN_M)
+    if outside > _MOST_OUTSIDE:
+        raise _without_box(seen=f"planes with {100 * outside:.0f} % of the echoes outside of them")
+    return share(-_MARGIN_M)
+
+
+def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
+    """Raise UserError where antennas stand within the walls that were found."""
+    n_inside = 0
+    for pose in capture.poses:
+        along = pose.phase_centers @ axes.T
+        inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
+        n_inside += bool(inside.all(axis=1).any())
+    if n_inside:
+        raise _without_box(seen=f"planes around which walls would stand: {n_inside}")
+
+
+def _without_box(seen: str) -> UserError:
+    return UserError(
+        what="no walls of a box are found in the scan",
+        expected="flashes of at least one flat wall that antennas face squarely",
+        got=seen,
+        hint="give the outside of the box with --box X Y Z or --los MESH",
+    )

@@ -1,0 +1,179 @@
+"""The box of a run as its radar sees it: the prior where none is given, a check of one that is."""
+
+import time
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+import numpy as np
+
+from geraf2._types import Floats, Ints
+from geraf2.calibration.found_box import FoundBox, Seen, find_box
+from geraf2.errors import UserError
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.prior import with_walls
+from geraf2.scene import Capture, LosPrior
+from geraf2.scene.summary import CaptureSummary
+
+BOX_STAGE = "box"
+"""Of a run's record."""
+# Differences from the prior that calibration corrects by itself.
+_SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
+# A box that differs by more is another one.
+_OTHER_BOX_M = 0.03
+# Planes with less energy from within belong to a body, not to walls.
+_EMPTY = 0.02
+_COVER = 2.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BoxCheck:
+    """Prior of a run, and what the scan shows of its box."""
+
+    prior: LosPrior
+    found: FoundBox | None
+    """None where a prior was given and the scan shows no walls."""
+    text: str
+    """In a line."""
+    seconds: float
+    is_new: bool = False
+    """Whether the prior is the found box, or was corrected by it."""
+
+    def placed(self, capture: Capture) -> Capture:
+        """Capture whose walls are where the prior is; none where they are turned."""
+        if not self.is_new:
+            return capture
+        return replace(capture, walls=() if self.prior.is_turned else self.prior.walls)
+
+
+def box_from_radar(
+    capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
+) -> BoxCheck:
+    """Find the box where no prior is given; UserError where the scan shows none."""
+    start = time.perf_counter()
+    with listener.step(BOX_STAGE):
+        found = find_box(capture, summary=summary, num_threads=num_threads)
+    prior = with_walls(found.prior, capture.walls, listener)
+    seconds = time.perf_counter() - start
+    return BoxCheck(prior=prior, found=found, text=str(found), seconds=seconds, is_new=True)
+
+
+def checked_prior(
+    capture: Capture,
+    prior: LosPrior,
+    name: str,
+    summary: CaptureSummary,
+    listener: Listener,
+    num_threads: int | None,
+) -> BoxCheck:
+    """Compare a given prior with the box of the scan, and correct a cuboid that is off.
+
+    name: of the prior in errors.
+
+    Raises UserError where the scan shows another box.
+    """
+    start = time.perf_counter()
+    with listener.step(BOX_STAGE):
+        try:
+            found: FoundBox | None = find_box(
+                capture, expected=prior, summary=summary, num_threads=num_threads
+            )
+        except UserError:
+            found = None
+    seconds = time.perf_counter() - start
+    if found is None:
+        text = "no wall is seen squarely, with which the prior would be compared"
+        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
+    if prior.cuboid is None:
+        text = f"{found}; the prior is no cuboid and is not compared with it"
+        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+    difference = Difference.of(found, *prior.cuboid)
+    if difference.is_other and difference.is_within and found.content_share < _EMPTY:
+        text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
+        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
+    if difference.is_other:
+        raise UserError(
+            what="the scan shows another box than the prior",
+            where=name,
+            expected=f"sides of {_in_mm(difference.given_size_m, difference.both)} mm",
+            got=f"{_in_mm(found.size_m, difference.both)} mm by the walls' echoes",
+            hint="leave the prior out, or keep it with --trust-los",
+        )
+    if not difference.text:
+        text = f"{found}; the prior agrees"
+        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+    corrected = difference.corrected(found)
+    text = f"the prior is off by {difference.text} and was corrected: {corrected}"
+    prior = with_walls(corrected.prior, capture.walls, listener)
+    return BoxCheck(prior=prior, found=found, text=text, seconds=seconds, is_new=True)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Difference:
+    """How far a given cuboid is off a found one, along the found one's axes."""
+
+    given_size_m: Floats
+    """(3,) [m]."""
+    given_offsets_m: Floats
+    """Of the given box's faces, as those of `FoundBox`, (3, 2) [m]."""
+    both: Ints
+    """Axes of which both faces are seen squarely."""
+    is_other: bool
+    is_within: bool
+    """Whether all found sides are shorter."""
+    text: str
+    """What is off, and by how much; empty where the prior agrees."""
+
+    @classmethod
+    def of(cls, found: FoundBox, axes: Floats, size_m: Floats, center_m: Floats) -> "Difference":
+        """Compare; axes, size and middle are the given cuboid's."""
+        square = found.seen == Seen.SQUARELY
+        both, some = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
+        order = min(
+            permutations(range(3)),
+            key=lambda o: _misfit(found, axes[list(o)], size_m[list(o)], both),
+        )
+        size, axes = size_m[list(order)], axes[list(order)]
+        middle = found.axes @ center_m
+        offsets = np.stack([0.5 * size - middle, 0.5 * size + middle], axis=1)
+        tolerance = _COVER * np.linalg.norm(found.sigmas_m, axis=1)
+        off_size = found.size_m - size
+        center = 0.5 * (found.offsets_m[:, 1] - found.offsets_m[:, 0]) - middle
+        turn = np.rad2deg(np.arccos(np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)))
+        turn_deg = float(turn[some].max(initial=0.0))
+        parts = []
+        if len(both) and (np.abs(off_size[both]) > _SIZE_M + tolerance[both]).any():
+            parts.append(f"{1e3 * np.abs(off_size[both]).max():.1f} mm of size")
+        if turn_deg > _TURN_DEG + _COVER * found.yaw_sigma_deg:
+            parts.append(f"{turn_deg:.1f} degrees of turn")
+        shift = float(np.linalg.norm(center[both]))
+        if shift > _CENTER_M:
+            parts.append(f"{1e3 * shift:.1f} mm of position")
+        return cls(
+            given_size_m=size,
+            given_offsets_m=offsets,
+            both=both,
+            is_within=bool((off_size[both] < 0.0).all()),
+            is_other=bool((np.abs(off_size[both]) > _OTHER_BOX_M).any()),
+            text=", ".join(parts),
+        )
+
+    def corrected(self, found: FoundBox) -> FoundBox:
+        """Found faces where they were seen squarely; else the given size about them."""
+        offsets = self.given_offsets_m.copy()
+        square = found.seen == Seen.SQUARELY
+        offsets[square] = found.offsets_m[square]
+        for k in np.flatnonzero(square.any(axis=1) & ~square.all(axis=1)):
+            side = int(square[k].argmax())
+            offsets[k, 1 - side] = self.given_size_m[k] - offsets[k, side]
+        return replace(found, offsets_m=offsets)
+
+
+def _misfit(found: FoundBox, axes: Floats, size_m: Floats, both: Ints) -> float:
+    """Degrees of turn and millimetres of size by which a naming of the axes does not fit."""
+    cosine = np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)
+    size = 1e3 * np.abs(found.size_m - size_m)[both].max(initial=0.0)
+    return float(np.rad2deg(np.arccos(cosine)).max() + size)
+
+
+def _in_mm(lengths_m: Floats, axes: Ints) -> str:
+    return " x ".join(f"{1e3 * lengths_m[k]:.0f}" for k in axes)

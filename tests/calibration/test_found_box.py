@@ -1,0 +1,122 @@
+"""The box of a scan, found without a prior. Scans are coarse: antennas 6 mm apart."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from geraf2 import examples, simulate
+from geraf2.calibration.found_box import Seen, find_box
+from geraf2.errors import UserError
+
+SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
+SIDES = ("-x", "+x", "-y", "+y")
+
+
+def turned(capture, degrees):
+    cosine, sine = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
+    return replace(
+        capture,
+        poses=tuple(
+            replace(
+                pose,
+                tx_positions=pose.tx_positions @ turn.T,
+                rx_positions=pose.rx_positions @ turn.T,
+                axes=np.ascontiguousarray(pose.axes @ turn.T),
+            )
+            for pose in capture.poses
+        ),
+    ), turn
+
+
+@pytest.fixture(scope="module")
+def scan():
+    """All four sides are seen at 10 degrees, where grating lobes show them at 9 degrees."""
+    spec = examples.small_scene()
+    wall = replace(spec.walls[0], size_m=tuple(SIZE_M), center_m=tuple(CENTER_M))
+    planes = replace(spec.scan, n_poses=8, start_angle_deg=10.0)
+    return simulate(replace(spec, walls=(wall,), scan=planes), seed=0)[0]
+
+
+@pytest.mark.parametrize("degrees", [0.0, 31.0, -41.0])
+def test_a_box_is_found_at_any_yaw(scan, degrees):
+    capture, turn = turned(scan, degrees)
+    box = find_box(capture)
+    assert abs(box.yaw_deg - degrees) < 0.3
+    np.testing.assert_allclose(box.size_m[:2], SIZE_M[:2], atol=2e-3)
+    np.testing.assert_allclose((box.center_m @ turn)[:2], CENTER_M[:2], atol=1e-3)
+    assert (box.seen[:2] == Seen.SQUARELY).all()
+    assert np.isfinite(box.sigmas_m[:2]).all()
+
+
+def test_a_found_box_is_a_prior_and_says_what_it_saw(scan):
+    box = find_box(scan)
+    axes, size, center = box.prior.cuboid
+    np.testing.assert_allclose(size, box.size_m)
+    np.testing.assert_allclose(center, box.center_m)
+    np.testing.assert_allclose(axes, box.axes, atol=1e-12)
+    assert "-x +x -y +y seen squarely, -z +z not seen" in str(box)
+    faces = box.numbers()["faces"]
+    assert [faces[name]["seen"] for name in SIDES] == ["squarely"] * 4
+    assert faces["+z"]["seen"] == "not"
+    low, high = faces["+z"]["interval_m"]
+    assert high is None
+    assert 0.0 < low < 0.5 * SIZE_M[2]
+    assert 0.5 * SIZE_M[2] < faces["+z"]["offset_m"]  # nothing of the content is cut off
+
+
+def test_sides_that_no_antenna_faces_are_found_by_their_edges():
+    box = find_box(examples.small_capture()[0])
+    assert box.seen[0].tolist() == [Seen.SQUARELY] * 2
+    assert box.seen[1].tolist() == [Seen.EDGES] * 2
+    low, high = np.moveaxis(box.bounds_m[1], -1, 0)
+    assert (low < 0.08).all()
+    assert (high > 0.08).all()
+
+
+def test_the_origin_of_the_frame_may_lie_anywhere(scan):
+    shift = np.array([0.3, -0.2, 1.0])
+    poses = tuple(
+        replace(p, tx_positions=p.tx_positions + shift, rx_positions=p.rx_positions + shift)
+        for p in scan.poses
+    )
+    here, there = find_box(scan), find_box(replace(scan, poses=poses))
+    np.testing.assert_allclose(there.center_m - here.center_m, shift, atol=1e-5)
+    np.testing.assert_allclose(there.size_m, here.size_m, atol=1e-5)
+    np.testing.assert_array_equal(there.seen, here.seen)
+
+
+def test_the_walls_of_the_scene_do_not_give_the_size(scan):
+    other = tuple(replace(wall, size_m=(0.3, 0.3, 0.3)) for wall in scan.walls)
+    unlike = find_box(replace(scan, walls=other))
+    np.testing.assert_array_equal(unlike.offsets_m, find_box(scan).offsets_m)
+
+
+def test_noise_has_no_walls(scan):
+    rng = np.random.default_rng(0)
+    noise = tuple(
+        replace(pose, signal=rng.normal(size=(pose.n_antennas, 64)).astype("f4").view("c8"))
+        for pose in scan.poses
+    )
+    with pytest.raises(UserError, match=r"no walls of a box are found .*--box X Y Z"):
+        find_box(replace(scan, poses=noise))
+
+
+def test_content_without_a_box_has_no_walls():
+    spec = examples.small_scene()
+    with pytest.raises(UserError, match="no walls of a box are found"):
+        find_box(simulate(replace(spec, walls=()), seed=0)[0])
+
+
+def test_antennas_within_the_walls_are_refused(scan):
+    middle = scan.poses[3]
+    inward = 0.38 * middle.axes[0]
+    lost = replace(
+        middle,
+        tx_positions=middle.tx_positions + inward,
+        rx_positions=middle.rx_positions + inward,
+    )
+    poses = (*scan.poses[:3], lost, *scan.poses[4:])
+    with pytest.raises(UserError, match="planes around which walls would stand: 1"):
+        find_box(replace(scan, poses=poses))

@@ -1,0 +1,123 @@
+"""A given prior against the box that the radar sees."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from geraf2 import examples
+from geraf2.calibration.found_box import FoundBox, Seen
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import rigid
+from geraf2.pipeline import box_check
+from geraf2.pipeline.box_check import checked_prior
+from geraf2.pipeline.events import Listener
+from geraf2.scene import LosPrior
+
+SIZE = np.array([0.30, 0.20, 0.25])
+
+
+def turn(degrees):
+    return rigid(Rotation.from_euler("z", degrees, degrees=True).as_matrix(), np.zeros(3))
+
+
+def a_box(seen=((2, 2), (2, 2), (0, 0)), degrees=0.0):
+    seen = np.array(seen)
+    return FoundBox(
+        axes=turn(degrees)[:3, :3].T,
+        turn_sigma_rad=np.full(3, 0.005),
+        offsets_m=np.repeat(0.5 * SIZE[:, None], 2, axis=1),
+        sigmas_m=np.where(seen == Seen.SQUARELY, 5e-4, np.inf),
+        bounds_m=np.zeros((3, 2, 2)),
+        seen=seen,
+        content_share=0.3,
+    )
+
+
+def check(prior, found, monkeypatch):
+    monkeypatch.setattr(box_check, "find_box", lambda *_, **__: found)
+    capture = examples.small_capture()[0]
+    return checked_prior(capture, prior, "--box", None, Listener(), None)
+
+
+def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
+    return LosPrior.from_box(tuple(size), center).moved(turn(degrees))
+
+
+@pytest.mark.parametrize(
+    "prior",
+    [given(), given(SIZE + 0.004), given(center=(0.005, 0.0, 0.03)), given(degrees=2.5)],
+)
+def test_a_prior_that_is_right_is_kept_as_it_is(prior, monkeypatch):
+    assert check(prior, a_box(), monkeypatch).prior is prior
+
+
+@pytest.mark.parametrize(
+    ("prior", "said"),
+    [
+        (given(SIZE + 0.008), "off by 8.0 mm of size and was"),
+        (given(SIZE - 0.008), "off by 8.0 mm of size and was"),
+        (given(degrees=12.0), "off by 12.0 degrees of turn and was"),
+        (given(center=(0.02, 0.0, 0.0)), "off by 20.0 mm of position and was"),
+    ],
+)
+def test_a_prior_that_is_off_gets_the_faces_that_were_seen(prior, said, monkeypatch):
+    checked = check(prior, a_box(), monkeypatch)
+    assert said in checked.text
+    axes, size, center = checked.prior.cuboid
+    np.testing.assert_allclose(axes, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(size[:2], SIZE[:2])
+    np.testing.assert_allclose(center, 0.0, atol=1e-9)
+    # Its height was given, and no face says otherwise.
+    np.testing.assert_allclose(size[2], prior.cuboid[1][2])
+
+
+def test_axes_are_named_by_the_sides_that_fit(monkeypatch):
+    turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).moved(turn(88.0))
+    assert check(turned, a_box(), monkeypatch).prior is turned
+
+
+def test_a_face_seen_alone_carries_the_given_size(monkeypatch):
+    found = a_box(seen=((0, 2), (2, 2), (0, 0)))
+    checked = check(given((0.306, 0.212, 0.25), (0.0, 0.02, 0.0)), found, monkeypatch)
+    _, size, center = checked.prior.cuboid
+    np.testing.assert_allclose(size[:2], [SIZE[0] + 0.006, SIZE[1]])
+    np.testing.assert_allclose(center[:2], [-0.003, 0.0], atol=1e-9)
+
+
+def test_another_parcel_is_an_error_with_both_sizes(monkeypatch):
+    text = (
+        r"--box: the scan shows another box .* sides of 360 x 240 mm, got 300 x 200 mm .*trust-los"
+    )
+    with pytest.raises(UserError, match=text):
+        check(given(1.2 * SIZE), a_box(), monkeypatch)
+
+
+def test_flat_content_is_no_other_box(monkeypatch):
+    solid = replace(a_box(), content_share=0.001)
+    checked = check(given(1.5 * SIZE), solid, monkeypatch)
+    assert checked.found is None
+    assert checked.text == "planes of 300 x 200 mm within the prior are content"
+    with pytest.raises(UserError, match="another box"):  # it does not fit into the prior
+        check(given(0.7 * SIZE), solid, monkeypatch)
+
+
+def test_a_prior_of_another_shape_is_kept(monkeypatch):
+    box = given(0.5 * SIZE)
+    corner = LosPrior(
+        vertices=box.vertices * [1.0, 1.0, 1.3] + 0.1 * box.vertices[:, ::-1], faces=box.faces
+    )
+    checked = check(corner, a_box(), monkeypatch)
+    assert checked.prior is corner
+    assert "no cuboid" in checked.text
+
+
+def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):
+    capture = examples.small_capture()[0]
+    for degrees, n_walls in ((1.0, 1), (20.0, 0)):
+        found = a_box(degrees=degrees)
+        monkeypatch.setattr(box_check, "find_box", lambda *_, found=found, **__: found)
+        box = box_check.box_from_radar(capture, None, Listener(), None)
+        assert len(box.placed(capture).walls) == n_walls
+        np.testing.assert_allclose(box.prior.walls[0].size_m, SIZE)
