@@ -36,7 +36,7 @@ _FINE, _ROUGH = 1e-5, 1e-4
 
 UNKNOWN_OFFSET_M = 1e-3
 """Standard deviation of the range offset of a scan that shows no wall of its box [m]."""
-FIT_VERSION = 22
+FIT_VERSION = 23
 """Raised when the same glints and settings give another field, for best, too."""
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, MarginM, NotNegative, Share
 from geraf2._types import Progress
-from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
@@ -43,8 +43,8 @@ class RefineConfig(Bounded):
     shadows: bool = True
     """Cut off what lies on lines of sight that the silhouettes show free."""
     max_contradicted: Share = 0.03
-    """Outlines are dropped if more of the glints on lines that they know lie where they show free
-    space. Correct outlines have up to 0.02."""
+    """Outlines are dropped if more of the amplitude of glints on lines that they know lies where
+    they show free space. Correct outlines have up to 0.025, wrong ones 0.02 to 0.4."""
 
 
 class SelectedGlints(NamedTuple):
@@ -107,10 +107,11 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
     """Those whose free lines of sight do not pass through what was seen.
 
     Only glints on lines that an outline knows can confirm it: of a region without content, or of
-    a wall that bulges too much, there are none.
+    a wall that bulges too much, there are none. They count by amplitude and probability.
     """
     free_m = outlines.free_distances(seen.positions)
-    known = np.isfinite(free_m) * seen.probability
+    relative = np.minimum(1.0, seen.strengths / strong_level(seen.strengths))
+    known = np.isfinite(free_m) * seen.probability * relative
     wrong = (known * (free_m > config.outline_clearance_m)).sum(axis=1)
     confirmed = np.isfinite(free_m).sum(axis=1) >= _LEAST_CONFIRMING
     return outlines.select(confirmed & (wrong <= config.max_contradicted * known.sum(axis=1)))
