@@ -28,7 +28,7 @@ class UserError(Exception):
         if expected is not None:
             parts.append(f"expected {shortened(str(expected), 300)}")
         if got is not None:
-            parts.append(f"got {shortened(str(got), 300)}")
+            parts.append(f"got {shortened(str(got), 250)}")
         line = ", ".join(parts)
         if hint is not None:
             line = f"{line}; {hint}"

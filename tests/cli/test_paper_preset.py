@@ -51,7 +51,7 @@ def test_a_run_holds_fields_meshes_and_pictures(paper_run):
     ]
     content = read_mesh(paper_run / "mesh_content.ply")
     assert np.abs(content.vertices).max() < 0.1 - 0.012 + 1e-3
-    assert set(RunFolder.read(paper_run).stages) == {"calibration", "train", "mesh"}
+    assert set(RunFolder.read(paper_run).stages) == {"box", "calibration", "train", "mesh"}
     events = [json.loads(line) for line in (paper_run / "log.jsonl").read_text().splitlines()]
     last = [e for e in events if e["event"] == "training"][-1]
     assert (last["stage"], last["step"]) == (2, 8)

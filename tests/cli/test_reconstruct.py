@@ -181,7 +181,7 @@ def test_the_number_of_threads_changes_nothing(scene, tmp_path, built_run):
     [
         (["--box", "20", "20", "20"], "is it in centimetres"),
         (["--box", "1", "1", "1"], "the box contains the antennas of 9 planes"),
-        (["--box", "0.1", "0.1", "0.1"], "% of the echo energy comes from"),
+        (["--box", "0.1", "0.1", "0.1"], "the scan shows another box than the prior"),
         ([*BOX, "--box-center", "0", "0", "0.5"], "probably in another frame"),
     ],
 )

@@ -209,7 +209,7 @@ class _Rule:
 def _peak_density() -> float:
     """Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
     spread = _OFFSET_SIGMA_M * 2.0 * _NORMAL_SIGMA_RAD**2 * _SPREAD_M**2
-    return 1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread)
+    return float(1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread))
 
 
 def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:

@@ -77,7 +77,7 @@ def reconstruct(
     capture: scene folder, or a capture in memory.
     prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
     in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses; None:
-    found by radar (:func:`find_box`). A cuboid that is off by millimetres or degrees is corrected.
+    found by radar (`geraf2.find_box`). A cuboid that is off by millimetres or degrees is corrected.
     A prior without walls takes those that the capture knows.
     config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
