@@ -69,6 +69,7 @@ ROWS = [
         seed -1
         fit.spacing-m 0 1e-9 10
         fit.margin-m inf
+        fit.cap-lean -9 -9|0.2
         fit.max-voxels 1e6 none
         glints.subaperture.size-m 0
         glints.subaperture.rim-sizes-m 0

@@ -57,6 +57,7 @@ ROWS = [
         box [1,2]|[nan,1,1]|"big"
         hold_out [nan]|3
         trust_los 1
+        fit.cap_lean [0.2]|[2,3]
         fit.max_voxels 0 1.5
         glints.least_probability -1
         glints.subaperture.max_cosine 1.0 nan

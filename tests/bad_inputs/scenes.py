@@ -122,6 +122,7 @@ ROWS = [
         says="0 antennas",
     ),
     bad(RUN + " --hold-out 17.5", says="17.5"),
+    bad(RUN + " --fit.cap-lean 1 2 3", says="'3'"),
     *keys(
         "info scene",
         "scene/scene.toml",

@@ -77,6 +77,35 @@ def test_top_and_bottom_that_nobody_saw_are_closed():
     assert 0.5 * RADIUS_M + 5e-3 < reach[2] < RADIUS_M + 5e-3
 
 
+def test_wide_caps_are_flatter_than_domes():
+    # A drum of radius 5 cm and height 6 cm, of which only the mantle is seen.
+    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
+    around = np.stack([np.cos(angle), np.sin(angle), np.zeros(72)], axis=1)
+    heights = np.linspace(-0.03, 0.03, 13)
+    normals = np.tile(around, (13, 1))
+    positions = 0.05 * normals + np.repeat(heights, 72)[:, None] * np.array([0.0, 0.0, 1.0])
+    n = len(positions)
+    glints = Glints(
+        positions=positions,
+        normals=normals,
+        strengths=np.ones(n),
+        position_sigma_m=np.full(n, 4e-4),
+        normal_sigma_rad=np.full(n, 0.03),
+        poses=np.zeros(n, dtype=np.int64),
+        probability=np.ones(n),
+    )
+    tops = []
+    for slope in (0.0, 1.0):
+        sdf = fit_sdf(glints, FitConfig(cap_slope=slope))
+        vertices, _ = zero_level(sdf)
+        middle = np.hypot(vertices[:, 0], vertices[:, 1]) < 0.01
+        tops.append(vertices[middle, 2].max())
+        mantle = sdf.sample(positions[np.abs(positions[:, 2]) < 0.02])
+        assert np.abs(mantle).max() < 2e-3
+    dome, cap = tops
+    assert 0.025 < cap < dome - 0.003
+
+
 def test_two_runs_are_bit_identical():
     glints = glints_on(seen_from_the_side())
     first, second = (fit_sdf(glints, COARSE, num_threads=n) for n in (1, 2))

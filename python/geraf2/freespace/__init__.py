@@ -1,1 +1,1 @@
-"""Where nothing is: silhouettes, and surfaces that are tangent to their edges."""
+"""Where nothing is: silhouettes, surfaces that are tangent to their edges, caps."""

@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
+from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from geraf2._bounds import (
     Bounded,
     CellM,
+    Cosine,
     LengthM,
+    MarginM,
     NotNegative,
     Positive,
     Rounds,
@@ -20,9 +23,11 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, strong_level
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.freespace.caps import cap_retreat
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.nearest import nearest_distance
+from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
@@ -36,7 +41,7 @@ _FINE, _ROUGH = 1e-5, 1e-4
 
 UNKNOWN_OFFSET_M = 1e-3
 """Standard deviation of the range offset of a scan that shows no wall of its box [m]."""
-FIT_VERSION = 23
+FIT_VERSION = 24
 """Raised when the same glints and settings give another field, for best, too."""
 
 
@@ -65,6 +70,13 @@ class FitConfig(Bounded):
     """Weight of that pull."""
     distance_band_m: LengthM = 0.02
     """The pull acts within this distance of the zero level [m]."""
+    cap_slope: NotNegative = 1.0
+    """Unseen flat caps go inwards by this times how much farther than cap_start_m a glint is."""
+    cap_start_m: MarginM = 0.0225
+    """Distance from the glints at which that begins [m]."""
+    cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
+    """Cosine of a cap's normal to those around it: flat below the first, round from the second
+    on."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +84,7 @@ class Evidence:
     """What a surface is fitted to."""
 
     glints: Glints
-    """Of whole sub-apertures, at least 10."""
+    """Of whole sub-apertures, at least 10. Caps are judged by these alone."""
     rim: Glints | None = None
     """Of smaller sub-apertures at the rim; the surface is drawn through them, too."""
     rim_weight: float = 1.0
@@ -125,11 +137,12 @@ def fit_sdf(
     report = progress or (lambda _: None)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
-    system, sdf = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
+    first = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
+    sdf = first.sdf
     for number in range(n_rounds):
-        target = _distance_target(sdf, config, num_threads)
+        target = _distance_target(sdf, evidence.glints, first.known, config, num_threads)
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
-        sdf = system.solve(target, start=sdf, tolerance=tolerance)
+        sdf = first.system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
@@ -137,13 +150,18 @@ def fit_sdf(
     return cut_to_outlines(sdf, outlines, evidence.seen, clearance_m, num_threads=num_threads)
 
 
+class _FirstFit(NamedTuple):
+    """Field that is no distance yet."""
+
+    system: LinearSdf
+    sdf: SdfGrid
+    known: Floats  # positions of glints and of points that edges of outlines touch, (n, 3) [m]
+
+
 def _first_solves(
     evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
-) -> tuple[LinearSdf, SdfGrid]:
-    """Fit of all oriented points, coarse, fine, and with the points that outlines touch.
-
-    Returns the last system and its field, which is no distance yet.
-    """
+) -> _FirstFit:
+    """Fit of all oriented points, coarse, fine, and with the points that outlines touch."""
     terms, points = _terms(config), _weigh(evidence, config)
     grid = _domain(evidence.glints.positions, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
@@ -153,12 +171,13 @@ def _first_solves(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     tolerance = _ROUGH if config.distance_rounds else _FINE
     sdf = system.solve(tolerance=tolerance)
-    touched = _touched(evidence, sdf, num_threads)
+    touched, known = _touched(evidence, sdf, num_threads), evidence.glints.positions
     if touched is not None:
+        known = np.concatenate([known, touched.positions])
         system = LinearSdf(sdf, _weigh(evidence, config, touched), terms, num_threads=num_threads)
         sdf = system.solve(tolerance=tolerance)
     report(2)
-    return system, sdf
+    return _FirstFit(system, sdf, known)
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
@@ -226,15 +245,36 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
-def _distance_target(sdf: SdfGrid, config: FitConfig, num_threads: int | None) -> DistanceTarget:
-    """Distance of voxels in the band to the present zero level; the weight ends with a ramp."""
+def _distance_target(
+    sdf: SdfGrid, glints: Glints, known: Floats, config: FitConfig, num_threads: int | None
+) -> DistanceTarget:
+    """Distance of voxels in the band to the present zero level, whose caps retreat first.
+
+    The weight ends with a ramp. known: where the surface is known, seen or not, (n, 3) [m].
+    """
     vertices, faces = zero_level(sdf)
-    scene, band_m = MeshScene(vertices, faces, num_threads=num_threads), config.distance_band_m
-    distance = scene.distance(sdf.grid.points(), max_distance_m=band_m)
+    points, band_m = sdf.grid.points(), config.distance_band_m
+    scene = MeshScene(vertices, faces, num_threads=num_threads)
+    distance = scene.distance(points, max_distance_m=band_m)
     weights = np.clip((band_m - distance) / _RAMP_M, 0.0, 1.0)
     voxels = np.nonzero(weights)[0]
     # The sign is the field's own, so that an open zero level cannot turn it.
     values = np.copysign(distance[voxels], sdf.values.ravel()[voxels].astype(np.float64))
+    retreat = cap_retreat(
+        vertices,
+        vertex_normals(vertices, faces),
+        glints,
+        slope=config.cap_slope,
+        start_m=config.cap_start_m,
+        known=known,
+        lean=config.cap_lean,
+    )
+    if retreat.any():
+        # Most voxels are near to no vertex that retreats, which is soon known.
+        moving = KDTree(vertices[retreat != 0.0])
+        reach_m = band_m + 2.0 * sdf.grid.spacing_m
+        close = np.isfinite(moving.query(points[voxels], distance_upper_bound=reach_m)[0])
+        values[close] += retreat[KDTree(vertices).query(points[voxels[close]])[1]]
     weights *= config.distance_weight / weights.sum()
     return DistanceTarget(values=values, voxels=voxels, weights=weights[voxels])
 
