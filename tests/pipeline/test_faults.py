@@ -98,7 +98,7 @@ def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, whole, tmp
     out = tmp_path / "out"
     error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 40_000)]))
     assert "sdf_fit.npz: cannot write the file: File too large" in error
-    assert verify(out).notes[0] == "the run is not finished; done: glints"
+    assert verify(out).notes[0] == "the run is not finished; done: box, glints"
     assert not list(out.rglob(".*.tmp*"))
     assert reconstruct(scene, out, "--resume").returncode == 0
     assert_same(out, whole)
@@ -108,7 +108,7 @@ def test_a_disk_quota_is_one_line_and_the_run_goes_on(scene, whole, faulty_libc,
     out = tmp_path / "out"
     error = one_line(reconstruct(scene, out, env=faulty_libc | {"FSYNCS": "24"}))
     assert "cannot write the file: Disk quota exceeded" in error
-    assert verify(out).notes[0].startswith("the run is not finished; done: glints")
+    assert verify(out).notes[0].startswith("the run is not finished; done: box, glints")
     assert not list(out.rglob(".*.tmp*"))
     assert reconstruct(scene, out, "--resume").returncode == 0
     assert_same(out, whole)

@@ -81,7 +81,7 @@ def test_what_is_unfinished_or_of_nobody_is_said(folder):
     del record["stages"]["mesh"]
     (folder / "run" / "run.json").write_text(json.dumps(record))
     notes = verify(folder / "run").notes
-    assert notes[0] == "the run is not finished; done: glints, sdf"
+    assert notes[0] == "the run is not finished; done: box, glints, sdf"
     assert notes[1].startswith("of no finished stage: mesh.glb, mesh.glb.json, mesh.ply")
 
 

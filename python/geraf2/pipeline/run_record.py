@@ -33,7 +33,7 @@ class RunOptions(Bounded):
     """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
     where held-out data confirm it. no: take the scene as it is."""
     seed: Seed = 0
-    """Seed of the samples that `evaluate` draws, of training and of the fit to heat maps."""
+    """Seed of the samples that `evaluate` draws, and of training."""
     samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
     """Also write so many surfaces that the scan allows, into samples.npz."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)

@@ -225,7 +225,8 @@ def _started(
         box = request.box
         numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
         run.mark_done(BOX_STAGE, key, [], round(box.seconds, 3), numbers=numbers)
-        heard.note(box.text)
+        if box.found is not None:
+            heard.note(box.text)
     job = Job(
         run=run,
         capture=request.capture,
