@@ -246,6 +246,8 @@ def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
     np.testing.assert_allclose(box["size_m"][:2], 0.2, atol=2e-3)
     assert set(box["faces"]) == {"-x", "+x", "-y", "+y", "-z", "+z"}
     np.testing.assert_allclose(load_run(tmp_path / "out").prior.cuboid[1], box["size_m"], atol=1e-5)
+    # It is in the numbers; only a prior that was corrected is something to warn of.
+    assert not any(box["by_radar"] in text for text in RunFolder.read(tmp_path / "out").warnings)
     assert run(scene, tmp_path / "out", "--resume") == 0
     assert [e["stage"] for e in events(tmp_path / "out") if e["event"] == "reused"][:1] == [
         "calibration"
@@ -254,6 +256,7 @@ def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
 
 def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
     assert run(scene, tmp_path / "out", "--box", "0.208", "0.208", "0.2") == 0
+    assert any("was corrected" in text for text in RunFolder.read(tmp_path / "out").warnings)
     lines = [x for x in capsys.readouterr().err.splitlines() if "corrected" in x]
     assert len(lines) == 1
     assert "the prior is off by" in lines[0]

@@ -1,6 +1,5 @@
 """The box of a run as its radar sees it: the prior where none is given, a check of one that is."""
 
-import time
 from dataclasses import dataclass, replace
 from itertools import permutations
 
@@ -34,9 +33,10 @@ class BoxCheck:
     """None where a prior was given and the scan shows no walls."""
     text: str
     """In a line."""
-    seconds: float
     is_new: bool = False
     """Whether the prior is the found box, or was corrected by it."""
+    is_corrected: bool = False
+    """Whether it was given, and corrected."""
 
     def placed(self, capture: Capture) -> Capture:
         """Capture whose walls are where the prior is; none where they are turned."""
@@ -49,12 +49,10 @@ def box_from_radar(
     capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
 ) -> BoxCheck:
     """Find the box where no prior is given; UserError where the scan shows none."""
-    start = time.perf_counter()
     with listener.step(BOX_STAGE):
         found = find_box(capture, summary=summary, num_threads=num_threads)
     prior = with_walls(found.prior, capture.walls, listener)
-    seconds = time.perf_counter() - start
-    return BoxCheck(prior=prior, found=found, text=str(found), seconds=seconds, is_new=True)
+    return BoxCheck(prior=prior, found=found, text=str(found), is_new=True)
 
 
 def checked_prior(
@@ -71,7 +69,6 @@ def checked_prior(
 
     Raises UserError where the scan shows another box.
     """
-    start = time.perf_counter()
     with listener.step(BOX_STAGE):
         try:
             found: FoundBox | None = find_box(
@@ -79,17 +76,16 @@ def checked_prior(
             )
         except UserError:
             found = None
-    seconds = time.perf_counter() - start
     if found is None:
         text = "no wall is seen squarely, with which the prior would be compared"
-        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
+        return BoxCheck(prior=prior, found=None, text=text)
     if prior.cuboid is None:
         text = f"{found}; the prior is no cuboid and is not compared with it"
-        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+        return BoxCheck(prior=prior, found=found, text=text)
     difference = Difference.of(found, *prior.cuboid)
     if difference.is_other and difference.is_within and found.content_share < _EMPTY:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
-        return BoxCheck(prior=prior, found=None, text=text, seconds=seconds)
+        return BoxCheck(prior=prior, found=None, text=text)
     if difference.is_other:
         raise UserError(
             what="the scan shows another box than the prior",
@@ -100,11 +96,11 @@ def checked_prior(
         )
     if not difference.text:
         text = f"{found}; the prior agrees"
-        return BoxCheck(prior=prior, found=found, text=text, seconds=seconds)
+        return BoxCheck(prior=prior, found=found, text=text)
     corrected = difference.corrected(found)
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
     prior = with_walls(corrected.prior, capture.walls, listener)
-    return BoxCheck(prior=prior, found=found, text=text, seconds=seconds, is_new=True)
+    return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_corrected=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -145,6 +145,8 @@ class _Request:
     """Prior and its name in errors; None where it is first made of photos."""
     box: BoxCheck | None
     """Comparison with the box by radar; None where the prior is trusted, or made of photos."""
+    box_seconds: float
+    """Time that it took."""
     making: PriorJob | None
     """Job that makes it."""
     record: RunRecord
@@ -170,7 +172,7 @@ class _Request:
         findings = require_plausible(summary, where)
         listener.findings(findings)
         making = find_prior_job(source.los, options.photos, summary, listener)
-        found, box = None, None
+        found, box, start = None, None, time.perf_counter()
         if making is None and (given is not None or source.is_given):
             found = _prior(given or source, capture, summary, listener)
             if not options.trust_los:
@@ -179,6 +181,7 @@ class _Request:
             box = box_from_radar(capture, summary, listener, num_threads)
         if box is not None:
             found = box.prior, found[1] if found else "the box by radar"
+        box_seconds = time.perf_counter() - start
         if found:
             require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
@@ -189,6 +192,7 @@ class _Request:
             findings=findings,
             prior=found,
             box=box,
+            box_seconds=box_seconds,
             making=making,
             record=record,
             key=_request_key(outside, options, record.config),
@@ -224,9 +228,9 @@ def _started(
     if request.box is not None:
         box = request.box
         numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
-        run.mark_done(BOX_STAGE, key, [], round(box.seconds, 3), numbers=numbers)
-        if box.found is not None:
-            heard.note(box.text)
+        run.mark_done(BOX_STAGE, key, [], round(request.box_seconds, 3), numbers=numbers)
+        if box.found is not None:  # the report warns of notes that the run keeps
+            (heard if box.is_corrected else request.listener).note(box.text)
     job = Job(
         run=run,
         capture=request.capture,
