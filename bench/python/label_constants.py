@@ -12,10 +12,9 @@ elsewhere. One within 3 mm with another normal is false and counts 0.3; others d
 """
 
 import argparse
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from scipy.optimize import minimize
@@ -111,25 +110,13 @@ def scan_of(run: Path, scene: Path) -> Scan:
     )
 
 
-@contextmanager
-def constants(values: Mapping[str, float]) -> Iterator[None]:
-    """Other constants of `echoes/labels.py`."""
-    known = {name: getattr(labels, name) for name in values}
-    try:
-        for name, value in values.items():
-            setattr(labels, name, value)
-        yield
-    finally:
-        for name, value in known.items():
-            setattr(labels, name, value)
-
-
 def fitted(scans: list[Scan], n_steps: int) -> dict[str, float]:
     """Constants with the least mean loss; each scene has the same weight."""
     start = np.array([getattr(labels, name) for name in CONSTANTS])
 
     def cost(changes: np.ndarray) -> float:
-        with constants(dict(zip(CONSTANTS, start * np.exp(changes), strict=True))):
+        values = dict(zip(CONSTANTS, start * np.exp(changes), strict=True))
+        with patch.multiple(labels, **values):
             return float(np.mean([scan.loss() for scan in scans]))
 
     found = minimize(
@@ -160,7 +147,7 @@ def main() -> None:
         found = fitted(scans, options.steps)
         for name, value in found.items():
             print(f"{name} = {value:.4g}  (was {getattr(labels, name):.4g})")
-        with constants(found):
+        with patch.multiple(labels, **found):
             report(scans, "fitted")
 
 

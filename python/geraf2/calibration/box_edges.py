@@ -103,5 +103,5 @@ def find_edge(
 
 
 def _projected(peaks: PeakSet, axes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points and directions along the axes, (n, 3) each, and strengths of reflectors, (n,)."""
-    return peaks.points @ axes.T, peaks.directions @ axes.T, peaks.magnitudes * peaks.ranges_m
+    """Points and directions along the axes, (n, 3) each, and strengths, (n,)."""
+    return peaks.points @ axes.T, peaks.directions @ axes.T, peaks.strengths

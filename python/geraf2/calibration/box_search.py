@@ -53,7 +53,7 @@ class Flashes:
         (near_m, _), (far_m, _) = UNKNOWN_MIDDLES_M
         near = near_m - along - peaks.ranges_m
         far = far_m + along + peaks.ranges_m
-        weights = np.sqrt(peaks.magnitudes * peaks.ranges_m)
+        weights = np.sqrt(peaks.strengths)
         return cls(
             normals=np.concatenate([-peaks.directions, peaks.directions]),
             offsets_m=np.concatenate([near, far]),

@@ -236,7 +236,7 @@ def _rough(
     """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
     found = peaks.of(capture)
     leaks = leaking(capture, found)
-    strength = found.magnitudes * found.ranges_m
+    strength = found.strengths
     strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
     kept = found.select(~leaks & strong)
     rough, known, is_flash = _planes(capture, kept, like)
@@ -390,7 +390,7 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
     square = box.seen == Seen.SQUARELY
     if not square.any():
         raise _without_box(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
-    along, energy = peaks.points @ box.axes.T, (peaks.magnitudes * peaks.ranges_m) ** 2
+    along, energy = peaks.points @ box.axes.T, peaks.strengths**2
 
     def share(margin_m: float) -> float:
         limits = np.where(square, box.offsets_m + margin_m, np.inf)

@@ -68,6 +68,10 @@ class Glints:
         return cls(**read_arrays(path, _LAYOUTS))
 
 
-def strong_level(strengths: Floats) -> float:
-    """Strength of a strong glint among these, (n,): their 98 % quantile."""
-    return float(np.quantile(strengths, 0.98))
+def relative_strengths(strengths: Floats, among: Floats | None = None) -> Floats:
+    """Strengths over that of a strong glint, at most 1, (n,).
+
+    among: strengths whose 98 % quantile is that of a strong glint; `strengths` when None.
+    """
+    strong = float(np.quantile(strengths if among is None else among, 0.98))
+    return np.asarray(np.minimum(1.0, strengths / strong))

@@ -12,7 +12,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, Decibels, Share, SignedDb, SignedM
 from geraf2._types import Floats, Ints, Progress
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Label, LabelledPeaks, label_peaks
 from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
@@ -195,8 +195,7 @@ def as_glints(
     raw = peaks.select(found.peaks)
     others = None if known is None else (known.positions, known.normals)
     deviation = tangent_deviation(found.positions, found.normals, others)
-    strong = strong_level(raw.magnitudes if known is None else known.strengths)
-    relative = np.minimum(1.0, raw.magnitudes / strong)
+    relative = relative_strengths(raw.magnitudes, None if known is None else known.strengths)
     noise = raw.noise / raw.magnitudes
     return Glints(
         positions=found.positions - (BIAS_SHARE * deviation)[:, None] * found.normals,

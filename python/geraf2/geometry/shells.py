@@ -3,8 +3,7 @@
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.geometry.components import connected_labels
-from geraf2.geometry.triangles import directed_edges
+from geraf2.geometry.components import face_labels
 
 _INSIDE = 0.5
 """Winding number beyond which a point is inside."""
@@ -15,12 +14,11 @@ def outer_shells(vertices: Floats, faces: Ints) -> Bools:
 
     vertices, faces: closed mesh, (n_vertices, 3) and (n_faces, 3), of any winding.
     """
-    edges = directed_edges(faces)
-    labels = connected_labels(edges[:, 0], edges[:, 1], len(vertices))[faces[:, 0]]
-    shells = np.unique(labels)
+    labels, n_shells = face_labels(faces)
     outer = np.ones(len(faces), dtype=np.bool_)
-    if len(shells) < 2:
+    if n_shells < 2:
         return outer
+    shells = np.arange(n_shells)
     bounds = []
     for shell in shells:
         used = vertices[faces[labels == shell]].reshape(-1, 3)

@@ -78,6 +78,11 @@ class PeakSet:
         return self.centers + self.ranges_m[:, None] * self.directions
 
     @property
+    def strengths(self) -> Floats:
+        """Magnitude times range: that of a flat wall does not depend on its distance, (n,)."""
+        return np.asarray(self.magnitudes * self.ranges_m)
+
+    @property
     def levels_db(self) -> Floats:
         """Magnitude relative to the strongest peak of the sub-aperture, (n,) [dB]."""
         return np.asarray(20.0 * np.log10(self.magnitudes / self.tops[self.subapertures]))

@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -19,12 +20,11 @@ from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.mesh_formats import RawMesh, parse_obj, parse_ply, parse_stl
-from geraf2.io.mesh_limits import require_mesh_size
+from geraf2.io.mesh_limits import require_gltf_size, require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.regular import (
     BINARY_BYTES,
     RECORD_BYTES,
-    open_regular,
     read_regular,
     require_regular,
 )
@@ -294,7 +294,8 @@ class _Beside:
 def _load(source: Path) -> TriangleMesh:
     parse = _PARSERS.get(source.suffix.lower())
     try:
-        raw = _parse_gltf(source) if parse is None else parse(read_regular(source, BINARY_BYTES))
+        data = read_regular(source, BINARY_BYTES)
+        raw = _parse_gltf(data, source) if parse is None else parse(data)
     except (MemoryError, UserError):
         raise
     except Exception as error:
@@ -308,19 +309,19 @@ def _load(source: Path) -> TriangleMesh:
     return TriangleMesh(vertices=raw.vertices, faces=raw.faces, **_stored(raw.columns))
 
 
-def _parse_gltf(source: Path) -> RawMesh:
+def _parse_gltf(data: bytes, source: Path) -> RawMesh:
     """Mesh of a glTF, which is +Y up, turned to +Z up."""
     import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
 
-    with open_regular(source, BINARY_BYTES) as file:
-        loaded = trimesh.load(
-            file,
-            source.suffix.lower()[1:],
-            resolver=_Beside(source),
-            force="mesh",
-            process=False,
-            skip_materials=True,  # they name further files, and pictures that start programs
-        )
+    require_gltf_size(data, source)
+    loaded = trimesh.load(
+        BytesIO(data),
+        source.suffix.lower()[1:],
+        resolver=_Beside(source),
+        force="mesh",
+        process=False,
+        skip_materials=True,  # they name further files, and pictures that start programs
+    )
     vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
     return RawMesh(vertices=vertices @ FRAME_FROM_GLTF[:3, :3].T, faces=faces)

@@ -7,7 +7,6 @@ from typing import Any
 
 from geraf2._memory import require_memory
 from geraf2.errors import UserError
-from geraf2.io.regular import BINARY_BYTES, read_regular
 from geraf2.io.text import parse_json
 
 MOST_NODES = 10_000
@@ -20,22 +19,22 @@ _JSON_CHUNK = b"JSON"
 
 
 def require_mesh_size(source: Path) -> None:
-    """Raise UserError for a mesh that takes more memory than is free, or a glTF that repeats."""
-    suffix = source.suffix.lower()
-    needed = _BYTES_PER_BYTE.get(suffix, 12.0) * source.stat().st_size
+    """Raise UserError for a mesh that takes more memory than is free."""
+    needed = _BYTES_PER_BYTE.get(source.suffix.lower(), 12.0) * source.stat().st_size
     require_memory(needed, "use a mesh of fewer triangles", where=source)
-    if suffix in (".gltf", ".glb"):
-        data = read_regular(source, BINARY_BYTES)
-        if suffix == ".glb":
-            end = 20 + int.from_bytes(data[12:16], "little")
-            data = data[20:end] if data[16:20] == _JSON_CHUNK else b""
-        try:
-            content = parse_json(data)
-            what = _complaint(content)
-        except (ValueError, LookupError, TypeError, AttributeError):
-            return  # the reader states what is wrong
-        if what:
-            raise UserError(what=what, where=source)
+
+
+def require_gltf_size(data: bytes, where: Path) -> None:
+    """Raise UserError for the bytes of a glTF or GLB that repeats its objects or lacks data."""
+    if where.suffix.lower() == ".glb":
+        end = 20 + int.from_bytes(data[12:16], "little")
+        data = data[20:end] if data[16:20] == _JSON_CHUNK else b""
+    try:
+        what = _complaint(parse_json(data))
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return  # the reader states what is wrong
+    if what:
+        raise UserError(what=what, where=where)
 
 
 def _complaint(content: Mapping[str, Any]) -> str:

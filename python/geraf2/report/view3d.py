@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.echoes.glint_set import Glints
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import closed_edges, face_areas
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.io.mesh_colours import WORST_SHOWN_M
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
 from geraf2.surfaces.expected_error import seen_vertices
-from geraf2.surfaces.isosurface import face_components, signed_distances
+from geraf2.surfaces.isosurface import signed_distances
 
 # With these limits a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
 MAX_CONTENT_FACES = 60_000
@@ -135,7 +136,7 @@ def _evidence(evidence: Bytes) -> Attribute:
 
 def _outermost(box: TriangleMesh) -> TriangleMesh:
     """Piece of a mesh with the largest extent."""
-    labels, n_parts = face_components(box)
+    labels, n_parts = face_labels(box.faces)
     parts = [box.with_faces(box.faces[labels == part]) for part in range(n_parts)]
     return max(parts, key=lambda part: float(np.prod(np.ptp(part.vertices, axis=0))))
 
@@ -157,7 +158,7 @@ def _error(error_mm: Floats) -> Attribute:
 
 def _parts(content: TriangleMesh) -> list[Attribute]:
     """Attribute of connected parts, the largest first; empty for a single part."""
-    labels, n_parts = face_components(content)
+    labels, n_parts = face_labels(content.faces)
     if n_parts < 2:
         return []
     areas = np.bincount(labels, face_areas(content.corners), minlength=n_parts)

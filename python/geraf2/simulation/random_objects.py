@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
-from geraf2.geometry.components import connected_labels
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
 from geraf2.simulation.implicit import (
@@ -286,9 +286,7 @@ def _body_mesh(body: _Body) -> TriangleMesh:
 
 
 def _largest_piece(mesh: TriangleMesh) -> TriangleMesh:
-    pairs = mesh.faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-    starts, ends = pairs.T
-    labels = connected_labels(starts, ends, len(mesh.vertices))[mesh.faces[:, 0]]
+    labels, _ = face_labels(mesh.faces)
     largest = int(np.argmax(np.bincount(labels, weights=face_areas(mesh.corners))))
     used, faces = np.unique(mesh.faces[labels == largest], return_inverse=True)
     return TriangleMesh(vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Bytes, Floats
 from geraf2._validation import require_each, require_positive
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
@@ -70,7 +70,7 @@ def nearness(mesh: TriangleMesh, glints: Glints, model: SupportModel | None = No
     distance, nearest = KDTree(glints.positions).query(mesh.vertices, k=n_near)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     cosine = np.clip(np.einsum("vk,vjk->vj", normals, glints.normals[nearest]), -1.0, 1.0)
-    relative = np.minimum(1.0, glints.strengths / strong_level(glints.strengths))
+    relative = relative_strengths(glints.strengths)
     weights = relative[nearest] * np.exp(-0.5 * (distance / model.reach_m) ** 2)
     alike = (distance <= model.seen_reach_m) & (cosine >= np.cos(model.seen_angle_rad))
     return Nearness(support=(weights * np.maximum(cosine, 0.0)).sum(axis=1), seen=alike.any(axis=1))

@@ -20,7 +20,7 @@ from geraf2._bounds import (
     Rounds,
 )
 from geraf2._types import Floats, Ints, Progress
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.caps import cap_retreat
@@ -213,7 +213,7 @@ def _weigh(
     evidence: Evidence, config: FitConfig, touched: Tangents | None = None
 ) -> OrientedPoints:
     glints, together = evidence.glints, evidence.seen
-    relative = np.minimum(1.0, together.strengths / strong_level(glints.strengths))
+    relative = relative_strengths(together.strengths, glints.strengths)
     # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
     position, normal = together.probability * (np.sqrt(relative), relative)
     for weights in (position, normal):

@@ -7,10 +7,9 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.fields import SdfGrid
-from geraf2.geometry.components import connected_labels
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import (
     closed_edges,
-    directed_edges,
     enclosed_volume_m3,
     face_areas,
     six_fold_volumes,
@@ -164,7 +163,7 @@ def signed_distances(
 def surface_report(mesh: TriangleMesh) -> SurfaceReport:
     """Count, closedness, area, volume and holes of a mesh."""
     watertight = mesh.faces.shape[0] > 0 and bool(closed_edges(mesh.faces).all())
-    _, n_components = face_components(mesh)
+    _, n_components = face_labels(mesh.faces)
     return SurfaceReport(
         n_vertices=mesh.vertices.shape[0],
         n_faces=mesh.faces.shape[0],
@@ -200,7 +199,7 @@ def largest_components(
     it has `min_support` points and MIN_SUPPORT_SHARE of the main one's. The main component always
     stays, so that a surface is never answered by nothing.
     """
-    labels, n_components = face_components(mesh)
+    labels, n_components = face_labels(mesh.faces)
     if n_components == 0:
         report = ComponentReport(
             n_kept=0, n_fragments=0, n_unsupported=0, n_voids=0, dropped_area_m2=0.0
@@ -241,21 +240,11 @@ def largest_components(
 
 def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
     """Leave out connected pieces with more than half of their area on marked faces."""
-    labels, n_components = face_components(mesh)
+    labels, n_components = face_labels(mesh.faces)
     areas = face_areas(mesh.corners)
     total = np.bincount(labels, areas, minlength=n_components)
     share = np.bincount(labels, areas * marked, minlength=n_components)
     return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
-
-
-def face_components(mesh: TriangleMesh) -> tuple[Ints, int]:
-    """Component of each face, (n_faces,), and how many there are; faces join at vertices."""
-    if mesh.faces.shape[0] == 0:
-        return np.zeros(0, dtype=np.int64), 0
-    edges = directed_edges(mesh.faces)
-    vertex_labels = connected_labels(edges[:, 0], edges[:, 1], len(mesh.vertices))
-    present, labels = np.unique(vertex_labels[mesh.faces[:, 0]], return_inverse=True)
-    return labels.astype(np.int64), len(present)
 
 
 def _support_counts(

@@ -7,7 +7,7 @@ import numpy as np
 
 from geraf2._bounds import Bounded, MarginM, NotNegative, Share
 from geraf2._types import Progress
-from geraf2.echoes.glint_set import Glints, strong_level
+from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
@@ -110,8 +110,7 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
     a wall that bulges too much, there are none. They count by amplitude and probability.
     """
     free_m = outlines.free_distances(seen.positions)
-    relative = np.minimum(1.0, seen.strengths / strong_level(seen.strengths))
-    known = np.isfinite(free_m) * seen.probability * relative
+    known = np.isfinite(free_m) * seen.probability * relative_strengths(seen.strengths)
     wrong = (known * (free_m > config.outline_clearance_m)).sum(axis=1)
     confirmed = np.isfinite(free_m).sum(axis=1) >= _LEAST_CONFIRMING
     return outlines.select(confirmed & (wrong <= config.max_contradicted * known.sum(axis=1)))

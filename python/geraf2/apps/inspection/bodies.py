@@ -6,7 +6,7 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
-from geraf2.geometry.components import connected_labels
+from geraf2.geometry.components import connected_labels, face_labels
 from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import (
     closed_edges,
@@ -19,7 +19,6 @@ from geraf2.geometry.triangles import (
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import nearness
-from geraf2.surfaces.isosurface import face_components
 
 PATCH_M = 0.010
 """Distance beyond which errors of the surface are independent [m]: about the footprint of a
@@ -106,7 +105,7 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
 
 def split_bodies(body: Body) -> list[Body]:
     """Split into connected parts, the largest first, without those below MIN_PART_SHARE of it."""
-    labels, n_parts = face_components(body.mesh)
+    labels, n_parts = face_labels(body.mesh.faces)
     areas = np.bincount(labels, face_areas(body.mesh.corners), minlength=n_parts)
     order = [
         p for p in np.argsort(-areas, kind="stable") if areas[p] >= MIN_PART_SHARE * max(areas)

@@ -12,13 +12,13 @@ from geraf2.apps.inspection.expected_echoes import Patches
 from geraf2.apps.inspection.registration import Placement
 from geraf2.echoes.glint_set import Glints
 from geraf2.freespace.specular import specular_visibility
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import apply_rigid, triple
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, vertex_normals
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
 from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
-from geraf2.surfaces.isosurface import face_components
 
 MIN_REGION_M2 = 20e-6
 """Regions below this do not count [m^2]: less than half of the top of an 8 mm screw head."""
@@ -319,7 +319,7 @@ def _regions(
     faces = mesh.faces[marked]
     if not len(faces):
         return []
-    labels, n_regions = face_components(TriangleMesh(vertices=mesh.vertices, faces=faces))
+    labels, n_regions = face_labels(faces)
     areas = face_areas(mesh.vertices[faces])
     total = np.bincount(labels, areas, minlength=n_regions)
     kept = np.flatnonzero(total >= MIN_REGION_M2)

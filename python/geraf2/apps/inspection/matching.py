@@ -19,8 +19,8 @@ from geraf2.apps.inspection.registration import (
     surface_evidence_of,
 )
 from geraf2.echoes.glint_set import Glints
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.surfaces.isosurface import face_components
 
 LARGEST_MISFIT, LARGEST_ECHO_MISFIT = 1.9, 2.08
 """Largest misfit of the right part, without glints and with them. With glints, right parts have
@@ -81,7 +81,7 @@ def match_models(
         )
 
     def has_bodies(m: int) -> bool:
-        return len(bodies) > 1 and face_components(models[m].mesh)[1] > 1
+        return len(bodies) > 1 and face_labels(models[m].mesh.faces)[1] > 1
 
     for m, (part, start) in (given or {}).items():
         b = -1 if has_bodies(m) else part

@@ -133,16 +133,14 @@ def image_tiles(
     """
     listener = listener or Listener()
     plan = plan_image(scene, options or ImageOptions(), listener, in_parts=True)
-    remote = is_remote(out)
+    job = slab_job(plan, Path(scene), out / TILES_NAME)
     if run_slabs is None:
-        needed = slab_job(plan, Path(scene), out / TILES_NAME).memory_bytes
-        require_memory(needed, "lower --slab-gib", where="a slab")
+        require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
     with _run_folder(out) as folder:
         run = RunFolder.open(
             folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
         )
         key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
-        job = slab_job(plan, Path(scene), (out if remote else run.path) / TILES_NAME)
         with run.locked("image", key, overwrite=overwrite):
             start = time.perf_counter()
             _prepare(job, plan, key, overwrite=overwrite)
