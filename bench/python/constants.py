@@ -3,10 +3,10 @@
     python bench/python/constants.py [--preset best] [--list]
 
 A field of the config counts once, whatever it holds. A module counts if the stages of the preset,
-or the calibration before them, import it, at any depth, and it is about the method: echoes, free
-space, images, surfaces, calibration. Its constants are names in capitals of numbers (versions of
-formats and stages are none), numeric defaults of its dataclasses that the config does not hold, and
-floats inside its functions but those of arithmetic.
+or the search of the box and the calibration before them, import it, at any depth, and it is about
+the method: echoes, free space, images, surfaces, calibration. Its constants are names in capitals
+of numbers (versions of formats and stages are none), numeric defaults of its dataclasses that the
+config does not hold, and floats inside its functions but those of arithmetic.
 """
 
 import argparse
@@ -20,7 +20,8 @@ from typing import Any
 
 from geraf2.pipeline.presets import preset_type
 
-START = ("geraf2.pipeline.stages.direct", "geraf2.pipeline.stages.calibration")
+CHECK = "geraf2.pipeline.box_check"
+START = ("geraf2.pipeline.stages.direct", "geraf2.pipeline.stages.calibration", CHECK)
 METHOD = ("echoes", "freespace", "imaging", "surfaces", "calibration")
 
 
@@ -109,7 +110,7 @@ def method_modules() -> Iterator[tuple[str, ast.Module]]:
         more = [m for m in imported(tree) if m.split(".")[1:2] and m.split(".")[1] in METHOD]
         left += [m for m in dict.fromkeys(more) if m not in seen]
         seen.update(more)
-        if name.split(".")[1] in METHOD:
+        if name == CHECK or name.split(".")[1] in METHOD:
             yield name.removeprefix("geraf2."), tree
 
 
