@@ -37,6 +37,7 @@ from geraf2.pipeline.stages.learned import TRAIN
 from geraf2.scene import Grid, Wall
 from helpers.carton import PRIOR
 
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SMALL = PaperConfig(
     n_cells=8,
     n_samples=10,
@@ -147,9 +148,10 @@ def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, 
         assert torch.equal(value, parameters(beside)[name]), name
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("form", [SMALL, replace(SMALL, bank=1, field="mlp", mlp_fit_steps=1)])
-def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form):
-    """As on a GPU: every op of both stages in torch alone.
+def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatch, form, device):
+    """On a GPU, and as on one: every op of both stages in torch alone.
 
     With Adam's own eps first steps are signs of gradients, those near zero of rounding; a larger
     one lets such gradients count for nothing, so that rounding stays rounding.
@@ -167,7 +169,8 @@ def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatc
     found = []
     for kernels in (True, False):
         monkeypatch.setattr(_tensors, "has_kernels", lambda *_, kernels=kernels: kernels)
-        trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
+        used = replace(config, device="cpu" if kernels else device)
+        trainer = PaperTrainer(capture, PRIOR, used, maps=maps)
         reports = []
         run_steps(trainer, on_step=reports.append)
         found.append(np.array(reports))

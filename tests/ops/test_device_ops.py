@@ -29,38 +29,42 @@ FORMS = [
 GRID = Grid(origin_m=(-0.06, -0.05, -0.04), spacing_m=0.02, shape=(7, 5, 4))
 
 
+DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+
+
 def random(*shape, seed=0):
     generator = torch.Generator().manual_seed(seed)
     return torch.randn(shape, generator=generator, dtype=torch.float64)
 
 
-def both_ways(monkeypatch, call, inputs):
-    """Results and gradients of `call` with the kernels, then without."""
+def both_ways(monkeypatch, call, inputs, device):
+    """Results and gradients of `call` with the kernels, then without on a device."""
     found = []
     for kernels in (True, False):
         with monkeypatch.context() as patched:
             patched.setattr(_tensors, "has_kernels", lambda *_, kernels=kernels: kernels)
-            mine = [x.clone().requires_grad_() for x in inputs]
+            mine = [x.to("cpu" if kernels else device, copy=True).requires_grad_() for x in inputs]
             out = call(*mine)
         total = sum(
             (torch.view_as_real(o) if o.is_complex() else o).mul(w).sum()
             for number, o in enumerate(out)
-            for w in [random(*(o.shape + (2,) * o.is_complex()), seed=number)]
+            for w in [random(*(o.shape + (2,) * o.is_complex()), seed=number).to(o.device)]
         )
         slopes = torch.autograd.grad(total, mine, allow_unused=True)
-        found.append([*(o.detach() for o in out), *slopes])
+        found.append([o.detach().cpu() for o in (*out, *slopes)])
     assert len(found[0]) == len(found[1])
     return found
 
 
-def agree(monkeypatch, call, inputs, rtol=1e-9):
-    for want, got in zip(*both_ways(monkeypatch, call, inputs), strict=True):
+def agree(monkeypatch, call, inputs, device, rtol=1e-9):
+    for want, got in zip(*both_ways(monkeypatch, call, inputs, device), strict=True):
         assert float(want.abs().max()) > 0.0
         torch.testing.assert_close(got, want, rtol=rtol, atol=rtol * float(want.abs().max()))
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("interpolation", ["linear", "cubic"])
-def test_grid_values_gradients_and_second_derivatives(monkeypatch, interpolation):
+def test_grid_values_gradients_and_second_derivatives(monkeypatch, interpolation, device):
     points = 0.05 * random(60, 3) * torch.tensor([1.4, 1.2, 1.0])  # some beyond the rim
 
     def call(values, points):
@@ -69,17 +73,18 @@ def test_grid_values_gradients_and_second_derivatives(monkeypatch, interpolation
         return value, gradient, (gradient.norm(dim=1) - 1.0).square(), slope
 
     # trilinear has no second derivative along an axis: both give zeros there
-    agree(monkeypatch, call, [random(*GRID.shape), points])
+    agree(monkeypatch, call, [random(*GRID.shape), points], device)
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("two_way", ["squared", "unbiased"])
-def test_marches(monkeypatch, two_way):
+def test_marches(monkeypatch, two_way, device):
     sdf, step = 0.04 * random(9, 12), 0.004 + 0.002 * torch.rand(9, 12).double()
 
     def call(sdf, cos, inv_s):
-        return ray_march(sdf, cos, step, inv_s, two_way=two_way)
+        return ray_march(sdf, cos, step.to(sdf.device), inv_s, two_way=two_way)
 
-    agree(monkeypatch, call, [sdf, random(9, 12, seed=1), torch.tensor(150.0).double()])
+    agree(monkeypatch, call, [sdf, random(9, 12, seed=1), torch.tensor(150.0).double()], device)
 
 
 def samples(n_rays=7, n_samples=6):
@@ -90,8 +95,9 @@ def samples(n_rays=7, n_samples=6):
     return alpha, 0.2 + 0.8 * alpha.flip(0), gradient, (0.04 * random(n, 3, seed=4)).numpy()
 
 
+@pytest.mark.parametrize("device", DEVICES)
 @pytest.mark.parametrize("form", FORMS)
-def test_pairs_amplitudes_and_signals(monkeypatch, form):
+def test_pairs_amplitudes_and_signals(monkeypatch, form, device):
     alpha, transmittance, gradient, points = samples()
     pairs = facing_samples(alpha, gradient, points, form, n_looks=3)
     alone = _device_ops.facing_samples(alpha, gradient, points, form, 3)
@@ -103,7 +109,7 @@ def test_pairs_amplitudes_and_signals(monkeypatch, form):
 
     def call(alpha, transmittance, gradient):
         amplitude, normals = echo_amplitudes(
-            alpha, transmittance, gradient, points, pairs, shift, form
+            alpha, transmittance, gradient, points, pairs, shift.to(alpha.device), form
         )
         signal = trace_pairs(
             *(amplitude, points, normals, pairs, *PLACES, GROUPS, WAVEFORM), rtol=1e-12
@@ -111,23 +117,25 @@ def test_pairs_amplitudes_and_signals(monkeypatch, form):
         return amplitude, normals, signal
 
     # the tracer sums in blocks, whose error `rtol` bounds
-    agree(monkeypatch, call, [alpha, transmittance, gradient], rtol=1e-8)
+    agree(monkeypatch, call, [alpha, transmittance, gradient], device, rtol=1e-8)
 
 
-def test_images_and_lengths(monkeypatch):
+@pytest.mark.parametrize("device", DEVICES)
+def test_images_and_lengths(monkeypatch, device):
     others, points = torch.view_as_complex(random(2, 16, 32, 2, seed=7)), 0.1 * random(90, 3)
     monkeypatch.setattr(_device_ops, "_PHASORS", 2**14)
 
     def call(parts, lengths):
         signals = torch.view_as_complex(parts)
-        images = point_images(signals, others, *PLACES, points.numpy(), WAVEFORM)
+        images = point_images(signals, others.to(signals.device), *PLACES, points.numpy(), WAVEFORM)
         assert not images.of_others.requires_grad
         return *images, length_defect(lengths)
 
-    agree(monkeypatch, call, [random(3, 16, 32, 2), random(50, 3, seed=8)])
+    agree(monkeypatch, call, [random(3, 16, 32, 2), random(50, 3, seed=8)], device)
 
 
-def test_single_precision_is_that_of_the_kernels(monkeypatch):
+@pytest.mark.parametrize("device", DEVICES)
+def test_single_precision_is_that_of_the_kernels(monkeypatch, device):
     alpha, transmittance, gradient, points = samples()
     pairs = facing_samples(alpha, gradient, points, FORMS[0], n_looks=2)
     amplitude, normals = (
@@ -142,7 +150,7 @@ def test_single_precision_is_that_of_the_kernels(monkeypatch):
     def call(amplitude, normals):
         return [trace_pairs(amplitude, points, normals, pairs, *PLACES, GROUPS, WAVEFORM)]
 
-    agree(monkeypatch, call, [amplitude, normals], rtol=1e-3)
+    agree(monkeypatch, call, [amplitude, normals], device, rtol=1e-3)
 
 
 def test_nothing_is_made_on_another_device_than_the_inputs():
