@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
+from geraf2.calibration.box_search import Flashes, rough_faces
 from geraf2.calibration.found_box import Seen, find_box
+from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 
 SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
@@ -109,6 +111,34 @@ def test_content_without_a_box_has_no_walls():
         find_box(simulate(replace(spec, walls=()), seed=0)[0])
 
 
+def test_a_far_wall_is_not_taken_for_a_near_one_beyond_the_middle():
+    """Two near flashes at -x, and one of the far side of +x, which reads as near at +x, too."""
+    normals = np.array([[-1.0, 0, 0], [-1, 0, 0], [-1, 0, 0]])
+    offsets, far = np.array([0.12, 0.12, -0.117]), np.array([False, False, False])
+    flashes = Flashes(
+        normals=np.concatenate([normals, -normals]),
+        offsets_m=np.concatenate([offsets, 0.002 - offsets]),
+        far=np.concatenate([far, ~far]),
+        weights=np.array([1.0, 1.0, 0.9] * 2),
+    )
+    box = rough_faces(flashes, np.eye(3))
+    np.testing.assert_allclose(box.offsets_m[0], [0.12, 0.119], atol=2e-3)
+    assert np.isnan(box.offsets_m[1:]).all()
+
+
+def test_the_region_of_content_in_free_air_holds_it():
+    spec = examples.small_scene()
+    capture, truth = simulate(replace(spec, walls=()), seed=0)
+    region = content_region(capture)
+    _, size, center = region.cuboid
+    assert (truth.vertices > center - 0.5 * size).all()
+    assert (truth.vertices < center + 0.5 * size).all()
+    assert (size < np.ptp(truth.vertices, axis=0) + 0.2).all()
+    poses = tuple(replace(pose, signal=np.zeros_like(pose.signal)) for pose in capture.poses)
+    with pytest.raises(UserError, match=r"content's region is not found .* --box X Y Z"):
+        content_region(replace(capture, poses=poses))
+
+
 def test_antennas_within_the_walls_are_refused(scan):
     middle = scan.poses[3]
     inward = 0.38 * middle.axes[0]
@@ -118,5 +148,5 @@ def test_antennas_within_the_walls_are_refused(scan):
         rx_positions=middle.rx_positions + inward,
     )
     poses = (*scan.poses[:3], lost, *scan.poses[4:])
-    with pytest.raises(UserError, match="planes around which walls would stand: 1"):
+    with pytest.raises(UserError, match=r"antennas stand within .* got 1 planes within walls"):
         find_box(replace(scan, poses=poses))

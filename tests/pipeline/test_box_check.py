@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2 import examples
+import geraf2
+from geraf2 import examples, simulate
 from geraf2.calibration.found_box import FoundBox, Seen
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
@@ -111,6 +112,16 @@ def test_a_prior_of_another_shape_is_kept(monkeypatch):
     checked = check(corner, a_box(), monkeypatch)
     assert checked.prior is corner
     assert "no cuboid" in checked.text
+
+
+def test_content_in_free_air_is_reconstructed_with_a_warning(tmp_path):
+    spec = examples.small_scene()
+    capture, truth = simulate(replace(spec, walls=()), seed=0)
+    run = geraf2.reconstruct(capture, None, "fast", tmp_path / "run")
+    assert geraf2.evaluate(run, truth).f1(0.005) > 0.8
+    log = (tmp_path / "run" / "log.jsonl").read_text()
+    assert "no walls of a box are seen" in log
+    assert "give --box X Y Z" in log
 
 
 def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):

@@ -13,9 +13,15 @@ from scipy.ndimage import gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import UNKNOWN_MIDDLES_M
-from geraf2.imaging.peaks import PeakSet, grating_lobes
-from geraf2.scene import Capture
+from geraf2.geometry.transforms import triple
+from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
+from geraf2.imaging.subapertures import SubapertureConfig
+from geraf2.scene import Capture, LosPrior
 
+# Half as many sub-apertures and directions as glints need: a fifth of the time.
+_COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+# The region that is imaged, over the distance of the planes: a box within them is smaller.
+_REGION = 1.3
 # Direction of a flash against the wall's normal: 0.6 degrees of noise, and a bulge's slopes.
 _MAX_ANGLE_RAD = 0.06
 _YAW_STEP_RAD = np.deg2rad(0.5)
@@ -29,8 +35,16 @@ _WEAKEST_DB = -15.0
 _LEAST_SHARE = 0.25
 # The same range ahead of so many planes: leakage, or a reflector that moves with the antennas.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
+LEAST_SIDE_M = 0.04
+"""Of a box."""
 # Cosine to the viewing axis of the directions that are considered.
 _LEAST_AHEAD = 0.8
+
+
+def scene_peaks(center_m: Floats, reach_m: float, num_threads: int | None) -> KeptPeaks:
+    """Coarse peaks of all that stands between planes, reach_m from their common point [m]."""
+    region = LosPrior.from_box((_REGION * reach_m,) * 3, triple(center_m))
+    return KeptPeaks(region, _COARSE, num_threads=num_threads)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -190,16 +204,18 @@ class RoughFaces:
 
 
 def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:
-    """Outermost strong planes along the axes, near ones first."""
+    """Outermost strong planes along the axes, near ones first; the origin lies within them."""
     offsets = np.full((3, 2), np.nan)
     own = [[flashes.along(sign * axis) for sign in (-1.0, 1.0)] for axis in axes]
     top = max((float(f.weights.max(initial=0.0)) for pair in own for f in pair), default=0.0)
     least = top * 10.0 ** (_WEAKEST_DB / 40.0)
-    for k, side in np.ndindex(3, 2):
-        planes = own[k][side]
-        for far in (False, True):
-            found = _outermost(planes, planes.far == far, least)
-            if found is not None and np.isnan(offsets[k, side]):
+    for far in (False, True):
+        for k, side in np.argwhere(np.isnan(offsets)):
+            planes = own[k][side]
+            # Each flash of a near wall is a far wall's, too, beyond the origin.
+            kind = (planes.far == far) & (planes.offsets_m > 0.5 * LEAST_SIDE_M)
+            found = _outermost(planes, kind, least)
+            if found is not None:
                 offsets[k, side] = found
     return RoughFaces(axes=axes, offsets_m=offsets, strength=top)
 

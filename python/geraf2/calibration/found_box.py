@@ -9,11 +9,13 @@ import numpy as np
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
+    LEAST_SIDE_M,
     Flashes,
     RoughFaces,
     find_axes,
     leaking,
     rough_faces,
+    scene_peaks,
     upward,
     with_lobes,
     without_lobes,
@@ -24,24 +26,19 @@ from geraf2.calibration.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
-from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 1
+BOX_VERSION = 2
 """Raised when the same capture gives another box."""
-# Half as many sub-apertures and directions as glints need: a fifth of the time.
-_COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
-# The region that is imaged, over the distance of the planes: a box within them is smaller.
-_REGION = 1.3
 # How well flashes fix a face before the fit.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
 # Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
 _SEEN_SHARE, _FEWEST = 0.5, 2
 # Of a plane 0, of a ball half as far behind its surface as the antennas are before it 0.67.
 _MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
-# Sides of a box at least; echoes outside of it are grating lobes, multipath and clutter.
-_LEAST_SIDE_M, _MARGIN_M, _MOST_OUTSIDE = 0.04, 0.01, 0.3
+# Echoes outside of a box are grating lobes, multipath and clutter.
+_MARGIN_M, _MOST_OUTSIDE = 0.01, 0.3
 # How far a box's walls lie outside of planes of its content on average, at least.
 _OUTSIDE_M = 0.02
 # And their least weight (the root of a strength): 22 dB below metal content; multipath is weaker.
@@ -176,6 +173,10 @@ def _plain(values: Floats | float) -> Any:
     return round(float(array), 6) if np.isfinite(array) else None
 
 
+class WallsNotFoundError(UserError):
+    """A scan that shows no walls of a box."""
+
+
 def find_box(
     capture: Capture,
     *,
@@ -192,7 +193,7 @@ def find_box(
 
     Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
     interval. Where nothing but the seen walls bounds them, they are placed generously.
-    Raises UserError where no walls are found, or where the antennas stand within them.
+    Raises WallsNotFoundError where no walls are found, UserError where antennas are within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
@@ -204,8 +205,7 @@ def find_box(
     if focus is None or not np.isfinite(reach):
         raise _without_box(seen="the planes face no common point")
     capture = _moved(capture, -focus)
-    region = LosPrior.from_box((_REGION * reach,) * 3)
-    peaks = KeptPeaks(region, _COARSE, num_threads=num_threads)
+    peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
     rough, seen, leakage_db = _rough(capture, peaks, like)
     if leakage_db > _LEAKAGE_DB:
@@ -214,7 +214,7 @@ def find_box(
             capture = without_leakage(capture, leakage)
             rough, seen, _ = _rough(capture, peaks, like)
     box = _filled(rough)
-    if not box.size_m.min() > _LEAST_SIDE_M:
+    if not box.size_m.min() > LEAST_SIDE_M:
         raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
     box = _refined(capture, box, _Known(peaks, seen))
     box = replace(box, content_share=_content_share(box, seen))
@@ -411,11 +411,20 @@ def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
         inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
         n_inside += bool(inside.all(axis=1).any())
     if n_inside:
-        raise _without_box(seen=f"planes around which walls would stand: {n_inside}")
+        raise UserError(
+            what="antennas stand within the walls that the scan shows",
+            expected="planes around the box",
+            got=f"{n_inside} planes within walls {_sides(offsets)} mm apart",
+            hint="check the positions, or give the outside of the box with --box X Y Z",
+        )
 
 
-def _without_box(seen: str) -> UserError:
-    return UserError(
+def _sides(offsets_m: Floats) -> str:
+    return " x ".join(f"{1e3 * side:.0f}" for side in offsets_m.sum(axis=1))
+
+
+def _without_box(seen: str) -> WallsNotFoundError:
+    return WallsNotFoundError(
         what="no walls of a box are found in the scan",
         expected="flashes of at least one flat wall that antennas face squarely",
         got=seen,

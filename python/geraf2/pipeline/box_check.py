@@ -6,7 +6,8 @@ from itertools import permutations
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.found_box import FoundBox, Seen, find_box
+from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError, find_box
+from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import with_walls
@@ -30,13 +31,13 @@ class BoxCheck:
 
     prior: LosPrior
     found: FoundBox | None
-    """None where a prior was given and the scan shows no walls."""
+    """None where the scan shows no walls."""
     text: str
     """In a line."""
     is_new: bool = False
     """Whether the prior is the found box, or was corrected by it."""
-    is_corrected: bool = False
-    """Whether it was given, and corrected."""
+    is_warning: bool = False
+    """Whether the report warns of it: a prior that was corrected, or no box."""
 
     def placed(self, capture: Capture) -> Capture:
         """Capture whose walls are where the prior is; none where they are turned."""
@@ -48,9 +49,18 @@ class BoxCheck:
 def box_from_radar(
     capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
 ) -> BoxCheck:
-    """Find the box where no prior is given; UserError where the scan shows none."""
+    """Find the box where no prior is given; where the scan shows none, the content's region."""
     with listener.step(BOX_STAGE):
-        found = find_box(capture, summary=summary, num_threads=num_threads)
+        try:
+            found = find_box(capture, summary=summary, num_threads=num_threads)
+        except WallsNotFoundError:
+            prior = content_region(capture, summary=summary, num_threads=num_threads)
+            sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
+            text = (
+                f"no walls of a box are seen: all within {sides} mm is taken as content in free "
+                "air; if it stands in a box, give --box X Y Z"
+            )
+            return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
     prior = with_walls(found.prior, capture.walls, listener)
     return BoxCheck(prior=prior, found=found, text=str(found), is_new=True)
 
@@ -100,7 +110,7 @@ def checked_prior(
     corrected = difference.corrected(found)
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
     prior = with_walls(corrected.prior, capture.walls, listener)
-    return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_corrected=True)
+    return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -229,8 +229,8 @@ def _started(
         box = request.box
         numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
         run.mark_done(BOX_STAGE, key, [], round(request.box_seconds, 3), numbers=numbers)
-        if box.found is not None:  # the report warns of notes that the run keeps
-            (heard if box.is_corrected else request.listener).note(box.text)
+        if box.is_warning or box.found is not None:
+            (heard if box.is_warning else request.listener).note(box.text)
     job = Job(
         run=run,
         capture=request.capture,
