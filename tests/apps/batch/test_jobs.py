@@ -74,6 +74,13 @@ def test_columns_of_a_table_override_common_settings(scans):
     assert (one.config, one.prior.box) == (base, BOX)
 
 
+def test_a_scene_without_a_prior_has_its_box_found_by_radar(scans):
+    (found,) = read_jobs([_table(scans, "scene", "two")])
+    (known,) = read_jobs([_table(scans, "scene", "one")])
+    assert not found.prior.is_given
+    assert known.prior.los == scans / "one" / "los.ply"
+
+
 REFUSED = {
     "unknown column 'boxes', did you mean 'box'?": ["scene,boxes", "one,1"],
     "has no column 'scene'": ["box", "1 1 1"],
@@ -83,7 +90,6 @@ REFUSED = {
     "line 2: give either box or prior": ["scene,box,prior", "one,1 1 1,one/los.ply"],
     "four: no such scene": ["scene,box", "four,1 1 1"],
     "none.ply: no such file": ["scene,prior", "one,none.ply"],
-    "two: the outside of the box is not known": ["scene", "two"],
     "unknown preset 'glimt'": ["scene,preset", "one,glimt"],
     "unknown key 'refine.shadow', did you mean": ["scene,settings", "one,refine.shadow = 1"],
     "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],

@@ -46,7 +46,7 @@ class BatchJob:
     scene: Path
     """Scene folder."""
     prior: PriorSource = field(default_factory=PriorSource)
-    """Outside of the box; by default the scene's own los.ply."""
+    """Outside of the box; by default the scene's own los.ply, or as the radar sees it."""
     truth: Path | None = None
     """Mesh of the truth, in metres in the scene's frame."""
     options: RunOptions = field(default_factory=RunOptions)
@@ -59,13 +59,7 @@ class BatchJob:
             read_scene_manifest(self.scene)  # raises the error
         prior, own = self.prior, self.scene / LOS_NAME
         if prior.los is None and prior.box is None:
-            if not is_file(own):
-                raise UserError(
-                    what=f"the outside of the box is not known: the scene has no {LOS_NAME}",
-                    where=self.scene,
-                    hint="give --box X Y Z, --los MESH, or a table with a column 'box'",
-                )
-            prior = replace(prior, los=own)
+            prior = replace(prior, los=own if is_file(own) else None)
         for path in (prior.los, self.truth):
             if path is not None and not exists(path):
                 raise UserError(what="no such file", where=path)

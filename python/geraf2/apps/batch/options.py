@@ -44,7 +44,8 @@ class BatchRequest(BatchOptions):
     """Settings of a command line for all scenes."""
 
     los: Path | None = None
-    """Outside of all boxes, as of `geraf2 reconstruct`; a scene's own los.ply when not given."""
+    """Outside of all boxes, as of `geraf2 reconstruct`. When not given, it is a scene's own
+    los.ply, or else found by radar."""
     box: Sides | None = None
     """Or the outer side lengths of all boxes [m]."""
     preset: str = "best"
