@@ -39,6 +39,7 @@ from helpers.carton import PRIOR
 
 DEVICES = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
 SMALL = PaperConfig(
+    device="cpu",
     n_cells=8,
     n_samples=10,
     n_antennas=16,
