@@ -61,7 +61,7 @@ def box_from_radar(
                 "air; if it stands in a box, give --box X Y Z"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
-    prior = with_walls(found.prior, capture.walls, listener)
+    prior = with_walls(found.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=str(found), is_new=True)
 
 
@@ -109,7 +109,7 @@ def checked_prior(
         return BoxCheck(prior=prior, found=found, text=text)
     corrected = difference.corrected(found)
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
-    prior = with_walls(corrected.prior, capture.walls, listener)
+    prior = with_walls(corrected.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
 
 

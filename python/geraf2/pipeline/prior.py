@@ -99,13 +99,15 @@ def load_prior(
                 hint="make one of photos, a scan or a box with 'geraf2 los'",
             )
         mesh = read_mesh(path / LOS_NAME if path.is_dir() else path)
-        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, listener)
+        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, listener or Listener())
     size, center = np.asarray(source, dtype=np.float64), np.asarray(center_m, dtype=np.float64)
     if size.shape != (3,) or not (np.isfinite(size).all() and size.min() > 0):
         raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
     if center.shape != (3,) or not np.isfinite(center).all():
         raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
-    return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, listener)
+    return with_walls(
+        LosPrior.from_box(triple(size), triple(center)), walls, listener or Listener()
+    )
 
 
 def with_walls(
@@ -115,15 +117,16 @@ def with_walls(
 
     Inner walls that are larger than the prior are left out. A turned cuboid has its own sides.
 
-    listener: warned where the scene states another size.
+    listener: warned where the scene states another size; none where the prior is its box by radar.
     """
     if not walls:
         return prior
     outer, size_m = walls[0], prior.size_m
     if prior.cuboid is not None:
         size_m = triple(prior.cuboid[1])
-    if np.abs(np.asarray(outer.size_m) - size_m).max() > _WALL_MISMATCH_M:
-        (listener or Listener()).warning(
+    off_m = float(np.abs(np.asarray(outer.size_m) - size_m).max())
+    if listener is not None and off_m > _WALL_MISMATCH_M:
+        listener.warning(
             f"by the scene the box is {spaced(outer.size_m)} m, the prior is "
             f"{spaced(size_m)} m; the prior is used"
         )
