@@ -177,6 +177,15 @@ def test_planes_from_both_sides_agree_and_cover_more():
     found = find_silhouettes(both)
     assert len(found) == 1
     np.testing.assert_allclose(edges(found, "top"), [0.03], atol=1.5e-3)
+    assert found.disagreement.item() < 0.03
+    assert find_silhouettes(one).disagreement.item() == 1.0  # from one side alone
+
+
+def test_sides_that_show_different_outlines_disagree():
+    one = shadow_capture("top", "geometric_flash", side=-1.0)
+    other = shadow_capture("body", "geometric_flash", side=1.0)
+    both = find_silhouettes(replace(one, poses=(one.poses[0], other.poses[0])))
+    assert both.disagreement.item() > 0.1
 
 
 def made(transmission, *, axis=1, known=None):
@@ -188,6 +197,7 @@ def made(transmission, *, axis=1, known=None):
         transmission=transmission,
         known=np.ones(transmission.shape, bool) if known is None else known[None],
         thresholds=np.array([0.5]),
+        disagreement=np.zeros(1),
         reason=np.array(""),
     )
 

@@ -24,5 +24,6 @@ def outlines(axes, half_m, known=None):
         transmission=np.array(free),
         known=np.ones(shape, dtype=bool) if known is None else np.broadcast_to(known, shape),
         thresholds=np.full(len(axes), 0.5),
+        disagreement=np.zeros(len(axes)),
         reason=np.array(""),
     )

@@ -55,6 +55,7 @@ def silhouettes():
         transmission=cells,
         known=cells > 0.0,
         thresholds=np.full(2, 0.5),
+        disagreement=np.zeros(2),
         reason=np.array("none"),
     )
 

@@ -136,6 +136,7 @@ def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):
         transmission=(np.hypot(u, v) > 0.02).astype(float)[None],
         known=(u < 0.03)[None],
         thresholds=np.array([0.5]),
+        disagreement=np.zeros(1),
         reason=np.array(""),
     )
     shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())

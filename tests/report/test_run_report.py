@@ -65,6 +65,7 @@ def outline_of_a_ball():
         transmission=(r > 0.031).astype(float)[None],
         known=np.ones((1, *r.shape), dtype=bool),
         thresholds=np.array([0.5]),
+        disagreement=np.zeros(1),
         reason=np.array(""),
     )
 

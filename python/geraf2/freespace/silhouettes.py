@@ -50,6 +50,8 @@ _THIN, _BLUR_M = 0.7, 0.008
 """A transmission below the first (its square for waves, which pass twice), farther than the second
 from any blocked line [m], is the shadow of a part too thin to block the flash; nearer it may be the
 blur of an edge."""
+_SAME_EDGE_M = 0.005
+"""Edges of one outline from opposite sides differ by less: refocusing errs by millimetres [m]."""
 _EDGE = 0.5
 """Field at the edge of a half plane over that without it."""
 
@@ -75,6 +77,7 @@ _LAYOUTS = {
     "transmission": "float n u v",
     "known": "bool n u v",
     "thresholds": "float n",
+    "disagreement": "float n",
     "reason": "text",
 }
 
@@ -95,6 +98,9 @@ class Silhouettes:
     """Cells that antennas cover, (n, n_u, n_v)."""
     thresholds: Floats
     """Transmission of a free line, at least, (n,)."""
+    disagreement: Floats
+    """Share of the blocked lines that planes on the two sides of the box do not agree on, (n,); 1
+    where there is no outline from both."""
     reason: NDArray[np.str_]
     """Why there is no outline, (); empty where there is one."""
 
@@ -105,6 +111,7 @@ class Silhouettes:
         require_shape("transmission", self.transmission, (n, None, None))
         require_shape("known", self.known, self.transmission.shape)
         require_shape("thresholds", self.thresholds, (n,))
+        require_shape("disagreement", self.disagreement, (n,))
         for name in ("spacing_m", "reason"):
             require_shape(name, getattr(self, name), ())
 
@@ -122,7 +129,7 @@ class Silhouettes:
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""
-        per_outline = ("axes", "origins_m", "transmission", "known", "thresholds")
+        per_outline = [n for n, kind in _LAYOUTS.items() if n not in ("spacing_m", "reason")]
         return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
     def free_distance(self, points: Floats) -> Floats:
@@ -135,12 +142,11 @@ class Silhouettes:
     def free_distances(self, points: Floats) -> Floats:
         """Least distance from points to the content by each outline alone, (n, n_points) [m].
 
-        Distance to the nearest line of sight along its axis that is not free; negative, the
-        distance to the nearest free one, where blocked, and -inf where nothing is known. Free are
-        only lines that hang together with the border of what is known, or with one on which the
-        flash is all there: what is a little brighter inside may be an echo of the content in the
-        wall's range. Nor is a line free that misses a part of the flash far from any edge: a wire
-        or a slat does not block it all.
+            Distance to the nearest line of sight along its axis that is not free; negative, the
+        distance to the nearest free one, where blocked, and -inf where nothing is known. Free
+        lines are connected to the border of what is known, or to one with the whole flash: other
+        bright ones may be echoes of the content at the wall's range. A line that misses a part of
+        the flash far from any edge is not free: a wire or a slat does not block it all.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
@@ -185,9 +191,8 @@ class Silhouettes:
     def edge(self, number: int) -> tuple[Floats, Floats]:
         """Border between free lines and others of one outline, a point for each cell it passes.
 
-        Places in the two axes across the lines of sight, (n, 2) [m], and unit normals, (n, 2), that
-        point to the free side; smoothed over half a cell. Where the outline leaves what is known it
-        has no border.
+        Positions across the lines of sight, (n, 2) [m], and unit normals to the free side, (n, 2);
+        smoothed over half a cell. Where the outline leaves what is known it has no border.
         """
         distance, known, spacing_m = self._distance_maps[number]
         distance = gaussian_filter(distance, 0.5 * _REFINE)
@@ -215,13 +220,15 @@ class _Flash(NamedTuple):
     """Distance to the middle of the box along the wall's normal, (n,) [m]."""
     wall_m: Floats
     """Distance to the wall, (n,) [m]."""
+    side: float
+    """Direction to the wall along its axis, 1 or -1."""
 
 
 class _Outline(NamedTuple):
+    """Transmission and known cells, (n_u, n_v) each; transmission of a free line, at least."""
+
     transmission: Floats
-    """(n_u, n_v)."""
     known: Bools
-    """(n_u, n_v)."""
     threshold: float
 
 
@@ -231,8 +238,6 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
     capture: its walls, outermost first, have to be known; of a nested box the outermost is the
         mirror.
 
-    Notes
-    -----
     What the content leaves of the flash is an in-line hologram (Gabor 1948), focused by the
     measured field's sharpest outline: docs/math/free-space.md#silhouettes.
     """
@@ -243,19 +248,20 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             flash = _wall_flash(pose, axis, capture, config)
             if flash is not None:
                 by_axis[axis].append(flash)
-    outlines, free_shares = [], [0.0]
+    outlines, disagreement, free_shares = [], [], [0.0]
     for axis, flashes in by_axis.items():
         wall = capture.walls[0]
         cells = [
             config.spacing_m * np.arange(-n, n + 1)
             for n in (_inner(wall)[_across(axis)] / config.spacing_m).astype(int)
         ]
-        outline, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
+        found, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
         free_shares.append(free_share)
-        if outline is not None:
+        if found:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
-            outlines.append((axis, first, outline))
-    shape = tuple(max((o.known.shape[k] for *_, o in outlines), default=0) for k in range(2))
+            outlines.append((axis, first, found[0]))
+            sides = _gathered([(axis, first, side) for side in found[1:]], config.spacing_m)
+            disagreement.append(_disagreement(sides))
     reason = ""
     if not capture.walls:
         reason = "the walls of the box are not known"
@@ -266,19 +272,40 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             f"at most {max(free_shares):.0%} of a plane's lines of sight show the far wall's flash "
             f"without a shadow, of {config.min_free:.0%} at least"
         )
+    return replace(
+        _gathered(outlines, config.spacing_m),
+        disagreement=np.array(disagreement, dtype=np.float64),
+        reason=np.array(reason),
+    )
+
+
+def _gathered(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> Silhouettes:
+    """Outlines along axes, from their first cells [m]."""
+    shape = tuple(max((o.known.shape[k] for *_, o in outlines), default=0) for k in range(2))
     found = Silhouettes(
         axes=np.array([o[0] for o in outlines], dtype=np.int64),
         origins_m=np.array([o[1] for o in outlines], dtype=np.float64).reshape(-1, 2),
-        spacing_m=np.array(config.spacing_m),
+        spacing_m=np.array(spacing_m),
         transmission=np.ones((len(outlines), *shape)),
         known=np.zeros((len(outlines), *shape), dtype=np.bool_),
         thresholds=np.array([o.threshold for *_, o in outlines]),
-        reason=np.array(reason),
+        disagreement=np.ones(len(outlines)),
+        reason=np.array(""),
     )
     for number, (*_, outline) in enumerate(outlines):
-        place = (number, slice(outline.known.shape[0]), slice(outline.known.shape[1]))
-        found.transmission[place], found.known[place] = outline.transmission, outline.known
+        n_u, n_v = outline.known.shape
+        found.transmission[number, :n_u, :n_v] = outline.transmission
+        found.known[number, :n_u, :n_v] = outline.known
     return found
+
+
+def _disagreement(sides: Silhouettes) -> float:
+    """Share of blocked lines that one of two outlines shows free; 1 where none is blocked."""
+    (one, known, _), (other, also_known, _) = sides._distance_maps
+    one, other = (part[known & also_known] for part in (one, other))
+    blocked = (one < 0.0) | (other < 0.0)
+    differ = blocked & (np.maximum(one, other) > _SAME_EDGE_M)
+    return float(differ.sum() / blocked.sum()) if blocked.any() else 1.0
 
 
 def _across(axis: int) -> list[int]:
@@ -328,6 +355,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         response=response * wall_m[used] / share[used],
         content_m=content_m[used],
         wall_m=wall_m[used],
+        side=side,
     )
     flash = _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
     return _flattened(flash, waveform.center_wavelength_m)
@@ -377,38 +405,39 @@ def _flattened(flash: _Flash, wavelength_m: float) -> _Flash:
 
 def _focused(
     flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
-) -> tuple[_Outline | None, float]:
-    """Mean of the planes that see a wall, where it is sharpest; largest free share of a plane."""
+) -> tuple[list[_Outline], float]:
+    """Outlines of all planes and of each side, where sharpest; largest free share of a plane."""
     coarse = [c[::2] for c in cells]
     # What a strip of antennas at a tilted wall's edge sees may lie beside the box.
     flashes = [flash for flash in flashes if _covered(flash, coarse).any()]
     if not flashes:
-        return None, 0.0
-    blur = []
-    focuses = np.linspace(0.0, 1.0, _FOCUSES)
+        return [], 0.0
+    blur, focuses = list[float](), np.linspace(0.0, 1.0, _FOCUSES)
     for focus in focuses:
         seen = [_hologram(f, coarse, focus, wavelength_m, config.aperture) for f in flashes]
         values = np.concatenate([image[known] for image, known in seen])
         blur.append(float(np.minimum(np.abs(values), np.abs(values - 1.0)).mean()))
     focus = focuses[int(np.argmin(blur))]
-    shape = (len(cells[0]), len(cells[1]))
+    shape = (2, len(cells[0]), len(cells[1]))
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
         image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
         free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()))
         if free_shares[-1] >= config.min_free:
-            total[known] += image.real[known]
-            count[known] += 1.0
-    if not count.any():
-        return None, max(free_shares)
-    known = count > 0.0
-    mean = np.where(known, total / np.maximum(count, 1.0), 1.0)
-    if focus >= 0.5:  # waves are stopped on the way there and on the way back
-        return _Outline(mean, known, _EDGE**2), max(free_shares)
-    focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
-    blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
-    sharp = sharpened(mean, blur_m / config.spacing_m)
-    return _Outline(sharp, known, _EDGE), max(free_shares)
+            total[int(flash.side > 0.0), known] += image.real[known]
+            count[int(flash.side > 0.0), known] += 1.0
+    # Waves are stopped on the way there and on the way back.
+    threshold, blur_m = _EDGE**2, 0.0
+    if focus < 0.5:
+        focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
+        blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
+        threshold = _EDGE
+    outlines = []
+    for parts in ([0, 1], [0], [1]):
+        n = count[parts].sum(axis=0)
+        mean = np.where(n > 0.0, total[parts].sum(axis=0) / np.maximum(n, 1.0), 1.0)
+        outlines.append(_Outline(sharpened(mean, blur_m / config.spacing_m), n > 0.0, threshold))
+    return outlines if count.any() else [], max(free_shares)
 
 
 def sharpened(image: Floats, blur_cells: float) -> Floats:
