@@ -34,13 +34,14 @@ def test_support_is_what_the_docstring_says():
     tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
     glints = replace(glints_at(points, tilted), strengths=rng.uniform(0.1, 2.0, 40))
     strong = np.quantile(glints.strengths, 0.98)
-    found = nearness(mesh, glints)
+    shares = rng.uniform(0.0, 1.0, 40)
+    found = nearness(mesh, glints, model, shares)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     for vertex in range(0, len(mesh.vertices), 37):
         support = 0.0
-        for p, n, a in zip(points, tilted, glints.strengths, strict=True):
+        for p, n, a, w in zip(points, tilted, glints.strengths, shares, strict=True):
             square = np.sum((mesh.vertices[vertex] - p) ** 2)
-            agreeing = max(0.0, normals[vertex] @ n) * min(1.0, a / strong)
+            agreeing = w * max(0.0, normals[vertex] @ n) * min(1.0, a / strong)
             support += agreeing * np.exp(-square / (2 * model.reach_m**2))
         assert found.support[vertex] == pytest.approx(support, rel=1e-6)
 

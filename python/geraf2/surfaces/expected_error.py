@@ -55,12 +55,19 @@ class Nearness:
     """Whether a glint with a similar normal lies within reach."""
 
 
-def nearness(mesh: TriangleMesh, glints: Glints, model: SupportModel | None = None) -> Nearness:
+def nearness(
+    mesh: TriangleMesh,
+    glints: Glints,
+    model: SupportModel | None = None,
+    weights: Floats | None = None,
+) -> Nearness:
     """Measure the glints around each vertex.
 
-        support(v) = sum_j a_j exp(-|v - p_j|^2 / (2 reach^2)) max(0, n_v . n_j)
+        support(v) = sum_j w_j a_j exp(-|v - p_j|^2 / (2 reach^2)) max(0, n_v . n_j)
 
     over the 64 nearest glints; a_j is the strength over that of a strong glint, at most 1.
+
+    weights: w_j of the glints in the fit, (n_glints,); ones when None.
     """
     model = model or SupportModel()
     n_vertices = mesh.vertices.shape[0]
@@ -70,7 +77,7 @@ def nearness(mesh: TriangleMesh, glints: Glints, model: SupportModel | None = No
     distance, nearest = KDTree(glints.positions).query(mesh.vertices, k=n_near)
     normals = vertex_normals(mesh.vertices, mesh.faces)
     cosine = np.clip(np.einsum("vk,vjk->vj", normals, glints.normals[nearest]), -1.0, 1.0)
-    relative = relative_strengths(glints.strengths)
+    relative = relative_strengths(glints.strengths) * (1.0 if weights is None else weights)
     weights = relative[nearest] * np.exp(-0.5 * (distance / model.reach_m) ** 2)
     alike = (distance <= model.seen_reach_m) & (cosine >= np.cos(model.seen_angle_rad))
     return Nearness(support=(weights * np.maximum(cosine, 0.0)).sum(axis=1), seen=alike.any(axis=1))

@@ -23,7 +23,7 @@ from geraf2.surfaces.isosurface import (
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 5
+MESH_VERSION = 6
 """Raised when the same field gives another mesh, or another expected error."""
 _log = logging.getLogger(__name__)
 

@@ -104,6 +104,12 @@ class Evidence:
         """All glints, those of the rim last."""
         return self.glints if self.rim is None else self.glints.join(self.rim)
 
+    @property
+    def weights(self) -> Floats:
+        """Of these against one of whole sub-apertures, (n,)."""
+        n_rim = 0 if self.rim is None else len(self.rim)
+        return np.repeat([1.0, self.rim_weight], [len(self.glints), n_rim])
+
 
 def fit_sdf(
     glints: Glints | Evidence,
@@ -215,9 +221,8 @@ def _weigh(
     glints, together = evidence.glints, evidence.seen
     relative = relative_strengths(together.strengths, glints.strengths)
     # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
-    position, normal = together.probability * (np.sqrt(relative), relative)
-    for weights in (position, normal):
-        weights[len(glints) :] *= evidence.rim_weight
+    shares = together.probability * evidence.weights
+    position, normal = shares * np.sqrt(relative), shares * relative
     groups: list[Glints | Tangents] = [together]
     if touched is not None:
         groups.append(touched)

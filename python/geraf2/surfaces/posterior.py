@@ -316,7 +316,7 @@ def sample_surface(
     samples. Not differentiable.
     """
     model, noise = SupportModel(), NoiseModel(common_sigma_m=evidence.common_sigma_m)
-    near = nearness(mesh, evidence.seen, model)
+    near = nearness(mesh, evidence.seen, model, evidence.weights)
     kinds = evidence_of_vertices(mesh, near, evidence.outlines, model)
     if not len(mesh.vertices):
         nothing = replace(mesh, expected_error_m=np.zeros(0), evidence=kinds)
