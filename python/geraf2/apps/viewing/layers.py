@@ -15,8 +15,7 @@ from geraf2.io.array_layouts import read_arrays
 from geraf2.io.container import is_scene
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.mesh_colours import error_colours
-from geraf2.io.run_folder import TRUTH_COPY
-from geraf2.pipeline.commands.image import IMAGE_NAME
+from geraf2.io.run_folder import IMAGE_NAME, TRUTH_COPY
 from geraf2.report.canvas import load_matplotlib
 from geraf2.report.run_report import read_run, stored_truth
 from geraf2.scene import Grid
