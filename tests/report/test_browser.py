@@ -84,7 +84,7 @@ def page_url(tmp_path_factory):
     folder.warn("antennas are far apart")
     folder.mark_done("box", "key", [], 1.0, numbers=found_box())
     save_planes(ScannedPlanes(corners_m=planes_around(6)), out / "planes.json")
-    grid = Grid.cube((0, 0, 0), 0.06, 61)
+    grid = Grid.cube((0, 0, 0), 0.06, 48)
     heat = np.exp(-np.abs(grid.points()[:, 1] + 0.02) / 0.01).reshape(grid.shape)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(canvas, "_DPI", 80)
@@ -202,7 +202,7 @@ def test_a_wiper_shows_the_truth_beside_the_content(opened):
     assert is_truth[:, half + 2 :].mean() > 0.02
     wiper.fill("1000")
     settle(page)
-    assert ((pixels(page)[..., 1] - pixels(page)[..., 0]) > 40).mean() < 0.001
+    assert ((pixels(page)[..., 1] - pixels(page)[..., 0]) > 40).mean() < 0.004  # an axis is green
 
 
 def test_a_slice_of_the_heat_map_is_drawn_where_it_is(opened):
