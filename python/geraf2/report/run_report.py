@@ -35,8 +35,15 @@ from geraf2.report.figures import (
 from geraf2.report.outlines import shadow_pictures
 from geraf2.report.run_sections import Section, read_log, read_object
 from geraf2.report.stored_scores import read_metrics, read_psnr
-from geraf2.report.view3d import Around, content_attributes, scene_json, thinned, view_scene
-from geraf2.report.view_layers import box_faces, heat_map, read_heat_map
+from geraf2.report.view3d import (
+    NOTHING,
+    Around,
+    content_attributes,
+    scene_json,
+    thinned,
+    view_scene,
+)
+from geraf2.report.view_layers import box_faces, heat_map, read_heat_map, signed_distance
 from geraf2.scene import Grid
 from geraf2.surfaces.isosurface import signed_distances
 
@@ -197,16 +204,28 @@ def _page(
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
-    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
-    if run.surface is None:
+    if read_run(folder).surface is None:
         return None
-    copy = stored_truth(path) if "scores" in run.metrics and path.is_file() else None
+    scene = run_scene(folder, num_threads=num_threads)
+    assert scene is not None
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
-        view=scene_json(_view(run, folder, copy, None, num_threads)),
+        views=[("", scene_json(scene))],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
+        is_tall=False,
     )
+
+
+def run_scene(folder: Path, *, num_threads: int | None = None) -> dict[str, Any] | None:
+    """Scene of the 3D view of a run, with slices of its field; None where it holds nothing yet."""
+    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
+    copy = None
+    if "scores" in run.metrics and path.is_file() and run.surface is not None:
+        copy = stored_truth(path)
+    if run.surface is None and run.glints is None and run.sdf is None and run.box is None:
+        return None
+    return _view(run, folder, copy, None, num_threads, with_field=True)
 
 
 def _view(
@@ -215,20 +234,25 @@ def _view(
     copy: tuple[TriangleMesh, Floats] | None,
     heatmap: tuple[Array, Grid] | None,
     num_threads: int | None,
+    *,
+    with_field: bool = False,
 ) -> dict[str, Any]:
     """Scene of the 3D view, with slices of the heat map where there is one."""
-    assert run.surface is not None
-    attributes = content_attributes(
-        run.surface,
-        glints=run.glints,
-        box=run.box,
-        distances_m=None if copy is None else copy[1],
-        num_threads=num_threads,
-    )
+    attributes = []
+    if run.surface is not None:
+        attributes = content_attributes(
+            run.surface,
+            glints=run.glints,
+            box=run.box,
+            distances_m=None if copy is None else copy[1],
+            num_threads=num_threads,
+        )
     volumes = [] if heatmap is None else [heat_map(*heatmap)]
     stored = folder / run_folder.IMAGE_NAME
     if not volumes and stored.is_file() and stored.stat().st_size < _MOST_IMAGE_BYTES:
         volumes = [read_heat_map(stored)]
+    if with_field and run.sdf is not None:
+        volumes.append(signed_distance(run.sdf))
     around = Around(
         box=run.box,
         truth=None if copy is None else copy[0],
@@ -237,7 +261,8 @@ def _view(
         faces=box_faces(run.numbers.get("box", {})),
         volumes=volumes,
     )
-    return view_scene(run.surface, attributes, around, name=run.scene[0] or "view")
+    content = run.surface or NOTHING
+    return view_scene(content, attributes, around, name=run.scene[0] or "view")
 
 
 def _truth_copy(

@@ -35,6 +35,10 @@ _GLINT_RADIUS_M = 0.0009
 _GLINT_RANGE_DB = 30.0
 
 
+NOTHING = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+"""Content of a view without one."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attribute:
     """Values of the vertices, with their colours and units."""
@@ -302,7 +306,8 @@ def _numbers(values: NDArray[Any]) -> dict[str, str]:
 
 def _stretched(values: Array, dtype: str) -> dict[str, Any]:
     """Columns of values, each quantised from its minimum to its maximum in `dtype`."""
-    columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+    columns = np.asarray(values, dtype=np.float64)
+    columns = columns.reshape(len(values), -1) if len(values) else columns.reshape(0, 3)
     low = columns.min(axis=0) if len(columns) else np.zeros(columns.shape[1])
     span = (columns.max(axis=0) if len(columns) else low) - low
     step = np.where(span > 0, span, 1.0) / np.iinfo(dtype).max
@@ -382,6 +387,7 @@ def _volume(volume: Volume) -> dict[str, Any]:
         "label": volume.label,
         "unit": volume.unit,
         "range": [low, high],
+        "opaque": volume.is_signed,
         "colours": _scale_colours(volume.colour_map),
         "origin": np.round(1e3 * origin_m, 3).tolist(),
         "spacing": 1e3 * spacing_m,

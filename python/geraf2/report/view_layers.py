@@ -9,12 +9,14 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.errors import UserError
+from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import triple
 from geraf2.io.array_layouts import read_arrays
 from geraf2.scene import Grid
 
 RANGE_DB = 30.0
 """Range of a heat map's colours, below its largest magnitude [dB]."""
+_DISTANCE_MM = 20.0
 _MOST_VOXELS = 48  # along a side: 0.15 MB in a page
 _FACES = tuple(
     (f"{sign}{axis}", k, s) for k, axis in enumerate("xyz") for s, sign in enumerate("-+")
@@ -36,6 +38,11 @@ class Volume:
     """Values at the ends of the colour map."""
     colour_map: str
     """Name of a colour map of matplotlib."""
+
+    @property
+    def is_signed(self) -> bool:
+        """Whether zero lies between the limits; such a volume is shown opaque."""
+        return self.limits[0] < 0.0 < self.limits[1]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,6 +68,19 @@ def heat_map(volume: Array, grid: Grid) -> Volume:
     )
 
 
+def signed_distance(sdf: SdfGrid) -> Volume:
+    """Distance to the surface in millimetres, negative inside."""
+    limits = (-_DISTANCE_MM, _DISTANCE_MM)
+    return Volume(
+        label="signed distance",
+        grid=sdf.grid,
+        values=1e3 * sdf.values,
+        unit="mm",
+        limits=limits,
+        colour_map="RdBu",
+    )
+
+
 def read_heat_map(path: Path) -> Volume:
     """Heat map of an `image.npz`; UserError where it is none."""
     layouts = {"volume": "float x y z", "origin_m": "float 3", "spacing_m": "float"}
@@ -75,7 +95,9 @@ def read_heat_map(path: Path) -> Volume:
 
 
 def coarser(volume: Volume) -> tuple[Array, Floats, float]:
-    """Largest values of blocks of voxels, so that no side is longer than a page holds.
+    """Blocks of voxels, so that no side is longer than a page holds.
+
+    The largest of a heat map, of which weak values are transparent; the mean of signed values.
 
     Returns the values, the position of the first one [m], and the spacing [m].
     """
@@ -85,7 +107,8 @@ def coarser(volume: Volume) -> tuple[Array, Floats, float]:
     n = np.asarray(whole.shape) // step
     blocks = whole.reshape(n[0], step, n[1], step, n[2], step)
     origin = np.asarray(volume.grid.origin_m) + 0.5 * (step - 1) * volume.grid.spacing_m
-    return blocks.max(axis=(1, 3, 5)), origin, step * volume.grid.spacing_m
+    joined = blocks.mean(axis=(1, 3, 5)) if volume.is_signed else blocks.max(axis=(1, 3, 5))
+    return joined, origin, step * volume.grid.spacing_m
 
 
 def box_faces(numbers: Mapping[str, Any]) -> list[BoxFace]:

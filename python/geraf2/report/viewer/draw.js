@@ -86,11 +86,11 @@ void main() { if (is_cut(v_position)) discard; colour = vec4(v_colour * u_opacit
 const SLICE_FRAGMENT = `#version 300 es
 precision highp float; precision highp sampler3D;
 in vec3 v_position;
-uniform sampler3D u_volume; uniform sampler2D u_map; uniform vec3 u_origin, u_span;
+uniform sampler3D u_volume; uniform sampler2D u_map; uniform vec3 u_origin, u_span; uniform bool u_opaque;
 out vec4 colour;
 void main() {
   float level = texture(u_volume, ((v_position - u_origin) / u_span).zyx).r;
-  float alpha = smoothstep(0.02, 0.4, level) * 0.92;
+  float alpha = 0.92 * (u_opaque ? 1.0 : smoothstep(0.02, 0.4, level));
   colour = vec4(texture(u_map, vec2(level, 0.5)).rgb * alpha, alpha);
 }`;
 
@@ -291,6 +291,7 @@ class Painter {
     const uniforms = this.use("slice", uncut(seen));
     gl.uniform3fv(uniforms.u_origin, low);
     gl.uniform3fv(uniforms.u_span, span);
+    gl.uniform1i(uniforms.u_opaque, volume.opaque ? 1 : 0);
     gl.uniform1i(uniforms.u_volume, 1);
     gl.uniform1i(uniforms.u_map, 0);
     gl.activeTexture(gl.TEXTURE1);

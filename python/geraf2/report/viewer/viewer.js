@@ -27,6 +27,8 @@ class Viewer {
     this.slice = null;
     this.wiper = null;
     this.holders = [];
+    this.linked = []; // viewers whose cameras follow this one's
+    this.named = null; // plane that is shown by its number
     const keys = {
       f: () => this.fit(),
       a: () => this.fit(true),
@@ -64,8 +66,10 @@ class Viewer {
   measureScene() {
     const points = (layer) => layer.positions || layer.corners;
     this.whole = boundsOf(this.layers.map(points));
-    const cut = this.scene.meshes.filter((mesh) => !mesh.walls);
-    this.inner = boundsOf((cut.length ? cut : this.scene.meshes).map(points));
+    const { meshes } = this.scene;
+    const [content] = meshes;
+    const kinds = [meshes.filter((mesh) => !mesh.walls && content.indices.length), meshes.filter((mesh) => mesh.walls), this.layers];
+    this.inner = kinds.map((layers) => boundsOf(layers.map(points))).find(({ low }) => low.every(Number.isFinite));
     this.clip = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
   }
 
@@ -87,6 +91,19 @@ class Viewer {
       return element("div", { class: "layer" }, name, layer === this.scene.glints ? "" : range);
     });
     this.part("layers").append(...rows);
+    const { planes } = this.scene;
+    const corners = planes ? [...planes.corners] : [];
+    const options = Array.from({ length: corners.length / 12 }, (_, n) => {
+      const own = corners.slice(12 * n, 12 * n + 12);
+      const [x, y, z] = [0, 1, 2].map((k) => (own[k] + own[k + 6]) / 2);
+      const [azimuth, up] = [Math.atan2(y, x), Math.atan2(z, Math.hypot(x, y))].map((a) => Math.round((a * 180) / Math.PI));
+      return element("option", { value: n }, `plane ${n + 1}: at ${azimuth}°, ${up}° up`);
+    });
+    const select = element("select", { "aria-label": "plane", onchange: () => {
+      this.named = select.value === "" ? null : Number(select.value);
+      this.redraw();
+    } }, element("option", { value: "" }, "show one plane"), ...options);
+    if (options.length) this.part("layers").append(select);
     this.part("reduced").textContent = this.layers.map((layer) => layer.note).filter(Boolean).join(" ");
   }
 
@@ -261,7 +278,15 @@ class Viewer {
     return radius + norm(plus(middle, this.camera.target, -1)) + 1;
   }
 
-  redraw() {
+  // Take over the camera of another view.
+  follow({ azimuth, elevation, distance, orthographic, target }) {
+    Object.assign(this.camera, { azimuth, elevation, distance, orthographic, target: [...target] });
+    this.part("orthographic").setAttribute("aria-pressed", String(orthographic));
+    this.redraw(false);
+  }
+
+  redraw(leads = true) {
+    if (leads) for (const other of this.linked) other.follow(this.camera);
     if (this.waiting) return;
     this.waiting = true;
     requestAnimationFrame(() => {
@@ -283,7 +308,7 @@ class Viewer {
     const columns = [0, 1, 2].flatMap((c) => axes.map((axis) => axis[c]));
     const cut = rgb(getComputedStyle(this.root).getPropertyValue("--cut").trim());
     const matrix = this.camera.matrix(this.aspect(), this.reach());
-    const held = [...new Set(this.holders.map(({ pose }) => pose))];
+    const held = [...new Set([...this.holders.map(({ pose }) => pose), this.named])].filter((n) => n !== null);
     const { clip, slice, wiper } = this;
     this.painter.draw({ matrix, columns, clip, cut, pixel, held, slice, wiper });
     this.drawOverlay(axes);
@@ -413,11 +438,25 @@ class Viewer {
   }
 }
 
+const viewers = [];
 for (const root of document.querySelectorAll(".viewer")) {
   try {
     root.viewer = new Viewer(root);
+    viewers.push(root.viewer);
   } catch (error) {
     root.classList.remove("works"); // the pictures remain
     console.warn(`no 3D view: ${error.message}`);
   }
+}
+
+// The button that links the cameras of two views.
+const link = document.querySelector('[data-part="link"]');
+const setLinks = (on) => {
+  link.setAttribute("aria-pressed", String(on));
+  for (const viewer of viewers) viewer.linked = on ? viewers.filter((other) => other !== viewer) : [];
+  viewers[0].redraw();
+};
+if (link && viewers.length > 1) {
+  link.addEventListener("click", () => setLinks(link.getAttribute("aria-pressed") !== "true"));
+  setLinks(true);
 }
