@@ -223,7 +223,7 @@ def view_scene(
     shown = _mesh(thin, "content", _CONTENT_COLOUR, note=note)
     if thin.faces.shape[0]:
         shade = MeshPainter(thin).ambient
-        shown["shade"] = _numbers(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
+        shown["shade"] = packed(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
     shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
     meshes = [shown]
     if truth is not None and truth.faces.shape[0]:
@@ -299,20 +299,21 @@ def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMes
     return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
 
 
-def _numbers(values: NDArray[Any]) -> dict[str, str]:
+def packed(values: NDArray[Any]) -> dict[str, str]:
+    """Return whole numbers in base64, with their type."""
     data = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
     return {"type": values.dtype.str[1:], "data": data}
 
 
-def _stretched(values: Array, dtype: str) -> dict[str, Any]:
-    """Columns of values, each quantised from its minimum to its maximum in `dtype`."""
+def quantised(values: Array, dtype: str) -> dict[str, Any]:
+    """Return columns of values, each quantised from its minimum to its maximum in `dtype`."""
     columns = np.asarray(values, dtype=np.float64)
     columns = columns.reshape(len(values), -1) if len(values) else columns.reshape(0, 3)
     low = columns.min(axis=0) if len(columns) else np.zeros(columns.shape[1])
     span = (columns.max(axis=0) if len(columns) else low) - low
     step = np.where(span > 0, span, 1.0) / np.iinfo(dtype).max
     whole = np.round((columns - low) / step).astype(dtype)
-    return {"low": low.tolist(), "step": step.tolist(), "values": _numbers(whole)}
+    return {"low": low.tolist(), "step": step.tolist(), "values": packed(whole)}
 
 
 def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[str, Any]:
@@ -326,8 +327,8 @@ def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[s
         "opacity": 1.0,
         "closed": is_closed,
         "attributes": [],
-        "positions": _stretched(1e3 * mesh.vertices, "<u2"),
-        "indices": _numbers(indices),
+        "positions": quantised(1e3 * mesh.vertices, "<u2"),
+        "indices": packed(indices),
         **options,
     }
 
@@ -337,9 +338,9 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
     if attribute.classes:
         n_classes = len(attribute.classes)
         whole = values.astype("<u1" if n_classes <= 256 else "<u2")
-        stored = {"low": [0.0], "step": [1.0], "values": _numbers(whole)}
+        stored = {"low": [0.0], "step": [1.0], "values": packed(whole)}
     else:
-        stored = _stretched(values, "<u2")
+        stored = quantised(values, "<u2")
     return {
         "label": attribute.label,
         "unit": attribute.unit,
@@ -392,7 +393,7 @@ def _volume(volume: Volume) -> dict[str, Any]:
         "origin": np.round(1e3 * origin_m, 3).tolist(),
         "spacing": 1e3 * spacing_m,
         "shape": list(values.shape),
-        "values": _numbers(levels),
+        "values": packed(levels),
     }
 
 
@@ -408,10 +409,10 @@ def _glints(glints: Glints) -> dict[str, Any]:
         "visible": False,
         "opacity": 1.0,
         "radius": 1e3 * _GLINT_RADIUS_M,
-        "positions": _stretched(1e3 * shown.positions, "<u2"),
-        "normals": _stretched(shown.normals, "<u1"),
-        "values": _stretched(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
-        "poses": _numbers(np.clip(shown.poses, 0, 65_535).astype("<u2")),
+        "positions": quantised(1e3 * shown.positions, "<u2"),
+        "normals": quantised(shown.normals, "<u1"),
+        "values": quantised(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
+        "poses": packed(np.clip(shown.poses, 0, 65_535).astype("<u2")),
         "reach": 1e3 * model.seen_reach_m,
         "cosine": float(np.cos(model.seen_angle_rad)),
         "range": [-_GLINT_RANGE_DB, 0.0],
