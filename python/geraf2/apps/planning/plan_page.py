@@ -151,7 +151,7 @@ def _counts(plan: TimedPlan, ball: TriangleMesh) -> Ints:
     """Return how many planes see each normal of the ball, as index of `_SEEN_BY`."""
     normals = ball.vertices / np.linalg.norm(ball.vertices, axis=1, keepdims=True)
     found = received_normals(_planes(plan), normals, np.zeros(3)).sum(axis=1)
-    return np.minimum(found, len(_SEEN_BY) - 1)
+    return np.asarray(np.minimum(found, len(_SEEN_BY) - 1))
 
 
 def _cell(plan: TimedPlan, ball: TriangleMesh) -> dict[str, Any]:

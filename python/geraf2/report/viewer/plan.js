@@ -11,6 +11,7 @@ class PlanPage {
       range.addEventListener("input", () => this.choose());
     });
     this.part("time").addEventListener("input", () => this.move());
+    viewer.root.querySelector('[aria-label="plane"]').hidden = true; // lists those of one plan
     viewer.fit(true);
     this.choose();
   }
