@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from geraf2.apps.viewing.layers import source_of
+from geraf2.apps.viewing.scenes import scene_of
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io.run_folder import LOCK_NAME, RunFolder
@@ -128,7 +128,7 @@ def strange_run(finished_run):
 def test_a_run_that_is_read_makes_no_requests(strange_run, asked, command, capsys):
     assert RunRecord.read(strange_run / "config.toml").prior.los == Path("s3://bucket/los.ply")
     if command == "view":
-        source_of(strange_run)
+        scene_of(strange_run)
     elif command == "report":
         write_report(strange_run)
     else:

@@ -5,7 +5,8 @@ import io
 import numpy as np
 from PIL import Image
 
-DESKTOP, PHONE = (1280, 900), (390, 844)
+DESKTOP, PHONE = (1440, 900), (390, 844)
+SCREENS = [(size, dark) for size in (DESKTOP, PHONE) for dark in (False, True)]
 FLAGS = (
     "--no-sandbox",
     "--use-gl=angle",
@@ -36,3 +37,34 @@ def serious_findings(page, axe):
     page.evaluate(axe)
     found = page.evaluate("axe.run()")["violations"]
     return [v["id"] for v in found if v["impact"] in ("serious", "critical")]
+
+
+# Texts with letters below 11 px: of elements, and of pictures whose letters have a known height.
+_SMALL = """() => {
+  document.querySelectorAll("details").forEach((e) => { e.open = true; });
+  const found = [];
+  for (const e of document.querySelectorAll("body *")) {
+    const own = [...e.childNodes].some((n) => n.nodeType === 3 && n.textContent.trim());
+    const seen = e.getClientRects().length && !["SCRIPT", "STYLE", "OPTION"].includes(e.tagName);
+    const height = e.dataset.letters ? e.dataset.letters * e.clientWidth : 11;
+    if (own && seen && parseFloat(getComputedStyle(e).fontSize) < 11) found.push(e.textContent);
+    if (height < 11) found.push(e.alt || e.tagName);
+  }
+  return found;
+}"""
+
+
+def require_readable(page, size):
+    """Assert that a page fits its window, and that no letter is smaller than 11 px."""
+    assert page.evaluate(_SMALL) == []
+    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+
+
+def require_first_screen(page, size, verdict):
+    """Assert that the 3D view and the verdict are on the screen before any scrolling."""
+    stage = page.locator(".viewer .stage").bounding_box()
+    shown = min(stage["y"] + stage["height"], size[1]) - stage["y"]
+    assert shown > 0.8 * stage["height"]
+    text = page.locator(verdict).bounding_box()
+    assert text["y"] >= 0
+    assert text["y"] + text["height"] <= size[1]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.viewing.layers import _image
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.leakage import Leakage
 from geraf2.echoes.glint_set import Glints
@@ -13,6 +12,7 @@ from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.array_layouts import read_arrays
 from geraf2.pipeline.prior import read_prior, save_prior
 from geraf2.report.run_report import stored_truth
+from geraf2.report.view_layers import read_heat_map
 from geraf2.scene import Grid, LosPrior, Wall
 
 WALL = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
@@ -79,7 +79,7 @@ FILES = {
     "calibration": (corrections().save, Corrections.load),
     "prior": (lambda path: save_prior(BOX, path), read_prior),
     "truth": (of_truth, stored_truth),
-    "image": (of_image, _image),
+    "image": (of_image, read_heat_map),
 }
 CHANGES = {
     "missing": lambda _: None,

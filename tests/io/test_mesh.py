@@ -15,7 +15,7 @@ from geraf2.io.mesh import (
     read_mesh,
     write_mesh,
 )
-from geraf2.io.mesh_colours import error_colours
+from geraf2.io.mesh_colours import error_colours, to_linear
 from geraf2.scene import LosPrior
 
 SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
@@ -62,10 +62,31 @@ def test_errors_of_a_ply_with_more_columns_are_kept(box, tmp_path, encoding):
     np.testing.assert_array_equal(back.evidence, box.evidence)
 
 
-def test_colours_go_from_yellow_to_dark_violet_at_5_mm():
-    colours = error_colours(np.array([0.0, 0.005, 0.02]), 3)
-    np.testing.assert_array_equal(colours, [[253, 231, 37], [68, 1, 84], [68, 1, 84]])
+def test_errors_go_from_a_quiet_blue_to_a_dark_warm_red_at_5_mm():
+    good, worst, beyond = error_colours(np.array([0.0, 0.005, 0.02]), 3).astype(int)
+    assert good[2] > good[1] > good[0]
+    assert worst[0] > 2 * worst[1]
+    assert worst[0] > 2 * worst[2]
+    np.testing.assert_array_equal(beyond, worst)
     assert np.ptp(error_colours(None, 2)) == 0
+
+
+# Machado, Oliveira and Fernandes 2009: dichromats, in linear light.
+@pytest.mark.parametrize(
+    "sight",
+    [
+        np.eye(3),
+        [[0.152, 1.053, -0.205], [0.115, 0.786, 0.099], [-0.004, -0.048, 1.052]],
+        [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]],
+        [[1.256, -0.077, -0.179], [-0.078, 0.931, 0.148], [0.005, 0.691, 0.304]],
+    ],
+)
+def test_larger_errors_are_darker_for_every_kind_of_colour_vision(sight):
+    colours = error_colours(np.linspace(0.0, 0.005, 26), 26)
+    seen = np.clip(to_linear(colours / 255.0) @ np.transpose(sight), 0.0, 1.0)
+    levels = np.cbrt(seen @ [0.2126, 0.7152, 0.0722])
+    assert (np.diff(levels) < 0).all()
+    assert levels[0] - levels[-1] > 0.5
 
 
 @pytest.mark.parametrize(

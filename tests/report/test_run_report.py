@@ -93,7 +93,8 @@ def test_report_holds_pictures_metrics_definitions_and_configuration(run, truth)
     )
     text = report.read_text()
     assert report == run / "report.html"
-    assert len(PICTURE.findall(text)) == 5
+    assert text.count("<figure") == 5
+    assert len(PICTURE.findall(text)) > 10  # in panels
     for name in ("mesh", "errors", "slices", "glints", "projections"):
         assert (run / "figures" / f"{name}.png").stat().st_size > 1000
     metrics = json.loads((run / "metrics.json").read_text())
@@ -121,6 +122,35 @@ def test_report_is_self_contained_and_escapes_what_it_shows(run):
     assert "eval(" not in text
 
 
+def test_the_answer_comes_before_scores_with_a_sentence_under_each_heading(run, truth):
+    text = write_report(run, truth=truth).read_text()
+    order = [
+        'class="viewer"',
+        'class="card"',
+        'class="coped"',
+        ">Against the truth</h2>",
+        "F1 5 mm",
+    ]
+    found = [text.index(part) for part in order]
+    assert found == sorted(found)
+    assert re.findall('<div class="card"><h3>(.*?)</h3>', text) == ["Size", "How sure", "Not seen"]
+    below = r'</h2>\n<(?:p class="note">[^<]+\.<|div class="hero")'
+    headings = re.findall(below, text)
+    assert len(headings) == text.count("<h2")
+
+
+def test_all_numbers_of_the_typical_error_are_one(run, truth):
+    write_report(run, truth=truth)
+    metrics = json.loads((run / "metrics.json").read_text())
+    assert metrics["expected_error"]["expected_m"] == pytest.approx(5e-4)
+    text = write_report(run, truth=truth).read_text()
+    exact = f"{1e3 * metrics['surface_mesh_to_truth']['median_m']:.2f}"
+    assert f"<dt>error, median</dt><dd>{exact} mm</dd>" in text
+    medians = re.findall(r"<td>(mesh to truth|between samples[^<]*)</td><td>([\d.]+)</td>", text)
+    assert medians[0] == ("mesh to truth", exact)
+    assert "the truth alone has a median of" in medians[1][0]  # what the samples' spacing makes
+
+
 def test_an_empty_folder_gives_a_report_without_content(tmp_path):
     RunFolder.open(tmp_path, scene_digest="digest", scene_name="scene")
     text = write_report(tmp_path).read_text()
@@ -131,8 +161,8 @@ def test_an_empty_folder_gives_a_report_without_content(tmp_path):
 def test_a_report_without_truth_has_no_error_pictures(run):
     (run / "metrics.json").unlink()
     text = write_report(run).read_text()
-    assert len(PICTURE.findall(text)) == 3
-    assert "Distance to the truth" not in text
+    assert text.count("<figure") == 3
+    assert "Against the truth" not in text
     assert "never seen" in text
 
 
@@ -143,7 +173,7 @@ def test_scores_of_another_mesh_are_not_shown(run, truth, other):
     del metrics["mesh_digest"]  # as earlier versions wrote it
     (run / "metrics.json").write_text(json.dumps({**metrics, **other}))
     text = write_report(run).read_text()
-    assert "Distance to the truth" not in text
+    assert "Against the truth" not in text
     assert "F1 5 mm" not in text
     assert "beside the truth" not in text
     assert not (run / "figures" / "errors.png").exists()
@@ -209,8 +239,9 @@ def test_warnings_are_not_what_calibration_did(run):
     folder.mark_done("calibration", "key", [], 1.0, numbers=numbers)
     folder.warn("calibrated delay: 1.5 mm +- 0.2")
     text = write_report(run).read_text()
-    warnings = re.findall(r'<p class="warning">(.*?)</p>', text)
-    assert warnings == ["spacing is &lt;wide&gt;"]
+    (coped,) = re.findall(r'<details class="coped">(.*?)</details>', text, re.DOTALL)
+    assert re.findall("<li>(.*?)</li>", coped) == ["spacing is &lt;wide&gt;"]
+    assert '<p class="warning">' not in text
     assert "<td>corrected</td><td>1.5 mm ± 0.2</td>" in text
     assert "<td>unchanged</td><td>+0.1 mm ± 5.0; small</td>" in text
 

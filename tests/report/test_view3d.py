@@ -1,20 +1,25 @@
 import base64
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
 
+from geraf2.io.mesh import Evidence
 from geraf2.report.answer import answer_of
 from geraf2.report.run_sections import level_moved, losses, read_log
 from geraf2.report.view3d import (
     MAX_CONTENT_FACES,
+    Around,
     Attribute,
     content_attributes,
     scene_json,
     thinned,
     view_scene,
 )
+from geraf2.report.view_layers import box_faces, heat_map
+from geraf2.scene import Grid
 from helpers.glint_sets import glints_on_sphere
 from helpers.solids import ball, joined, triangles
 
@@ -116,11 +121,50 @@ def test_the_answer_names_unseen_surface_and_remarks_of_stages():
     assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
     assert answer.corrected == ("delay",)
     assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
-    first, ends = answer.unseen
+    _, first, ends = answer.cards[-1].lines
     assert "of what faces up" in first
     assert ends == "These ends of the size had no echo: bottom and top."
-    assert answer_of(content, every, {}, {}).unseen == ()
+    assert len(answer_of(content, every, {}, {}).cards[-1].lines) == 1
     assert "empty" in answer_of(content.with_faces(content.faces[:0]), every, {}, {}).found
+
+
+def test_unseen_surface_is_split_by_what_it_rests_on():
+    content = ball(0.03)
+    kinds = np.select(
+        [content.vertices[:, 2] > 0.015, content.vertices[:, 2] > 0.0],
+        [Evidence.GUESSED, Evidence.OUTLINE],
+        Evidence.SEEN,
+    ).astype(np.uint8)
+    card = answer_of(replace(content, evidence=kinds), None, {}, {}).cards[-1]
+    assert card.title == "Not seen"
+    shares = dict(card.shares)
+    # zones of a sphere are as large as they are high
+    assert shares["outline"] == pytest.approx(0.25, abs=0.03)
+    assert shares["filled"] == pytest.approx(0.25, abs=0.03)
+    outline, filled = (f"{100 * shares[name]:.0f} %" for name in ("outline", "filled"))
+    assert f"{outline} rest on the outline of a shadow, {filled} are only filled" in card.lines[0]
+    assert card.value == f"{100 * (1 - shares['seen']):.0f} %"
+
+
+def test_a_volume_is_thinned_to_its_largest_values():
+    grid = Grid(origin_m=(0.01, 0.02, 0.03), spacing_m=0.001, shape=(100, 40, 30))
+    values = np.full(grid.shape, 1e-3)
+    values[70, 20, 10] = 1.0
+    scene = view_scene(ball(0.03), (), Around(volumes=[heat_map(values, grid)]))
+    (volume,) = scene["volumes"]
+    levels = np.frombuffer(base64.b64decode(volume["values"]["data"]), dtype=np.uint8)
+    assert volume["shape"] == [34, 14, 10]
+    peak = np.array(np.unravel_index(levels.argmax(), volume["shape"]))
+    at = np.array(volume["origin"]) + volume["spacing"] * peak
+    np.testing.assert_allclose(at, [80.0, 40.0, 40.0], atol=1.51)
+    assert levels.max() == 255
+    assert np.median(levels) == 0
+    assert len(scene_json(scene)) < 0.3e6
+
+
+def test_a_box_without_a_face_is_not_drawn():
+    assert box_faces({}) == []
+    assert box_faces({"faces": {"-x": {"seen": "squarely", "offset_m": 0.1}}, "axes": []}) == []
 
 
 def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):

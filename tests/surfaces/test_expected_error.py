@@ -12,6 +12,7 @@ from geraf2.surfaces.expected_error import (
     nearness,
     quality_numbers,
     seen_vertices,
+    typical_error_m,
 )
 from helpers.glint_sets import glints_at
 
@@ -78,3 +79,14 @@ def test_no_glints_and_no_mesh_are_not_errors():
 def test_coefficients_are_checked():
     with pytest.raises(ValueError, match="reach_m must be finite and positive, got 0"):
         SupportModel(reach_m=0.0)
+
+
+def test_the_typical_error_is_the_median_over_the_area():
+    mesh = plane()
+    far = mesh.vertices[:, 0] > 0.3 * PLANE_SIDE  # a fifth of the area, with many vertices or few
+    errors = np.where(far, 0.004, 0.001)
+    evidence = np.full(len(errors), Evidence.SEEN, dtype=np.uint8)
+    known = replace(mesh, expected_error_m=errors, evidence=evidence)
+    assert typical_error_m(known) == 0.001
+    assert typical_error_m(known, 0.95) == 0.004
+    assert quality_numbers(known)["expected_error_median_mm"] == 1.0

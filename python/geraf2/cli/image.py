@@ -9,9 +9,9 @@ from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, say
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
+from geraf2.io.run_folder import IMAGE_NAME
 from geraf2.pipeline.commands.image import (
     DEPTH_PICTURE_NAME,
-    IMAGE_NAME,
     PICTURE_NAME,
     SIDECAR_NAME,
     ImageOptions,

@@ -40,13 +40,15 @@ class Config(PlanOptions):
     """
 
     figure: Path | None = None
-    """PNG to draw."""
+    """PNG to draw; or .html: a page in 3D, with sliders for minutes and channels."""
     like: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Explain the scan of a scene instead: what it sees, and how long it would take."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
+    if config.figure is not None and config.figure.suffix == ".html":
+        return _write_page(config, config.figure)
     if any(one is not None for one in (config.minutes, config.like, config.after)):
         return _show_lines(config)
     if config.array is not None:
@@ -95,6 +97,18 @@ def main(config: Config) -> int:
 
         plan_figure(plan, config.figure)
         say(f"drawing  {config.figure}")
+    return 0
+
+
+def _write_page(config: Config, path: Path) -> int:
+    from geraf2.apps.planning.plan_page import write_plan_page  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    for name in ("like", "after", "depth", "out"):
+        if getattr(config, name) is not None:
+            raise UserError(what=f"--{name} has no page: --figure then ends in .png", got=path)
+    require_picture(path, (".html",))
+    for file in write_plan_page(path, config):
+        say(f"page     {file}" if file == path else f"poses    {file}")
     return 0
 
 

@@ -7,6 +7,7 @@ from scipy.stats import rankdata
 
 from geraf2._types import Floats, Ints
 from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.surfaces.expected_error import typical_error_m
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +76,7 @@ def error_forecast(
                     )
                 )
     return ErrorForecast(
-        expected_m=float(np.median(expected)),
+        expected_m=typical_error_m(mesh),
         within_one=_within(distances_m, expected),
         within_two=_within(distances_m, 2.0 * expected),
         rank_correlation=rank_correlation(expected, distances_m),

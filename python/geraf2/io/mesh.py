@@ -184,7 +184,7 @@ def write_mesh(
     float `expected_error_m` [m] and uchar `evidence` (`Evidence`). GLB: the same numbers, turned to
     glTF's +Y up by the node's rotation, vertex normals and colours, and the attributes
     `_EXPECTED_ERROR_M` and `_EVIDENCE`, both float. Each file appears whole or not at all. The
-    colour shows the expected error (yellow 0, dark violet 5 mm), grey without one. What the mesh
+    colour shows the expected error (blue 0, dark red 5 mm), grey without one. What the mesh
     was made from, and by which command, is recorded in all of them.
     """
     target, made_from = Path(path), made_from or {}

@@ -7,21 +7,19 @@ from geraf2._types import Array, Bytes, Floats
 WORST_SHOWN_M = 0.005
 """Expected error at the dark end of the colours, which begin at 0 [m]; half as large for most."""
 
-# Expected error as colour: yellow (none) over green to dark violet (WORST_SHOWN_M and more), the
-# perceptually uniform, colour-blind safe map viridis at eight equal steps, turned round.
-_ERROR_COLOURS = np.array(
-    [
-        [253, 231, 37],
-        [160, 218, 57],
-        [74, 193, 109],
-        [31, 161, 135],
-        [39, 127, 142],
-        [54, 92, 141],
-        [70, 50, 126],
-        [68, 1, 84],
-    ],
-    dtype=np.float64,
+ERROR_COLOURS = (
+    "#a9ccd9",
+    "#bfbaac",
+    "#cda782",
+    "#d69259",
+    "#cd6a32",
+    "#aa3d21",
+    "#7d281f",
+    "#531c1e",
 )
+"""Errors as colour: from a quiet blue (none) over sand and orange to dark red (WORST_SHOWN_M and
+more). Equal steps of 20 in CIELAB; lightness falls for all kinds of colour vision."""
+_CHANNELS = np.array([list(bytes.fromhex(c[1:])) for c in ERROR_COLOURS], dtype=np.float64)
 _PLAIN_COLOUR = (190, 190, 190)
 
 
@@ -29,8 +27,8 @@ def error_colours(expected_error_m: Floats | None, n: int) -> Bytes:
     """Display colour of each vertex, sRGB, (n, 3): by the expected error, grey without one."""
     if expected_error_m is None:
         return np.tile(np.array(_PLAIN_COLOUR, dtype=np.uint8), (n, 1))
-    steps = np.linspace(0.0, WORST_SHOWN_M, len(_ERROR_COLOURS))
-    channels = [np.interp(expected_error_m, steps, _ERROR_COLOURS[:, c]) for c in range(3)]
+    steps = np.linspace(0.0, WORST_SHOWN_M, len(ERROR_COLOURS))
+    channels = [np.interp(expected_error_m, steps, _CHANNELS[:, c]) for c in range(3)]
     return np.asarray(np.rint(np.stack(channels, axis=1)), dtype=np.uint8)
 
 

@@ -8,6 +8,17 @@ from geraf2.errors import UserError
 from geraf2.io.toml import from_table
 
 _Interval = tuple[float, float]
+_Axis = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Face:
+    """A face of the box that the scan shows."""
+
+    seen: str
+    offset_m: float | None
+    sigma_m: float | None
+    interval_m: tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +41,8 @@ class _Known:
     extents_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     extents_95_percent_mm: tuple[_Interval, _Interval, _Interval] | None = None
     common_offset_sigma_mm: float = 0.0
+    axes: tuple[_Axis, _Axis, _Axis] | None = None
+    faces: dict[str, _Face] | None = None
 
 
 # Where the first is there, the others are.
@@ -38,6 +51,7 @@ _TOGETHER = (
     ("permittivity", "permittivity_sigma", "thickness_m", "n_face_pairs"),
     ("volume_95_percent_cm3", "volume_cm3", "extents_mm", "extents_95_percent_mm"),
     ("volume_95_percent_cm3", "common_offset_sigma_mm"),
+    ("faces", "axes"),
 )
 
 

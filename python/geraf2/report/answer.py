@@ -10,8 +10,8 @@ from geraf2._types import Bools, Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.transparency import describe
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
-from geraf2.io.mesh import TriangleMesh
-from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
+from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
 from geraf2.surfaces.samples import size_lines
 
@@ -19,7 +19,25 @@ from geraf2.surfaces.samples import size_lines
 _END_REACH_M = 0.0015
 # Normals within 45 degrees of the vertical face up or down.
 _STEEP_COSINE = float(np.sqrt(0.5))
+# Texts of stages that sections of their own show.
+_SHOWN_ELSEWHERE = {("calibration", "applied"), ("calibration", "left")}
+_WORDS = {"by_radar": "box by radar", "no_outlines": "no outlines from shadows"}
+_LEAST_SHARE = 0.005  # that is named
 _ENDS = (("-x", "+x"), ("-y", "+y"), ("bottom", "top"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """One of the three answers at the top of a report."""
+
+    title: str
+    """Question that it answers."""
+    value: str
+    """Number that answers it."""
+    lines: tuple[str, ...] = ()
+    """Sentences below it."""
+    shares: tuple[tuple[str, float], ...] = ()
+    """Parts of the surface by evidence, with their share of the area."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,16 +46,14 @@ class Answer:
 
     found: str
     """Content and its size."""
-    tiles: tuple[tuple[str, str], ...] = ()
-    """Headline numbers, (name, value)."""
-    sure: tuple[str, ...] = ()
-    """Reliability of the surface."""
-    unseen: tuple[str, ...] = ()
-    """Unseen surface."""
+    cards: tuple[Card, ...] = ()
+    """Size, certainty, unseen surface."""
+    scores: tuple[tuple[str, str], ...] = ()
+    """Scores against the truth, (name, value)."""
     corrected: tuple[str, ...] = ()
     """Names of the effects that calibration corrected."""
     remarks: tuple[str, ...] = ()
-    """Further remarks of the stages."""
+    """Further results of the stages."""
 
 
 def answer_of(
@@ -54,85 +70,96 @@ def answer_of(
     """
     applied = numbers.get("calibration", {}).get("applied", ())
     corrected = tuple(str(text).partition(":")[0] for text in applied)
-    rest: dict[str, Any] = {"corrected": corrected, "remarks": _remarks(numbers)}
+    remarks = (*_labels(numbers), *_remarks(numbers))
     if content is None:
-        return Answer(found="Nothing has been reconstructed in this folder yet.", **rest)
+        found = "Nothing has been reconstructed in this folder yet."
+        return Answer(found=found, corrected=corrected, remarks=remarks)
     if not content.faces.shape[0]:
-        return Answer(found="Nothing was found in the box: the surface is empty.", **rest)
+        found = "Nothing was found in the box: the surface is empty."
+        return Answer(found=found, corrected=corrected, remarks=remarks)
     report = surface_report(content)
-    size = 1e3 * np.ptp(content.vertices, axis=0)
-    lengths = " x ".join(f"{side:.0f}" for side in size)
-    tiles = [("size x, y, z [mm]", lengths)]
-    if report.volume_m3 is not None:
-        tiles.append(("volume", f"{1e6 * report.volume_m3:.0f} cm³"))
-    sure, unseen = list[str](), list[str]()
-    quality = quality_numbers(content)
-    if quality:
-        half, most = (quality[f"expected_error_{q}_mm"] for q in ("median", "95_percent"))
-        tiles.append(("expected error, median", f"{half:.1f} mm"))
-        sure.append(
-            f"Expected error (one standard deviation): half of the surface below {half:.1f} mm, "
-            f"95 % below {most:.1f} mm."
-        )
-    sure += _sizes(numbers.get("mesh", {}))
     seen = seen_vertices(content, glints)
+    cards = [_size(content, report, dict(size_lines(numbers.get("mesh", {}))))]
+    if content.expected_error_m is not None:
+        most = 1e3 * typical_error_m(content, 0.95)
+        cards.append(
+            Card(
+                title="How sure",
+                value=f"{1e3 * typical_error_m(content):.1f} mm",
+                lines=(
+                    "Typical expected error, one standard deviation: half of the surface is below "
+                    f"it, 95 % below {most:.1f} mm.",
+                ),
+            )
+        )
     if seen is not None:
-        share = _share(vertex_areas(content.vertices, content.faces), seen, np.ones_like(seen))
-        n_glints = f" ({len(glints):,} glints in all)" if glints is not None else ""
-        tiles.append(("never seen, of area", f"{100 * (1 - share):.0f} %"))
-        sure.append(
-            f"{100 * share:.0f} % of the surface was seen: echoes with this "
-            f"normal came from there{n_glints}{_others(quality)}."
-        )
-        unseen += _unseen(content, seen)
-        unseen += _ends(content, seen, bool(numbers.get("selection", {}).get("outlines")))
-    sure += _labels(numbers)
-    if "scores" in metrics:
-        distance = metrics["surface_mesh_to_truth"]
-        sure.insert(
-            0,
-            f"Against the truth: half of the surface is within {1e3 * distance['median_m']:.1f} mm "
-            f"of it, 95 % within {1e3 * distance['p95_m']:.1f} mm.",
-        )
-        tiles += _scores(metrics)
-    elif content.expected_error_m is None:
-        sure.append("This mesh has no expected errors.")
+        outlines = bool(numbers.get("selection", {}).get("outlines"))
+        cards.append(_not_seen(content, seen, outlines))
     return Answer(
-        found=_found(content, report, lengths),
-        tiles=tuple(tiles),
-        sure=tuple(sure),
-        unseen=tuple(unseen),
-        **rest,
+        found=_found(content, report),
+        cards=tuple(cards),
+        scores=tuple(_scores(metrics)) if "scores" in metrics else (),
+        corrected=corrected,
+        remarks=remarks,
     )
 
 
-def _sizes(numbers: Mapping[str, Any]) -> list[str]:
-    """Sentence on size and volume with their 95 % intervals."""
-    sizes = dict(size_lines(numbers))
-    if not sizes:
-        return []
-    return [f"Intervals: size x, y, z {sizes['size x, y, z']}, volume {sizes['volume']}."]
+def _sides(content: TriangleMesh) -> str:
+    return " x ".join(f"{side:.0f}" for side in 1e3 * np.ptp(content.vertices, axis=0)) + " mm"
 
 
-def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
-    n = report.n_components
+def _size(content: TriangleMesh, report: SurfaceReport, intervals: Mapping[str, str]) -> Card:
+    lines = ["Along x, y and z."]
+    if intervals:
+        lines.append(f"Intervals: {intervals['size x, y, z']}, volume {intervals['volume']}.")
+    elif report.volume_m3 is not None:
+        lines.append(f"Volume {1e6 * report.volume_m3:.0f} cm³.")
+    return Card(title="Size", value=_sides(content), lines=tuple(lines))
+
+
+def _not_seen(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
+    """Card of the surface without echoes, split by what it rests on."""
+    areas = vertex_areas(content.vertices, content.faces)
+    kinds = np.where(seen, Evidence.SEEN, Evidence.GUESSED)
+    if content.evidence is not None:
+        kinds = content.evidence.astype(np.int64)
+    every = np.ones_like(seen)
+    shares = {kind: _share(areas, kinds == kind, every) for kind in reversed(Evidence)}
+    outline, guessed = shares[Evidence.OUTLINE], shares[Evidence.GUESSED]
+    lines = ["No echo came from this part of the surface."]
+    if outline > _LEAST_SHARE:
+        lines = [
+            f"No echo came from there: {_percent(outline)} rest on the outline of a shadow, "
+            f"{_percent(guessed)} are only filled smoothly."
+        ]
+    names = {Evidence.SEEN: "seen", Evidence.OUTLINE: "outline", Evidence.GUESSED: "filled"}
+    return Card(
+        title="Not seen",
+        value=_percent(1.0 - _share(areas, seen, every)),
+        lines=(*lines, *_unseen(content, seen), *_ends(content, seen, has_outlines)),
+        shares=tuple((names[kind], share) for kind, share in shares.items() if share > 0),
+    )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
+
+def _found(content: TriangleMesh, report: SurfaceReport) -> str:
+    n, lengths = report.n_components, _sides(content)
     middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
     place = ", ".join(f"{value:.0f}" for value in np.round(middle) + 0.0)
     closed = "" if report.is_watertight else " The surface is open."
     if n == 1:
-        return f"One body, {lengths} mm, its middle at ({place}) mm.{closed}"
-    return f"{n} separate pieces, {lengths} mm over all, their middle at ({place}) mm.{closed}"
-
-
-def _others(quality: Mapping[str, Any]) -> str:
-    """Evidence of the rest of the surface, with shares."""
-    share = quality.get("evidence_shares", {}).get("outline", 0.0)
-    return f"; {100 * share:.0f} % on a shadow's outline" if share > 0.005 else ""
+        return f"One body, {lengths}, its middle at ({place}) mm.{closed}"
+    return f"{n} separate pieces, {lengths} over all, their middle at ({place}) mm.{closed}"
 
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     items = [(f"F1 {1e3 * s['threshold_m']:g} mm", f"{s['f1']:.3f}") for s in metrics["scores"]]
-    items.append(("median error", f"{1e3 * metrics['surface_mesh_to_truth']['median_m']:.2f} mm"))
+    for share, key in (("median", "median_m"), ("95 %", "p95_m")):
+        error = 1e3 * metrics["surface_mesh_to_truth"][key]
+        items.append((f"error, {share}", f"{error:.2f} mm"))
     if (offset := metrics["surface_bias_m"]) is not None:
         items.append(("offset along the normal", f"{1e3 * offset:+.2f} mm"))
     if size := metrics.get("size"):
@@ -161,12 +188,8 @@ def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:
         "faces sideways": np.abs(up) <= _STEEP_COSINE,
     }
     shares = {name: _share(areas, ~seen, which) for name, which in sides.items()}
-    parts = [
-        f"{100 * share:.0f} % of what {name}" for name, share in shares.items() if share >= 0.005
-    ]
-    if not parts:
-        return []
-    return [f"Never seen, and only filled smoothly: {_listed(parts)}."]
+    parts = [f"{_percent(s)} of what {name}" for name, s in shares.items() if s >= _LEAST_SHARE]
+    return [f"By side: {_listed(parts)}."] if parts else []
 
 
 def _share(areas: Floats, marked: Bools, among: Bools) -> float:
@@ -206,9 +229,9 @@ def _remarks(numbers: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
         remarks.append(f"{made_of[0].upper()}{made_of[1:]}.".replace("+- ", "± "))
     for stage, values in numbers.items():
         for key, value in values.items():
-            if (stage == "calibration" and key in ("applied", "left")) or not value:
+            if (stage, key) in _SHOWN_ELSEWHERE or not value:
                 continue
             texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
-            words = key.replace("_", " ").replace("no outlines", "no outlines from shadows")
+            words = _WORDS.get(key, key.replace("_", " "))
             remarks += [f"{words}: {text}" for text in texts if isinstance(text, str)]
     return tuple(remarks)

@@ -1,6 +1,8 @@
 """Common parts of the pictures: sheets, images of grids, axes in millimetres, colours."""
 
+import json
 import sys
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +23,9 @@ BLUE, RED, SKY = "#0072B2", "#D55E00", "#56B4E9"
 HEAT_MAP = "inferno"
 AXIS_NAMES = ("x", "y", "z")
 _DPI = 130
+_LEAST_POINTS = 13.0  # of letters: 11 px and more where a panel is as wide as a phone
+PANELS_KEY = "geraf2-panels"
+"""Text of a PNG: rows of panels (left, top, right, bottom), and height of letters [px], in JSON."""
 
 
 def load_matplotlib() -> Any:
@@ -46,12 +51,63 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def save(figure: "Figure", path: AnyPath) -> None:
-    """Write a sheet as PNG."""
+    """Write a sheet as PNG, with the boxes of its panels, which pages show one above the other."""
+    mpl = load_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - as above
+    from matplotlib.text import Text  # noqa: PLC0415 - as above
 
-    FigureCanvasAgg(figure)
+    figure.set_dpi(_DPI)
+    figure.set_facecolor("white")
+    for panel in figure.axes:
+        panel.tick_params(labelsize=_LEAST_POINTS)
+    for text in figure.findobj(Text):
+        if isinstance(text, Text):
+            text.set_fontsize(max(text.get_fontsize(), _LEAST_POINTS))
+    sheet = FigureCanvasAgg(figure)
+    sheet.draw()
+    about = {"rows": _panel_rows(figure), "letters": _LEAST_POINTS * _DPI / 72.0}
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, dpi=_DPI, format="png", facecolor="white")
+        mpl.image.imsave(
+            temporary,
+            sheet.buffer_rgba(),
+            format="png",
+            dpi=_DPI,
+            metadata={PANELS_KEY: json.dumps(about)},
+        )
+
+
+def _panel_rows(figure: "Figure") -> list[list[list[int]]]:
+    """Boxes of the panels with their colour bars, by row; legends below are a row of their own."""
+    width, height = (int(side) for side in figure.canvas.get_width_height())
+    is_bar = {a: a.get_label() == "<colorbar>" for a in figure.axes}
+    found = {a: a.get_tightbbox() for a in figure.axes}
+    boxes = {a: list(box.extents) for a, box in found.items() if box is not None and not is_bar[a]}
+    for bar in (a for a in found if is_bar[a]):
+        x0, y0, x1, y1 = found[bar].extents  # type: ignore[union-attr]
+        beside = [b for b in boxes.values() if min(b[3], y1) > max(b[1], y0) and b[0] < x0]
+        nearest = max(beside or boxes.values(), key=lambda b: b[0])
+        nearest[:] = [
+            min(nearest[0], x0),
+            min(nearest[1], y0),
+            max(nearest[2], x1),
+            max(nearest[3], y1),
+        ]
+    rows: list[list[list[float]]] = []
+    for box in sorted(boxes.values(), key=lambda b: -b[3]):
+        if rows and 0.5 * (box[1] + box[3]) > min(b[1] for b in rows[-1]):
+            rows[-1].append(box)
+        else:
+            rows.append([box])
+    rows += [[list(legend.get_window_extent().extents)] for legend in figure.legends]
+    cut = []
+    for row in rows:  # of one height, with the space between neighbours shared
+        row.sort()
+        low, high = min(b[1] for b in row) - 4, max(b[3] for b in row) + 4
+        between = [0.5 * (a[2] + b[0]) for a, b in pairwise(row)]
+        edges = [max(0, row[0][0] - 4), *between, min(width, row[-1][2] + 4)]
+        top, bottom = max(0, int(height - high)), min(height, int(height - low))
+        cut.append([[int(left), top, int(right), bottom] for left, right in pairwise(edges)])
+    return cut
 
 
 def label(panel: "Axes", x: str, y: str, title: str | None = None) -> None:

@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.mesh_colours import WORST_SHOWN_M
+from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, BLUE, BOX_COLOUR, GLINT_COLOUR, RED, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter, View
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _GREY = (0.78, 0.78, 0.78)
-_EXPECTED_MAP = "viridis_r"
-_ERROR_MAP = "YlOrBr"
 _MESH_PIXELS = 300
 _HEAT_MAP_RANGE_DB = 30.0  # below the maximum
 
@@ -180,7 +178,7 @@ def mesh_views(
 
 def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = None) -> None:
     """Draw positions of the glints on three axes, their strengths, and their scan planes."""
-    figure = canvas.new_figure(12.5, 7.6)
+    figure = canvas.new_figure(11.0, 7.2)
     layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
     panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
     largest = float(glints.strengths.max(initial=0.0))
@@ -215,7 +213,7 @@ def error_curves(
     distances_m: dict[str, Floats], path: AnyPath, *, thresholds_m: Sequence[float] = ()
 ) -> None:
     """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
-    figure = canvas.new_figure(7.5, 4.4)
+    figure = canvas.new_figure(5.6, 4.0)
     panel = figure.subplots()
     limit = 5.0
     colours = (BLUE, RED, TRUTH_COLOUR, "#CC79A7")
@@ -240,7 +238,7 @@ def error_curves(
 
 def loss_curves(curves: dict[str, list[tuple[int, float]]], path: AnyPath) -> None:
     """Draw terms of a loss, (step, value) by name, on a logarithmic axis."""
-    figure = canvas.new_figure(7.5, 4.2)
+    figure = canvas.new_figure(5.6, 4.0)
     panel = figure.subplots()
     for (name, curve), colour in zip(curves.items(), (BLUE, RED, TRUTH_COLOUR), strict=False):
         steps, values = zip(*curve, strict=True)
@@ -311,7 +309,7 @@ def _slice_legend(
     if has_glints:
         label = f"glints within {1e3 * near_m:.0f} mm, with normals"
         handles.append(Line2D([], [], color=GLINT_COLOUR, marker="o", markersize=4, label=label))
-    figure.legend(handles=handles, loc="outside lower center", ncols=4, frameon=False)
+    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
 
 
 def _limit_to_content(
@@ -335,22 +333,26 @@ def _expected_row(painter: MeshPainter) -> _Row:
     expected_m = painter.mesh.expected_error_m
     if expected_m is None:
         return "reconstruction", painter, np.tile(np.array(_GREY), (n_vertices, 1)), None
-    colours, mappable = _coloured(1e3 * expected_m, 1e3 * WORST_SHOWN_M, _EXPECTED_MAP)
+    colours, mappable = _coloured(1e3 * expected_m, 1e3 * WORST_SHOWN_M)
     return "reconstruction", painter, colours, (mappable, "expected error [mm]")
 
 
 def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:
     require_shape("distances_m", distances_m, (painter.mesh.vertices.shape[0],))
-    colours, mappable = _coloured(1e3 * np.abs(distances_m), 8.0, _ERROR_MAP)
+    colours, mappable = _coloured(1e3 * np.abs(distances_m), 8.0)
     return "error", painter, colours, (mappable, "distance to the truth [mm]")
 
 
-def _coloured(values: Floats, largest: float, name: str) -> tuple[Floats, Any]:
-    mpl = canvas.load_matplotlib()
+def _coloured(values: Floats, largest: float) -> tuple[Floats, Any]:
+    canvas.load_matplotlib()
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
-    from matplotlib.colors import Normalize  # noqa: PLC0415 - as above
+    from matplotlib.colors import (  # noqa: PLC0415 - as above
+        LinearSegmentedColormap,
+        Normalize,
+    )
 
-    mappable = ScalarMappable(norm=Normalize(0.0, largest), cmap=mpl.colormaps[name])
+    colours = LinearSegmentedColormap.from_list("errors", ERROR_COLOURS)
+    mappable = ScalarMappable(norm=Normalize(0.0, largest), cmap=colours)
     return np.asarray(mappable.to_rgba(values), dtype=np.float64)[:, :3], mappable
 
 

@@ -10,15 +10,24 @@ from typing import TYPE_CHECKING, Any
 
 from geraf2 import __version__
 from geraf2._types import AnyPath
-from geraf2.io.regular import BINARY_BYTES, read_regular
+from geraf2.report.canvas import PANELS_KEY
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from PIL.Image import Image
 
 _TEMPLATES = Path(__file__).parent / "templates"
 _SCRIPTS = Path(__file__).parent / "viewer"
 # Of pictures in pages: a third of the bytes of PNG, lines and letters still sharp.
 _QUALITY = 88
+_TIGHT = (
+    ("+- ", "\u00b1\u00a0"),
+    (" \u00b1 ", "\u00a0\u00b1\u00a0"),
+    (" %", "\u00a0%"),
+    (" mm", "\u00a0mm"),
+    (" x ", "\u00a0\u00d7 "),
+    ("cm^3", "cm\u00b3"),
+)
 
 
 @cache
@@ -33,6 +42,7 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
     )
     environment.filters["mm"] = _millimetres
+    environment.filters["tight"] = _tight
     environment.globals["zip"] = zip
     return environment
 
@@ -50,32 +60,53 @@ def part(name: str, *arguments: Any, **named: Any) -> str:
     return Markup(str(macro(*arguments, **named)).strip())
 
 
-def picture(
-    path: AnyPath, caption: str = "", *, name: str = "", max_width_px: int | None = None
-) -> str:
-    """Embedded picture; `name` of one whose description `parts.html` has."""
-    return part("picture", _source(path), caption, name, max_width_px)
+def picture(path: AnyPath, caption: str = "", *, name: str = "") -> str:
+    """Embedded picture, in panels where it has some; `parts.html` describes those with a name."""
+    from geraf2.io.pictures import opened_picture  # noqa: PLC0415 - takes 0.1 s
+
+    with opened_picture(Path(path)) as image:
+        about = _panels_of(image)
+        shown = image.convert("RGB")
+    rows = [
+        [{"source": _source(shown.crop(box)), "width": box[2] - box[0]} for box in row]
+        for row in about["rows"]
+    ]
+    return part("picture", rows, about["letters"], shown.width, caption, name)
 
 
-def _source(path: AnyPath) -> str:
-    """Return the data URL of a picture, as WebP where Pillow supports it and it is smaller."""
+def _panels_of(image: "Image") -> dict[str, Any]:
+    """Rows of boxes of a picture, and the height of its letters [px], from `canvas.save`."""
+    whole = {"rows": [[[0, 0, image.width, image.height]]], "letters": None}
+    try:
+        kept = json.loads(image.info.get(PANELS_KEY, "null"))
+        boxes = [box for row in kept["rows"] for box in row]
+        good = kept["letters"] > 0 and all(
+            0 <= x0 < x1 <= image.width and 0 <= y0 < y1 <= image.height for x0, y0, x1, y1 in boxes
+        )
+    except (ValueError, TypeError, KeyError):  # of another program, or of an earlier version
+        return whole
+    return kept if good and boxes else whole
+
+
+def _source(image: "Image") -> str:
+    """Return the data URL of a picture, as WebP where Pillow supports it."""
     from PIL import features  # noqa: PLC0415 - takes 0.1 s
 
-    from geraf2.io.pictures import opened_picture  # noqa: PLC0415 - as above
-
-    kind, data = "png", read_regular(path, BINARY_BYTES)
-    if features.check("webp"):
-        stream = BytesIO()
-        with opened_picture(Path(path)) as image:
-            image.convert("RGB").save(stream, format="WEBP", quality=_QUALITY, method=2)
-        if stream.tell() < len(data):
-            kind, data = "webp", stream.getvalue()
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    kind, stream = "webp" if features.check("webp") else "png", BytesIO()
+    image.save(stream, format=kind.upper(), quality=_QUALITY, method=2)
+    return f"data:image/{kind};base64,{base64.b64encode(stream.getvalue()).decode('ascii')}"
 
 
 def _millimetres(value_m: float | None) -> str:
     """Length in mm with two decimals; n/a for None."""
     return "n/a" if value_m is None else f"{1e3 * value_m:.2f}"
+
+
+def _tight(text: str) -> str:
+    """Text without line breaks between numbers and units."""
+    for loose, tight in _TIGHT:
+        text = text.replace(loose, tight)
+    return text
 
 
 def scalar_rows(values: Mapping[str, Any], skip: Container[str] = ()) -> list[tuple[str, str]]:

@@ -26,7 +26,7 @@ def shadow_pictures(
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 
-    figure = canvas.new_figure(4.6 * len(silhouettes) + 0.8, 4.8)
+    figure = canvas.new_figure(4.2 * len(silhouettes) + 0.8, 4.6)
     panels = np.atleast_1d(figure.subplots(1, len(silhouettes)))
     spacing_m = float(silhouettes.spacing_m)
     surfaces = {"content": (content, GLINT_COLOUR), "truth": (truth, TRUTH_COLOUR)}

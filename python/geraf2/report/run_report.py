@@ -23,7 +23,7 @@ from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.io.text import read_text
 from geraf2.report import html, run_sections
-from geraf2.report.answer import answer_of
+from geraf2.report.answer import Answer, answer_of
 from geraf2.report.figures import (
     error_curves,
     glint_overview,
@@ -35,7 +35,15 @@ from geraf2.report.figures import (
 from geraf2.report.outlines import shadow_pictures
 from geraf2.report.run_sections import Section, read_log, read_object
 from geraf2.report.stored_scores import read_metrics, read_psnr
-from geraf2.report.view3d import content_attributes, scene_json, thinned, view_scene
+from geraf2.report.view3d import (
+    NOTHING,
+    Around,
+    content_attributes,
+    scene_json,
+    thinned,
+    view_scene,
+)
+from geraf2.report.view_layers import box_faces, heat_map, read_heat_map, signed_distance
 from geraf2.scene import Grid
 from geraf2.surfaces.isosurface import signed_distances
 
@@ -46,6 +54,7 @@ _NO_VIEW = (
 )
 _TRUTH = {"vertices": "float n 3", "faces": "index:n m 3", "distances_m": "float k"}
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
+_MOST_IMAGE_BYTES = 2**26  # of a heat map that the page reads for its slices
 _MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
 
@@ -146,13 +155,14 @@ def write_report(
     copy = _truth_copy(run, folder, truth, bool(kept), num_threads)
     view = None
     if run.surface is not None:
-        view = scene_json(_view(run, copy, num_threads))
+        view = scene_json(_view(run, folder, copy, heatmap, num_threads))
     pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
+    answer = answer_of(run.content, run.glints, run.numbers, run.metrics)
     sections = [
-        Section("answer", "What was found", kind="answer"),
-        *([Section("view", "In 3D", kind="view", note=_NO_VIEW)] if view else []),
+        Section("answer", "What was found", kind="answer", note=_NO_VIEW),
+        *run_sections.remarks(answer),
         *pictures,
-        *_evaluation(run, folder),
+        *_evaluation(run, folder, answer),
         *_renderings(folder),
         *_losses(log, figures),
         *run_sections.tables(run.stages, run.metrics, run.surface),
@@ -163,7 +173,8 @@ def write_report(
     all_warnings = [*warnings, *run.warnings]
     heading = title if title is not None else f"geraf2: {folder.resolve().name}"
     write_text_atomic(
-        folder / run_folder.REPORT_NAME, _page(run, heading, sections, view, all_warnings, log)
+        folder / run_folder.REPORT_NAME,
+        _page(run, heading, sections, answer, view, all_warnings, log),
     )
     return folder / run_folder.REPORT_NAME
 
@@ -172,6 +183,7 @@ def _page(
     run: RunArtefacts,
     title: str,
     sections: Sequence[Section],
+    answer: Answer,
     view: str | None,
     warnings: Sequence[str],
     log: Sequence[Mapping[str, Any]],
@@ -183,7 +195,7 @@ def _page(
         title=title,
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
-        answer=answer_of(run.content, run.glints, run.numbers, run.metrics),
+        answer=answer,
         warnings=[line for line in dict.fromkeys(warnings) if line not in notes],
         view=view,
     )
@@ -192,39 +204,65 @@ def _page(
 def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
     """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
-    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
-    if run.surface is None:
+    if read_run(folder).surface is None:
         return None
-    copy = stored_truth(path) if "scores" in run.metrics and path.is_file() else None
+    scene = run_scene(folder, num_threads=num_threads)
+    assert scene is not None
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
-        view=scene_json(_view(run, copy, num_threads)),
+        views=[("", scene_json(scene))],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
+        is_tall=False,
     )
+
+
+def run_scene(folder: Path, *, num_threads: int | None = None) -> dict[str, Any] | None:
+    """Scene of the 3D view of a run, with slices of its field; None where it holds nothing yet."""
+    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
+    copy = None
+    if "scores" in run.metrics and path.is_file() and run.surface is not None:
+        copy = stored_truth(path)
+    if run.surface is None and run.glints is None and run.sdf is None and run.box is None:
+        return None
+    return _view(run, folder, copy, None, num_threads, with_field=True)
 
 
 def _view(
-    run: RunArtefacts, copy: tuple[TriangleMesh, Floats] | None, num_threads: int | None
+    run: RunArtefacts,
+    folder: Path,
+    copy: tuple[TriangleMesh, Floats] | None,
+    heatmap: tuple[Array, Grid] | None,
+    num_threads: int | None,
+    *,
+    with_field: bool = False,
 ) -> dict[str, Any]:
-    """Scene of the 3D view."""
-    assert run.surface is not None
-    attributes = content_attributes(
-        run.surface,
-        glints=run.glints,
-        box=run.box,
-        distances_m=None if copy is None else copy[1],
-        num_threads=num_threads,
-    )
-    return view_scene(
-        run.surface,
-        attributes,
+    """Scene of the 3D view, with slices of the heat map where there is one."""
+    attributes = []
+    if run.surface is not None:
+        attributes = content_attributes(
+            run.surface,
+            glints=run.glints,
+            box=run.box,
+            distances_m=None if copy is None else copy[1],
+            num_threads=num_threads,
+        )
+    volumes = [] if heatmap is None else [heat_map(*heatmap)]
+    stored = folder / run_folder.IMAGE_NAME
+    if not volumes and stored.is_file() and stored.stat().st_size < _MOST_IMAGE_BYTES:
+        volumes = [read_heat_map(stored)]
+    if with_field and run.sdf is not None:
+        volumes.append(signed_distance(run.sdf))
+    around = Around(
         box=run.box,
         truth=None if copy is None else copy[0],
         glints=run.glints,
         planes_m=run.planes_m,
-        name=run.scene[0] or "view",
+        faces=box_faces(run.numbers.get("box", {})),
+        volumes=volumes,
     )
+    content = run.surface or NOTHING
+    return view_scene(content, attributes, around, name=run.scene[0] or "view")
 
 
 def _truth_copy(
@@ -268,8 +306,9 @@ def _draw(
     """Sections with pictures, in order."""
     sections: list[Section] = []
 
-    def add(name: str, title: str, picture: Path, caption: str = "") -> None:
-        sections.append(Section(name, title, parts=(html.picture(picture, caption, name=name),)))
+    def add(name: str, title: str, picture: Path, note: str) -> None:
+        parts = (html.picture(picture, name=name),)
+        sections.append(Section(name, title, note=note, parts=parts))
 
     content = run.surface
     if content is not None:
@@ -280,40 +319,46 @@ def _draw(
         colour = "grey: the mesh has no expected errors"
         if content.expected_error_m is not None:
             colour = "coloured by expected error, one standard deviation"
-        caption = f"The content from four sides, {colour}{beside}; no perspective."
-        add("surface", "Surface", figures / "mesh.png", caption)
+        note = f"The content from four sides, {colour}{beside}; no perspective."
+        add("surface", "Surface", figures / "mesh.png", note)
     if content is not None and truth is not None:
         _draw_errors(content, truth, figures / run_folder.ERRORS_NAME, num_threads)
     if run.sdf is not None:
         if "slices.png" not in kept:
             sdf_slices(run.sdf, figures / "slices.png", glints=run.glints, truth=truth, box=run.box)
-        add("slices", "Signed distance", figures / "slices.png")
+        note = "Three cuts through the middle of the content: the black line is its surface."
+        add("slices", "Signed distance", figures / "slices.png", note)
     if run.glints is not None and len(run.glints):
         glint_overview(run.glints, figures / "glints.png", box=run.box)
-        add("glints", "Glints", figures / "glints.png")
+        note = "Points that sent an echo straight back: position, strength and plane of antennas."
+        add("glints", "Glints", figures / "glints.png", note)
     if run.silhouettes is not None and len(run.silhouettes):
         if "shadows.png" not in kept:
             shadow_pictures(run.silhouettes, content, figures / "shadows.png", truth=truth)
-        add("shadows", "Shadows", figures / "shadows.png")
+        note = "Echo of the far walls behind the content; no echo shows tops and bottoms."
+        add("shadows", "Shadows", figures / "shadows.png", note)
     if "los" in run.stages and (figures.parent / LOS_VIEWS).is_file():
-        add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS)
+        note = "Photos of the box, the surface trained from them, and its outward normals."
+        add("line-of-sight", "Line of sight", figures.parent / LOS_VIEWS, note)
     if heatmap is not None:
         projections(heatmap[0], heatmap[1], figures / "projections.png", box=run.box)
     if (figures / "projections.png").is_file():
-        add("heat-map", "Heat map", figures / "projections.png")
+        note = "Largest magnitude of the matched-filter image along each axis."
+        add("heat-map", "Heat map", figures / "projections.png", note)
     return sections
 
 
-def _evaluation(run: RunArtefacts, folder: Path) -> list[Section]:
+def _evaluation(run: RunArtefacts, folder: Path, answer: Answer) -> list[Section]:
     """Section of the scores against the truth; empty without scores."""
     if "scores" not in run.metrics:
         return []
-    parts: list[str] = []
+    parts = [html.part("facts", answer.scores)]
     curves = folder / run_folder.FIGURES_FOLDER / run_folder.ERRORS_NAME
     if curves.is_file():
-        parts.append(html.picture(curves, name="evaluation", max_width_px=620))
+        parts.append(html.picture(curves, name="evaluation"))
     parts.append(html.part("metrics_tables", run.metrics))
-    return [Section("evaluation", "Distance to the truth", parts=tuple(parts))]
+    note = "Errors of this surface against the true one, which the run did not know."
+    return [Section("evaluation", "Against the truth", note=note, parts=tuple(parts))]
 
 
 def _renderings(folder: Path) -> list[Section]:
@@ -344,8 +389,10 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
     if not curves:
         return []
     loss_curves(curves, figures / "losses.png")
-    picture = html.picture(figures / "losses.png", name="training", max_width_px=720)
-    return [Section("training", "Training", note=run_sections.level_moved(log), parts=(picture,))]
+    note = "Terms of the loss over the steps of the training, means since the line before."
+    picture = html.picture(figures / "losses.png", name="training")
+    moved = run_sections.level_moved(log)
+    return [Section("training", "Training", note=f"{note} {moved}".strip(), parts=(picture,))]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

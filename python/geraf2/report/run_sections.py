@@ -18,6 +18,7 @@ from geraf2.io.text import parse_json
 from geraf2.io.text import read_object as read_json
 from geraf2.io.toml import parse_toml
 from geraf2.report import html
+from geraf2.report.answer import Answer
 from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
 
@@ -44,7 +45,7 @@ class Section:
     """Anchor of the section."""
     title: str
     """Heading."""
-    kind: Literal["plain", "answer", "view"] = "plain"
+    kind: Literal["plain", "answer"] = "plain"
     """Template of the section."""
     note: str = ""
     """Line below the heading."""
@@ -126,6 +127,15 @@ def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
     )
 
 
+def remarks(answer: Answer) -> list[Section]:
+    """Section of further results of the stages; empty without any."""
+    if not answer.remarks:
+        return []
+    parts = (html.part("remarks", answer.remarks),)
+    note = "Results of single steps of the run."
+    return [Section("remarks", "Remarks", note=note, parts=parts)]
+
+
 def tables(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
@@ -146,7 +156,8 @@ def tables(
     if content is not None or other or stages:
         surface = None if content is None else surface_report(content)
         numbers = html.part("numbers", surface, other, stages)
-        sections.append(Section("numbers", "Numbers", parts=(numbers,)))
+        note = "The mesh in numbers, and time and memory of each stage."
+        sections.append(Section("numbers", "Numbers", note=note, parts=(numbers,)))
     return sections
 
 
@@ -194,7 +205,8 @@ def provenance(
             files.append((name, what, written, digests.get(name, "")))
     if files:
         parts.append(html.part("file_table", files))
-    return [Section("provenance", "Provenance and files", parts=tuple(parts))]
+    note = "Where data and result come from, and the command that repeats the run."
+    return [Section("provenance", "Provenance and files", note=note, parts=tuple(parts))]
 
 
 def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list[Section]:
@@ -209,7 +221,8 @@ def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list
         group, _, key = name.rpartition(".")
         groups.setdefault(group, []).append((key, text))
     body = html.part("settings", groups) if groups else html.part("preformatted", config_text)
-    return [Section("settings", "Configuration", parts=(body,), folded="All settings of this run")]
+    note, folded = "Settings, from which the run can be repeated.", "All settings of this run"
+    return [Section("settings", "Configuration", note=note, parts=(body,), folded=folded)]
 
 
 def definitions(
@@ -225,4 +238,5 @@ def definitions(
     seen_mm = 1e3 * model.seen_reach_m if found and glints else None
     seen_deg = np.rad2deg(model.seen_angle_rad)
     terms = html.part("terms", glints, expected, seen_mm, seen_deg, more)
-    return [Section("definitions", "Definitions", parts=(terms,), folded="What the numbers mean")]
+    note, folded = "Meaning of the words and numbers of this page.", "What the numbers mean"
+    return [Section("definitions", "Definitions", note=note, parts=(terms,), folded=folded)]

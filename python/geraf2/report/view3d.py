@@ -14,10 +14,11 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import closed_edges, face_areas
 from geraf2.io.mesh import Evidence, TriangleMesh
-from geraf2.io.mesh_colours import WORST_SHOWN_M
+from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
-from geraf2.surfaces.expected_error import seen_vertices
+from geraf2.report.view_layers import BoxFace, Volume, coarser
+from geraf2.surfaces.expected_error import SupportModel, seen_vertices
 from geraf2.surfaces.isosurface import signed_distances
 
 # With these limits a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
@@ -32,6 +33,10 @@ _N_COLOURS = 17  # of a scale; the view interpolates
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
 _GLINT_RADIUS_M = 0.0009
 _GLINT_RANGE_DB = 30.0
+
+
+NOTHING = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+"""Content of a view without one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +59,7 @@ class Attribute:
     classes: tuple[str, ...] = ()
     """Names, where values are numbers of classes."""
     colours: tuple[str, ...] = ()
-    """Colours of the classes, in order."""
+    """Of the classes in order, or along the scale in place of `colour_map`."""
     note: str = ""
     """Explanation."""
 
@@ -116,7 +121,7 @@ def _expected(error_mm: Floats) -> Attribute:
         values=error_mm,
         unit="mm",
         limits=(0.0, 1e3 * WORST_SHOWN_M),
-        colour_map="viridis_r",
+        colours=ERROR_COLOURS,
         note="One standard deviation of the distance to the true surface.",
     )
 
@@ -171,43 +176,68 @@ def _parts(content: TriangleMesh) -> list[Attribute]:
     return [Attribute(label="part", values=of_vertex, classes=names, colours=_PART_COLOURS)]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Other:
+    """A further surface of a view."""
+
+    label: str
+    colour: str
+    opacity: float
+    mesh: TriangleMesh
+    """Triangles [m]."""
+    is_reference: bool = False
+    """What the content is compared with, on the other side of the wiper."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Around:
+    """What a view shows beside the content."""
+
+    box: TriangleMesh | None = None
+    truth: TriangleMesh | None = None
+    others: Sequence[Other] = ()
+    glints: Glints | None = None
+    planes_m: Floats | None = None
+    """Corners of the planes of antennas, (n_planes, 4, 3) [m]."""
+    faces: Sequence[BoxFace] = ()
+    """Of the box that the scan shows, in place of `box` at first."""
+    volumes: Sequence[Volume] = ()
+    """Shown as slices."""
+
+
 def view_scene(
     content: TriangleMesh,
     attributes: Sequence[Attribute] = (),
+    around: Around | None = None,
     *,
-    box: TriangleMesh | None = None,
-    truth: TriangleMesh | None = None,
-    glints: Glints | None = None,
-    planes_m: Floats | None = None,
     name: str = "view",
-    others: Sequence[tuple[str, str, float, TriangleMesh]] = (),
 ) -> dict[str, Any]:
     """Scene of the 3D view, lengths in millimetres, arrays in base64.
 
     content: surface [m]; thinned to MAX_CONTENT_FACES triangles, with a note.
-    attributes: of its vertices.
-    box, truth: further surfaces [m]. glints: oriented points.
-    planes_m: corners of the planes of antennas, (n_planes, 4, 3) [m].
-    name: of saved pictures.
-    others: further surfaces: name, colour, opacity, triangles [m].
+    attributes: of its vertices. around: what is shown beside it. name: of saved pictures.
     """
+    around = around or Around()
+    box, truth, glints, planes_m = around.box, around.truth, around.glints, around.planes_m
     thin, kept, note = _thinned(content, MAX_CONTENT_FACES, "content")
     shown = _mesh(thin, "content", _CONTENT_COLOUR, note=note)
     if thin.faces.shape[0]:
         shade = MeshPainter(thin).ambient
-        shown["shade"] = _numbers(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
+        shown["shade"] = packed(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
     shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
     meshes = [shown]
     if truth is not None and truth.faces.shape[0]:
         thin, _, note = _thinned(truth, _MAX_TRUTH_FACES, "truth")
-        options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note}
+        options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note, "reference": True}
         meshes.append(_mesh(thin, "truth", TRUTH_COLOUR, **options))
-    for label, colour, opacity, mesh in others:
-        thin, _, note = _thinned(mesh, _MAX_TRUTH_FACES, label)
-        meshes.append(_mesh(thin, label, colour, opacity=opacity, note=note))
+    for other in around.others:
+        thin, _, note = _thinned(other.mesh, _MAX_TRUTH_FACES, other.label)
+        options = {"opacity": other.opacity, "note": note, "reference": other.is_reference}
+        meshes.append(_mesh(thin, other.label, other.colour, **options))
     if box is not None and box.faces.shape[0]:
         thin, _, note = _thinned(box, _MAX_BOX_FACES, "box")
         options = {"opacity": _BOX_OPACITY, "walls": True, "edges": True, "note": note}
+        options |= {"visible": not around.faces}
         meshes.append(_mesh(thin, "box", _BOX_COLOUR, **options))
     scene: dict[str, Any] = {"format": "geraf2-view", "version": 1, "name": name, "meshes": meshes}
     if glints is not None and len(glints):
@@ -220,6 +250,9 @@ def view_scene(
             "opacity": _PLANE_OPACITY,
             "corners": np.round(1e3 * planes_m, 2).tolist(),
         }
+    if around.faces:
+        scene["faces"] = _faces(around.faces)
+    scene["volumes"] = [_volume(volume) for volume in around.volumes]
     return scene
 
 
@@ -266,19 +299,21 @@ def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMes
     return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
 
 
-def _numbers(values: NDArray[Any]) -> dict[str, str]:
+def packed(values: NDArray[Any]) -> dict[str, str]:
+    """Return whole numbers in base64, with their type."""
     data = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
     return {"type": values.dtype.str[1:], "data": data}
 
 
-def _stretched(values: Array, dtype: str) -> dict[str, Any]:
-    """Columns of values, each quantised from its minimum to its maximum in `dtype`."""
-    columns = np.asarray(values, dtype=np.float64).reshape(len(values), -1)
+def quantised(values: Array, dtype: str) -> dict[str, Any]:
+    """Return columns of values, each quantised from its minimum to its maximum in `dtype`."""
+    columns = np.asarray(values, dtype=np.float64)
+    columns = columns.reshape(len(values), -1) if len(values) else columns.reshape(0, 3)
     low = columns.min(axis=0) if len(columns) else np.zeros(columns.shape[1])
     span = (columns.max(axis=0) if len(columns) else low) - low
     step = np.where(span > 0, span, 1.0) / np.iinfo(dtype).max
     whole = np.round((columns - low) / step).astype(dtype)
-    return {"low": low.tolist(), "step": step.tolist(), "values": _numbers(whole)}
+    return {"low": low.tolist(), "step": step.tolist(), "values": packed(whole)}
 
 
 def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[str, Any]:
@@ -292,8 +327,8 @@ def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[s
         "opacity": 1.0,
         "closed": is_closed,
         "attributes": [],
-        "positions": _stretched(1e3 * mesh.vertices, "<u2"),
-        "indices": _numbers(indices),
+        "positions": quantised(1e3 * mesh.vertices, "<u2"),
+        "indices": packed(indices),
         **options,
     }
 
@@ -303,11 +338,9 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
     if attribute.classes:
         n_classes = len(attribute.classes)
         whole = values.astype("<u1" if n_classes <= 256 else "<u2")
-        stored = {"low": [0.0], "step": [1.0], "values": _numbers(whole)}
-        colours = attribute.colours
+        stored = {"low": [0.0], "step": [1.0], "values": packed(whole)}
     else:
-        stored = _stretched(values, "<u2")
-        colours = _scale_colours(attribute.colour_map)
+        stored = quantised(values, "<u2")
     return {
         "label": attribute.label,
         "unit": attribute.unit,
@@ -315,7 +348,7 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
         "digits": attribute.digits,
         "sides": attribute.sides,
         "classes": attribute.classes or None,
-        "colours": colours,
+        "colours": attribute.colours or _scale_colours(attribute.colour_map),
         "note": attribute.note,
         "values": stored,
     }
@@ -328,7 +361,44 @@ def _scale_colours(name: str) -> tuple[str, ...]:
     return tuple(to_hex(colour) for colour in mpl.colormaps[name](np.linspace(0, 1, _N_COLOURS)))
 
 
+def _faces(faces: Sequence[BoxFace]) -> dict[str, Any]:
+    """Faces of the box, coloured like expected errors."""
+    seen = [f"{f.name} ± {1e3 * f.sigma_m:.1f} mm" for f in faces if f.sigma_m is not None]
+    unseen = [face.name for face in faces if face.sigma_m is None]
+    note = f"Faces of the box, one standard deviation: {', '.join(seen)}."
+    return {
+        "label": "box by radar",
+        "colour": ERROR_COLOURS[0],
+        "colours": ERROR_COLOURS,
+        "range": [0.0, 1e3 * WORST_SHOWN_M],
+        "visible": True,
+        "opacity": _BOX_OPACITY,
+        "corners": [np.round(1e3 * face.corners_m, 2).tolist() for face in faces],
+        "values": [None if f.sigma_m is None else round(1e3 * f.sigma_m, 3) for f in faces],
+        "note": note + f" Dashed, not seen: {', '.join(unseen)}." * bool(unseen),
+    }
+
+
+def _volume(volume: Volume) -> dict[str, Any]:
+    """Volume with 256 levels between its limits."""
+    values, origin_m, spacing_m = coarser(volume)
+    low, high = volume.limits
+    levels = np.round(255.0 * np.clip((values - low) / (high - low), 0.0, 1.0)).astype("<u1")
+    return {
+        "label": volume.label,
+        "unit": volume.unit,
+        "range": [low, high],
+        "opaque": volume.is_signed,
+        "colours": _scale_colours(volume.colour_map),
+        "origin": np.round(1e3 * origin_m, 3).tolist(),
+        "spacing": 1e3 * spacing_m,
+        "shape": list(values.shape),
+        "values": packed(levels),
+    }
+
+
 def _glints(glints: Glints) -> dict[str, Any]:
+    model = SupportModel()
     strongest = np.argsort(-glints.strengths, kind="stable")[:_MAX_GLINTS]
     shown = glints.select(strongest)
     relative = shown.strengths / max(float(shown.strengths[0]), 1e-300)
@@ -339,9 +409,12 @@ def _glints(glints: Glints) -> dict[str, Any]:
         "visible": False,
         "opacity": 1.0,
         "radius": 1e3 * _GLINT_RADIUS_M,
-        "positions": _stretched(1e3 * shown.positions, "<u2"),
-        "normals": _stretched(shown.normals, "<u1"),
-        "values": _stretched(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
+        "positions": quantised(1e3 * shown.positions, "<u2"),
+        "normals": quantised(shown.normals, "<u1"),
+        "values": quantised(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
+        "poses": packed(np.clip(shown.poses, 0, 65_535).astype("<u2")),
+        "reach": 1e3 * model.seen_reach_m,
+        "cosine": float(np.cos(model.seen_angle_rad)),
         "range": [-_GLINT_RANGE_DB, 0.0],
         "colours": _scale_colours("viridis"),
         "note": f"Shown are the {len(shown):,} strongest of {len(glints):,} glints."

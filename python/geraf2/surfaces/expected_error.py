@@ -110,18 +110,27 @@ def seen_vertices(mesh: TriangleMesh, glints: Glints | None) -> Bools | None:
     return nearness(mesh, glints).seen
 
 
+def typical_error_m(mesh: TriangleMesh, share: float = 0.5) -> float:
+    """Return the expected error that this share of the area does not exceed [m].
+
+    With half of the area it is the typical expected error of all reports. mesh: with expected
+    errors.
+    """
+    assert mesh.expected_error_m is not None
+    areas = vertex_areas(mesh.vertices, mesh.faces)
+    order = np.argsort(mesh.expected_error_m)
+    below = np.cumsum(areas[order]) / areas.sum()
+    return float(mesh.expected_error_m[order[min(int(below.searchsorted(share)), len(order) - 1)]])
+
+
 def quality_numbers(mesh: TriangleMesh) -> dict[str, Any]:
     """Sum up expected errors over the area [mm], and shares of the area by evidence; {} without."""
     if mesh.expected_error_m is None or mesh.evidence is None or not len(mesh.faces):
         return {}
     areas = vertex_areas(mesh.vertices, mesh.faces)
-    order = np.argsort(mesh.expected_error_m)
-    below = np.cumsum(areas[order]) / areas.sum()
-    at = np.minimum(np.searchsorted(below, [0.5, 0.95]), len(order) - 1)
-    half, most = 1e3 * mesh.expected_error_m[order[at]]
     return {
-        "expected_error_median_mm": round(float(half), 3),
-        "expected_error_95_percent_mm": round(float(most), 3),
+        "expected_error_median_mm": round(1e3 * typical_error_m(mesh), 3),
+        "expected_error_95_percent_mm": round(1e3 * typical_error_m(mesh, 0.95), 3),
         "evidence_shares": {
             kind.name.lower(): round(float(areas[mesh.evidence == kind].sum() / areas.sum()), 4)
             for kind in reversed(Evidence)

@@ -6,7 +6,14 @@ import pytest
 import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
-from helpers.browsing import DESKTOP, PHONE, pixels, serious_findings, settle
+from helpers.browsing import (
+    SCREENS,
+    pixels,
+    require_first_screen,
+    require_readable,
+    serious_findings,
+    settle,
+)
 from helpers.inspected import SMALL, block, few_starts, measured, wedge
 from helpers.solids import joined
 
@@ -40,13 +47,14 @@ def page_url(tmp_path_factory):
     return (out / "inspection.html").resolve().as_uri()
 
 
-@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_the_answer_is_drawn_without_trouble_requests_or_overflow(open_page, page_url, size, dark):
     page = open_page(page_url, size, dark)
     assert page.locator(".viewer.works").count() == 1
     assert page.trouble == []
     assert [url for url in page.requests if not url.startswith("data:")] == [page_url]
-    assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
+    require_first_screen(page, size, ".hero .lead")
+    require_readable(page, size)
     assert page.get_by_text("Fail: 2 parts").first.is_visible()
     drawn = pixels(page)
     page.locator(".viewer").get_by_label("CAD models", exact=True).uncheck()
@@ -54,6 +62,6 @@ def test_the_answer_is_drawn_without_trouble_requests_or_overflow(open_page, pag
     assert (np.abs(pixels(page) - drawn).max(axis=2) > 5).mean() > 0.01
 
 
-@pytest.mark.parametrize(("size", "dark"), [(DESKTOP, False), (PHONE, True)])
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_axe_has_no_serious_findings(open_page, page_url, axe, size, dark):
     assert serious_findings(open_page(page_url, size, dark), axe) == []

@@ -1,5 +1,6 @@
 """`geraf2 view`: what is read, what a client of the server is sent, and what it may change."""
 
+import base64
 import json
 import socket
 import urllib.error
@@ -8,8 +9,10 @@ import urllib.request
 import numpy as np
 import pytest
 
-from geraf2.apps.viewing.layers import Volume, source_of
+import geraf2
+from geraf2.apps.viewing.scenes import scene_of
 from geraf2.apps.viewing.server import LiveView, is_same_origin, require_free
+from geraf2.apps.viewing.server import page as page_of
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
@@ -19,6 +22,7 @@ from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
+from helpers.browsing import SCREENS, pixels, require_readable, serious_findings, settle
 from helpers.glint_sets import glints_on_sphere
 
 RADIUS_M = 0.03
@@ -51,37 +55,28 @@ def run(tmp_path_factory):
     return out
 
 
-def test_a_run_has_all_its_layers(run):
-    source = source_of(run)
-    names = ["content", "box", "truth", "glints", "normals of glints"]
-    assert [layer.name for layer in source.layers] == names
-    assert [volume.name for volume in source.volumes] == ["distance", "matched filter"]
-    assert [plane.name for plane in source.planes] == ["plane 0", "plane 1"]
-    content, lines = source.layers[0], source.layers[4]
-    assert np.linalg.norm(content.points, axis=1) == pytest.approx(RADIUS_M, abs=1e-6)
-    assert np.linalg.norm(lines.points[1::2] - lines.points[::2], axis=1) == pytest.approx(0.004)
-    moved = source.shifted(np.array([1.0, 0.0, 0.0]))
-    assert moved.layers[0].points - content.points == pytest.approx(np.tile([1.0, 0, 0], (162, 1)))
-    assert moved.volumes[0].grid.origin_m == pytest.approx((0.95, -0.05, -0.05))
+@pytest.fixture(scope="module")
+def small_capture_folder(tmp_path_factory):
+    capture, _ = geraf2.examples.small_capture()
+    folder = tmp_path_factory.mktemp("scene") / "small"
+    geraf2.save_capture(capture, folder)
+    return folder
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_slice_lies_where_its_values_do(axis):
-    """Values that name their voxel come back as the grey of that voxel."""
-    grid = Grid(origin_m=(0.1, 0.2, 0.3), spacing_m=0.01, shape=(3, 4, 5))
-    values = np.arange(60.0).reshape(grid.shape)
-    volume = Volume(name="v", grid=grid, values=values, colour_map="gray", limits=(0.0, 59.0))
-    layer = volume.slice(axis, 2)
-    for point, colour in zip(layer.points, layer.colours, strict=True):
-        index = tuple(np.rint((point - grid.origin_m) / grid.spacing_m).astype(int))
-        assert index[axis] == 2
-        assert colour[0] == pytest.approx(255 * values[index] / 59, abs=1.5)
-    sides = np.delete(np.array(grid.shape), axis)
-    corners = layer.points[layer.faces]
-    areas = np.linalg.norm(
-        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-    )
-    assert areas.sum() / 2 == pytest.approx(np.prod(sides - 1) * 1e-4)
+def test_antennas_of_a_scene_are_where_they_stand(small_capture_folder):
+    capture, _ = geraf2.examples.small_capture()
+    scene = scene_of(small_capture_folder)
+    assert [mesh["label"] for mesh in scene["meshes"]] == ["content", "antennas", "box"]
+    assert scene["name"] == "small"
+    assert len(scene["planes"]["corners"]) == len(capture.poses)
+    stored = scene["meshes"][1]["positions"]
+    whole = np.frombuffer(base64.b64decode(stored["values"]["data"]), dtype="<u2").reshape(-1, 3)
+    points = np.array(stored["low"]) + np.array(stored["step"]) * whole
+    antennas = 1e3 * np.concatenate([pose.phase_centers for pose in capture.poses])
+    found = points.reshape(-1, 3, 3).mean(axis=1)
+    distance = np.linalg.norm(found[:, None] - antennas[None], axis=2).min(axis=1)
+    assert distance.max() < 0.05
+    assert len(found) > 0.5 * len(antennas)
 
 
 def test_a_port_in_use_and_nothing_to_show_are_one_line(run, tmp_path, capsys):
@@ -91,7 +86,6 @@ def test_a_port_in_use_and_nothing_to_show_are_one_line(run, tmp_path, capsys):
         port = taken.getsockname()[1]
         with pytest.raises(UserError, match=rf"port {port} cannot be used.*--port {port + 1}"):
             require_free("127.0.0.1", port)
-        pytest.importorskip("viser", reason="needs the extra geraf2[view]")
         assert main(["view", str(run), "--port", str(port)]) == 2
         assert "cannot be used" in capsys.readouterr().err
     assert main(["view", str(tmp_path)]) == 2
@@ -101,7 +95,6 @@ def test_a_port_in_use_and_nothing_to_show_are_one_line(run, tmp_path, capsys):
 
 @pytest.fixture
 def view(run):
-    pytest.importorskip("viser", reason="needs the extra geraf2[view]")
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -110,56 +103,60 @@ def view(run):
     made.stop()
 
 
-class Client:
-    """Speaks as viser's page does: sizes, compressed MessagePack, then raw numbers."""
-
-    def __init__(self, port):
-        self.msgpack = pytest.importorskip("msgspec").msgpack
-        self.zstd = pytest.importorskip("zstandard")
-        connect = pytest.importorskip("websockets.sync.client").connect
-        protocol = f"viser-v{pytest.importorskip('viser').__version__}"
-        self.socket = connect(f"ws://127.0.0.1:{port}", subprotocols=[protocol], max_size=None)
-        camera = {"wxyz": [1, 0, 0, 0], "position": [1, 1, 1], "fov": 1.0, "near": 0.1, "far": 9.0}
-        size = {"image_height": 100, "image_width": 100, "look_at": [0, 0, 0]}
-        self.send("ViewerCameraMessage", **camera, **size, up_direction=[0, 0, 1])
-
-    def send(self, kind, **values):
-        self.socket.send(self.msgpack.encode({"type": kind, **values}))
-
-    def set(self, control, value):
-        self.send("GuiUpdateMessage", uuid=control._impl.uuid, updates={"value": value})
-
-    def messages(self):
-        data = self.socket.recv(timeout=30)
-        n = int.from_bytes(data[8:16], "little")
-        return self.msgpack.decode(self.zstd.decompress(data[16 : 16 + n]))["messages"]
-
-    def until(self, done):
-        """Messages up to one that will do."""
-        seen = []
-        while not any(done(message) for message in seen):
-            seen += self.messages()
-        return seen
-
-
-def test_a_client_is_sent_every_layer_and_slices_when_it_asks(view):
-    page = urllib.request.urlopen(view.url, timeout=20).read()
-    assert b"<!doctype html>" in page[:200].lower()
-    client = Client(view.port)
-    wanted = set(view.layers)
-    seen: set[str] = set()
-    while not wanted <= seen:
-        seen |= {message.get("name", "") for message in client.messages()}
-    kinds = ("content", "box", "truth", "glints", "normals of glints", "planes/plane 1")
-    assert {f"/{n} ball/{kind}" for n in (1, 2) for kind in kinds} <= seen
-    client.set(view.controls["/2 ball/slice across"], "z")
-    client.until(lambda message: message.get("name") == "/2 ball/slice")
-    client.set(view.controls["/1 ball/planes"], 2)
-    shown = "/1 ball/planes/plane 1"
-    client.until(lambda m: m.get("name") == shown and "True" in str(m))
-    assert not view.layers["/1 ball/planes/plane 0"].visible
-    client.socket.close()
+def test_the_page_is_read_anew_at_each_visit(view, run):
+    with urllib.request.urlopen(view.url, timeout=20) as page:
+        assert page.headers["Cache-Control"] == "no-store"
+        assert page.read().count(b'"geraf2-view"') == 2
+    record = (run / "run.json").read_bytes()
+    (run / "run.json").write_text("{")
+    try:
+        with pytest.raises(urllib.error.HTTPError, match="503"):
+            urllib.request.urlopen(view.url, timeout=20)
+    finally:
+        (run / "run.json").write_bytes(record)
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        urllib.request.urlopen(f"{view.url}/elsewhere", timeout=20)
     assert view.ssh_line.startswith(f"ssh -N -L {view.port}:localhost:{view.port} ")
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
+def test_two_runs_have_linked_cameras_scales_and_slices(open_page, view, axe, size, dark):
+    page = open_page(view.url, size, dark)
+    first, second = page.locator(".viewer.works").all()
+    require_readable(page, size)
+    assert serious_findings(page, axe) == []
+    cameras = "[...document.querySelectorAll('.viewer')].map(e => e.viewer.camera.azimuth)"
+    first.locator('[data-view="+y"]').click()
+    assert page.evaluate(cameras) == pytest.approx([np.pi / 2] * 2)
+    page.get_by_role("button", name="linked cameras").click()
+    second.locator('[data-view="-x"]').click()
+    assert page.evaluate(cameras) == pytest.approx([np.pi / 2, np.pi])
+    second.get_by_label("slice", exact=True).select_option("signed distance, across z")
+    second.get_by_label("position of the slice").fill("1000")
+    assert second.locator(".slice output").inner_text() == "50.0 mm"
+    assert "signed distance [mm]" in second.locator(".legend").inner_text()
+    names = second.get_by_label("plane", exact=True).locator("option").all_inner_texts()
+    assert names == ["show one plane", "plane 1: at 0°, 0° up", "plane 2: at 0°, 0° up"]
+    second.get_by_label("Colour").select_option(label="distance to the truth")
+    assert "distance to the truth [mm]" in second.locator(".legend").inner_text()
+    assert page.trouble == []
+
+
+@pytest.mark.browser
+def test_a_scene_shows_its_box_planes_and_antennas(open_page, tmp_path, small_capture_folder):
+    (tmp_path / "page.html").write_text(page_of([small_capture_folder]))
+    page = open_page((tmp_path / "page.html").as_uri())
+    assert page.locator(".viewer.works").count() == 1
+    for label in ("box", "antennas", "antenna planes"):
+        assert page.locator(".viewer").get_by_label(label, exact=True).count() == 1
+    page.locator('.viewer [data-part="all"]').click()
+    settle(page)
+    before = pixels(page)
+    page.locator(".viewer").get_by_label("antennas", exact=True).uncheck()
+    settle(page)
+    assert (np.abs(pixels(page) - before).max(axis=2) > 20).mean() > 1e-4
+    assert page.trouble == []
 
 
 def test_pages_of_other_sites_are_refused(view):

@@ -69,6 +69,8 @@ class JobResult:
     """Largest resident set of the job's process [MiB]."""
     scores: dict[str, float] = field(default_factory=dict)
     """Against the truth, where it is known, as of `MeshMetrics.headline`."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    """Of the mesh: typical expected error, and how much of it was not seen."""
     warnings: tuple[str, ...] = ()
     log_tail: tuple[str, ...] = ()
     """Last lines printed by a failed job."""

@@ -42,7 +42,7 @@ from geraf2.pipeline.stages.stage import peak_memory_bytes
 # Age at which a lock of another host is stale [s]: its holder touches it every 5 s.
 _LOCK_DEAD_S = 30.0
 _N_TAIL = 10
-_THUMBNAIL_PIXELS = 96
+_THUMBNAIL_PIXELS = 288
 
 
 def do_job(
@@ -187,10 +187,22 @@ def reconstruct_job(
         what = f"internal error: {type(error).__name__}: {line}" if state == FAILED else line
         answer = {"state": state, "error": what or type(error).__name__}
     with suppress(UserError):
-        answer["warnings"] = RunFolder.read(Path(run)).warnings
+        record = RunFolder.read(Path(run))
+        answer |= {"warnings": record.warnings, "numbers": _mesh_numbers(record)}
     answer["cpu_seconds"] = round(time.process_time() - cpu_start, 3)
     answer["peak_memory_mib"] = round(_peak_bytes() / 2**20, 1)
     return answer
+
+
+def _mesh_numbers(run: RunFolder) -> dict[str, float]:
+    """Return what is known of a mesh without its truth; empty where its preset has no errors."""
+    known = run.stages["mesh"].numbers if "mesh" in run.stages else {}
+    if "expected_error_median_mm" not in known:
+        return {}
+    return {
+        "typical_error_mm": float(known["expected_error_median_mm"]),
+        "not_seen_percent": round(100.0 * (1.0 - known["evidence_shares"].get("seen", 0.0)), 2),
+    }
 
 
 def _reconstruct(

@@ -289,7 +289,7 @@ def _pictures(
     sweep = figures / f"{table.name}_sweep.png"
     titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
     if draw_sweep(sweep, table.experiment, results, titles):
-        parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed).", max_width_px=720))
+        parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed)."))
     parts += _views(out, results)
     return parts
 
@@ -305,9 +305,9 @@ def _views(out: Path, results: Results) -> list[str]:
             plane = f"{row.scene}, {name.removeprefix('angle_')} degrees"
             # The measurement once, then the rendering of each method.
             shown = parts.setdefault(
-                (row.scene, name), [html.picture(measured, f"{plane}, measured.", max_width_px=720)]
+                (row.scene, name), [html.picture(measured, f"{plane}, measured.")]
             )
             rendered = measured.with_name(f"{name}_rendered.png")
             caption = f"{plane}, {row.how.title}, {row.case.label or 'rendered'}."
-            shown.append(html.picture(rendered, caption, max_width_px=720))
+            shown.append(html.picture(rendered, caption))
     return [picture for shown in parts.values() for picture in shown]

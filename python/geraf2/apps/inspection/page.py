@@ -8,7 +8,7 @@ from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import html
 from geraf2.report.canvas import TRUTH_COLOUR
-from geraf2.report.view3d import Attribute, scene_json, view_scene
+from geraf2.report.view3d import Around, Attribute, Other, scene_json, view_scene
 
 _FILLED_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
 _FALLBACK = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
@@ -36,14 +36,23 @@ def inspection_page(
     faces, known = whole.mesh.faces, whole.seen[whole.mesh.faces].all(axis=1)
     others = []
     if known.any() and not known.all():
-        others.append(("only filled", _FILLED_COLOUR, 1.0, part_of(whole, faces[~known]).mesh))
+        filled = part_of(whole, faces[~known]).mesh
+        others.append(Other(label="only filled", colour=_FILLED_COLOUR, opacity=1.0, mesh=filled))
     if placed:
-        others.append(("CAD models", TRUTH_COLOUR, _MODEL_OPACITY, TriangleMesh.joined(placed)))
+        others.append(
+            Other(
+                label="CAD models",
+                colour=TRUTH_COLOUR,
+                opacity=_MODEL_OPACITY,
+                mesh=TriangleMesh.joined(placed),
+                is_reference=True,
+            )
+        )
     shown = part_of(whole, faces[known]) if known.any() else whole
     used = np.unique(faces[known]) if known.any() else np.arange(len(whole.seen))
     values = None if values_m is None else values_m[used]
     attributes = _attributes(shown, values, inspection.tolerance_m)
-    scene = view_scene(shown.mesh, attributes, box=box, name="inspection", others=others)
+    scene = view_scene(shown.mesh, attributes, Around(box=box, others=others), name="inspection")
     return html.rendered(
         "inspection.html",
         title=title,

@@ -271,12 +271,10 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     )
 
 
-def require_picture(path: Path) -> None:
+def require_picture(path: Path, kinds: tuple[str, ...] = _PICTURES) -> None:
     """Raise UserError where a picture cannot be drawn into this file: before it is computed."""
-    if path.suffix.lower() not in _PICTURES:
-        raise UserError(
-            what="is no picture that is drawn", where=path, expected=", ".join(_PICTURES)
-        )
+    if path.suffix.lower() not in kinds:
+        raise UserError(what="is no picture that is drawn", where=path, expected=", ".join(kinds))
     if not path.parent.is_dir():
         raise UserError(what="the folder of the picture is not there", where=path)
     if path.is_dir():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import product
 from typing import Annotated, Literal
 
@@ -255,7 +256,7 @@ def best_in_time(
                 raise
             continue
         for sides, weight in _heights(aperture_m, spacing, scanner):
-            sight = _Sight(box_m, standoff_m, sides)
+            sight = _sight(box_m, standoff_m, sides)
             first = plane_at(0.0, 0.0, standoff_m, 0.5 * np.asarray(sides))
             _, plane_s = swept_planes([first], spacing, scanner)
             for design in _designs(spacing, sides, max_elevation_deg):
@@ -323,6 +324,14 @@ def _designs(
                 spacing_m=spacing_m,
                 aperture_m=aperture_m,
             )
+
+
+@lru_cache(maxsize=128)
+def _sight(
+    box_m: tuple[float, float, float], standoff_m: float, aperture_m: tuple[float, float]
+) -> "_Sight":
+    """One for all spacings, times and channels with planes of these sides."""
+    return _Sight(box_m, standoff_m, aperture_m)
 
 
 class _Sight:

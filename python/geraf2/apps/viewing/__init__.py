@@ -1,1 +1,1 @@
-"""Interactive view of runs and scenes in a browser, served by viser."""
+"""Interactive view of runs and scenes in a browser, served by this machine."""

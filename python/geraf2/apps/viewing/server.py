@@ -1,60 +1,44 @@
-"""Server of the interactive view, based on viser."""
+"""Server of the interactive view: one page that this machine reads anew at each visit."""
 
 import os
 import socket
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Mapping, Sequence
 from http import HTTPStatus
-from io import StringIO
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Lock
+from threading import Thread
 from typing import Any
 from urllib.parse import urlsplit
 
-import numpy as np
-
-from geraf2.apps.viewing.layers import Layer, Source, source_of
+from geraf2.apps.viewing.scenes import scene_of
 from geraf2.errors import UserError
+from geraf2.report import html
+from geraf2.report.view3d import scene_json
 
-_APART = 1.3
-"""Distance between two sources, in units of their size."""
-_OFF = "off"
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_POINT_M, _LINE_M = 0.0012, 0.0006
+_FALLBACK = "The view needs JavaScript and WebGL2, which this browser does not offer here."
 
 
 class LiveView:
     """A server that shows up to two runs or scenes until it is stopped.
 
+    Two are shown side by side, with linked cameras. Reloading the page reads the files again.
+
     paths: run folders or scenes. port: of the page. host: addresses that may connect; this machine
     alone by default.
 
-    Raises UserError where viser is not installed, the port is in use, or there is nothing to show.
+    Raises UserError where the port is in use, or there is nothing to show.
     """
 
     def __init__(
         self, paths: Sequence[Path | str], *, port: int = 8080, host: str = "127.0.0.1"
     ) -> None:
-        viser = _viser()
-        sources = [source_of(path) for path in paths]
+        self._paths, self.host = tuple(paths), host
+        page(self._paths)
         require_free(host, port)
-        with redirect_stdout(StringIO()), _same_origin_only(host):  # hides its banner
-            self._server: Any = viser.ViserServer(host=host, port=port, verbose=False)
-        self.host, self.port = host, int(self._server.get_port())
-        self._drawing = Lock()
-        self.layers: dict[str, Any] = {}
-        """Handles of the layers and current slices, by name."""
-        self.controls: dict[str, Any] = {}
-        """Handles of the controls, by name."""
-        self._server.scene.set_up_direction("+z")
-        size = max(source.size_m for source in sources)
-        for number, source in enumerate(sources):
-            placed = source.shifted(np.array([_APART * size * number, 0.0, 0.0]))
-            self._add(f"{number + 1} {source.name}" if len(sources) > 1 else source.name, placed)
-        middle = 0.5 * _APART * size * (len(sources) - 1)
-        self._server.initial_camera.look_at = (middle, 0.0, 0.0)
-        reach = 0.9 * size * len(sources)
-        self._server.initial_camera.position = (middle + reach, -reach, 0.7 * reach)
+        self._server = ThreadingHTTPServer((host, port), self._handler())
+        self.port = int(self._server.server_address[1])
+        Thread(target=self._server.serve_forever, daemon=True).start()
 
     @property
     def url(self) -> str:
@@ -72,100 +56,53 @@ class LiveView:
 
     def stop(self) -> None:
         """End the server."""
-        with redirect_stdout(StringIO()):
-            self._server.stop()
+        self._server.shutdown()
+        self._server.server_close()
 
-    def _add(self, name: str, source: Source) -> None:
-        """Add the layers of a source with a switch each, its planes and its slices."""
-        with self._server.gui.add_folder(name):
-            for layer in source.layers:
-                key = f"/{name}/{layer.name}"
-                self.layers[key] = self._draw(key, layer)
-                self._switch(key, layer)
-            if source.planes:
-                self._add_planes(name, source)
-            if source.volumes:
-                self._add_slices(name, source)
+    def _handler(self) -> type[BaseHTTPRequestHandler]:
+        paths, host = self._paths, self.host
 
-    def _switch(self, key: str, layer: Layer) -> None:
-        box = self._server.gui.add_checkbox(layer.name, layer.visible)
-        handle = self.layers[key]
+        class Handler(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                headers = {name.title(): value for name, value in self.headers.items()}
+                status, text, kind = HTTPStatus.OK, "", "text/plain"
+                if not is_same_origin(headers, host):
+                    status, text = HTTPStatus.FORBIDDEN, "a page of another site\n"
+                elif self.path != "/":
+                    status, text = HTTPStatus.NOT_FOUND, "no such page\n"
+                else:
+                    try:
+                        text, kind = page(paths), "text/html"
+                    except UserError as error:  # as one that is being written
+                        status, text = HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n"
+                content = text.encode()
+                self.send_response(status)
+                self.send_header("Content-Type", f"{kind}; charset=utf-8")
+                self.send_header("Content-Length", str(len(content)))
+                self.send_header("Cache-Control", "no-store")
+                self.end_headers()
+                self.wfile.write(content)
 
-        def show(_: Any) -> None:
-            handle.visible = box.value
+            def log_message(self, *_: Any) -> None:
+                """Print nothing."""
 
-        box.on_update(show)
-        self.controls[key] = box
+        return Handler
 
-    def _add_planes(self, name: str, source: Source) -> None:
-        """Add a slider for one plane at a time; 0 shows all, -1 none."""
-        keys = [f"/{name}/planes/{plane.name}" for plane in source.planes]
-        for key, plane in zip(keys, source.planes, strict=True):
-            self.layers[key] = self._draw(key, plane, visible=False)
-        hint = "-1: none, 0: all, else this one"
-        slider = self._server.gui.add_slider("plane", -1, len(keys), 1, -1, hint=hint)
 
-        def show(_: Any) -> None:
-            for number, key in enumerate(keys, 1):
-                self.layers[key].visible = slider.value in (0, number)
-
-        slider.on_update(show)
-        self.controls[f"/{name}/planes"] = slider
-
-    def _add_slices(self, name: str, source: Source) -> None:
-        """Add controls of a slice: volume, axis, position."""
-        gui, volumes = self._server.gui, {volume.name: volume for volume in source.volumes}
-        which = gui.add_dropdown("slice through", list(volumes))
-        axis = gui.add_dropdown("across", [_OFF, "x", "y", "z"])
-        position = gui.add_slider("at", 0.0, 1.0, 0.005, 0.5, hint="share of the extent")
-        key = f"/{name}/slice"
-
-        def draw(_: Any) -> None:
-            with self._drawing:  # callbacks run in separate threads
-                if axis.value == _OFF:
-                    if key in self.layers:
-                        self.layers.pop(key).remove()
-                    return
-                volume, across = volumes[which.value], "xyz".index(axis.value)
-                index = round(position.value * (volume.grid.shape[across] - 1))
-                self.layers[key] = self._draw(key, volume.slice(across, index))
-
-        for handle in (which, axis, position):
-            handle.on_update(draw)
-        self.controls |= {f"{key} through": which, f"{key} across": axis, f"{key} at": position}
-
-    def _draw(self, key: str, layer: Layer, *, visible: bool | None = None) -> Any:
-        scene, shown = self._server.scene, layer.visible if visible is None else visible
-        points = layer.points.astype(np.float32)
-        if layer.kind == "points":
-            colours = layer.colour if layer.colours is None else layer.colours
-            return scene.add_point_cloud(key, points, colours, point_size=_POINT_M, visible=shown)
-        if layer.kind == "lines":
-            ends = points.reshape(-1, 2, 3)
-            return scene.add_line_segments(
-                key, ends, layer.colour, thickness=_LINE_M, visible=shown
-            )
-        if layer.colours is None:
-            return scene.add_mesh_simple(
-                key,
-                points,
-                layer.faces,
-                color=layer.colour,
-                opacity=layer.opacity if layer.opacity < 1.0 else None,
-                side="double",
-                visible=shown,
-            )
-        import trimesh  # noqa: PLC0415 - takes 0.3 s
-
-        alpha = np.full((len(points), 1), 255, dtype=np.uint8)
-        mesh = trimesh.Trimesh(
-            points, layer.faces, vertex_colors=np.hstack([layer.colours, alpha]), process=False
-        )
-        return scene.add_mesh_trimesh(key, mesh, visible=shown)
+def page(paths: Sequence[Path | str]) -> str:
+    """HTML page of runs or scenes side by side."""
+    scenes = [scene_of(path) for path in paths]
+    return html.rendered(
+        "view_page.html",
+        title=" and ".join(scene["name"] for scene in scenes),
+        views=[(scene["name"], scene_json(scene)) for scene in scenes],
+        fallback=_FALLBACK,
+        is_tall=True,
+    )
 
 
 def require_free(host: str, port: int) -> None:
-    """Raise UserError for a used port; viser would silently choose the next one."""
+    """Raise UserError for a used port."""
     if not host.strip():
         raise UserError(
             what="--host is empty, which is every address of this machine",
@@ -183,32 +120,6 @@ def require_free(host: str, port: int) -> None:
             ) from None
 
 
-@contextmanager
-def _same_origin_only(host: str) -> Iterator[None]:
-    """Make servers that refuse pages of other sites, which viser lets open its socket.
-
-    A page sends its own address as `Origin`. On a server of this machine alone `Host` must be a
-    name of this machine, too: a site may give its own name this machine's address.
-    """
-    from websockets.asyncio import server  # noqa: PLC0415 - comes with viser
-
-    serve = server.serve
-
-    def guarded(*arguments: Any, process_request: Any = None, **options: Any) -> Any:
-        def check(connection: Any, request: Any) -> Any:
-            if not is_same_origin(request.headers, host):
-                return connection.respond(HTTPStatus.FORBIDDEN, "a page of another site\n")
-            return process_request and process_request(connection, request)
-
-        return serve(*arguments, process_request=check, **options)
-
-    server.serve = guarded  # type: ignore[assignment, misc]
-    try:
-        yield
-    finally:
-        server.serve = serve  # type: ignore[misc]
-
-
 def is_same_origin(headers: Mapping[str, str], host: str) -> bool:
     """Whether a request comes from the server's own page, or from no page.
 
@@ -218,13 +129,3 @@ def is_same_origin(headers: Mapping[str, str], host: str) -> bool:
     if host in _LOOPBACK and urlsplit(f"//{asked}").hostname not in _LOOPBACK:
         return False
     return origin is None or urlsplit(origin).netloc == asked
-
-
-def _viser() -> Any:
-    try:
-        import viser  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise UserError(
-            what="geraf2 view needs viser", hint="pip install 'geraf2[view]', or open report.html"
-        ) from None
-    return viser

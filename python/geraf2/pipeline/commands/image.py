@@ -21,7 +21,7 @@ from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_dept
 from geraf2.imaging.slabs import SLAB_GIB, Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
-from geraf2.io.run_folder import RunFolder, stage_key
+from geraf2.io.run_folder import IMAGE_NAME, RunFolder, stage_key
 from geraf2.ops import explain_method
 from geraf2.pipeline.estimates import (
     DEFAULT_IMAGE_SIDE_M,
@@ -36,7 +36,6 @@ from geraf2.scene.plan import depth_of_focus_m
 from geraf2.scene.store import capture_digest, open_capture
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-IMAGE_NAME = "image.npz"
 SIDECAR_NAME = "image.json"
 PICTURE_NAME = "figures/projections.png"
 DEPTH_PICTURE_NAME = "figures/depth.png"

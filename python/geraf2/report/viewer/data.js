@@ -43,9 +43,24 @@ function readScene(raw) {
     positions: stretched(raw.glints.positions),
     normals: stretched(raw.glints.normals),
     values: stretched(raw.glints.values),
+    poses: numbers(raw.glints.poses),
   };
-  const planes = raw.planes && { ...raw.planes, corners: new Float32Array(raw.planes.corners.flat(2)) };
-  return { ...raw, meshes: raw.meshes.map(readMesh), glints, planes };
+  const corners = (layer) => layer && { ...layer, corners: new Float32Array(layer.corners.flat(2)) };
+  const [planes, faces] = [corners(raw.planes), corners(raw.faces)];
+  const volumes = (raw.volumes || []).map((volume) => ({ ...volume, values: numbers(volume.values) }));
+  return { ...raw, meshes: raw.meshes.map(readMesh), glints, planes, faces, volumes };
+}
+
+// Glints that hold a point of a surface: near to it, with its normal; the nearest first.
+function holdersOf(glints, point, normal) {
+  const found = [];
+  for (let i = 0; i < glints.values.length; i++) {
+    const [at, along] = [glints.positions, glints.normals].map((list) => [...list.slice(3 * i, 3 * i + 3)]);
+    const distance = norm(plus(at, point, -1));
+    if (distance > glints.reach || dot(unit(along), normal) < glints.cosine) continue;
+    found.push({ at, distance, pose: glints.poses[i], decibels: glints.values[i] });
+  }
+  return found.sort((a, b) => a.distance - b.distance);
 }
 
 // Bounding box of points given as x, y, z, x, y, z, ...

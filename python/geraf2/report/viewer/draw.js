@@ -82,6 +82,18 @@ out vec4 colour;
 ${CLIPPED}
 void main() { if (is_cut(v_position)) discard; colour = vec4(v_colour * u_opacity, u_opacity); }`;
 
+// A cut through a volume; weak values are transparent.
+const SLICE_FRAGMENT = `#version 300 es
+precision highp float; precision highp sampler3D;
+in vec3 v_position;
+uniform sampler3D u_volume; uniform sampler2D u_map; uniform vec3 u_origin, u_span; uniform bool u_opaque;
+out vec4 colour;
+void main() {
+  float level = texture(u_volume, ((v_position - u_origin) / u_span).zyx).r;
+  float alpha = 0.92 * (u_opaque ? 1.0 : smoothstep(0.02, 0.4, level));
+  colour = vec4(texture(u_map, vec2(level, 0.5)).rgb * alpha, alpha);
+}`;
+
 function glintShape() {
   const points = [];
   const sides = 10;
@@ -106,10 +118,13 @@ class Painter {
       surface: this.program(SURFACE_VERTEX, SURFACE_FRAGMENT),
       flat: this.program(FLAT_VERTEX, FLAT_FRAGMENT),
       glint: this.program(GLINT_VERTEX, GLINT_FRAGMENT),
+      slice: this.program(FLAT_VERTEX, SLICE_FRAGMENT),
     };
     this.drawn = new Map(scene.meshes.map((mesh) => [mesh, this.prepareMesh(mesh)]));
     this.glints = scene.glints && this.prepareGlints(scene.glints);
     this.planes = scene.planes && this.preparePlanes(scene.planes);
+    this.faces = scene.faces && this.prepareFaces(scene.faces);
+    this.volumes = new Map(scene.volumes.map((volume) => [volume, this.prepareVolume(volume)]));
   }
 
   program(vertex, fragment) {
@@ -222,6 +237,77 @@ class Painter {
     return { fill: made(fill), lines: made(lines) };
   }
 
+  // Seen faces are filled and framed, the others only framed, with dashes.
+  prepareFaces(faces) {
+    return faces.values.map((sigma, n) => {
+      const corners = [0, 3, 6, 9].map((k) => [...faces.corners.slice(12 * n + k, 12 * n + k + 3)]);
+      const [a, b, c, d] = corners;
+      const middle = [0, 1, 2].map((k) => (a[k] + c[k]) / 2);
+      const inner = corners.map((corner) => plus(middle, plus(corner, middle, -1), sigma === null ? 0.97 : 1));
+      const dashes = sigma === null ? 25 : 1;
+      const lines = inner.flatMap((from, k) => {
+        const along = plus(inner[(k + 1) % 4], from, -1);
+        return [...Array(Math.ceil(dashes / 2)).keys()].flatMap((i) => [
+          ...plus(from, along, (2 * i) / dashes), ...plus(from, along, (2 * i + 1) / dashes)]);
+      });
+      const made = (list) => ({ ...this.array("flat", [["a_position", new Float32Array(list), 3]]), n: list.length / 3 });
+      const at = sigma === null ? 1 : onScale(faces, sigma) * (faces.colours.length - 1);
+      const [low, high] = [Math.floor(at), Math.ceil(at)].map((i) => rgb(faces.colours[i]));
+      const colour = sigma === null ? [0.5, 0.5, 0.5] : low.map((v, i) => v + (at % 1) * (high[i] - v));
+      return { fill: sigma === null ? null : made([...a, ...b, ...c, ...a, ...c, ...d]), lines: made(lines), colour };
+    });
+  }
+
+  // Path of an arm: points in the order of time, of which `pathDone` are drawn strongly.
+  setPath(points) {
+    this.path = { ...this.array("flat", [["a_position", points, 3]]), n: points.length / 3 };
+    this.pathDone = this.path.n;
+  }
+
+  prepareVolume({ values, shape, colours }) {
+    const gl = this.gl;
+    const texture = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_3D, texture);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage3D(gl.TEXTURE_3D, 0, gl.R8, shape[2], shape[1], shape[0], 0, gl.RED, gl.UNSIGNED_BYTE, values);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_3D, name, gl.LINEAR);
+    for (const name of [gl.TEXTURE_WRAP_S, gl.TEXTURE_WRAP_T, gl.TEXTURE_WRAP_R]) {
+      gl.texParameteri(gl.TEXTURE_3D, name, gl.CLAMP_TO_EDGE);
+    }
+    return { texture, map: this.map(colours, true), quad: this.array("flat", [["a_position", new Float32Array(18), 3]]) };
+  }
+
+  // slice: volume, axis, at [mm].
+  drawSlice({ volume, axis, at }, seen) {
+    const gl = this.gl;
+    const { texture, map, quad } = this.volumes.get(volume);
+    const low = volume.origin.map((value) => value - volume.spacing / 2);
+    const span = volume.shape.map((n) => n * volume.spacing);
+    const corner = (u, v) => {
+      const [first, second] = [0, 1, 2].filter((k) => k !== axis);
+      const point = [...low];
+      point[axis] = at;
+      point[first] += u * span[first];
+      point[second] += v * span[second];
+      return point;
+    };
+    const [a, b, c, d] = [corner(0, 0), corner(1, 0), corner(1, 1), corner(0, 1)];
+    gl.bindBuffer(gl.ARRAY_BUFFER, quad.buffers.a_position);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([...a, ...b, ...c, ...a, ...c, ...d]), gl.STREAM_DRAW);
+    const uniforms = this.use("slice", uncut(seen));
+    gl.uniform3fv(uniforms.u_origin, low);
+    gl.uniform3fv(uniforms.u_span, span);
+    gl.uniform1i(uniforms.u_opaque, volume.opaque ? 1 : 0);
+    gl.uniform1i(uniforms.u_volume, 1);
+    gl.uniform1i(uniforms.u_map, 0);
+    gl.activeTexture(gl.TEXTURE1);
+    gl.bindTexture(gl.TEXTURE_3D, texture);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, map);
+    gl.bindVertexArray(quad.array);
+    gl.drawArrays(gl.TRIANGLES, 0, 6);
+  }
+
   use(name, view) {
     const { program, uniforms } = this.programs[name];
     const gl = this.gl;
@@ -232,43 +318,69 @@ class Painter {
     return uniforms;
   }
 
-  // view: matrix, axes (camera), clip (low, high), cut (colour), pixel (device pixels per pixel).
+  // view: matrix, axes (camera), clip (low, high), cut (colour), pixel (device pixels per pixel),
+  // slice, held (planes to be shown) and wiper, the share of the width left of which the content is
+  // shown, and right of which what it is compared with.
   draw(view) {
     const gl = this.gl;
-    gl.viewport(0, 0, gl.canvas.width, gl.canvas.height);
+    const [width, height] = [gl.canvas.width, gl.canvas.height];
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.depthMask(true);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LEQUAL);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     const shown = this.scene.meshes.filter((mesh) => mesh.visible && mesh.opacity > 0);
-    const solid = shown.filter((mesh) => mesh.opacity >= 1 && !mesh.walls);
+    if (view.wiper === null) this.drawLayers(shown, view);
+    else {
+      const at = Math.round(view.wiper * width);
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(0, 0, at, height);
+      this.drawLayers(shown.filter((mesh) => !mesh.reference), view);
+      gl.scissor(at, 0, width - at, height);
+      const others = this.scene.meshes.filter((mesh) => mesh.reference);
+      this.drawLayers([...others, ...shown.filter((mesh) => mesh.walls)], view, true);
+    }
+    gl.bindVertexArray(null);
+  }
+
+  drawLayers(shown, view, opaque = false) {
+    const gl = this.gl;
+    const solid = shown.filter((mesh) => (mesh.opacity >= 1 || opaque) && !mesh.walls);
     gl.disable(gl.BLEND);
-    for (const mesh of solid) this.drawSurface(mesh, view);
-    const { glints, planes } = this.scene;
+    for (const mesh of solid) this.drawSurface(mesh, view, opaque ? 1 : mesh.opacity);
+    const { glints, planes, faces } = this.scene;
     if (glints && glints.visible && glints.opacity > 0) this.drawGlints(glints, view);
     gl.enable(gl.BLEND);
     for (const mesh of shown) {
       if (solid.includes(mesh) || mesh.walls) continue;
       // only the nearest layer
       gl.colorMask(false, false, false, false);
-      this.drawSurface(mesh, view);
+      this.drawSurface(mesh, view, mesh.opacity);
       gl.colorMask(true, true, true, true);
-      this.drawSurface(mesh, view);
+      this.drawSurface(mesh, view, mesh.opacity);
+    }
+    if (view.slice) this.drawSlice(view.slice, view);
+    if (this.path) {
+      const paints = [[this.path.n, [0.5, 0.5, 0.5, 0.35]], [this.pathDone, [0.84, 0.37, 0, 1]]];
+      for (const [n, paint] of paints) this.paintFlat(this.path, gl.LINE_STRIP, n, paint, uncut(view));
     }
     gl.depthMask(false);
     if (planes && planes.visible && planes.opacity > 0) this.drawPlanes(planes, view);
+    else if (planes) for (const n of view.held) this.drawPlanes({ ...planes, opacity: 1 }, view, n);
+    if (faces && faces.visible && faces.opacity > 0) this.drawFaces(faces, view);
     for (const mesh of shown) if (mesh.walls) this.drawWalls(mesh, view);
     gl.depthMask(true);
-    gl.bindVertexArray(null);
   }
 
-  drawSurface(mesh, view) {
+  drawSurface(mesh, view, opacity) {
     const gl = this.gl;
     const drawn = this.drawn.get(mesh);
     const uniforms = this.use("surface", view);
     gl.uniformMatrix3fv(uniforms.u_axes, false, view.columns);
-    gl.uniform1f(uniforms.u_opacity, mesh.opacity);
+    gl.uniform1f(uniforms.u_opacity, opacity);
     gl.uniform1f(uniforms.u_pixel, view.pixel);
     gl.uniform3fv(uniforms.u_colour, drawn.colour);
     gl.uniform3fv(uniforms.u_cut, view.cut);
@@ -279,12 +391,12 @@ class Painter {
     gl.drawElements(gl.TRIANGLES, mesh.indices.length, gl.UNSIGNED_INT, 0);
   }
 
-  paintFlat({ array }, mode, n, paint, view) {
+  paintFlat({ array }, mode, n, paint, view, first = 0) {
     const gl = this.gl;
     const uniforms = this.use("flat", view);
     gl.uniform4fv(uniforms.u_paint, paint);
     gl.bindVertexArray(array);
-    gl.drawArrays(mode, 0, n);
+    gl.drawArrays(mode, first, n);
   }
 
   // All edges, and only the nearest layer of the walls, so that few layers cover the content.
@@ -316,11 +428,26 @@ class Painter {
     gl.drawArraysInstanced(gl.TRIANGLES, 0, this.glints.n, this.glints.count);
   }
 
-  drawPlanes(planes, view) {
+  // All planes, or the one of a number.
+  drawPlanes(planes, view, number = null) {
     const gl = this.gl;
     const whole = uncut(view);
     const colour = rgb(planes.colour);
-    this.paintFlat(this.planes.fill, gl.TRIANGLES, this.planes.fill.n, [...colour, 0.35 * planes.opacity], whole);
-    this.paintFlat(this.planes.lines, gl.LINES, this.planes.lines.n, [...colour, planes.opacity], whole);
+    const drawn = (part, mode, each, opacity) => {
+      const [n, first] = number === null ? [part.n, 0] : [each, each * number];
+      if (first + n <= part.n) this.paintFlat(part, mode, n, [...colour, opacity], whole, first);
+    };
+    drawn(this.planes.fill, gl.TRIANGLES, 6, 0.35 * planes.opacity);
+    drawn(this.planes.lines, gl.LINES, 8, planes.opacity);
+  }
+
+  drawFaces(faces, view) {
+    const gl = this.gl;
+    const whole = uncut(view);
+    for (const { fill, lines, colour } of this.faces) {
+      if (fill) this.paintFlat(fill, gl.TRIANGLES, fill.n, [...colour, 0.6 * faces.opacity], whole);
+      const dark = colour.map((c) => 0.6 * c);
+      this.paintFlat(lines, gl.LINES, lines.n, [...dark, Math.min(1, 3.5 * faces.opacity)], whole);
+    }
   }
 }

@@ -24,12 +24,17 @@ class Viewer {
     this.attribute = null;
     this.picks = [];
     this.measuring = false;
+    this.slice = null;
+    this.wiper = null;
+    this.holders = [];
+    this.linked = []; // viewers whose cameras follow this one's
+    this.named = null; // plane that is shown by its number
     const keys = {
       f: () => this.fit(),
       a: () => this.fit(true),
       o: () => this.toggle("orthographic"),
       m: () => this.toggle("measure"),
-      s: () => this.savePicture(),
+      s: () => savePicture(this),
       Enter: () => this.pickAt(this.canvas.clientWidth / 2, this.canvas.clientHeight / 2),
       Escape: () => this.clearPicks(),
     };
@@ -42,6 +47,8 @@ class Viewer {
     this.buildLayers();
     this.buildColours();
     this.buildCuts();
+    this.buildSlices();
+    this.buildWiper();
     this.buildButtons();
     this.controls.viewFrom("corner");
     this.fit();
@@ -53,14 +60,16 @@ class Viewer {
 
   // Layers of the scene, surfaces first.
   get layers() {
-    return [...this.scene.meshes, this.scene.glints, this.scene.planes].filter(Boolean);
+    return [...this.scene.meshes, this.scene.faces, this.scene.glints, this.scene.planes].filter(Boolean);
   }
 
   measureScene() {
     const points = (layer) => layer.positions || layer.corners;
     this.whole = boundsOf(this.layers.map(points));
-    const cut = this.scene.meshes.filter((mesh) => !mesh.walls);
-    this.inner = boundsOf((cut.length ? cut : this.scene.meshes).map(points));
+    const { meshes } = this.scene;
+    const [content] = meshes;
+    const kinds = [meshes.filter((mesh) => !mesh.walls && content.indices.length), meshes.filter((mesh) => mesh.walls), this.layers];
+    this.inner = kinds.map((layers) => boundsOf(layers.map(points))).find(({ low }) => low.every(Number.isFinite));
     this.clip = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
   }
 
@@ -82,6 +91,19 @@ class Viewer {
       return element("div", { class: "layer" }, name, layer === this.scene.glints ? "" : range);
     });
     this.part("layers").append(...rows);
+    const { planes } = this.scene;
+    const corners = planes ? [...planes.corners] : [];
+    const options = Array.from({ length: corners.length / 12 }, (_, n) => {
+      const own = corners.slice(12 * n, 12 * n + 12);
+      const [x, y, z] = [0, 1, 2].map((k) => (own[k] + own[k + 6]) / 2);
+      const [azimuth, up] = [Math.atan2(y, x), Math.atan2(z, Math.hypot(x, y))].map((a) => Math.round((a * 180) / Math.PI));
+      return element("option", { value: n }, `plane ${n + 1}: at ${azimuth}°, ${up}° up`);
+    });
+    const select = element("select", { "aria-label": "plane", onchange: () => {
+      this.named = select.value === "" ? null : Number(select.value);
+      this.redraw();
+    } }, element("option", { value: "" }, "show one plane"), ...options);
+    if (options.length) this.part("layers").append(select);
     this.part("reduced").textContent = this.layers.map((layer) => layer.note).filter(Boolean).join(" ");
   }
 
@@ -98,27 +120,31 @@ class Viewer {
   colourBy(attribute) {
     this.attribute = attribute;
     if (this.content) this.painter.paint(this.content, attribute);
-    const legend = this.part("legend");
-    legend.replaceChildren();
-    legend.hidden = !attribute;
-    if (attribute) {
-      legend.append(element("b", {}, attribute.label + (attribute.unit ? ` [${attribute.unit}]` : "")));
-      if (attribute.classes) {
-        attribute.classes.slice(0, attribute.colours.length).forEach((name, i) => {
-          legend.append(element("span", { class: "swatch" }, element("i", { style: `background:${attribute.colours[i]}` }), name));
-        });
-      } else {
-        const [low, high] = attribute.range;
-        const ticks = [0, 0.25, 0.5, 0.75, 1].map((t) => low + t * (high - low));
-        const digits = ticks.every((t) => Math.abs(t - Math.round(t)) < 1e-6) ? 0 : high - low < 2 ? 2 : 1;
-        legend.append(
-          element("div", { class: "scale", style: `background:linear-gradient(90deg,${attribute.colours.join()})` }),
-          element("div", { class: "ticks" }, ...ticks.map((t) => element("span", {}, t.toFixed(digits)))),
-        );
-      }
-      this.part("about").textContent = attribute.note || "";
-    } else this.part("about").textContent = "";
+    this.part("about").textContent = attribute ? attribute.note || "" : "";
+    this.showLegend();
     this.redraw();
+  }
+
+  // Colours of the content and of the slice.
+  showLegend() {
+    const shown = [this.attribute, this.slice && this.slice.volume].filter(Boolean);
+    const legend = this.part("legend");
+    legend.replaceChildren(...shown.flatMap(({ label, unit, classes, colours, range }) => {
+      const title = element("b", {}, label + (unit ? ` [${unit}]` : ""));
+      if (classes) {
+        return [title, ...classes.slice(0, colours.length).map((name, i) =>
+          element("span", { class: "swatch" }, element("i", { style: `background:${colours[i]}` }), name))];
+      }
+      const [low, high] = range;
+      const ticks = [0, 0.25, 0.5, 0.75, 1].map((t) => low + t * (high - low));
+      const digits = ticks.every((t) => Math.abs(t - Math.round(t)) < 1e-6) ? 0 : high - low < 2 ? 2 : 1;
+      return [
+        title,
+        element("div", { class: "scale", style: `background:linear-gradient(90deg,${colours.join()})` }),
+        element("div", { class: "ticks" }, ...ticks.map((t) => element("span", {}, t.toFixed(digits)))),
+      ];
+    }));
+    legend.hidden = !shown.length;
   }
 
   buildCuts() {
@@ -146,6 +172,59 @@ class Viewer {
     });
   }
 
+  // One slice across an axis, through one of the volumes.
+  buildSlices() {
+    const part = this.part("slices");
+    part.hidden = !this.scene.volumes.length;
+    if (part.hidden) return;
+    const options = this.scene.volumes.flatMap((volume, n) =>
+      ["x", "y", "z"].map((axis, k) => element("option", { value: `${n} ${k}` }, `${volume.label}, across ${axis}`)));
+    const select = element("select", { "aria-label": "slice", onchange: () => update() }, element("option", { value: "" }, "off"), ...options);
+    const range = element("input", { type: "range", min: 0, max: 1000, value: 500, "aria-label": "position of the slice", oninput: () => update() });
+    const output = element("output", {}, "");
+    const update = () => {
+      this.slice = null;
+      output.textContent = "";
+      if (select.value) {
+        const [n, axis] = select.value.split(" ").map(Number);
+        const volume = this.scene.volumes[n];
+        const at = volume.origin[axis] + (range.value / 1000) * (volume.shape[axis] - 1) * volume.spacing;
+        this.slice = { volume, axis, at };
+        output.textContent = `${millimetres(at)} mm`;
+      }
+      range.disabled = !this.slice;
+      this.showLegend();
+      this.redraw();
+    };
+    part.append(select, element("div", { class: "cut slice" }, range, output));
+    update();
+  }
+
+  // Content on the left of a line, what it is compared with on the right.
+  buildWiper() {
+    const [field, line] = [this.part("wiper"), this.part("wiper-line")];
+    const others = this.scene.meshes.filter((mesh) => mesh.reference && mesh.indices.length);
+    field.hidden = line.hidden = true;
+    this.part("compare").hidden = !others.length;
+    if (!others.length) return;
+    const range = element("input", { type: "range", min: 0, max: 1000, value: 500,
+      "aria-label": `wiper: content on the left, ${others[0].label} on the right`, oninput: () => update() });
+    const update = () => {
+      const on = this.part("compare").getAttribute("aria-pressed") === "true";
+      field.hidden = line.hidden = !on;
+      this.wiper = on ? range.value / 1000 : null;
+      line.style.left = `${range.value / 10}%`;
+      this.redraw();
+    };
+    field.append(element("span", {}, this.content.label), range, element("span", {}, others[0].label));
+    this.part("compare").textContent = `compare with ${others[0].label}`;
+    this.part("compare").addEventListener("click", (event) => {
+      const button = event.currentTarget;
+      button.setAttribute("aria-pressed", String(button.getAttribute("aria-pressed") !== "true"));
+      update();
+    });
+  }
+
   buildButtons() {
     for (const button of this.root.querySelectorAll("[data-view]")) {
       button.addEventListener("click", () => this.controls.viewFrom(button.dataset.view));
@@ -153,7 +232,9 @@ class Viewer {
     const click = (name, what) => this.part(name).addEventListener("click", what);
     click("fit", () => this.fit());
     click("all", () => this.fit(true));
-    click("save", () => this.savePicture());
+    click("save", () => savePicture(this));
+    click("film", () => saveTurn(this));
+    if (!filmKind()) this.part("film").hidden = true;
     click("orthographic", () => this.toggle("orthographic"));
     click("measure", () => this.toggle("measure"));
     const full = this.part("fullscreen");
@@ -197,7 +278,15 @@ class Viewer {
     return radius + norm(plus(middle, this.camera.target, -1)) + 1;
   }
 
-  redraw() {
+  // Take over the camera of another view.
+  follow({ azimuth, elevation, distance, orthographic, target }) {
+    Object.assign(this.camera, { azimuth, elevation, distance, orthographic, target: [...target] });
+    this.part("orthographic").setAttribute("aria-pressed", String(orthographic));
+    this.redraw(false);
+  }
+
+  redraw(leads = true) {
+    if (leads) for (const other of this.linked) other.follow(this.camera);
     if (this.waiting) return;
     this.waiting = true;
     requestAnimationFrame(() => {
@@ -219,7 +308,9 @@ class Viewer {
     const columns = [0, 1, 2].flatMap((c) => axes.map((axis) => axis[c]));
     const cut = rgb(getComputedStyle(this.root).getPropertyValue("--cut").trim());
     const matrix = this.camera.matrix(this.aspect(), this.reach());
-    this.painter.draw({ matrix, columns, clip: this.clip, cut, pixel });
+    const held = [...new Set([...this.holders.map(({ pose }) => pose), this.named])].filter((n) => n !== null);
+    const { clip, slice, wiper } = this;
+    this.painter.draw({ matrix, columns, clip, cut, pixel, held, slice, wiper });
     this.drawOverlay(axes);
   }
 
@@ -244,7 +335,7 @@ class Viewer {
     this.part("length").textContent = `${length} mm`;
     const marked = this.picks.map(({ point }) => this.onCanvas(point));
     const marks = this.part("marks");
-    marks.querySelectorAll("circle").forEach((circle, i) => {
+    marks.querySelectorAll(":scope > circle").forEach((circle, i) => {
       const at = marked[i];
       circle.style.display = at ? "" : "none";
       if (at) {
@@ -252,6 +343,13 @@ class Viewer {
         circle.setAttribute("cy", at[1]);
       }
     });
+    const spots = this.holders.slice(0, 60).map(({ at }) => this.onCanvas(at)).filter(Boolean);
+    this.part("peaks").replaceChildren(...spots.map(([cx, cy]) => {
+      const spot = marks.querySelector(":scope > circle").cloneNode();
+      spot.removeAttribute("style");
+      Object.entries({ cx, cy, r: 2.5 }).forEach(([key, value]) => spot.setAttribute(key, value));
+      return spot;
+    }));
     const line = marks.querySelector("line");
     const text = marks.querySelector("text");
     const both = marked.length === 2 && marked[0] && marked[1];
@@ -271,8 +369,11 @@ class Viewer {
     const ray = this.camera.ray(across, up, this.aspect(), this.reach());
     const inside = (p) => p.every((value, k) => value >= this.clip.low[k] && value <= this.clip.high[k]);
     let best = null;
+    const wiped = this.wiper !== null;
+    const right = wiped && x > this.wiper * this.canvas.clientWidth;
     for (const mesh of this.scene.meshes) {
-      if (!mesh.visible || !mesh.opacity || mesh.walls) continue;
+      if (mesh.walls || (wiped && Boolean(mesh.reference) !== right)) continue;
+      if (!(right || (mesh.visible && mesh.opacity))) continue;
       const hit = firstHit(mesh, ray, inside);
       if (hit && (!best || hit.t < best.t)) best = { ...hit, mesh };
     }
@@ -283,6 +384,8 @@ class Viewer {
       if (attribute.classes) return values[best.weights.indexOf(Math.max(...best.weights))];
       return dot(values, best.weights);
     };
+    best.normal = unit([0, 1, 2].map((d) =>
+      corners.reduce((sum, corner, k) => sum + best.weights[k] * best.mesh.normals[3 * corner + d], 0)));
     best.values = best.mesh.attributes.map((attribute) => [attribute, mean(attribute)]);
     return best;
   }
@@ -307,6 +410,9 @@ class Viewer {
     const list = element("dl");
     const last = this.picks[this.picks.length - 1];
     const box = this.part("readout");
+    const { glints } = this.scene;
+    const single = last && this.picks.length === 1 && last.mesh === this.content && glints;
+    this.holders = single ? holdersOf(glints, last.point, last.normal) : [];
     if (!last) {
       const hint = this.measuring ? "Click two points of the surface." : "Click the surface, or press Enter for its middle.";
       box.replaceChildren(element("p", {}, hint));
@@ -319,62 +425,38 @@ class Viewer {
       list.append(row("on", last.mesh.label));
       ["x", "y", "z"].forEach((name, k) => list.append(row(name, `${millimetres(last.point[k], 2)} mm`)));
       for (const [attribute, value] of last.values) list.append(row(attribute.label, formatted(attribute, value)));
+      if (single) {
+        const planes = [...new Set(this.holders.map(({ pose }) => pose + 1))].sort((a, b) => a - b);
+        const n = this.holders.length;
+        list.append(row("held by", n ? `${n} peak${n > 1 ? "s" : ""}` : `no peak within ${glints.reach} mm`));
+        if (n) list.append(row(planes.length > 1 ? "of planes" : "of plane", planes.join(", ")));
+        if (n) list.append(row("strongest", `${Math.max(...this.holders.map((h) => h.decibels)).toFixed(0)} dB`));
+      }
       box.replaceChildren(list, ...(this.measuring ? [element("p", {}, "Click the second point.")] : []));
     }
     this.redraw();
   }
-
-  // Save the picture with marks and scale as a file.
-  savePicture() {
-    this.draw(); // the buffer is empty after it was shown
-    const [width, height] = [this.canvas.width, this.canvas.height];
-    const sheet = element("canvas", { width, height });
-    const pen = sheet.getContext("2d");
-    const style = getComputedStyle(this.root);
-    const ink = style.getPropertyValue("--ink").trim();
-    const ratio = width / this.canvas.clientWidth;
-    pen.fillStyle = style.getPropertyValue("--stage").trim();
-    pen.fillRect(0, 0, width, height);
-    pen.drawImage(this.canvas, 0, 0);
-    pen.scale(ratio, ratio);
-    pen.font = "13px system-ui, sans-serif";
-    pen.fillStyle = pen.strokeStyle = ink;
-    pen.lineWidth = 2;
-    const marked = this.picks.map(({ point }) => this.onCanvas(point)).filter(Boolean);
-    pen.beginPath();
-    marked.forEach(([x, y], i) => (i ? pen.lineTo(x, y) : pen.moveTo(x, y)));
-    pen.stroke();
-    for (const [x, y] of marked) {
-      pen.beginPath();
-      pen.arc(x, y, 5, 0, 2 * Math.PI);
-      pen.stroke();
-    }
-    const bottom = this.canvas.clientHeight - 16;
-    const bar = parseFloat(this.part("bar").style.width);
-    pen.fillRect(16, bottom - 4, bar, 4);
-    pen.fillText(this.part("length").textContent, 16, bottom - 10);
-    const drawn = this.attribute && !this.attribute.classes && this.attribute;
-    if (drawn) {
-      const left = this.canvas.clientWidth - 216;
-      const fade = pen.createLinearGradient(left, 0, left + 200, 0);
-      drawn.colours.forEach((colour, i) => fade.addColorStop(i / (drawn.colours.length - 1), colour));
-      pen.fillText(`${drawn.label}${drawn.unit ? ` [${drawn.unit}]` : ""}: ${drawn.range[0]} to ${drawn.range[1]}`, left, bottom - 16);
-      pen.fillStyle = fade;
-      pen.fillRect(left, bottom - 10, 200, 10);
-    }
-    sheet.toBlob((blob) => {
-      const link = element("a", { href: URL.createObjectURL(blob), download: `${this.scene.name}.png` });
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-    });
-  }
 }
 
+const viewers = [];
 for (const root of document.querySelectorAll(".viewer")) {
   try {
     root.viewer = new Viewer(root);
+    viewers.push(root.viewer);
   } catch (error) {
     root.classList.remove("works"); // the pictures remain
     console.warn(`no 3D view: ${error.message}`);
   }
+}
+
+// The button that links the cameras of two views.
+const link = document.querySelector('[data-part="link"]');
+const setLinks = (on) => {
+  link.setAttribute("aria-pressed", String(on));
+  for (const viewer of viewers) viewer.linked = on ? viewers.filter((other) => other !== viewer) : [];
+  viewers[0].redraw();
+};
+if (link && viewers.length > 1) {
+  link.addEventListener("click", () => setLinks(link.getAttribute("aria-pressed") !== "true"));
+  setLinks(true);
 }
