@@ -11,7 +11,7 @@ import pytest
 
 from geraf2 import __version__
 from geraf2.cli import _console, info
-from geraf2.cli._console import CONSOLE, rows, say, showing_log_records, warn
+from geraf2.cli._console import CONSOLE, printing, rows, say, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
 from geraf2.pipeline import machine
@@ -167,7 +167,7 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     rows([("scene", name)])
     warn(name)
     CONSOLE.note(name)
-    with showing_log_records():
+    with printing("info"):
         logging.getLogger("geraf2.test").warning(name)
     assert main(["info", name]) == 2
     said = capsys.readouterr()

@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import json
 import logging
 import os
 import signal
@@ -9,6 +10,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Protocol, cast
@@ -59,7 +61,7 @@ COMMANDS = {
     "reconstruct": Command(
         "reconstruct",
         "surface of what is hidden in the box",
-        "SCENE OUT --los MESH | --box X Y Z",
+        "SCENE [OUT]",
         "finished stages are kept, --resume continues",
     ),
     "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
@@ -75,10 +77,11 @@ COMMANDS = {
     "benchmark": Command(
         "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
     ),
+    "completion": Command("completion", "completion of a shell: bash, zsh or fish", "SHELL"),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }
 
-_GLOBAL_FLAGS = ("--debug", "--version")
+GLOBAL_FLAGS = ("--debug", "--version", "--json", "--quiet", "--verbose")
 
 
 class _CommandModule(Protocol):
@@ -159,7 +162,7 @@ def main(arguments: Sequence[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ["MPLBACKEND"] = "agg"  # pictures are files; matplotlib fails where it names none
     debug = "--debug" in arguments
-    rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
+    rest = [argument for argument in arguments if argument not in GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)
     n_before = _n_written()
     try:
@@ -171,7 +174,7 @@ def main(arguments: Sequence[str]) -> int:
         _require_environment()
         rest, allowed = without_memory_flag(rest)
         with memory_limit(allowed):
-            return _dispatch(rest)
+            return _dispatch(rest, {flag for flag in GLOBAL_FLAGS if flag in arguments})
     except SystemExit as stop:  # after --help
         return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
     except BrokenPipeError:
@@ -181,11 +184,15 @@ def main(arguments: Sequence[str]) -> int:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        command = next((COMMANDS[word] for word in rest if word in COMMANDS), None)
+        name = next((word for word in rest if word in COMMANDS), None)
         # Libraries make other errors of it: "initialization failed" while they are imported.
         why = KeyboardInterrupt(_received[-1]) if _received else error
+        command = COMMANDS[name] if name else None
         message, code = describe_error(why, command, wrote=_n_written() > n_before)
-        print(f"geraf2: {printable(shortened(message))}", file=sys.stderr)
+        message = printable(shortened(message))
+        print(f"geraf2: {message}", file=sys.stderr)
+        if "--json" in arguments:
+            print(json.dumps({"command": name, "exit_code": code, "error": message}))
         return code
 
 
@@ -245,7 +252,7 @@ def help_text() -> str:
     """Text of `geraf2 --help`."""
     width = max(len(name) for name in COMMANDS)
     lines = [
-        "usage: geraf2 COMMAND ... [--debug]",
+        "usage: geraf2 COMMAND ... [FLAGS]",
         "",
         "Sees through boxes: metric surfaces from near-field FMCW radar scans.",
         "",
@@ -253,13 +260,15 @@ def help_text() -> str:
         "",
         "  geraf2 COMMAND --help   flags of a command, in any order",
         "  geraf2 --version        version",
+        "  --json                  one JSON object on stdout, all else on stderr",
+        "  --quiet, --verbose      no progress and notes, or the log of every module",
         "  --debug                 full traceback on errors",
         "  --max-memory GIB        refuse work that is estimated to take more memory",
     ]
     return "\n".join(lines)
 
 
-def _dispatch(arguments: list[str]) -> int:
+def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     index = next((i for i, a in enumerate(arguments) if a in COMMANDS), None)
     words = [argument for argument in arguments if not argument.startswith("-")]
     if index is None and not words:
@@ -279,7 +288,16 @@ def _dispatch(arguments: list[str]) -> int:
     default = module.defaults(rest) if hasattr(module, "defaults") else None
     prog = f"geraf2 {name}"
     config = parse(module.Config, rest, prog=prog, description=description, default=default)
-    return module.main(config)
+    from geraf2.cli._console import printing  # noqa: PLC0415 - the module has loaded it
+
+    with printing(
+        name,
+        as_json="--json" in asked,
+        quiet="--quiet" in asked,
+        verbose="--verbose" in asked,
+    ) as result:
+        result["exit_code"] = module.main(config)
+    return int(result["exit_code"])
 
 
 def _one_line(error: BaseException) -> str:

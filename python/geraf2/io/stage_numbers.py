@@ -11,6 +11,16 @@ _Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Ghost:
+    """A piece that likely does not exist."""
+
+    probability: float
+    volume_cm3: float
+    extents_mm: tuple[float, float, float]
+    middle_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Known:
     """Numbers by name, whatever their stage; each may be missing."""
 
@@ -30,6 +40,9 @@ class _Known:
     extents_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
     extents_95_percent_mm: tuple[_Interval, _Interval, _Interval] | None = None
     common_offset_sigma_mm: float = 0.0
+    likely_ghosts: tuple[_Ghost, ...] = ()
+    expected_error_median_mm: float = 0.0
+    evidence_shares: dict[str, float] | None = None
 
 
 # Where the first is there, the others are.

@@ -13,6 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.expected_error import quality_numbers, seen_vertices
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.pieces import ghost_texts, likely_part
 from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
@@ -59,6 +60,7 @@ def answer_of(
         return Answer(found="Nothing has been reconstructed in this folder yet.", **rest)
     if not content.faces.shape[0]:
         return Answer(found="Nothing was found in the box: the surface is empty.", **rest)
+    content = likely_part(content)
     report = surface_report(content)
     size = 1e3 * np.ptp(content.vertices, axis=0)
     lengths = " x ".join(f"{side:.0f}" for side in size)
@@ -98,7 +100,7 @@ def answer_of(
     elif content.expected_error_m is None:
         sure.append("This mesh has no expected errors.")
     return Answer(
-        found=_found(content, report, lengths),
+        found=_found(content, report, lengths) + _ghosts(numbers.get("mesh", {})),
         tiles=tuple(tiles),
         sure=tuple(sure),
         unseen=tuple(unseen),
@@ -122,6 +124,12 @@ def _found(content: TriangleMesh, report: SurfaceReport, lengths: str) -> str:
     if n == 1:
         return f"One body, {lengths} mm, its middle at ({place}) mm.{closed}"
     return f"{n} separate pieces, {lengths} mm over all, their middle at ({place}) mm.{closed}"
+
+
+def _ghosts(numbers: Mapping[str, Any]) -> str:
+    """Sentence on pieces that are not counted, after a space; empty without any."""
+    texts = ghost_texts(numbers)
+    return f" Likely ghosts, not counted: {'; '.join(texts)}." if texts else ""
 
 
 def _others(quality: Mapping[str, Any]) -> str:
