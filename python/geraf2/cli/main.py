@@ -201,8 +201,9 @@ def describe_error(
 ) -> tuple[str, int]:
     """One line for the user of a command, and the exit code; `wrote`: whether it wrote a file."""
     after_stop = f"; {command.after_stop if wrote else 'nothing was written'}" if command else ""
-    if isinstance(error, UserError):
-        return f"error: {_one_line(error)}", EXIT_BAD_INPUT
+    library = missing_library(error)
+    if library or isinstance(error, UserError):
+        return f"error: {library or _one_line(error)}", EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT
         return f"interrupted{after_stop}", EXIT_SIGNAL + int(number)
@@ -221,6 +222,15 @@ def describe_error(
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
     )
+
+
+def missing_library(error: BaseException) -> str:
+    """State which library the kernels lack, and what to do; empty for another error."""
+    library, found, _ = str(error).partition(": cannot open shared object file")
+    if not isinstance(error, ImportError) or not found:
+        return ""
+    install = " (Debian, Ubuntu: apt install libembree4-4 or libembree3-3)" * ("embree" in library)
+    return f"the kernels need {library}, which is not installed{install}"
 
 
 def _require_environment() -> None:

@@ -46,6 +46,7 @@ from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, h
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.sign_check import naming_the_sign
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
@@ -126,7 +127,8 @@ def reconstruct(
         job, prior_name = _started(request, run, resume=resume, num_threads=num_threads)
         job = _calibrated(job, options, request.where)
         _keep_inputs(request, job)
-        _run_stages(job, prior_name, options, report=report)
+        with naming_the_sign(loaded, request.where, num_threads):
+            _run_stages(job, prior_name, options, report=report)
         seconds = round(time.perf_counter() - started, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
@@ -176,9 +178,11 @@ class _Request:
         if making is None and (given is not None or source.is_given):
             found = _prior(given or source, capture, summary, listener)
             if not options.trust_los:
-                box = checked_prior(capture, *found, summary, listener, num_threads)
+                with naming_the_sign(capture, where, num_threads):
+                    box = checked_prior(capture, *found, summary, listener, num_threads)
         elif making is None:
-            box = box_from_radar(capture, summary, listener, num_threads)
+            with naming_the_sign(capture, where, num_threads):
+                box = box_from_radar(capture, summary, listener, num_threads)
         if box is not None:
             found = box.prior, found[1] if found else "the box by radar"
         box_seconds = time.perf_counter() - start
