@@ -216,7 +216,7 @@ def test_a_missing_library_is_named_with_what_to_install(command, out):
         "class Missing:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
         "        if name == 'geraf2._core':\n"
-        "            raise ImportError('libembree4.so.4: cannot open shared object file: No such')\n"
+        "            raise ImportError('libembree4.so.4: cannot open shared object file: x')\n"
         "sys.meta_path.insert(0, Missing())\n"
         "from geraf2.cli.main import main\n"
         f"sys.exit(main({command.split()!r}))\n"
