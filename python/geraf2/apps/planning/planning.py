@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
-from geraf2.apps.planning.arrays import find_array
+from geraf2.apps.planning.arrays import ARRAYS, find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import (
@@ -71,7 +71,8 @@ class PlanOptions(Bounded):
     """TOML file with the chirp, as for `geraf2 import`; the positions of its antennas, where it
     gives them, are the array that is swept."""
     preset: Preset | None = None
-    """Or a known radar; awr1843 when neither is given."""
+    """Or the chirp of a known radar; awr1843 when neither is given. With --minutes or --after its
+    board is swept, too, where its antennas are known."""
     standoff: PlanM | None = None
     """Planes to the turntable's axis [m]."""
     aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
@@ -91,7 +92,7 @@ class PlanOptions(Bounded):
     channels: Annotated[int, Interval(ge=1, le=64)] | None = None
     """Receivers at once, one above the other, as far apart as rows; 1 when no array is given."""
     array: str | None = None
-    """Or a board: iwr1443, iwr1843, awr2243-cascade."""
+    """Or a board: iwr1443, iwr1843, awr1443, awr1843, awr2243-cascade."""
     order: Order = "tdm"
     """Of a board's transmitters: in turns, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
@@ -126,15 +127,17 @@ class PlanOptions(Bounded):
         """Radar, and what moves it."""
         if self.channels is not None and self.array is not None:
             raise UserError(what="give either --channels or --array", got="both")
-        own, n_tx = None, 1
-        if self.array is not None:
-            n_tx = len(find_array(self.array).tx)
+        own, n_tx, array = None, 1, self.array
+        if array is None and self.channels is None and self.preset in ARRAYS:
+            array = self.preset
+        if array is not None:
+            n_tx = len(find_array(array).tx)
         elif self.channels is None and self.radar is not None:
             own = _own_array(read_toml(self.radar, RadarManifest).antennas, self.order)
             n_tx = 1 if own is None else len(own.tx_offsets_m)
         return Scanner(
             channels=self.channels,
-            array=self.array,
+            array=array,
             own=own,
             order=self.order,
             chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
