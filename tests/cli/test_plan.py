@@ -77,7 +77,10 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
         (["--preset", "awr1843"], ["12 at once\n"]),
         (["--preset", "awr1843", "--channels", "2"], ["2 at once\n"]),
         ([], ["1 at once; --channels or --array names more"]),
-        (["--box", "1.2", "1.2", "1.2"], ["unknown: nothing was measured in a box of 120 cm"]),
+        (
+            ["--box", "1.2", "1.2", "1.2", "--minutes", "60", "--array", "awr1843"],
+            ["unknown: nothing was measured in a box of 120 cm"],
+        ),
     ],
 )
 def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, capsys):
