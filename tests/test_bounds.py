@@ -115,7 +115,7 @@ def test_every_number_that_a_user_can_set_has_bounds():
 
 def test_memory_is_refused_by_what_is_allowed_and_by_what_is_free():
     require_memory(1e6, "lower it")
-    with memory_limit(1e5), pytest.raises(UserError, match=r"of --max-memory; lower it"):
+    with memory_limit(1e5), pytest.raises(UserError, match=r"of max_memory; lower it"):
         require_memory(1e6, "lower it")
     require_memory(1e6, "lower it")
     with pytest.raises(UserError, match=r"GiB free; lower it"):

@@ -101,7 +101,7 @@ def test_noise_has_no_walls(scan):
         replace(pose, signal=rng.normal(size=(pose.n_antennas, 64)).astype("f4").view("c8"))
         for pose in scan.poses
     )
-    with pytest.raises(UserError, match=r"no walls of a box are found .*--box X Y Z"):
+    with pytest.raises(UserError, match=r"no walls of a box are found .*box X Y Z"):
         find_box(replace(scan, poses=noise))
 
 

@@ -46,7 +46,7 @@ def test_a_former_section_is_refused_in_a_file_and_as_a_flag():
 
 
 def test_a_removed_flag_of_calibrate_is_refused_as_removed():
-    with pytest.raises(UserError, match=r"^--autofocus.min-gain was removed"):
+    with pytest.raises(UserError, match=r"^autofocus.min_gain was removed"):
         parse(CalibrateConfig, ["scene", "--autofocus.min-gain", "1"], prog="geraf2 calibrate")
 
 

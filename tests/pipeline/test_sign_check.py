@@ -15,7 +15,7 @@ def conjugated(capture):
 @pytest.mark.parametrize("prior", [None, geraf2.examples.BOX_M])
 def test_a_run_of_a_capture_with_the_wrong_sign_names_the_sign(prior, tmp_path):
     wrong = conjugated(geraf2.examples.small_capture()[0])
-    with pytest.raises(UserError, match=r"the phase has the wrong sign.*--phase-sign"):
+    with pytest.raises(UserError, match=r"the phase has the wrong sign.*phase_sign"):
         geraf2.reconstruct(wrong, prior, "fast", tmp_path / "out")
 
 

@@ -52,7 +52,7 @@ def test_slabs_cover_each_voxel_once_and_follow_from_memory():
                 np.testing.assert_allclose(coordinates, grid.axes_m[axis][place[axis]], atol=1e-15)
         assert (count == 1).all()
         assert slabs.n_voxels * SLAB_BYTES_PER_VOXEL <= max_bytes
-    with pytest.raises(UserError, match=r"not even one layer .* raise --slab-gib"):
+    with pytest.raises(UserError, match=r"not even one layer .* raise slab_gib"):
         Slabs.of(grid, 0.5 * layer)
 
 

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any, Protocol, cast
 
 from geraf2._memory import memory_limit, without_memory_flag
-from geraf2.errors import UserError, printable, shortened
+from geraf2.errors import UserError, printable, shortened, speaking_of_flags
 
 EXIT_OK = 0
 EXIT_BUG = 1
@@ -162,6 +162,11 @@ def main(arguments: Sequence[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ["MPLBACKEND"] = "agg"  # pictures are files; matplotlib fails where it names none
     debug = "--debug" in arguments
+    with speaking_of_flags():
+        return _main(arguments, debug=debug)
+
+
+def _main(arguments: Sequence[str], *, debug: bool) -> int:
     rest = [argument for argument in arguments if argument not in GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)
     n_before = _n_written()

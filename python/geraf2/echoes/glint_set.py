@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geraf2._short import Short
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.io.array_layouts import read_arrays
@@ -20,8 +21,8 @@ _LAYOUTS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Glints:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Glints(Short):
     """Specular echoes: where a surface is and which way it faces there."""
 
     positions: Floats

@@ -2,13 +2,14 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
@@ -24,6 +25,8 @@ from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003, 0.002)
 """Thresholds of the F1 score [m]: the paper's 15 mm, and three stricter ones."""
+Distances = tuple[Floats, Floats]
+"""From the mesh to the truth, and back."""
 FINE_THRESHOLD_M = 0.002
 """Largest threshold that needs dense samples [m]."""
 FINE_SAMPLES = 50_000
@@ -82,8 +85,8 @@ class SightScore:
     """Exact distances of the part's samples to the mesh; None where it has none."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeshMetrics:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MeshMetrics(Short):
     """Distances between a mesh and the truth; definitions in :meth:`describe`."""
 
     chamfer_1e3_m2: float
@@ -122,15 +125,21 @@ class MeshMetrics:
     """Samples of each surface."""
     seed: int
     """Seed of the samples."""
+    distances_m: tuple[Distances, Distances] = field(repr=False, compare=False)
+    """Of the samples, and of denser ones up to FINE_THRESHOLD_M [m]."""
+
+    def __repr__(self) -> str:
+        scores = ", ".join(f"F1 {1e3 * s.threshold_m:g} mm {s.f1:.3f}" for s in self.scores)
+        median = 1e3 * self.both_ways.median_m
+        chamfer = f"Chamfer {self.chamfer_1e3_m2:.4f} 1e-3 m^2"
+        return f"MeshMetrics({scores}, {chamfer}, median {median:.2f} mm)"
 
     def f1(self, threshold_m: float) -> float:
-        """F1 score at one of the thresholds [m]."""
-        for score in self.scores:
-            if abs(score.threshold_m - threshold_m) <= 1e-9:
-                return score.f1
-        have = ", ".join(f"{score.threshold_m:g}" for score in self.scores)
-        msg = f"threshold_m must be one of {have}, got {threshold_m!r}"
-        raise ValueError(msg)
+        """F1 score at any threshold [m]."""
+        require_positive("threshold_m", threshold_m)
+        coarse, dense = self.distances_m
+        distances = dense if threshold_m <= FINE_THRESHOLD_M else coarse
+        return threshold_score(*distances, threshold_m).f1
 
     def headline(self) -> dict[str, float]:
         """Scores that tables show side by side, by name; lengths in mm, unknown ones left out."""
@@ -146,11 +155,19 @@ class MeshMetrics:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON, with their definitions."""
-        return {**asdict(self), "definitions": describe(self.n_samples, self.seed)}
+        made = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.repr}
+        return {**made, "definitions": describe(self.n_samples, self.seed)}
 
     def describe(self) -> dict[str, str]:
         """Definition of each number, as text."""
         return describe(self.n_samples, self.seed)
+
+
+def _plain(value: Any) -> Any:
+    """Nested records as dictionaries."""
+    if isinstance(value, tuple):
+        return tuple(_plain(item) for item in value)
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
@@ -255,6 +272,7 @@ def evaluate_mesh(
         truth=reports[1],
         n_samples=n_samples,
         seed=seed,
+        distances_m=((pair.to_truth, pair.to_mesh), (fine.to_truth, fine.to_mesh)),
     )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
@@ -53,8 +54,8 @@ class Evidence(IntEnum):
     """An echo from there, with a matching direction."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TriangleMesh:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TriangleMesh(Short):
     """Triangles in metres; outward winding where closed. ValueError for other shapes.
 
     >>> capture, truth = geraf2.examples.small_capture()

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_normals
 from geraf2.io.atomic import write_npz_atomic
@@ -16,8 +17,8 @@ NORMAL_95 = 1.96
 """Half of the interval that holds 95 % of a normal distribution, in standard deviations."""
 
 
-@dataclass(frozen=True, eq=False)
-class SurfaceSamples:
+@dataclass(frozen=True, eq=False, repr=False)
+class SurfaceSamples(Short):
     """Surfaces that the scan allows, all with the triangles of one mesh.
 
     Shared offsets are in them, so neighbours move together: a number that depends on the whole

@@ -268,7 +268,7 @@ def test_the_unit_of_a_file_follows_from_its_size(tmp_path, unit, per_metre):
 
 def test_files_that_are_no_use_are_one_line(tmp_path):
     path = stl(tmp_path / "part.stl", wedge(), 1e6)
-    with pytest.raises(UserError, match=r"as large as nothing in the box.*--unit"):
+    with pytest.raises(UserError, match=r"as large as nothing in the box.*unit"):
         read_models([path], [0.07])
     open_mesh = TriangleMesh(vertices=wedge().vertices, faces=wedge().faces[1:])
     path = stl(tmp_path / "open.stl", open_mesh, 1e3)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath
 from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.comparison import Comparison
@@ -38,8 +39,8 @@ class ModelReport:
     """Deviation of the part from the model; None: missing, or another part."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Inspection:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Inspection(Short):
     """Result of `geraf2.inspect`."""
 
     parts: tuple[BodyReport, ...]

@@ -61,7 +61,13 @@ _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions(Bounded):
-    """What is known of the scan to be planned; either `box` or `depth`."""
+    """What is known of the scan to be planned; either `box` or `depth`.
+
+    ValueError for a value out of bounds, UserError for angles or planes that do not go together.
+
+    >>> geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=5.0).speed_m_per_s  # lengths in metres
+    0.2
+    """
 
     box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
@@ -159,6 +165,26 @@ def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
         for offsets in (antennas.tx_offsets_m or [[0.0, 0.0, 0.0]], antennas.rx_offsets_m)
     )
     return SweptArray(tx_offsets_m=tx, rx_offsets_m=rx, order=order)
+
+
+def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan | list[NextPlane]:
+    """Plan a scan; what is not given is suggested.
+
+    options: box or depth [m], and what is known of radar and scanner.
+
+    Returns a plan of rings; of a single plane with `depth`; of planes with lines within `minutes`;
+    or planes to scan next `after` a run, the best first. Raises UserError for settings that do not
+    go together, or a plan that no scanner reaches.
+
+    >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22)))
+    >>> rings.n_planes, rings.spacing_m  # [m]
+    (36, 0.0033)
+    """
+    if options.after is not None:
+        return plan_after(options)
+    if options.minutes is not None:
+        return make_timed_plan(options)
+    return make_plan(options) if options.depth is None else make_plane(options)
 
 
 def make_timed_plan(options: PlanOptions) -> TimedPlan:

@@ -63,7 +63,7 @@ SAMPLES_STAGE = "samples"
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,
-    config: PresetConfig | str = "best",
+    preset: PresetConfig | str = "best",
     out: Path | str | None = None,
     *,
     options: RunOptions | None = None,
@@ -80,7 +80,7 @@ def reconstruct(
     in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses; None:
     found by radar (`geraf2.find_box`). A cuboid that is off by millimetres or degrees is corrected.
     A prior without walls takes those that the capture knows.
-    config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
+    preset: its name, or its constants: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.
@@ -102,8 +102,7 @@ def reconstruct(
     True
     """
     started, options = time.perf_counter(), options or RunOptions()
-    if isinstance(config, str):
-        config = preset_type(config)()
+    config = preset_type(preset)() if isinstance(preset, str) else preset
     if options.samples:
         require_posterior(config, options.samples)
     scene = None if isinstance(capture, Capture) else Path(capture)
