@@ -23,7 +23,7 @@ def test_an_error_speaks_of_flags_on_the_command_line_and_of_arguments_in_python
 
 
 def test_both_doors_name_the_setting_as_it_is_given_there(capsys):
-    with pytest.raises(UserError, match="^give box, or depth of a single plane$"):
+    with pytest.raises(UserError, match=r"^give box, or depth of a single plane$"):
         geraf2.plan(geraf2.PlanOptions())
     assert main(["plan"]) == 2
     assert "give --box, or --depth of a single plane" in capsys.readouterr().err

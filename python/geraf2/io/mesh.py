@@ -188,11 +188,12 @@ def write_mesh(
     """Write a binary PLY or a GLB in metres, and `<path>.json` that describes it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
-    float `expected_error_m` [m], uchar `evidence` (`Evidence`) and float `confidence`. GLB: the
-    same numbers, turned to glTF's +Y up by the node's rotation, vertex normals and colours, and
-    `_EXPECTED_ERROR_M`, `_EVIDENCE` and `_CONFIDENCE`, all float. Each file appears whole or not at
-    all. The colour shows the expected error (yellow 0, dark violet 5 mm), grey without one. What
-    the mesh was made from, and by which command, is recorded in all of them.
+    float `expected_error_m` [m], uchar `evidence` (`Evidence`), float `confidence`, and `quality`,
+    which viewers colour by: the expected error again. GLB: the same numbers but `quality`, turned
+    to glTF's +Y up by the node's rotation, vertex normals and colours, and `_EXPECTED_ERROR_M`,
+    `_EVIDENCE` and `_CONFIDENCE`, all float. Each file appears whole or not at all. The colour
+    shows the expected error (yellow 0, dark violet 5 mm), grey without one. What the mesh was made
+    from, and by which command, is recorded in all of them.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -200,7 +201,7 @@ def write_mesh(
         data = ply_bytes(mesh, frame, made_from)
         frame_from_file = np.eye(4)
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
-        columns += [name for name, *_ in _known(mesh)]
+        columns += [name for name, *_ in _ply_columns(mesh)]
     elif suffix == ".glb":
         colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
         columns_of = {name: values for name, values, _ in _known(mesh)}
@@ -236,6 +237,12 @@ def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
     """Columns of the vertices besides positions: name, values, type in a file."""
     values = ((name, getattr(mesh, name), kind) for name, kind in VERTEX_COLUMNS.items())
     return [(name, array, kind) for name, array, kind in values if array is not None]
+
+
+def _ply_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
+    """Those of a PLY: the expected error once more, under the name that viewers colour by."""
+    error, known = mesh.expected_error_m, _known(mesh)
+    return known if error is None else [*known, ("quality", error, "<f4")]
 
 
 def _require_readable(source: Path) -> None:
@@ -361,14 +368,15 @@ def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> b
     n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    fields += [(name, kind) for name, _, kind in _known(mesh)]
+    known = _ply_columns(mesh)
+    fields += [(name, kind) for name, _, kind in known]
     rows = np.zeros(n_vertices, dtype=fields)
     for axis, name in enumerate("xyz"):
         rows[name] = mesh.vertices[:, axis]
     colours = error_colours(mesh.expected_error_m, n_vertices)
     for channel, name in enumerate(("red", "green", "blue")):
         rows[name] = colours[:, channel]
-    for name, values, _ in _known(mesh):
+    for name, values, _ in known:
         rows[name] = values
     triangles = np.zeros(n_faces, dtype=[("n", "u1"), ("v", "<i4", (3,))])
     triangles["n"] = 3
