@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -125,8 +126,11 @@ class MeshMetrics(Short):
     """Samples of each surface."""
     seed: int
     """Seed of the samples."""
-    distances_m: tuple[Distances, Distances] = field(repr=False, compare=False)
-    """Of the samples, and of denser ones up to FINE_THRESHOLD_M [m]."""
+
+    @cached_property
+    def _distances_m(self) -> list[Distances]:
+        """Of the samples, and of denser ones up to FINE_THRESHOLD_M, put in by `evaluate_mesh`."""
+        return []
 
     def __repr__(self) -> str:
         scores = ", ".join(f"F1 {1e3 * s.threshold_m:g} mm {s.f1:.3f}" for s in self.scores)
@@ -137,7 +141,7 @@ class MeshMetrics(Short):
     def f1(self, threshold_m: float) -> float:
         """F1 score at any threshold [m]."""
         require_positive("threshold_m", threshold_m)
-        coarse, dense = self.distances_m
+        coarse, dense = self._distances_m
         distances = dense if threshold_m <= FINE_THRESHOLD_M else coarse
         return threshold_score(*distances, threshold_m).f1
 
@@ -155,19 +159,11 @@ class MeshMetrics(Short):
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers for JSON, with their definitions."""
-        made = {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.repr}
-        return {**made, "definitions": describe(self.n_samples, self.seed)}
+        return {**asdict(self), "definitions": describe(self.n_samples, self.seed)}
 
     def describe(self) -> dict[str, str]:
         """Definition of each number, as text."""
         return describe(self.n_samples, self.seed)
-
-
-def _plain(value: Any) -> Any:
-    """Nested records as dictionaries."""
-    if isinstance(value, tuple):
-        return tuple(_plain(item) for item in value)
-    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
@@ -253,7 +249,7 @@ def evaluate_mesh(
     exact_to_truth = signed_distances(truth, pair.on_mesh, num_threads=num_threads)
     exact_to_mesh = np.abs(signed_distances(mesh, pair.on_truth, num_threads=num_threads))
     reports = surface_report(mesh), surface_report(truth)
-    return MeshMetrics(
+    metrics = MeshMetrics(
         chamfer_1e3_m2=chamfer_1e3_m2(pair.to_truth, pair.to_mesh),
         scores=_scores(pair, fine, thresholds_m),
         mesh_to_truth=_summary(pair.to_truth),
@@ -272,8 +268,9 @@ def evaluate_mesh(
         truth=reports[1],
         n_samples=n_samples,
         seed=seed,
-        distances_m=((pair.to_truth, pair.to_mesh), (fine.to_truth, fine.to_mesh)),
     )
+    metrics._distances_m.extend([(pair.to_truth, pair.to_mesh), (fine.to_truth, fine.to_mesh)])
+    return metrics
 
 
 @dataclass(frozen=True, kw_only=True)
