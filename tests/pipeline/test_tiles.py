@@ -126,7 +126,7 @@ def test_a_full_disk_leaves_whole_slabs_and_the_same_command_goes_on(scene, tmp_
 
 
 def test_depths_before_one_pose_are_told_of_slabs(scene, tmp_path):
-    options = replace(OPTIONS, pose=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
+    options = replace(OPTIONS, plane=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
     whole = image_scene(scene, tmp_path / "whole", options)
     made = tiles.image_tiles(scene, tmp_path / "tiles", options)
     assert len(made.slabs) > 1
