@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from geraf2._bounds import Arg
 from geraf2.apps.importers import importer_names
+from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS
 from geraf2.cli._fields import Flag, Positional, walk
-from geraf2.cli.main import COMMANDS, GLOBAL_FLAGS
 from geraf2.pipeline.presets import PRESETS
 
 _BASH = """\

@@ -18,14 +18,19 @@ def naming_the_sign(
     """
     try:
         yield
-    except UserError as error:
-        sign = find_phase_sign(capture.poses, capture.waveform, num_threads=num_threads)
-        if sign.sign < 0 or not sign.is_clear:
-            raise
+    except UserError:
+        require_sign(capture, where, num_threads)
+        raise
+
+
+def require_sign(capture: Capture, where: object, num_threads: int | None = None) -> None:
+    """Raise UserError for a capture that certainly has the other sign of the phase."""
+    sign = find_phase_sign(capture.poses, capture.waveform, num_threads=num_threads)
+    if sign.sign > 0 and sign.is_clear:
         raise UserError(
             what="the phase has the wrong sign",
             where=where,
             expected="exp(-j 2 pi f d / c) for a path d",
             got=f"a signal that focuses {sign.evidence:.2g} times better as exp(+j...)",
             hint="import it again with the other --phase-sign, -1 or +1",
-        ) from error
+        )

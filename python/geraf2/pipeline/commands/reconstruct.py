@@ -46,7 +46,7 @@ from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, h
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from geraf2.pipeline.sign_check import naming_the_sign
+from geraf2.pipeline.sign_check import naming_the_sign, require_sign
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
@@ -183,6 +183,8 @@ class _Request:
             with naming_the_sign(capture, where, num_threads):
                 box = box_from_radar(capture, summary, listener, num_threads)
         if box is not None:
+            if box.found is None:  # no wall is seen where it is
+                require_sign(capture, where, num_threads)
             found = box.prior, found[1] if found else "the box by radar"
         box_seconds = time.perf_counter() - start
         if found:
