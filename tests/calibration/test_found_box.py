@@ -135,7 +135,7 @@ def test_the_region_of_content_in_free_air_holds_it():
     assert (truth.vertices < center + 0.5 * size).all()
     assert (size < np.ptp(truth.vertices, axis=0) + 0.2).all()
     poses = tuple(replace(pose, signal=np.zeros_like(pose.signal)) for pose in capture.poses)
-    with pytest.raises(UserError, match=r"content's region is not found .* --box X Y Z"):
+    with pytest.raises(UserError, match=r"content's region is not found .* box X Y Z"):
         content_region(replace(capture, poses=poses))
 
 
