@@ -6,7 +6,7 @@ from geraf2.cli._flags import parse
 from geraf2.cli.calibrate import Config as CalibrateConfig
 from geraf2.cli.main import main
 from geraf2.cli.reconstruct import Config
-from geraf2.errors import UserError
+from geraf2.errors import UserError, speaking_of_flags
 from geraf2.io import former_names
 from geraf2.io.toml import to_table
 from geraf2.pipeline.presets import PRESETS, BestPreset, FastPreset, preset_of_table, preset_type
@@ -41,7 +41,7 @@ def test_a_former_section_is_refused_in_a_file_and_as_a_flag():
         ("--hybrid.rim.sizes-m", "--refine.rim.sizes-m"),
         ("--hybrid.shadow-clearance-m", "--refine.outline-clearance-m"),
     ):
-        with pytest.raises(UserError, match=f"^{flag} is called {now} now"):
+        with speaking_of_flags(), pytest.raises(UserError, match=f"^{flag} is called {now} now"):
             parse(Config, ["scene", "out", flag, "0.001"], prog="geraf2 reconstruct")
 
 
