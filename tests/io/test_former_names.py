@@ -62,7 +62,7 @@ def test_a_removed_setting_is_refused_as_removed(removed):
     with pytest.raises(UserError, match=f"run.toml: {removed} was removed and has no successor"):
         preset_of_table({"preset": preset, **table}, "run.toml")
     flag = "--" + removed.replace("refine.", "hybrid.").replace("_", "-")
-    with pytest.raises(UserError, match=f"^{flag} was removed"):
+    with speaking_of_flags(), pytest.raises(UserError, match=f"^{flag} was removed"):
         parse(Config, ["scene", "out", flag, "1"], prog="geraf2 reconstruct")
 
 
