@@ -13,7 +13,7 @@ from geraf2._bounds import Bounded, BoundsError, _checks_of
 from geraf2._memory import memory_limit, require_memory
 from geraf2.cli._flags import parse
 from geraf2.cli.main import COMMANDS
-from geraf2.errors import UserError
+from geraf2.errors import UserError, speaking_of_flags
 from geraf2.io.toml import from_table
 from geraf2.pipeline.presets import PRESETS
 from geraf2.simulation import SceneSpec
@@ -66,7 +66,10 @@ def test_python_and_toml_refuse_the_same(name, value):
     "words", ["--share=2", "--share=nan", "--count=0", "--pair 2 1", "--pair 0 0", "--some 0.1 3"]
 )
 def test_flags_refuse_it_by_their_names(words):
-    with pytest.raises(UserError, match=f"^{words.split('=')[0].split()[0]} must be "):
+    with (
+        speaking_of_flags(),
+        pytest.raises(UserError, match=f"^{words.split('=')[0].split()[0]} must be "),
+    ):
         parse(Record, words.split(), prog="geraf2 record")
 
 
@@ -115,7 +118,7 @@ def test_every_number_that_a_user_can_set_has_bounds():
 
 def test_memory_is_refused_by_what_is_allowed_and_by_what_is_free():
     require_memory(1e6, "lower it")
-    with memory_limit(1e5), pytest.raises(UserError, match=r"of --max-memory; lower it"):
+    with memory_limit(1e5), pytest.raises(UserError, match=r"of max_memory; lower it"):
         require_memory(1e6, "lower it")
     require_memory(1e6, "lower it")
     with pytest.raises(UserError, match=r"GiB free; lower it"):

@@ -3,6 +3,8 @@ from .apps.importers.import_capture import import_capture as import_capture
 from .apps.inspection.inspect_run import InspectOptions as InspectOptions
 from .apps.inspection.inspect_run import inspect as inspect
 from .apps.photos.los import make_los as make_los
+from .apps.planning.planning import PlanOptions as PlanOptions
+from .apps.planning.planning import plan as plan
 from .calibration.found_box import find_box as find_box
 from .echoes import find_glints as find_glints
 from .errors import UserError as UserError

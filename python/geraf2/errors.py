@@ -1,5 +1,28 @@
 """Errors that a user can act on."""
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+
+_SPEAKS_OF_FLAGS: ContextVar[bool] = ContextVar("errors speak of flags", default=False)
+# A command in quotes stays as it is typed.
+_FLAG = re.compile(r"'geraf2 [^']*'|(?<![\w-])--([a-z][a-z0-9.-]*)")
+
+
+@contextmanager
+def speaking_of_flags() -> Iterator[None]:
+    """Name settings in errors as the command line does, `--n-samples`; else `n_samples`."""
+    before = _SPEAKS_OF_FLAGS.set(True)
+    try:
+        yield
+    finally:
+        _SPEAKS_OF_FLAGS.reset(before)
+
+
+def _without_dashes(found: re.Match[str]) -> str:
+    return found[1].replace("-", "_") if found[1] else found[0]
+
 
 class UserError(Exception):
     """Bad input: one clear line states what, where, expected, got, and what to do.
@@ -34,6 +57,10 @@ class UserError(Exception):
             line = f"{line}; {hint}"
         # A value from a file may hold line breaks; the message stays one line all the same.
         super().__init__(" ".join(line.splitlines()))
+
+    def __str__(self) -> str:
+        line = super().__str__()
+        return line if _SPEAKS_OF_FLAGS.get() else _FLAG.sub(_without_dashes, line)
 
 
 def shortened(text: str, most: int = 600) -> str:

@@ -88,9 +88,9 @@ ROWS = [
     bad("doctor --threads 3", says="--threads"),
     bad("reconstruct scene other --box 0.16 0.16 0.16", says="other"),
     bad("image scene out --spacing-m 2e-5", says="the volume would have"),
-    bad("image scene out --depth-m 0.3 0.5", says="add --pose"),
-    bad("image scene out --depth-m 0.3 0.5 --pose 0 --extent-m 0 1", says="--extent-m"),
-    bad("image scene out --depth-m 0.3 0.5 --pose 0 --size-m 1 1 1", says="exclude each other"),
+    bad("image scene out --depth-m 0.3 0.5", says="add --plane"),
+    bad("image scene out --depth-m 0.3 0.5 --plane 0 --extent-m 0 1", says="--extent-m"),
+    bad("image scene out --depth-m 0.3 0.5 --plane 0 --size-m 1 1 1", says="exclude each other"),
     *(
         bad(f"plan {flags}", says=says)
         for flags, says in (

@@ -87,6 +87,8 @@ NUMBERS = {
     "extents_mm": ("x", [1, 2], [1, 2, "x"], {}),
     "extents_95_percent_mm": ("x", [[1, 2]], [[1], [1], [1]], {}),
     "common_offset_sigma_mm": ("x", [], {}, None),
+    "likely_ghosts": ("x", [1], {}, [{}], [{"probability": "x"}]),
+    "evidence_shares": ("x", [1], {"seen": "x"}),
     "n_back_faces": ("x", [], 0.5),
     "permittivity": ("x", [], {}),
     "thickness_m": ("x", [1], [1, 2, 3]),

@@ -101,7 +101,7 @@ def test_noise_has_no_walls(scan):
         replace(pose, signal=rng.normal(size=(pose.n_antennas, 64)).astype("f4").view("c8"))
         for pose in scan.poses
     )
-    with pytest.raises(UserError, match=r"no walls of a box are found .*--box X Y Z"):
+    with pytest.raises(UserError, match=r"no walls of a box are found .*box X Y Z"):
         find_box(replace(scan, poses=noise))
 
 
@@ -135,7 +135,7 @@ def test_the_region_of_content_in_free_air_holds_it():
     assert (truth.vertices < center + 0.5 * size).all()
     assert (size < np.ptp(truth.vertices, axis=0) + 0.2).all()
     poses = tuple(replace(pose, signal=np.zeros_like(pose.signal)) for pose in capture.poses)
-    with pytest.raises(UserError, match=r"content's region is not found .* --box X Y Z"):
+    with pytest.raises(UserError, match=r"content's region is not found .* box X Y Z"):
         content_region(replace(capture, poses=poses))
 
 

@@ -39,7 +39,7 @@ def test_a_point_appears_where_it_is(points, tmp_path, capsys):
 
 
 def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
-    arguments = [*FLAGS, "--pose", "2", "image", str(points), str(tmp_path / "out")]
+    arguments = [*FLAGS, "--plane", "2", "image", str(points), str(tmp_path / "out")]
     assert main(arguments) == 0
     stored = np.load(tmp_path / "out" / "image.npz")
     assert stored["poses"].tolist() == [2]

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -162,3 +163,20 @@ def test_what_is_implausible_is_said_and_nothing_else(tmp_path, capsys, name):
 
 def test_a_good_scene_has_no_findings(tmp_path, capsys):
     assert show(point_capture(4, spacing_m=0.003), tmp_path, capsys).err == ""
+
+
+def test_a_run_says_what_it_found_and_what_to_type_next(finished_run, capsys):
+    assert main(["info", str(finished_run)]) == 0
+    shown = capsys.readouterr().out
+    for text in ("run of scene", "found", "typical error", f"geraf2 view {finished_run}"):
+        assert text in shown
+    record = json.loads((finished_run / "run.json").read_text())
+    del record["stages"]["mesh"]
+    (finished_run / "run.json").write_text(json.dumps(record))
+    assert main(["info", str(finished_run)]) == 0
+    assert f"geraf2 reconstruct SCENE {finished_run} --resume" in capsys.readouterr().out
+
+
+def test_a_scene_says_what_to_type_next(scene, capsys):
+    assert main(["info", str(scene)]) == 0
+    assert f"geraf2 reconstruct {scene} out" in capsys.readouterr().out

@@ -11,7 +11,7 @@ import pytest
 
 from geraf2 import __version__
 from geraf2.cli import _console, info
-from geraf2.cli._console import CONSOLE, rows, say, showing_log_records, warn
+from geraf2.cli._console import CONSOLE, printing, rows, say, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
 from geraf2.pipeline import machine
@@ -167,7 +167,7 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     rows([("scene", name)])
     warn(name)
     CONSOLE.note(name)
-    with showing_log_records():
+    with printing("info"):
         logging.getLogger("geraf2.test").warning(name)
     assert main(["info", name]) == 2
     said = capsys.readouterr()
@@ -205,3 +205,27 @@ def test_an_error_about_a_long_value_stays_short(capsys):
     error = UserError("w" * 9999, where="p" * 9999, expected="e" * 9999, got="g" * 9999, hint="do")
     assert len(str(error)) < 1300
     assert str(error).endswith("; do")
+
+
+@pytest.mark.parametrize(
+    ("command", "out"), [("doctor", "libembree4.so.4, which"), ("info scene", "")]
+)
+def test_a_missing_library_is_named_with_what_to_install(command, out):
+    code = (
+        "import sys\n"
+        "class Missing:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'geraf2._core':\n"
+        "            raise ImportError('libembree4.so.4: cannot open shared object file: x')\n"
+        "sys.meta_path.insert(0, Missing())\n"
+        "from geraf2.cli.main import main\n"
+        f"sys.exit(main({command.split()!r}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert out in done.stdout
+    assert done.stderr.count("\n") == 1
+    assert "internal error" not in done.stderr
+    if command != "doctor":
+        assert "the kernels need libembree4.so.4" in done.stderr
+        assert "apt install libembree" in done.stderr

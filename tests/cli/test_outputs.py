@@ -42,7 +42,7 @@ def test_the_run_of_another_scene_goes_whole_and_nothing_else(finished_run, tmp_
     (finished_run / "metrics.json").write_text("{}")
     (finished_run / "views").mkdir()
     (finished_run / "views" / "psnr.json").write_text("{}")
-    image = ["image", other, str(finished_run), "--spacing-m", "0.02", "--pose", "0"]
+    image = ["image", other, str(finished_run), "--spacing-m", "0.02", "--plane", "0"]
     assert main(image) == 2
     assert "holds the run of another scene ('scene')" in the_error(capsys)
     assert main([*image, "--overwrite"]) == 0

@@ -289,10 +289,16 @@ def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):
     assert "check" in error
 
 
-def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, capsys):
-    assert main(["evaluate", str(finished_run), "--truth", str(scene / "truth.ply")]) == 0
+def test_evaluate_prints_scores_and_explains_them_if_asked(finished_run, scene, capsys):
+    arguments = ["evaluate", str(finished_run), "--truth", str(scene / "truth.ply")]
+    before = (finished_run / "report.html").read_bytes()
+    assert main(arguments) == 0
     text = capsys.readouterr().out
     assert "F1 5 mm" in text
+    assert "precision recall" not in text
+    assert (finished_run / "report.html").read_bytes() == before
+    assert main([*arguments, "--explain", "--report"]) == 0
+    text = capsys.readouterr().out
     assert "2 precision recall / (precision + recall)" in text
     metrics = json.loads((finished_run / "metrics.json").read_text())
     assert metrics["seed"] == 0
@@ -328,7 +334,7 @@ def test_evaluate_writes_metrics_and_prints_definitions(finished_run, scene, cap
 def built_evaluation(built_run, built_scene, tmp_path_factory):
     out = shutil.copytree(built_run, tmp_path_factory.mktemp("evaluated") / "out")
     truth = ["--truth", str(built_scene / "truth.ply"), "--n-samples", "500"]
-    assert main(["evaluate", str(out), *truth]) == 0
+    assert main(["evaluate", str(out), *truth, "--report"]) == 0
     (out / "views").mkdir()  # as `render` leaves it
     for name in ("psnr.json", "angle_000.0.npz", "angle_000.0_rendered.png"):
         (out / "views" / name).write_text("of the first mesh")

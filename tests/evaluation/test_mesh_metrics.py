@@ -234,12 +234,6 @@ def test_an_empty_mesh_is_a_user_error():
         evaluate_mesh(empty, sphere(0.05))
 
 
-def test_an_unknown_threshold_is_refused():
-    metrics = evaluate_mesh(sphere(0.05), sphere(0.05), n_samples=50)
-    with pytest.raises(ValueError, match=r"one of 0\.015, 0\.005, 0\.003, 0\.002, got 0\.01"):
-        metrics.f1(0.01)
-
-
 @pytest.mark.data
 @pytest.mark.skipif(not SPOT_TRUTH.exists(), reason="shared test captures are absent")
 def test_the_shared_truth_against_itself():

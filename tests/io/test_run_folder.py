@@ -79,3 +79,16 @@ def test_a_file_in_place_of_the_folder(tmp_path):
     with pytest.raises(UserError, match="is a file"):
         RunFolder.open(tmp_path / "out", scene_digest="abc", scene_name="scene")
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("other", r"another scene \('scene'\), got scene 'other'"),
+        ("scene", "another scene of that name, or of this one before it changed"),
+    ],
+)
+def test_the_run_of_another_scene_is_named_so_that_both_can_be_told_apart(name, text, tmp_path):
+    RunFolder.open(tmp_path / "run", scene_digest="a", scene_name="scene")
+    with pytest.raises(UserError, match=text):
+        RunFolder.open(tmp_path / "run", scene_digest="b", scene_name=name)

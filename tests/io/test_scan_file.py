@@ -151,7 +151,7 @@ def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):
     assert any("12 of 39 frames between the lines" in note for note in scan.notes)
     far = [[*offset[:2], offset[2] + 0.002] for offset in BOARD_RX.tolist()]
     elsewhere = radar.model_copy(update={"antennas": AntennaManifest(rx_offsets_m=far)})
-    with pytest.raises(UserError, match="contradict those of --radar, expected rx_offsets_m with"):
+    with pytest.raises(UserError, match="contradict those of radar, expected rx_offsets_m with"):
         load_importer("dca1000").open(tmp_path / "a.bin", elsewhere, options)
     two = replace(SCAN, array=replace(SCAN.array, rx_offsets_m=SCAN.array.rx_offsets_m[:2]))
     write_scan_file(tmp_path / "scan.json", two)

@@ -52,7 +52,7 @@ def test_slabs_cover_each_voxel_once_and_follow_from_memory():
                 np.testing.assert_allclose(coordinates, grid.axes_m[axis][place[axis]], atol=1e-15)
         assert (count == 1).all()
         assert slabs.n_voxels * SLAB_BYTES_PER_VOXEL <= max_bytes
-    with pytest.raises(UserError, match=r"not even one layer .* raise --slab-gib"):
+    with pytest.raises(UserError, match=r"not even one layer .* raise slab_gib"):
         Slabs.of(grid, 0.5 * layer)
 
 
@@ -126,7 +126,7 @@ def test_a_full_disk_leaves_whole_slabs_and_the_same_command_goes_on(scene, tmp_
 
 
 def test_depths_before_one_pose_are_told_of_slabs(scene, tmp_path):
-    options = replace(OPTIONS, pose=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
+    options = replace(OPTIONS, plane=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
     whole = image_scene(scene, tmp_path / "whole", options)
     made = tiles.image_tiles(scene, tmp_path / "tiles", options)
     assert len(made.slabs) > 1

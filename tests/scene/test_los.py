@@ -38,7 +38,7 @@ def test_an_open_mesh_says_how_many_edges_and_what_to_do():
     mesh = box_mesh()
     with pytest.raises(UserError, match=r"box.ply: the mesh is not closed: 3 open edges") as caught:
         LosPrior.from_mesh(replace(mesh, faces=mesh.faces[1:]), where="box.ply")
-    assert "--box X Y Z" in str(caught.value)
+    assert "box X Y Z" in str(caught.value)
 
 
 def test_corners_are_farthest_and_few():

@@ -1,11 +1,13 @@
 """Console of all commands: results, progress, warnings, common arguments."""
 
+import json
 import logging
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field
 from datetime import timedelta
-from typing import Annotated
+from typing import Annotated, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -29,12 +31,13 @@ __all__ = [
     "CONSOLE",
     "Threads",
     "err",
+    "keep",
     "out",
     "print_findings",
+    "printing",
     "progress_bar",
     "rows",
     "say",
-    "showing_log_records",
     "warn",
 ]
 
@@ -45,6 +48,68 @@ err = Console(stderr=True, highlight=False, soft_wrap=True, markup=False)
 """Console of progress and warnings, stderr."""
 PLAIN_PROGRESS_S = 60.0
 """Seconds between two lines of progress without a terminal."""
+
+
+@dataclass
+class _Output:
+    """What the flags of all commands ask for, and what the command found."""
+
+    quiet: bool = False
+    """No progress and no notes."""
+    found: dict[str, Any] = field(default_factory=dict)
+    """Results by name, for --json."""
+    rows: dict[str, str] = field(default_factory=dict)
+    """Rows by name, for a command that keeps no results."""
+
+
+_output = _Output()
+
+
+@contextmanager
+def printing(
+    command: str, *, as_json: bool = False, quiet: bool = False, verbose: bool = False
+) -> Iterator[dict[str, Any]]:
+    """Print as the flags of all commands ask for: `--json`, `--quiet`, `--verbose`.
+
+    With `as_json` everything goes to stderr, and stdout gets one JSON object at the end: what the
+    block puts into the dictionary it gets, and what the command kept.
+    """
+    result: dict[str, Any] = {"command": command}
+    _output.quiet, _output.found, _output.rows = quiet, {}, {}
+    out.stderr = as_json
+    handler = _LogHandler(logging.INFO if verbose else logging.WARNING)
+    loggers = [logging.getLogger(name) for name in ("geraf2", "py.warnings")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.propagate = False
+        logger.addHandler(handler)
+        if verbose:
+            logger.setLevel(logging.INFO)
+    try:
+        yield result
+        if as_json:
+            found = _output.found or ({"rows": _output.rows} if _output.rows else {})
+            print(json.dumps(result | found, default=str))
+    finally:
+        _output.quiet, out.stderr = False, False
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.propagate = True
+            logger.setLevel(level)
+            logger.removeHandler(handler)
+
+
+def keep(found: Mapping[str, Any]) -> None:
+    """Keep results for `--json`."""
+    _output.found.update(found)
+
+
+class _LogHandler(logging.Handler):
+    """Prints what modules log, and warnings of Python."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = printable(" ".join(record.getMessage().split()))
+        style = "yellow" if record.levelno >= logging.WARNING else None
+        err.print(f"{record.levelname.lower()}: {text}", style=style)
 
 
 def say(text: str = "") -> None:
@@ -69,17 +134,10 @@ def rows(pairs: list[tuple[str, str]]) -> None:
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
         say(f"{name:<{width}}  {value}")
+    _output.rows.update(pairs)
 
 
-@contextmanager
-def progress_bar(label: str) -> Iterator[Report]:
-    """Progress of one step with the time left; a plain line a minute without a terminal."""
-    start = time.perf_counter()
-    if not err.is_terminal:
-        err.print(f"{label} ...")
-        yield _PlainProgress(label)
-        err.print(f"{label}: {time.perf_counter() - start:.1f} s")
-        return
+def _bar() -> Progress:
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),
@@ -88,7 +146,22 @@ def progress_bar(label: str) -> Iterator[Report]:
         TextColumn("left"),
         TimeRemainingColumn(),
     )
-    with Progress(*columns, console=err) as bar:
+    return Progress(*columns, console=err)
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Report]:
+    """Progress of one step with the time left; a plain line a minute without a terminal."""
+    start = time.perf_counter()
+    if _output.quiet:
+        yield lambda _: None
+        return
+    if not err.is_terminal:
+        err.print(f"{label} ...")
+        yield _PlainProgress(label)
+        err.print(f"{label}: {time.perf_counter() - start:.1f} s")
+        return
+    with _bar() as bar:
         task = bar.add_task(label, total=1.0)
         yield lambda fraction: bar.update(task, completed=fraction)
         bar.update(task, completed=1.0)
@@ -116,46 +189,72 @@ class _PlainProgress:
         err.print(f"{self._label}: {100.0 * fraction:.0f} %{rest}")
 
 
+class _Steps:
+    """Progress of all steps of a command, on one bar of a terminal."""
+
+    def __init__(self, steps: Mapping[str, tuple[str, float]], bar: Progress | None) -> None:
+        """Start; `steps` has users' words and share of the time of each, by its label."""
+        self._steps, self._bar = steps, bar
+        self._total = sum(share for _, share in steps.values())
+        self._done, self._start = 0.0, time.perf_counter()
+        self._task = bar.add_task("", total=self._total) if bar else None
+
+    @contextmanager
+    def step(self, label: str) -> Iterator[Report]:
+        name, bracket, rest = label.partition(" (")
+        words, share = self._steps.get(name, (name, 0.0))
+        words += bracket + rest
+        before, start = self._done, time.perf_counter()
+        if self._bar is None or self._task is None:
+            err.print(f"{words} ...")
+            yield _PlainProgress(words)
+        else:
+            bar, task = self._bar, self._task
+            bar.update(task, description=words)
+            yield lambda fraction: bar.update(task, completed=before + share * fraction)
+            bar.update(task, completed=before + share)
+        self._done = before + share
+        if self._bar is None:
+            now = time.perf_counter()
+            left = (now - self._start) * (self._total / self._done - 1.0) if self._done else 0.0
+            of_all = f"{100.0 * self._done / self._total:.0f} % of all"
+            err.print(f"{words}: {now - start:.1f} s; {of_all}, about {left:.0f} s left")
+
+
 class _ConsoleListener(Listener):
-    """Progress, warnings, notes and findings of a job on the terminal."""
+    """Steps, warnings and findings of a job on the terminal."""
+
+    _whole: _Steps | None = None
+
+    @contextmanager
+    def whole(self, steps: Mapping[str, tuple[str, float]]) -> Iterator[None]:
+        """Show the steps inside the block as one; see `_Steps`."""
+        if _output.quiet or not err.is_terminal:
+            self._whole = None if _output.quiet else _Steps(steps, None)
+            try:
+                yield
+            finally:
+                self._whole = None
+            return
+        with _bar() as bar:
+            self._whole = _Steps(steps, bar)
+            try:
+                yield
+            finally:
+                self._whole = None
 
     def step(self, label: str) -> AbstractContextManager[Report]:
-        return progress_bar(label)
+        return self._whole.step(label) if self._whole else progress_bar(label)
 
     def warning(self, text: str) -> None:
         warn(text)
 
     def note(self, text: str) -> None:
-        err.print(printable(text))
+        if not _output.quiet:
+            err.print(printable(text))
 
     def findings(self, findings: Iterable[Finding]) -> None:
         print_findings(findings)
 
 
 CONSOLE = _ConsoleListener()
-
-
-class _PrintableFormatter(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(" ".join(super().format(record).split()))
-
-
-@contextmanager
-def showing_log_records() -> Iterator[None]:
-    """Show warnings that modules log, and Python's own, on the terminal."""
-    from rich.logging import RichHandler  # noqa: PLC0415 - 0.1 s, needed by long commands only
-
-    handler = RichHandler(
-        level=logging.WARNING, console=err, show_time=False, show_path=False, markup=False
-    )
-    handler.setFormatter(_PrintableFormatter())
-    loggers = [logging.getLogger(name) for name in ("geraf2", "py.warnings")]
-    for logger in loggers:
-        logger.propagate = False
-        logger.addHandler(handler)
-    try:
-        yield
-    finally:
-        for logger in loggers:
-            logger.propagate = True
-            logger.removeHandler(handler)

@@ -5,6 +5,7 @@ A nested dataclass is a group, whose flags have its name before theirs:
 A field that is False is a flag that turns it on; one that is True has `no-` before its name.
 """
 
+import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass
@@ -66,6 +67,12 @@ class Flag:
     def is_fixed(self) -> bool:
         """Whether it has one choice only, as the name of a preset among its constants."""
         return isinstance(self.kinds[0], tuple) and len(self.kinds[0]) == 1
+
+    def split(self, word: str) -> list[str]:
+        """Words of one: a flag of several numbers takes 0.2x0.2x0.1 and 0.2,0.2,0.1, too."""
+        if self.counts[1] == 1 or not set(self.kinds) <= {int, float}:
+            return [word]
+        return [part for part in re.split(r"[x,]", word) if part] or [word]
 
     def read(self, words: Sequence[str]) -> Any:
         """Value of the words after the flag; UserError where they do not fit."""

@@ -161,8 +161,8 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
         if equals and flag.counts[1] == 0:
             raise UserError(what=f"{name} takes no value", got=repr(value))
         while not equals and rest and len(words) < flag.counts[1] and not _is_flag(rest[0]):
-            words.append(rest.pop(0))
-        given[flag.path] = flag.read(words)
+            words += flag.split(rest.pop(0))
+        given[flag.path] = flag.read(flag.split(words[0]) if equals else words)
     for index, flag in enumerate(places[: len(in_place)]):
         # A flag of several words leaves one word to each positional flag after it.
         n = len(in_place) - (len(places) - index - 1) if flag.counts[1] > 1 else 1

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, Seed
-from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
+from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Positional
+from geraf2.cli._outcome import print_found
 from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -61,21 +62,22 @@ def main(config: Config) -> int:
     simulate_scene(
         spec, scene, seed=config.seed, overwrite=True, num_threads=threads, listener=CONSOLE
     )
-    with showing_log_records():
-        options = ImageOptions(every=_HEATMAP_EVERY)
-        image_scene(scene, out, options, overwrite=True, num_threads=threads, listener=CONSOLE)
-        result = reconstruct(
-            scene,
-            scene / LOS_NAME,
-            config.settings,
-            out,
-            options=RunOptions(seed=config.seed),
-            overwrite=True,  # of an earlier demo
-            num_threads=threads,
-            listener=CONSOLE,
-        )
+    options = ImageOptions(every=_HEATMAP_EVERY)
+    image_scene(scene, out, options, overwrite=True, num_threads=threads, listener=CONSOLE)
+    result = reconstruct(
+        scene,
+        scene / LOS_NAME,
+        config.settings,
+        out,
+        options=RunOptions(seed=config.seed),
+        overwrite=True,  # of an earlier demo
+        num_threads=threads,
+        listener=CONSOLE,
+    )
     truth = scene / TRUTH_NAME
     metrics = evaluate(result, truth, seed=config.seed, num_threads=threads, listener=CONSOLE)
+    say()
+    print_found(result)
     say()
     print_metrics(metrics)
     say()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from geraf2 import __version__
 from geraf2.cli._console import rows, say
+from geraf2.cli.main import missing_library
 from geraf2.errors import UserError
 from geraf2.pipeline import machine
 
@@ -31,11 +32,12 @@ class Config:
 def main(config: Config) -> int:
     """Run the command; exit code 2 if something does not work."""
     del config  # no flags
+    kernels, threads = _check("kernels use", machine.simd), _check("threads", machine.threads)
     checks = [
         _check("matched filter", machine.check_matched_filter),
         _check("Embree", machine.check_embree),
+        _check("temporary folder", machine.check_temporary_folder),
     ]
-    checks.append(_check("temporary folder", machine.check_temporary_folder))
     rows(
         [
             ("geraf2", __version__),
@@ -43,14 +45,14 @@ def main(config: Config) -> int:
             ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
             *((name, machine.package_version(name)) for name in _PACKAGES),
             ("CPU", machine.cpu()),
-            ("kernels use", machine.simd()),
-            *machine.paths(),
-            ("threads", machine.threads()),
+            kernels[:2],
+            *(machine.paths() if kernels[2] else ()),
+            threads[:2],
             ("memory", machine.memory()),
             *((name, text) for name, text, _ in checks),
         ]
     )
-    faults = [name for name, _, ok in checks if not ok]
+    faults = [name for name, _, ok in (kernels, threads, *checks) if not ok]
     if faults:
         raise UserError(what=f"{', '.join(faults)} does not work on this machine")
     say("everything works")
@@ -62,4 +64,5 @@ def _check(name: str, run: Callable[[], str]) -> tuple[str, str, bool]:
     try:
         return name, run(), True
     except Exception as error:
-        return name, f"FAILS: {type(error).__name__}: {' '.join(str(error).split())}", False
+        text = missing_library(error) or f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return name, f"FAILS: {text}", False

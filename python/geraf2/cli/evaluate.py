@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, SampleCount, Seed
-from geraf2.cli._console import CONSOLE, Threads, rows, say
+from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
-from geraf2.io.run_folder import METRICS_NAME, REPORT_NAME
+from geraf2.io.run_folder import METRICS_NAME
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.surfaces.isosurface import SurfaceReport
@@ -26,6 +26,10 @@ class Config:
     """Mesh of the true surface, metres, capture frame (PLY, OBJ, STL, GLB)."""
     n_samples: SampleCount = 10000
     """Points drawn from each surface."""
+    explain: bool = False
+    """Also print the definition of each number."""
+    report: bool = False
+    """Draw the report again, with the truth in it; done anyway if it has scores already."""
     seed: Seed | None = None
     """Seed of these points; the run's own when not given."""
     threads: Threads = None
@@ -39,18 +43,19 @@ def main(config: Config) -> int:
         config.truth,
         n_samples=config.n_samples,
         seed=config.seed,
+        report=config.report or (config.out / METRICS_NAME).is_file(),
         num_threads=config.threads,
         listener=CONSOLE,
     )
     print_metrics(metrics)
     mesh = load_run(config.out).numbers.get("mesh", {})
     rows(size_lines(mesh))
-    say()
-    for name, text in metrics.describe().items():
-        say(f"{name}: {text}")
-    say()
-    say(f"metrics  {config.out / METRICS_NAME}")
-    say(f"report   {config.out / REPORT_NAME}")
+    if config.explain:
+        say()
+        rows(list(metrics.describe().items()))
+        say()
+    rows([("metrics", str(config.out / METRICS_NAME))])
+    keep(metrics.to_dict())
     return 0
 
 

@@ -20,11 +20,13 @@ from geraf2.cli._console import (
     warn,
 )
 from geraf2.cli._fields import Positional
+from geraf2.cli._outcome import print_found
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.run_folder import RUN_NAME
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import (
     DEFAULT_IMAGE_SIDE_M,
@@ -32,6 +34,7 @@ from geraf2.pipeline.estimates import (
     image_estimate,
     reconstruct_estimate,
 )
+from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import check_capture, without_errors
 from geraf2.scene.store import capture_without_poses
@@ -42,11 +45,12 @@ from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 class Config:
     """Show the content of a scene, the cost of a run, and implausible values.
 
-    Of a raw recording (.bin, or a folder of them) it shows how it is stored, with the evidence.
+    Of a raw recording (.bin, or a folder of them) it shows how it is stored, with the evidence; of
+    a run folder, what was found.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
-    """Scene folder, or raw recording of a DCA1000."""
+    """Scene folder, raw recording of a DCA1000, or run folder."""
     radar: Path | None = None
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
@@ -66,6 +70,8 @@ def main(config: Config) -> int:
     num_threads = config.threads
     if config.figure is not None:
         require_picture(config.figure)
+    if (config.scene / RUN_NAME).is_file():
+        return _show_run(config.scene)
     if _is_recording(config.scene):
         if config.figure is not None:
             hint = "import the recording first"
@@ -95,6 +101,7 @@ def main(config: Config) -> int:
             ),
             ("image takes about", str(image_estimate(summary))),
             ("a fine image", _fine_image(summary)),
+            ("next", f"geraf2 {'image' if summary.is_plane else 'reconstruct'} {config.scene} out"),
         ]
     )
     findings = check_capture(summary)
@@ -138,6 +145,22 @@ def _is_recording(path: Path) -> bool:
     return path.suffix == ".bin" and path.is_file()
 
 
+def _show_run(path: Path) -> int:
+    """Show what a run found, and what may come next."""
+    result = load_run(path)
+    rows([("run of scene", result.run.scene_name), ("stages", ", ".join(result.run.stages))])
+    is_done = "mesh" in result.run.stages
+    if is_done:
+        print_found(result)
+    page = [("page to open", str(result.report))] if result.report else []
+    scores = [("scores", f"geraf2 evaluate {path} --truth MESH")]
+    finish = [("to finish it", f"geraf2 reconstruct SCENE {path} --resume")]
+    view = ("in 3D, live", f"geraf2 view {path}")
+    part = ("against a CAD model", f"geraf2 inspect {path} --cad PART")
+    rows([*page, view, part, *scores] if is_done else finish)
+    return 0
+
+
 def _show_recording(config: Config) -> int:
     radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
     options = ImportOptions(
@@ -145,6 +168,8 @@ def _show_recording(config: Config) -> int:
     )
     recording = open_recording(config.scene, radar, options)
     rows([("recording of", str(config.scene)), *recording.facts])
+    line = f"geraf2 import dca1000 {config.scene} scene --positions LOG --config FILES"
+    rows([("to import it", line)])
     for note in recording.notes:
         warn(note)
     return 0

@@ -7,8 +7,8 @@ from typing import Annotated
 from geraf2._bounds import Arg
 from geraf2.apps.inspection.bodies import BodyReport, Measured
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
-from geraf2.apps.inspection.result import PASS, ModelReport, rotation_vector_deg
-from geraf2.cli._console import CONSOLE, Threads, rows, say
+from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotation_vector_deg
+from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import INSPECTION_NAME
 
@@ -18,7 +18,7 @@ EXIT_FAILED = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Parts of a run with their sizes, compared with CAD models; exit code 0 pass, 3 fail, 2 error.
+    """Parts of a run with their sizes, compared with CAD models; exit code 3 fail, 2 error.
 
     Example: geraf2 inspect OUT --cad bracket.stl --expect 1 --tolerance-mm 3
     """
@@ -39,7 +39,7 @@ class Config:
 
 
 def main(config: Config) -> int:
-    """Run the command; 1 where the inspection fails."""
+    """Run the command."""
     found = inspect(
         config.run,
         config.cad,
@@ -50,27 +50,30 @@ def main(config: Config) -> int:
         listener=CONSOLE,
     )
     for number, part in enumerate(found.parts, 1):
-        say(f"part {number}")
+        say(f"part {number}  (± holds 95 %)")
         rows(_part(part))
     for report in found.models:
-        say(f"{report.model.name}: {report.match.status}, score {report.match.score:.2f}")
+        say(f"model '{report.model.name}': {report.match.status}")
         if report.match.placement is not None:
             rows(_model(report))
     for text in found.notes:
         say(f"note: {text}")
     for text in found.failures:
         say(f"fails: {text}")
-    say(f"result   {found.verdict}")
+    nothing = ": nothing was required; --cad, --expect and --against do"
+    say(f"result   {found.verdict}{nothing if found.verdict == NOT_JUDGED else ''}")
+    keep(found.to_dict())
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
-    return 0 if found.verdict == PASS else EXIT_FAILED
+    return EXIT_FAILED if found.verdict == FAIL else 0
 
 
 def _part(part: BodyReport) -> list[tuple[str, str]]:
     middle = zip(part.center_m, part.center_sigma_m, strict=True)
     lengths = " x ".join(_pm(length, 1e3) for length in part.dimensions_m)
     return [
-        ("  middle", ", ".join(f"{1e3 * v:.1f} +- {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
-        ("  lengths", f"{lengths} mm"),
+        ("  middle", ", ".join(f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        ("  along x, y, z", " x ".join(f"{1e3 * v:.1f}" for v in part.extents_m) + " mm"),
+        ("  along its own axes", f"{lengths} mm"),
         ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
         ("  area", f"{_pm(part.area_m2, 1e4)} cm^2"),
         ("  seen", f"{100 * part.seen_fraction:.0f} %"),
@@ -83,9 +86,10 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
     middle = zip(placement.middle_m, placement.position_sigma_m, strict=True)
     turn = ", ".join(f"{value:.1f}" for value in rotation_vector_deg(placement.pose))
     found = [
-        ("  middle", ", ".join(f"{1e3 * v:.1f} +- {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        ("  middle", ", ".join(f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
         ("  turn", f"{turn} degrees about x, y, z"),
-        ("  misfit", f"{placement.misfit:.2f} (1: as well as can be, 3: nowhere)"),
+        ("  misfit", f"{placement.misfit:.2f}, at most {report.match.largest_misfit:.2f} passes"),
+        ("  size by CAD", " x ".join(f"{1e3 * v:.1f}" for v in report.model.lengths_m) + " mm"),
     ]
     if placement.explained is not None:
         found.append(("  echoes", f"{100 * placement.explained:.0f} % of them explained"))
@@ -99,4 +103,4 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
 
 
 def _pm(measured: Measured, scale: float) -> str:
-    return f"{scale * measured.value:.1f} +- {1.96 * scale * measured.sigma:.1f}"
+    return f"{scale * measured.value:.1f} ± {1.96 * scale * measured.sigma:.1f}"

@@ -8,6 +8,7 @@ from geraf2._bounds import Arg, Triple
 from geraf2.apps.photos.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
 from geraf2.cli._console import CONSOLE, Threads, rows
 from geraf2.cli._fields import Positional
+from geraf2.errors import UserError
 from geraf2.pipeline.los_options import LosOptions
 
 
@@ -15,10 +16,10 @@ from geraf2.pipeline.los_options import LosOptions
 class Config:
     """Make the line-of-sight prior: closed mesh and signed distance of the outside of the box."""
 
-    source: Positional[Annotated[str, Arg(metavar="PHOTOS|MESH|XxYxZ|SCENE")]]
+    source: Positional[Annotated[tuple[str, ...], Arg(metavar="PHOTOS|MESH|X Y Z|SCENE")]]
     """Photos with poses (transforms.json, COLMAP, LLFF, NeuS, Middlebury), a mesh (closed, or a
-    scan with holes), three outer side lengths in metres, as 0.22x0.22x0.22, or with --from-radar a
-    scene."""
+    scan with holes), three outer side lengths in metres, as 0.22 0.22 0.22 or 0.22x0.22x0.22, or
+    with --from-radar a scene."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
     from_radar: bool = False
@@ -35,8 +36,11 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
+    if len(config.source) not in (1, 3):
+        got = f"{len(config.source)} words"
+        raise UserError(what="a source is one path, or three sides", got=got)
     made = make_los(
-        config.source,
+        " ".join(config.source),
         config.out,
         config.options,
         from_radar=config.from_radar,

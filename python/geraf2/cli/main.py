@@ -2,6 +2,7 @@
 
 import errno
 import importlib
+import json
 import logging
 import os
 import signal
@@ -9,76 +10,19 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Set as AbstractSet
 from types import FrameType
 from typing import Any, Protocol, cast
 
 from geraf2._memory import memory_limit, without_memory_flag
-from geraf2.errors import UserError, printable, shortened
+from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS, Command
+from geraf2.errors import UserError, printable, shortened, speaking_of_flags
 
 EXIT_OK = 0
 EXIT_BUG = 1
 EXIT_BAD_INPUT = 2
 EXIT_SIGNAL = 128
 """Exit code of a signal less its number, as in shells: 130 after Ctrl-C, 143 after SIGTERM."""
-
-
-@dataclass(frozen=True)
-class Command:
-    """One subcommand."""
-
-    module: str
-    summary: str
-    usage: str
-    after_stop: str = "every file is whole, the same command starts over"
-    """State of its output when it is interrupted, or when the disk is full."""
-
-
-_GOES_ON = "every file is whole, the same command continues"
-
-COMMANDS = {
-    "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
-    "import": Command(
-        "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
-    ),
-    "info": Command("info", "what is in a scene or a raw recording, and what is odd", "SCENE"),
-    "plan": Command(
-        "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
-    ),
-    "simulate": Command("simulate", "physical-optics capture of an object in boxes", "SPEC OUT"),
-    "calibrate": Command(
-        "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
-    ),
-    "los": Command(
-        "los",
-        "outside of the box from photos, a mesh or its sides",
-        "PHOTOS|MESH|XxYxZ OUT",
-        _GOES_ON,
-    ),
-    "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
-    "reconstruct": Command(
-        "reconstruct",
-        "surface of what is hidden in the box",
-        "SCENE OUT --los MESH | --box X Y Z",
-        "finished stages are kept, --resume continues",
-    ),
-    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
-    "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
-    "inspect": Command(
-        "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
-    ),
-    "view": Command("view", "a run or a scene live in a browser", "OUT|SCENE"),
-    "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
-    "batch": Command(
-        "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON
-    ),
-    "benchmark": Command(
-        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
-    ),
-    "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
-}
-
-_GLOBAL_FLAGS = ("--debug", "--version")
 
 
 class _CommandModule(Protocol):
@@ -159,7 +103,12 @@ def main(arguments: Sequence[str]) -> int:
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     os.environ["MPLBACKEND"] = "agg"  # pictures are files; matplotlib fails where it names none
     debug = "--debug" in arguments
-    rest = [argument for argument in arguments if argument not in _GLOBAL_FLAGS]
+    with speaking_of_flags():
+        return _main(arguments, debug=debug)
+
+
+def _main(arguments: Sequence[str], *, debug: bool) -> int:
+    rest = [argument for argument in arguments if argument not in GLOBAL_FLAGS]
     logging.captureWarnings(capture=not debug)
     n_before = _n_written()
     try:
@@ -171,7 +120,7 @@ def main(arguments: Sequence[str]) -> int:
         _require_environment()
         rest, allowed = without_memory_flag(rest)
         with memory_limit(allowed):
-            return _dispatch(rest)
+            return _dispatch(rest, {flag for flag in GLOBAL_FLAGS if flag in arguments})
     except SystemExit as stop:  # after --help
         return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
     except BrokenPipeError:
@@ -181,11 +130,15 @@ def main(arguments: Sequence[str]) -> int:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        command = next((COMMANDS[word] for word in rest if word in COMMANDS), None)
+        name = next((word for word in rest if word in COMMANDS), None)
         # Libraries make other errors of it: "initialization failed" while they are imported.
         why = KeyboardInterrupt(_received[-1]) if _received else error
+        command = COMMANDS[name] if name else None
         message, code = describe_error(why, command, wrote=_n_written() > n_before)
-        print(f"geraf2: {printable(shortened(message))}", file=sys.stderr)
+        message = printable(shortened(message))
+        print(f"geraf2: {message}", file=sys.stderr)
+        if "--json" in arguments:
+            print(json.dumps({"command": name, "exit_code": code, "error": message}))
         return code
 
 
@@ -194,8 +147,9 @@ def describe_error(
 ) -> tuple[str, int]:
     """One line for the user of a command, and the exit code; `wrote`: whether it wrote a file."""
     after_stop = f"; {command.after_stop if wrote else 'nothing was written'}" if command else ""
-    if isinstance(error, UserError):
-        return f"error: {_one_line(error)}", EXIT_BAD_INPUT
+    library = missing_library(error)
+    if library or isinstance(error, UserError):
+        return f"error: {library or _one_line(error)}", EXIT_BAD_INPUT
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT
         return f"interrupted{after_stop}", EXIT_SIGNAL + int(number)
@@ -214,6 +168,15 @@ def describe_error(
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
     )
+
+
+def missing_library(error: BaseException) -> str:
+    """State which library the kernels lack, and what to do; empty for another error."""
+    library, found, _ = str(error).partition(": cannot open shared object file")
+    if not isinstance(error, ImportError) or not found:
+        return ""
+    install = " (Debian, Ubuntu: apt install libembree4-4 or libembree3-3)" * ("embree" in library)
+    return f"the kernels need {library}, which is not installed{install}"
 
 
 def _require_environment() -> None:
@@ -245,7 +208,7 @@ def help_text() -> str:
     """Text of `geraf2 --help`."""
     width = max(len(name) for name in COMMANDS)
     lines = [
-        "usage: geraf2 COMMAND ... [--debug]",
+        "usage: geraf2 COMMAND ... [FLAGS]",
         "",
         "Sees through boxes: metric surfaces from near-field FMCW radar scans.",
         "",
@@ -253,13 +216,15 @@ def help_text() -> str:
         "",
         "  geraf2 COMMAND --help   flags of a command, in any order",
         "  geraf2 --version        version",
+        "  --json                  one JSON object on stdout, all else on stderr",
+        "  --quiet, --verbose      no progress and notes, or the log of every module",
         "  --debug                 full traceback on errors",
         "  --max-memory GIB        refuse work that is estimated to take more memory",
     ]
     return "\n".join(lines)
 
 
-def _dispatch(arguments: list[str]) -> int:
+def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     index = next((i for i, a in enumerate(arguments) if a in COMMANDS), None)
     words = [argument for argument in arguments if not argument.startswith("-")]
     if index is None and not words:
@@ -279,7 +244,16 @@ def _dispatch(arguments: list[str]) -> int:
     default = module.defaults(rest) if hasattr(module, "defaults") else None
     prog = f"geraf2 {name}"
     config = parse(module.Config, rest, prog=prog, description=description, default=default)
-    return module.main(config)
+    from geraf2.cli._console import printing  # noqa: PLC0415 - the module has loaded it
+
+    with printing(
+        name,
+        as_json="--json" in asked,
+        quiet="--quiet" in asked,
+        verbose="--verbose" in asked,
+    ) as result:
+        result["exit_code"] = module.main(config)
+    return int(result["exit_code"])
 
 
 def _one_line(error: BaseException) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from geraf2._bounds import Arg
-from geraf2.apps.planning.expected import Expected
+from geraf2.apps.planning.expected import BOX_M, Expected
 from geraf2.apps.planning.next_plane import NextPlane
 from geraf2.apps.planning.planning import (
     LikeScene,
@@ -124,10 +124,10 @@ def _show_lines(config: Config) -> int:
         return _show_next(plan_after(config), config.out)
     if config.like is not None:
         return _show_like(plan_like(config.like, config.scanner), config.out)
-    return _show_timed(make_timed_plan(config), config.out)
+    return _show_timed(make_timed_plan(config), config)
 
 
-def _show_timed(plan: TimedPlan, out: Path | None) -> int:
+def _show_timed(plan: TimedPlan, config: Config) -> int:
     lines, (width, height) = plan.scan.planes[0].lines, plan.design.aperture_m
     rows(
         [
@@ -138,10 +138,10 @@ def _show_timed(plan: TimedPlan, out: Path | None) -> int:
                 f"{len(lines)} a plane, {lines[0].n_places} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
-            *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected),
+            *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),
         ]
     )
-    return _write(plan.scan, out)
+    return _write(plan.scan, config.out)
 
 
 def _show_like(like: LikeScene, out: Path | None) -> int:
@@ -174,13 +174,20 @@ def _next_row(one: NextPlane) -> tuple[str, str]:
 
 
 def _reached(
-    scan: ScanFile, seconds: float, share: float, expected: Expected | None
+    scan: ScanFile,
+    seconds: float,
+    share: float,
+    expected: Expected | None,
+    box_m: tuple[float, float, float] | None = None,
 ) -> list[tuple[str, str]]:
     reached = "nothing: the spacing is so coarse that grating lobes fill the box"
     if expected is not None:
         reached = str(expected)
+        if box_m is not None and not 0.5 * BOX_M <= max(box_m) <= 2.0 * BOX_M:
+            reached = f"unknown: nothing was measured in a box of {100 * max(box_m):.0f} cm"
+    one = "; --channels or --array names more" if scan.array.n_channels == 1 else ""
     return [
-        ("channels", f"{scan.array.n_channels} at once"),
+        ("channels", f"{scan.array.n_channels} at once{one}"),
         ("antennas", f"{scan.n_antennas} positions of a channel"),
         ("time", _duration(seconds)),
         ("normals seen", f"{100 * share:.0f} %"),

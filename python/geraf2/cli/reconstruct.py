@@ -1,23 +1,25 @@
 """`geraf2 reconstruct`: the surface of what is hidden in the box."""
 
+import webbrowser
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 from geraf2._bounds import Arg
-from geraf2.cli._console import CONSOLE, Threads, rows, say, showing_log_records
+from geraf2.cli._console import CONSOLE, Threads, keep, rows, warn
 from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
+from geraf2.cli._outcome import print_found
 from geraf2.errors import UserError
 from geraf2.io.objects import is_remote
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
+from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.commands.reconstruct import reconstruct
-from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type
+from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type, stages_of
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from geraf2.surfaces.samples import size_lines
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +31,7 @@ class Config(RunOptions, PriorSource):
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder."""
-    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("out")
     """Run folder for meshes, fields, report, log."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best: 10 seconds of a core. fast: coarser, 4. paper: the learned method, minutes to an
@@ -45,6 +47,8 @@ class Config(RunOptions, PriorSource):
     """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
     """Leave out the report and its pictures."""
+    open: bool = False
+    """Open the report in a browser at the end."""
     threads: Threads = None
     """Threads to use; all when not given."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
@@ -80,7 +84,9 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
 
 def main(config: Config) -> int:
     """Run the command."""
-    with showing_log_records():
+    if config.open and config.no_report:
+        raise UserError(what="--open and --no-report exclude each other")
+    with CONSOLE.whole(_steps(config)):
         result = reconstruct(
             config.scene,
             part_of(config, PriorSource),
@@ -94,16 +100,47 @@ def main(config: Config) -> int:
             listener=CONSOLE,
         )
     _print_outcome(result)
+    if (
+        config.open
+        and result.report is not None
+        and not webbrowser.open(result.report.resolve().as_uri())
+    ):
+        warn(f"no browser opened; the report is {result.report}")
     return 0
+
+
+# Users' words for each step, and its usual share of the time.
+_STEPS = {
+    BOX_STAGE: ("finding the box", 1.0),
+    "calibration": ("checking the calibration", 3.0),
+    "prior": ("finding echoes in the box", 2.0),
+    "glints": ("finding echoes of the content", 1.0),
+    "selection": ("finding echoes at the rim and outlines", 2.0),
+    "sdf": ("fitting the surface", 1.5),
+    "baseline": ("computing the image", 3.0),
+    "train": ("training", 60.0),
+    "mesh": ("drawing the surface", 1.0),
+    "samples": ("drawing samples of the surface", 1.0),
+    "report": ("drawing the report", 2.0),
+}
+
+
+def _steps(config: Config) -> dict[str, tuple[str, float]]:
+    """Return the steps of a run, in users' words."""
+    names = {BOX_STAGE, "prior", *(stage.name for stage in stages_of(config.settings))}
+    names |= {"calibration"} if config.calibrate == "auto" else set()
+    names |= set() if config.no_report else {"report"}
+    names |= {"samples"} if config.samples else set()
+    return {name: entry for name, entry in _STEPS.items() if name in names}
 
 
 def _print_outcome(result: Reconstruction) -> None:
     seconds = {name: record.seconds for name, record in result.run.stages.items()}
-    say("stages   " + ", ".join(f"{name} {value:.1f} s" for name, value in seconds.items()))
     report = [("report", str(result.report))] if "report" in seconds else []
+    print_found(result)
+    keep({"seconds": seconds})
     names = [("content", CONTENT_NAME), ("box", BOX_NAME), ("both", MESH_NAME)]
     if "samples" in seconds:
         names.append(("samples", SAMPLES_NAME))
     paths = [(label, str(result.path / name)) for label, name in names]
-    rows(size_lines(result.numbers.get("mesh", {})))
     rows([*paths, *report, ("log", str(result.path / LOG_NAME))])

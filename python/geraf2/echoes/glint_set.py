@@ -4,10 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from geraf2._short import Short
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
+from geraf2.io.points import cloud_bytes
 
 _LAYOUTS = {
     "positions": "float n 3",
@@ -20,8 +22,8 @@ _LAYOUTS = {
 }
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Glints:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Glints(Short):
     """Specular echoes: where a surface is and which way it faces there."""
 
     positions: Floats
@@ -61,6 +63,12 @@ class Glints:
     def save(self, path: AnyPath) -> None:
         """Write `glints.npz`: one array per field, in the units given above."""
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
+
+    def cloud_bytes(self) -> bytes:
+        """PLY of the points with their normals; the other fields are columns."""
+        names = [n for n in self.__dataclass_fields__ if n not in ("positions", "normals")]
+        columns = {name: getattr(self, name) for name in names}
+        return cloud_bytes(self.positions, self.normals, columns)
 
     @classmethod
     def load(cls, path: AnyPath) -> "Glints":

@@ -19,6 +19,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.hypotheses import Candidates
 from geraf2.imaging.peaks import PeakSet
+from geraf2.io.points import cloud_bytes
 
 _OFFSET_SIGMA_M = 1.4e-3
 """Standard deviation of a point along its normal [m]. This and all that follows is estimated on
@@ -92,23 +93,11 @@ class LabelledPeaks:
 
     def cloud_bytes(self) -> bytes:
         """PLY of the points with their normals, probability and label."""
+        labels = np.asarray(self.labels, dtype=np.uint8)
+        columns = {"probability": self.probability, "label": labels}
+        names = " ".join(f"{label.value} {label.name.lower()}" for label in Label)
         found = self.candidates
-        fields = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz", "probability")]
-        rows = np.zeros(len(found), dtype=[*fields, ("label", "u1")])
-        for axis, name in enumerate("xyz"):
-            rows[name], rows["n" + name] = found.positions[:, axis], found.normals[:, axis]
-        rows["probability"], rows["label"] = self.probability, self.labels
-        header = [
-            "ply",
-            "format binary_little_endian 1.0",
-            "comment unit metre",
-            "comment label " + " ".join(f"{label.value} {label.name.lower()}" for label in Label),
-            f"element vertex {len(rows)}",
-            *(f"property float {name}" for name, _ in fields),
-            "property uchar label",
-            "end_header",
-        ]
-        return ("\n".join(header) + "\n").encode("ascii") + rows.tobytes()
+        return cloud_bytes(found.positions, found.normals, columns, [f"label {names}"])
 
     def counts(self) -> dict[str, int]:
         """Count the peaks of each label, for run.json."""

@@ -3,12 +3,14 @@
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_positive
 from geraf2.errors import UserError
@@ -24,6 +26,8 @@ from geraf2.surfaces.isosurface import SurfaceReport, signed_distances, surface_
 
 DEFAULT_THRESHOLDS_M = (0.015, 0.005, 0.003, 0.002)
 """Thresholds of the F1 score [m]: the paper's 15 mm, and three stricter ones."""
+Distances = tuple[Floats, Floats]
+"""From the mesh to the truth, and back."""
 FINE_THRESHOLD_M = 0.002
 """Largest threshold that needs dense samples [m]."""
 FINE_SAMPLES = 50_000
@@ -82,8 +86,8 @@ class SightScore:
     """Exact distances of the part's samples to the mesh; None where it has none."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class MeshMetrics:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class MeshMetrics(Short):
     """Distances between a mesh and the truth; definitions in :meth:`describe`."""
 
     chamfer_1e3_m2: float
@@ -123,14 +127,23 @@ class MeshMetrics:
     seed: int
     """Seed of the samples."""
 
+    @cached_property
+    def _distances_m(self) -> list[Distances]:
+        """Of the samples, and of denser ones up to FINE_THRESHOLD_M, put in by `evaluate_mesh`."""
+        return []
+
+    def __repr__(self) -> str:
+        scores = ", ".join(f"F1 {1e3 * s.threshold_m:g} mm {s.f1:.3f}" for s in self.scores)
+        median = 1e3 * self.both_ways.median_m
+        chamfer = f"Chamfer {self.chamfer_1e3_m2:.4f} 1e-3 m^2"
+        return f"MeshMetrics({scores}, {chamfer}, median {median:.2f} mm)"
+
     def f1(self, threshold_m: float) -> float:
-        """F1 score at one of the thresholds [m]."""
-        for score in self.scores:
-            if abs(score.threshold_m - threshold_m) <= 1e-9:
-                return score.f1
-        have = ", ".join(f"{score.threshold_m:g}" for score in self.scores)
-        msg = f"threshold_m must be one of {have}, got {threshold_m!r}"
-        raise ValueError(msg)
+        """F1 score at any threshold [m]."""
+        require_positive("threshold_m", threshold_m)
+        coarse, dense = self._distances_m
+        distances = dense if threshold_m <= FINE_THRESHOLD_M else coarse
+        return threshold_score(*distances, threshold_m).f1
 
     def headline(self) -> dict[str, float]:
         """Scores that tables show side by side, by name; lengths in mm, unknown ones left out."""
@@ -236,7 +249,7 @@ def evaluate_mesh(
     exact_to_truth = signed_distances(truth, pair.on_mesh, num_threads=num_threads)
     exact_to_mesh = np.abs(signed_distances(mesh, pair.on_truth, num_threads=num_threads))
     reports = surface_report(mesh), surface_report(truth)
-    return MeshMetrics(
+    metrics = MeshMetrics(
         chamfer_1e3_m2=chamfer_1e3_m2(pair.to_truth, pair.to_mesh),
         scores=_scores(pair, fine, thresholds_m),
         mesh_to_truth=_summary(pair.to_truth),
@@ -256,6 +269,8 @@ def evaluate_mesh(
         n_samples=n_samples,
         seed=seed,
     )
+    metrics._distances_m.extend([(pair.to_truth, pair.to_mesh), (fine.to_truth, fine.to_mesh)])
+    return metrics
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
@@ -16,8 +17,8 @@ from geraf2.scene import Grid
 _LAYOUTS = {"values": "float x y z", "origin_m": "float 3", "spacing_m": "float"}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SdfGrid:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class SdfGrid(Short):
     """Signed distance at voxel centres; negative inside what reflects [m]."""
 
     grid: Grid

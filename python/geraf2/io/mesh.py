@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath, Array, Bytes, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.errors import UserError
@@ -38,6 +39,10 @@ _METRES = ("metre", "metres", "meter", "meters")
 _MAX_PLACE_M = 1e6
 
 
+VERTEX_COLUMNS = {"expected_error_m": "<f4", "evidence": "u1", "confidence": "<f4"}
+"""What a mesh may hold of each vertex, and its type in a file."""
+
+
 class Evidence(IntEnum):
     """Evidence of a vertex of a reconstructed surface."""
 
@@ -49,8 +54,8 @@ class Evidence(IntEnum):
     """An echo from there, with a matching direction."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TriangleMesh:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class TriangleMesh(Short):
     """Triangles in metres; outward winding where closed. ValueError for other shapes.
 
     >>> capture, truth = geraf2.examples.small_capture()
@@ -66,11 +71,13 @@ class TriangleMesh:
     """One standard deviation of each vertex's distance to the true surface, (n_vertices,) [m]."""
     evidence: Bytes | None = None
     """Evidence of each vertex, as `Evidence`, (n_vertices,)."""
+    confidence: Floats | None = None
+    """Probability that the piece of each vertex exists, (n_vertices,)."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))
         require_shape("faces", self.faces, (None, 3))
-        for name in ("expected_error_m", "evidence"):
+        for name in VERTEX_COLUMNS:
             if getattr(self, name) is not None:
                 require_shape(name, getattr(self, name), (self.vertices.shape[0],))
 
@@ -95,11 +102,11 @@ class TriangleMesh:
     def with_faces(self, faces: Ints) -> "TriangleMesh":
         """Mesh of other faces between the vertices, of which only those in use are kept."""
         used, renumbered = used_vertices(faces)
+        columns = {name: getattr(self, name) for name in VERTEX_COLUMNS}
         return TriangleMesh(
             vertices=self.vertices[used],
             faces=renumbered,
-            expected_error_m=None if self.expected_error_m is None else self.expected_error_m[used],
-            evidence=None if self.evidence is None else self.evidence[used],
+            **{name: None if of is None else of[used] for name, of in columns.items()},
         )
 
 
@@ -111,7 +118,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     Vertices at exactly the same position become one. Faces that thereby lose their area, and
     vertices that no face uses, are dropped: many writers repeat a vertex per face, and a closed
     surface would not be closed. glTF files are +Y up by their standard and are turned to +Z up.
-    Of vertex columns `expected_error_m` and `evidence` (PLY) are kept. Raises UserError for
+    Of vertex columns those of `VERTEX_COLUMNS` (PLY) are kept. Raises UserError for
     anything that is not a usable mesh.
     """
     source = Path(path)
@@ -181,11 +188,12 @@ def write_mesh(
     """Write a binary PLY or a GLB in metres, and `<path>.json` that describes it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
-    float `expected_error_m` [m] and uchar `evidence` (`Evidence`). GLB: the same numbers, turned to
-    glTF's +Y up by the node's rotation, vertex normals and colours, and the attributes
-    `_EXPECTED_ERROR_M` and `_EVIDENCE`, both float. Each file appears whole or not at all. The
-    colour shows the expected error (blue 0, dark red 5 mm), grey without one. What the mesh
-    was made from, and by which command, is recorded in all of them.
+    float `expected_error_m` [m], uchar `evidence` (`Evidence`), float `confidence`, and `quality`,
+    which viewers colour by: the expected error again. GLB: the same numbers but `quality`, turned
+    to glTF's +Y up by the node's rotation, vertex normals and colours, and `_EXPECTED_ERROR_M`,
+    `_EVIDENCE` and `_CONFIDENCE`, all float. Each file appears whole or not at all. The colour
+    shows the expected error (blue 0, dark red 5 mm), grey without one. What the mesh was made
+    from, and by which command, is recorded in all of them.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -193,7 +201,7 @@ def write_mesh(
         data = ply_bytes(mesh, frame, made_from)
         frame_from_file = np.eye(4)
         columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
-        columns += [name for name, *_ in _known(mesh)]
+        columns += [name for name, *_ in _ply_columns(mesh)]
     elif suffix == ".glb":
         colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
         columns_of = {name: values for name, values, _ in _known(mesh)}
@@ -227,9 +235,14 @@ def write_mesh(
 
 def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
     """Columns of the vertices besides positions: name, values, type in a file."""
-    known = (("expected_error_m", "<f4"), ("evidence", "u1"))
-    values = ((name, getattr(mesh, name), kind) for name, kind in known)
+    values = ((name, getattr(mesh, name), kind) for name, kind in VERTEX_COLUMNS.items())
     return [(name, array, kind) for name, array, kind in values if array is not None]
+
+
+def _ply_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
+    """Those of a PLY: the expected error once more, under the name that viewers colour by."""
+    error, known = mesh.expected_error_m, _known(mesh)
+    return known if error is None else [*known, ("quality", error, "<f4")]
 
 
 def _require_readable(source: Path) -> None:
@@ -338,6 +351,9 @@ def _stored(columns: Mapping[str, Array]) -> dict[str, Array]:
         found["expected_error_m"] = np.asarray(error, dtype=np.float64)
     if evidence is not None and np.isin(evidence, tuple(Evidence)).all():
         found["evidence"] = np.asarray(evidence, dtype=np.uint8)
+        confidence = columns.get("confidence")  # means something else in files of others
+        if confidence is not None and ((confidence >= 0) & (confidence <= 1)).all():
+            found["confidence"] = np.asarray(confidence, dtype=np.float64)
     return found
 
 
@@ -352,14 +368,15 @@ def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> b
     n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
     fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
     fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    fields += [(name, kind) for name, _, kind in _known(mesh)]
+    known = _ply_columns(mesh)
+    fields += [(name, kind) for name, _, kind in known]
     rows = np.zeros(n_vertices, dtype=fields)
     for axis, name in enumerate("xyz"):
         rows[name] = mesh.vertices[:, axis]
     colours = error_colours(mesh.expected_error_m, n_vertices)
     for channel, name in enumerate(("red", "green", "blue")):
         rows[name] = colours[:, channel]
-    for name, values, _ in _known(mesh):
+    for name, values, _ in known:
         rows[name] = values
     triangles = np.zeros(n_faces, dtype=[("n", "u1"), ("v", "<i4", (3,))])
     triangles["n"] = 3

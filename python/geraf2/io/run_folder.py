@@ -166,8 +166,11 @@ class RunFolder:
             stored = cls.read(path)
             if stored.scene_digest == scene_digest:
                 return stored
-            what = f"the run of another scene ({stored.scene_name!r})"
-            require_consent(path, what, overwrite=overwrite, got=f"scene {scene_name!r}")
+            same = stored.scene_name == scene_name
+            other = "of that name, or of this one before it changed" if same else ""
+            what = f"the run of another scene {other or f'({stored.scene_name!r})'}"
+            got = f"scene {scene_name!r}"
+            require_consent(path, what, overwrite=overwrite, got=got)
             run._replaces = stored.scene_digest
             return run
         path.mkdir(parents=True, exist_ok=True)

@@ -22,6 +22,16 @@ class _Face:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Ghost:
+    """A piece that likely does not exist."""
+
+    probability: float
+    volume_cm3: float
+    extents_mm: tuple[float, float, float]
+    middle_mm: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Known:
     """Numbers by name, whatever their stage; each may be missing."""
 
@@ -43,6 +53,9 @@ class _Known:
     common_offset_sigma_mm: float = 0.0
     axes: tuple[_Axis, _Axis, _Axis] | None = None
     faces: dict[str, _Face] | None = None
+    likely_ghosts: tuple[_Ghost, ...] = ()
+    expected_error_median_mm: float = 0.0
+    evidence_shares: dict[str, float] | None = None
 
 
 # Where the first is there, the others are.

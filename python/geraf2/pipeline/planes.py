@@ -45,6 +45,14 @@ def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) ->
     return sorted(set(found))
 
 
+def quarter_planes(capture: Capture, where: object) -> list[int]:
+    """Find the planes nearest to 0, 90, 180 and 270 degrees; UserError without any angle."""
+    known = np.array([np.nan if p.angle_deg is None else p.angle_deg for p in capture.poses])
+    if np.isnan(known).all():
+        raise UserError(what="no plane has a turntable angle", where=where)
+    return sorted({int(np.nanargmin(_apart(known, angle))) for angle in (0.0, 90.0, 180.0, 270.0)})
+
+
 def _apart(a: Any, b: float) -> Any:
     """Smallest angle between directions [degrees]."""
     return np.abs((a - b + 180.0) % 360.0 - 180.0)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, ParamSpec, TypeVar
 
-from geraf2.errors import UserError
+from geraf2.errors import UserError, speaking_of_flags
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -94,8 +94,10 @@ def serve() -> None:
     os.dup2(2, 1)  # what libraries print is no answer
     function, args, kwargs = pickle.load(sys.stdin.buffer)
     try:
-        value: Any = function(*args, **kwargs)
+        with speaking_of_flags():
+            value: Any = function(*args, **kwargs)
     except UserError as error:
-        sys.exit(str(error))
+        with speaking_of_flags():
+            sys.exit(str(error))
     pickle.dump((value, time.process_time()), answer)
     answer.close()

@@ -14,7 +14,7 @@ from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
+from geraf2.io.mesh import VERTEX_COLUMNS, TriangleMesh, merge_duplicate_vertices, read_mesh
 from geraf2.io.run_folder import (
     BOX_NAME,
     CONFIG_NAME,
@@ -67,7 +67,8 @@ class Reconstruction:
 
         `vertex_attributes` holds, (n_vertices,) each, `expected_error_m`, one standard deviation of
         the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 guessed,
-        1 outline, 2 seen. Presets that cannot estimate them have neither.
+        1 outline, 2 seen, and `confidence`, the probability that its piece exists. Presets that
+        cannot estimate them have none.
         """
         return _as_trimesh(self.content_mesh)
 
@@ -232,7 +233,7 @@ def _as_trimesh(mesh: TriangleMesh) -> "trimesh.Trimesh":
     import trimesh  # noqa: PLC0415 - takes 0.3 s
 
     made = trimesh.Trimesh(vertices=mesh.vertices, faces=mesh.faces, process=False)
-    for name, kind in (("expected_error_m", np.float32), ("evidence", np.uint8)):
+    for name, kind in VERTEX_COLUMNS.items():
         values = getattr(mesh, name)
         if values is not None:
             made.vertex_attributes[name] = values.astype(kind)

@@ -13,6 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
+from geraf2.surfaces.pieces import ghost_texts, likely_part
 from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
@@ -77,6 +78,7 @@ def answer_of(
     if not content.faces.shape[0]:
         found = "Nothing was found in the box: the surface is empty."
         return Answer(found=found, corrected=corrected, remarks=remarks)
+    content = likely_part(content)
     report = surface_report(content)
     seen = seen_vertices(content, glints)
     cards = [_size(content, report, dict(size_lines(numbers.get("mesh", {}))))]
@@ -96,7 +98,7 @@ def answer_of(
         outlines = bool(numbers.get("selection", {}).get("outlines"))
         cards.append(_not_seen(content, seen, outlines))
     return Answer(
-        found=_found(content, report),
+        found=_found(content, report) + _ghosts(numbers.get("mesh", {})),
         cards=tuple(cards),
         scores=tuple(_scores(metrics)) if "scores" in metrics else (),
         corrected=corrected,
@@ -153,6 +155,12 @@ def _found(content: TriangleMesh, report: SurfaceReport) -> str:
     if n == 1:
         return f"One body, {lengths}, its middle at ({place}) mm.{closed}"
     return f"{n} separate pieces, {lengths} over all, their middle at ({place}) mm.{closed}"
+
+
+def _ghosts(numbers: Mapping[str, Any]) -> str:
+    """Sentence on pieces that are not counted, after a space; empty without any."""
+    texts = ghost_texts(numbers)
+    return f" Likely ghosts, not counted: {'; '.join(texts)}." if texts else ""
 
 
 def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

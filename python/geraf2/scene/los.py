@@ -66,16 +66,18 @@ class LosPrior:
     @classmethod
     def from_box(
         cls,
-        size_m: tuple[float, float, float],
+        size_m: float | tuple[float, float, float],
         center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
         walls: tuple[Wall, ...] = (),
         *,
         axes: Floats | None = None,
     ) -> "LosPrior":
-        """Prior from three outer side lengths [m], axes along the frame's.
+        """Prior from three outer side lengths, or that of a cube [m], axes along the frame's.
 
         axes: or along these unit vectors, a right-handed set of rows, (3, 3).
         """
+        if isinstance(size_m, int | float):
+            size_m = (size_m, size_m, size_m)
         for side in size_m:
             require_positive("size_m", side)
         corners = box_corners(center_m, size_m)

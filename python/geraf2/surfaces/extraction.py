@@ -1,6 +1,7 @@
 """From one signed distance field to the meshes of a run: content, box, both together."""
 
 import logging
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,10 +21,11 @@ from geraf2.surfaces.isosurface import (
     largest_components,
     signed_distances,
 )
+from geraf2.surfaces.pieces import piece_probability, with_probability
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 6
+MESH_VERSION = 7
 """Raised when the same field gives another mesh, or another expected error."""
 _log = logging.getLogger(__name__)
 
@@ -36,7 +38,7 @@ class ExtractedMeshes(NamedTuple):
     mesh_box: TriangleMesh
     """The box: the prior's outer surface, and the inner faces of walls of known thickness."""
     mesh_content: TriangleMesh
-    """What is hidden, with the expected error of each vertex and what it rests on."""
+    """What is hidden, with the expected error, evidence and confidence of each vertex."""
     samples: SurfaceSamples | None = None
     """Samples of the content behind its expected error; None of a field without glints."""
 
@@ -71,7 +73,8 @@ def extract_meshes(
             1e4 * report.dropped_area_m2,
         )
     samples = sample_surface(content, sdf, evidence, prior, fit, num_threads=num_threads)
-    box, content = box_surface(prior), samples.mesh
+    content = with_probability(samples.mesh, piece_probability(content, evidence.seen))
+    box, samples = box_surface(prior), replace(samples, mesh=content)
     return ExtractedMeshes(
         mesh=join_meshes(box, content), mesh_box=box, mesh_content=content, samples=samples
     )

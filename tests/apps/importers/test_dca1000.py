@@ -389,7 +389,7 @@ class TestPlaces:
 
     def test_without_places_the_choices_are_named(self, tmp_path):
         path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=r"--positions .* --raster .* --static; 'geraf2 info"):
+        with pytest.raises(UserError, match=r"positions .* raster .* static; 'geraf2 info"):
             self.scan(path)
         with pytest.raises(UserError, match="exclude each other"):
             self.scan(path, ImportOptions(static=True), raster=self.raster)

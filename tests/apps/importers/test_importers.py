@@ -136,7 +136,7 @@ def test_a_missing_parameter_is_named_and_may_come_from_radar_toml(tmp_path, cap
 
 def test_without_capture_json_everything_may_come_from_radar_toml(tmp_path, capture):
     source = write_geraf_sens(tmp_path / "c", capture, parameters=None)
-    with pytest.raises(UserError, match=r"start_frequency_hz, .* are not known; give --radar"):
+    with pytest.raises(UserError, match=r"start_frequency_hz, .* are not known; give radar"):
         open_scan(source)
     scan = open_scan(
         source, start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=625e3

@@ -105,7 +105,7 @@ class TestFolder:
         assert any("holds 29 frames instead of 30" in note for note in scan.notes)
 
         path.write_bytes(path.read_bytes()[: -3 * 1024 - 324])
-        with pytest.raises(UserError, match="holds 26 frames, expected 30; --keep-good"):
+        with pytest.raises(UserError, match="holds 26 frames, expected 30; keep_good"):
             opened(source)
 
     @pytest.mark.parametrize(

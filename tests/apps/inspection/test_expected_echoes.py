@@ -92,8 +92,7 @@ def test_of_two_models_the_one_that_is_absent_is_reported(expected):
     gone = block((0.012, 0.02, 0.03), (-0.044, 0.0, 0.0), 0.004)
     models = [model_of(prism(), "prism"), model_of(gone, "gone")]
     matches = [
-        Match(model=m, body=m, placement=placed(np.eye(4)), status="present", score=0.5)
-        for m in range(2)
+        Match(model=m, body=m, placement=placed(np.eye(4)), status="present") for m in range(2)
     ]
     found, patches = by_echoes(matches, models, expected)
     assert [match.status for match in found] == ["present", "missing"]

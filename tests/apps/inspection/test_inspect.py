@@ -56,11 +56,15 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     out = tmp_path / "answer"
     assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert "wedge: present" in shown
+    assert "model 'wedge': present" in shown
+    assert "± holds 95 %" in shown
+    assert "size by CAD" in shown
     assert "note: poses rest on the run alone, not on its scan" in shown
     found = json.loads((out / "inspection.json").read_text())
     (model,) = found["models"]
     assert (found["verdict"], model["name"], model["status"]) == ("pass", "wedge", "present")
+    assert found["uncertainty"].startswith("sigma is one standard deviation")
+    assert len(found["parts"][0]["extents_m"]) == len(model["lengths_m"]) == 3
     assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
     corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle
     assert apply_rigid(np.array(model["pose"]), corner) == pytest.approx(POSE[:3, 3], abs=5e-4)
@@ -97,6 +101,29 @@ def test_another_part_and_a_missing_one_fail(run):
     assert found.verdict == "fail"
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
     assert "3 models, but only 2 parts in the box" in found.notes
+
+
+def test_faults_are_sentences_and_the_page_gives_the_reason(run, cad, tmp_path, capsys):
+    moved = tmp_path / "moved.stl"
+    moved.write_bytes(cad.read_bytes())
+    out = tmp_path / "out"
+    arguments = ["inspect", str(run), "--cad", str(moved), "--placed", "--out", str(out)]
+    assert main(arguments) == 3
+    shown = capsys.readouterr().out
+    fault = next(line for line in shown.splitlines() if line.startswith("fails: "))
+    assert fault in (
+        "fails: 'moved' lies away from its nominal pose",
+        "fails: 'moved' is turned against its nominal pose",
+    )
+    page = (out / "inspection.html").read_text()
+    assert "Fail: 2 parts, 0 of 1 models present, but &#39;moved&#39;" in page
+
+
+def test_without_anything_required_nothing_is_judged(run, tmp_path, capsys):
+    assert main(["inspect", str(run), "--out", str(tmp_path / "out")]) == 0
+    assert "result   not judged: nothing was required" in capsys.readouterr().out
+    found = json.loads((tmp_path / "out" / "inspection.json").read_text())
+    assert (found["verdict"], found["failures"]) == ("not judged", [])
 
 
 def test_a_folder_that_is_no_run_and_a_run_without_surface(run, tmp_path, capsys):

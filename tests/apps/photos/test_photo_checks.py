@@ -162,7 +162,7 @@ def test_photos_and_radar_look_at_the_same():
     require_photos_in_view(photos, np.zeros(3), 0.4, "photos")
     with pytest.raises(UserError, match="and the radar view different scenes"):
         require_photos_in_view(photos, np.array([0.0, 0.0, 0.6]), 0.4, "photos")
-    with pytest.raises(UserError, match="--unit"):
+    with pytest.raises(UserError, match="unit"):
         require_photos_in_view(photos, np.zeros(3), 0.01, "photos")
 
 

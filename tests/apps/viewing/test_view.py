@@ -84,7 +84,7 @@ def test_a_port_in_use_and_nothing_to_show_are_one_line(run, tmp_path, capsys):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(UserError, match=rf"port {port} cannot be used.*--port {port + 1}"):
+        with pytest.raises(UserError, match=rf"port {port} cannot be used.*port {port + 1}"):
             require_free("127.0.0.1", port)
         assert main(["view", str(run), "--port", str(port)]) == 2
         assert "cannot be used" in capsys.readouterr().err

@@ -19,6 +19,7 @@ from geraf2.geometry.triangles import (
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import nearness
+from geraf2.surfaces.pieces import likely_faces
 
 PATCH_M = 0.010
 """Distance beyond which errors of the surface are independent [m]: about the footprint of a
@@ -78,6 +79,8 @@ class BodyReport:
     """Standard uncertainty of that, per coordinate [m]."""
     axes: tuple[tuple[float, float, float], ...]
     """Unit vectors of the smallest box around it, the longest side first."""
+    extents_m: tuple[float, float, float]
+    """Lengths along the frame's x, y, z [m]."""
     dimensions_m: tuple[Measured, Measured, Measured]
     """Lengths along these axes [m]."""
     volume_m3: Measured
@@ -104,9 +107,13 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
 
 
 def split_bodies(body: Body) -> list[Body]:
-    """Split into connected parts, the largest first, without those below MIN_PART_SHARE of it."""
+    """Split into connected parts, the largest first.
+
+    Likely ghosts, and parts below MIN_PART_SHARE of the largest, are left out.
+    """
     labels, n_parts = face_labels(body.mesh.faces)
     areas = np.bincount(labels, face_areas(body.mesh.corners), minlength=n_parts)
+    areas[labels[~likely_faces(body.mesh)]] = 0.0
     order = [
         p for p in np.argsort(-areas, kind="stable") if areas[p] >= MIN_PART_SHARE * max(areas)
     ]
@@ -167,6 +174,7 @@ def measure(body: Body) -> BodyReport:
         center_m=triple(center),
         center_sigma_m=triple(_spread(body, arms[:, axis], areas) for axis in range(3)),
         axes=tuple(triple(axis) for axis in axes),
+        extents_m=triple(np.ptp(mesh.vertices, axis=0)),
         dimensions_m=tuple(_length(body, axis) for axis in axes),  # type: ignore[arg-type]
         volume_m3=Measured(value=volume, sigma=_spread(body, np.ones(len(areas)), areas)),
         area_m2=Measured(

@@ -86,7 +86,7 @@ def inspect(
 
     >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
     >>> answer.verdict, answer.parts[0].volume_m3.value > 0
-    ('pass', True)
+    ('not judged', True)
     """
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
@@ -123,9 +123,10 @@ def inspect(
         models=reports,
         comparison=comparison,
         failures=failures,
-        notes=(*notes, *_notes(reports, bodies, options)),
+        notes=(*notes, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
+        has_criteria=bool(models) or options.expect is not None or comparison is not None,
     )
     if write:
         _write(inspection, result, bodies, whole, out, listener)
@@ -246,6 +247,17 @@ def _report(
         num_threads=basis.num_threads,
     )
     return ModelReport(model=model, match=match, deviation=deviation)
+
+
+def _rivals(reports: Sequence[ModelReport], models: Sequence[CadModel]) -> list[str]:
+    """Sentence on each candidate that fits a part worse than the one that was taken."""
+    return [
+        f"'{models[m].name}' fits part {(report.match.body or 0) + 1} worse than "
+        f"'{report.model.name}': misfit {misfit:.2f} against {placement.misfit:.2f}"
+        for report in reports
+        if (placement := report.match.placement) is not None
+        for m, misfit in report.match.rivals
+    ]
 
 
 def _notes(

@@ -45,8 +45,14 @@ class Match:
     """Pose of the model; None: missing."""
     status: str
     """`present`, `turned`, `moved`, `wrong part` or `missing`."""
-    score: float
-    """1 - misfit / 3, 0 to 1; 0 where missing."""
+    rivals: tuple[tuple[int, float], ...] = ()
+    """Other candidates for its part: index of the model, and misfit."""
+
+    @property
+    def largest_misfit(self) -> float:
+        """Largest misfit of the right part."""
+        by_echoes = self.placement is not None and self.placement.by_echoes
+        return LARGEST_ECHO_MISFIT if by_echoes else LARGEST_MISFIT
 
 
 def match_models(
@@ -102,10 +108,15 @@ def match_models(
         found[0, -1] = register_in(-1, 0)
         if found[0, -1].misfit < misfits.min():
             pairs = [(0, -1)]
-    matches += [_match(m, b, found[m, b], models[m], placed) for m, b in pairs if (m, b) in found]
+    for m, b in pairs:
+        if (m, b) in found:
+            rivals = sorted((misfits[k, b], k) for k in range(len(models)) if (k, b) in found)
+            others = tuple((k, float(misfit)) for misfit, k in rivals if any_of and k != m)
+            one = _match(m, b, found[m, b], models[m], placed)
+            matches.append(replace(one, rivals=others))
     if not any_of:
         matches += [
-            Match(model=m, body=None, placement=None, status="missing", score=0.0)
+            Match(model=m, body=None, placement=None, status="missing")
             for m in set(range(len(models))) - {match.model for match in matches}
         ]
     return sorted(matches, key=lambda match: (match.model, match.body or 0))
@@ -145,7 +156,7 @@ def by_echoes(
     for n, echo in zip(found, echoes, strict=True):
         match, placement = matches[n], replace(echo.placement, explained=echo.explained)
         if echo.patches.whole.is_absent:
-            moved[n] = replace(match, body=None, placement=None, status="missing", score=0.0)
+            moved[n] = replace(match, body=None, placement=None, status="missing")
             continue
         status = match.status if echo.patches.whole.value < 0.5 else "present"
         if status == "present" and placed:
@@ -156,12 +167,10 @@ def by_echoes(
 
 
 def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) -> Match:
-    score = 1.0 - placement.misfit / 3.0
-    largest = LARGEST_ECHO_MISFIT if placement.by_echoes else LARGEST_MISFIT
-    status = "present" if placement.misfit <= largest else "wrong part"
-    if status == "present" and placed:
-        status = _against_nominal(placement, model)
-    return Match(model=m, body=b, placement=placement, status=status, score=score)
+    match = Match(model=m, body=b, placement=placement, status="present")
+    if placement.misfit > match.largest_misfit:
+        return replace(match, status="wrong part")
+    return replace(match, status=_against_nominal(placement, model)) if placed else match
 
 
 def _against_nominal(placement: Placement, model: CadModel) -> str:

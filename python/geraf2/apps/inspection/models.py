@@ -1,13 +1,16 @@
 """CAD models: reading, conversion to metres, checks."""
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh, read_mesh
 
@@ -23,11 +26,19 @@ class CadModel:
     """A model to be found."""
 
     name: str
-    """Stem of its file."""
+    """Stem of its file; with its folder, or the whole path, where two have the same."""
     mesh: TriangleMesh
     """Closed surface, wound outward, in its own frame [m]."""
     unit: str
     """Unit of the file."""
+
+    @cached_property
+    def lengths_m(self) -> tuple[float, float, float]:
+        """Sides of the smallest box around it, the longest first [m]."""
+        import trimesh  # noqa: PLC0415 - takes 0.3 s
+
+        sides = trimesh.bounds.oriented_bounds(self.mesh.vertices, ordered=True)[1]
+        return triple(sorted(sides, reverse=True))
 
 
 def read_models(
@@ -41,9 +52,13 @@ def read_models(
     Raises UserError where a file is no closed mesh or fits the content in no unit.
     """
     models = [_read(Path(path), sizes_m, unit) for path in paths]
-    names = [model.name for model in models]
-    if len(set(names)) < len(names):
-        raise UserError(what="two CAD files have the same name", got=", ".join(sorted(names)))
+    full = [Path(path) for path in paths]
+    for names in ([f"{p.parent.name}/{p.stem}" for p in full], [str(p) for p in full]):
+        counts = Counter(model.name for model in models)
+        models = [
+            replace(model, name=name) if counts[model.name] > 1 else model
+            for model, name in zip(models, names, strict=True)
+        ]
     return models
 
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from geraf2 import __version__
+from geraf2._short import Short
 from geraf2._types import AnyPath
 from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.comparison import Comparison
@@ -16,7 +17,14 @@ from geraf2.apps.inspection.models import CadModel
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.text import csv_text
 
-PASS, FAIL = "pass", "fail"
+PASS, FAIL, NOT_JUDGED = "pass", "fail", "not judged"
+# What a model that is not as it should be is.
+_FAULTS = {
+    "missing": "is missing",
+    "wrong part": "is there as another part",
+    "turned": "is turned against its nominal pose",
+    "moved": "lies away from its nominal pose",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +39,8 @@ class ModelReport:
     """Deviation of the part from the model; None: missing, or another part."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Inspection:
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Inspection(Short):
     """Result of `geraf2.inspect`."""
 
     parts: tuple[BodyReport, ...]
@@ -49,10 +57,14 @@ class Inspection:
     """Largest deviation allowed [m]."""
     scene: tuple[str, str]
     """Name and digest of the scene."""
+    has_criteria: bool = True
+    """Whether anything was required: models, a number of parts, or no change."""
 
     @property
     def verdict(self) -> str:
-        """`pass` or `fail`."""
+        """`pass`, `fail`, or `not judged` where nothing was required."""
+        if not self.has_criteria:
+            return NOT_JUDGED
         return FAIL if self.failures else PASS
 
     def to_dict(self) -> dict[str, Any]:
@@ -65,6 +77,7 @@ class Inspection:
             "verdict": self.verdict,
             "failures": list(self.failures),
             "notes": list(self.notes),
+            "uncertainty": "sigma is one standard deviation; 95 % of errors are below 1.96 of it",
             "tolerance_m": self.tolerance_m,
             "parts": [asdict(part) for part in self.parts],
             "models": [_model(report) for report in self.models],
@@ -108,6 +121,10 @@ def _axis_rows(
 def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
     rows = _axis_rows("center", part.center_m, part.center_sigma_m, 1e3, "mm")
     rows += [
+        (f"length along {axis}", f"{1e3 * side:.3f}", "", "mm")
+        for axis, side in zip("xyz", part.extents_m, strict=True)
+    ]
+    rows += [
         (f"length {n}", f"{1e3 * m.value:.3f}", f"{1e3 * m.sigma:.3f}", "mm")
         for n, m in enumerate(part.dimensions_m, 1)
     ]
@@ -118,9 +135,14 @@ def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
 
 
 def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
-    rows = [("score", f"{report.match.score:.4f}", "", "")]
+    rows = [
+        (f"length {n} of the CAD model", f"{1e3 * side:.3f}", "", "mm")
+        for n, side in enumerate(report.model.lengths_m, 1)
+    ]
     placement, deviation = report.match.placement, report.deviation
     if placement is not None:
+        rows.append(("misfit", f"{placement.misfit:.4f}", "", ""))
+        rows.append(("largest misfit", f"{report.match.largest_misfit:.4f}", "", ""))
         rows += _axis_rows("middle", placement.middle_m, placement.position_sigma_m, 1e3, "mm")
         turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
         rows += _axis_rows("turn", turn, sigmas, 1.0, "degrees")
@@ -143,7 +165,7 @@ def _model(report: ModelReport) -> dict[str, Any]:
         "name": report.model.name,
         "unit": report.model.unit,
         "status": match.status,
-        "score": match.score,
+        "lengths_m": list(report.model.lengths_m),
         "part": None if match.body is None else match.body + 1,
     }
     if placement is not None:
@@ -153,6 +175,7 @@ def _model(report: ModelReport) -> dict[str, Any]:
             "position_sigma_m": placement.position_sigma_m.tolist(),
             "rotation_sigma_rad": placement.rotation_sigma_rad.tolist(),
             "misfit": placement.misfit,
+            "largest_misfit": match.largest_misfit,
             "rival_misfit": placement.rival_misfit,
             "free_axis": placement.free_axis,
             "explained": placement.explained,
@@ -180,11 +203,9 @@ def failures_of(
     if expect is not None and n_parts != expect:
         found.append(f"{n_parts} parts were found, {expect} were expected")
     for report in models:
-        name, status = report.model.name, report.match.status
+        name, status = f"'{report.model.name}'", report.match.status
         if status != "present":
-            found.append(
-                f"{name} is {'there as another part' if status == 'wrong part' else status}"
-            )
+            found.append(f"{name} {_FAULTS[status]}")
         if report.deviation is None:
             continue
         if report.deviation.regions:

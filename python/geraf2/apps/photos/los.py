@@ -58,7 +58,7 @@ _MAX_BOX_M = 20.0
 _MIN_BOX_M = 1e-3
 # Shortest over longest side below which a mesh is a sheet.
 _FLAT = 1e-4
-_SIDES = re.compile("x".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
+_SIDES = re.compile(r"(?:x|,\s*|\s+)".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)"] * 3))
 
 
 def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":

@@ -6,7 +6,7 @@ distance from transmitters to receivers is not stated: public scanners with thes
 aperture data", IEEE Access 7, 2019).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -71,39 +71,41 @@ _THREE_TX = ((0.0, 0.0), (2.0, 1.0), (4.0, 0.0))
 _FOUR_RX = tuple((float(k), 0.0) for k in range(4))
 _CASCADE_RX = (*range(11, 15), *range(50, 54), *range(46, 50), *range(4))
 
+_BOARDS = (
+    AntennaArray(
+        name="iwr1443",
+        design_hz=79.0e9,
+        source="TI SWRU518, xWR1443BOOST user's guide: TX1 and TX3 two wavelengths apart, TX2 "
+        "between them, half a wavelength across; receivers every half wavelength",
+        tx=_THREE_TX,
+        rx=_FOUR_RX,
+    ),
+    AntennaArray(
+        name="iwr1843",
+        design_hz=79.0e9,
+        source="TI SPRUIM4, xWR1843BOOST user's guide: as on the xWR1443BOOST",
+        tx=_THREE_TX,
+        rx=_FOUR_RX,
+    ),
+    AntennaArray(
+        name="awr2243-cascade",
+        tx=(
+            *((11.0, 6.0), (10.0, 4.0), (9.0, 1.0)),
+            *((float(4 * k), 0.0) for k in range(8, -1, -1)),
+        ),
+        rx=tuple((float(k), 0.0) for k in _CASCADE_RX),
+        design_hz=76.8e9,
+        in_line=False,
+        source="TI TIDUEN5A, imaging radar with cascaded mmWave sensors, figure 6: 12 "
+        "transmitters, 16 receivers, 86 virtual channels in azimuth",
+    ),
+)
 ARRAYS: dict[str, AntennaArray] = {
     array.name: array
-    for array in (
-        AntennaArray(
-            name="iwr1443",
-            design_hz=79.0e9,
-            source="TI SWRU518, xWR1443BOOST user's guide: TX1 and TX3 two wavelengths apart, TX2 "
-            "between them, half a wavelength across; receivers every half wavelength",
-            tx=_THREE_TX,
-            rx=_FOUR_RX,
-        ),
-        AntennaArray(
-            name="iwr1843",
-            design_hz=79.0e9,
-            source="TI SPRUIM4, xWR1843BOOST user's guide: as on the xWR1443BOOST",
-            tx=_THREE_TX,
-            rx=_FOUR_RX,
-        ),
-        AntennaArray(
-            name="awr2243-cascade",
-            tx=(
-                *((11.0, 6.0), (10.0, 4.0), (9.0, 1.0)),
-                *((float(4 * k), 0.0) for k in range(8, -1, -1)),
-            ),
-            rx=tuple((float(k), 0.0) for k in _CASCADE_RX),
-            design_hz=76.8e9,
-            in_line=False,
-            source="TI TIDUEN5A, imaging radar with cascaded mmWave sensors, figure 6: 12 "
-            "transmitters, 16 receivers, 86 virtual channels in azimuth",
-        ),
-    )
+    for board in _BOARDS
+    for array in (board, replace(board, name=board.name.replace("iwr", "awr")))
 }
-"""Boards by name."""
+"""Boards by name; AWR boards have the antennas of the IWR board of their number."""
 
 
 def column(n_channels: int, pitch_m: float) -> SweptArray:

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
-from geraf2.apps.planning.arrays import find_array
+from geraf2.apps.planning.arrays import ARRAYS, find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import (
@@ -61,7 +61,13 @@ _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions(Bounded):
-    """What is known of the scan to be planned; either `box` or `depth`."""
+    """What is known of the scan to be planned; either `box` or `depth`.
+
+    ValueError for a value out of bounds, UserError for angles or planes that do not go together.
+
+    >>> geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=5.0).speed_m_per_s  # lengths in metres
+    0.2
+    """
 
     box: Annotated[PlanSides | None, Arg(metavar="X Y Z")] = None
     """Outer side lengths of the box, Z along the turntable's axis [m]."""
@@ -71,7 +77,8 @@ class PlanOptions(Bounded):
     """TOML file with the chirp, as for `geraf2 import`; the positions of its antennas, where it
     gives them, are the array that is swept."""
     preset: Preset | None = None
-    """Or a known radar; awr1843 when neither is given."""
+    """Or the chirp of a known radar; awr1843 when neither is given. With --minutes or --after its
+    board is swept, too, where its antennas are known."""
     standoff: PlanM | None = None
     """Planes to the turntable's axis [m]."""
     aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
@@ -91,7 +98,7 @@ class PlanOptions(Bounded):
     channels: Annotated[int, Interval(ge=1, le=64)] | None = None
     """Receivers at once, one above the other, as far apart as rows; 1 when no array is given."""
     array: str | None = None
-    """Or a board: iwr1443, iwr1843, awr2243-cascade."""
+    """Or a board: iwr1443, iwr1843, awr1443, awr1843, awr2243-cascade."""
     order: Order = "tdm"
     """Of a board's transmitters: in turns, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
@@ -126,15 +133,17 @@ class PlanOptions(Bounded):
         """Radar, and what moves it."""
         if self.channels is not None and self.array is not None:
             raise UserError(what="give either --channels or --array", got="both")
-        own, n_tx = None, 1
-        if self.array is not None:
-            n_tx = len(find_array(self.array).tx)
+        own, n_tx, array = None, 1, self.array
+        if array is None and self.channels is None and self.preset in ARRAYS:
+            array = self.preset
+        if array is not None:
+            n_tx = len(find_array(array).tx)
         elif self.channels is None and self.radar is not None:
             own = _own_array(read_toml(self.radar, RadarManifest).antennas, self.order)
             n_tx = 1 if own is None else len(own.tx_offsets_m)
         return Scanner(
             channels=self.channels,
-            array=self.array,
+            array=array,
             own=own,
             order=self.order,
             chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
@@ -156,6 +165,26 @@ def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
         for offsets in (antennas.tx_offsets_m or [[0.0, 0.0, 0.0]], antennas.rx_offsets_m)
     )
     return SweptArray(tx_offsets_m=tx, rx_offsets_m=rx, order=order)
+
+
+def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan | list[NextPlane]:
+    """Plan a scan; what is not given is suggested.
+
+    options: box or depth [m], and what is known of radar and scanner.
+
+    Returns a plan of rings; of a single plane with `depth`; of planes with lines within `minutes`;
+    or planes to scan next `after` a run, the best first. Raises UserError for settings that do not
+    go together, or a plan that no scanner reaches.
+
+    >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22)))
+    >>> rings.n_planes, rings.spacing_m  # [m]
+    (36, 0.0033)
+    """
+    if options.after is not None:
+        return plan_after(options)
+    if options.minutes is not None:
+        return make_timed_plan(options)
+    return make_plan(options) if options.depth is None else make_plane(options)
 
 
 def make_timed_plan(options: PlanOptions) -> TimedPlan:

@@ -18,6 +18,7 @@ from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import with_walls
+from geraf2.pipeline.sign_check import naming_the_sign
 from geraf2.scene import Capture, LosPrior, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.summary import summarize_capture
@@ -126,7 +127,8 @@ def calibrate(
         found = calibrate_capture(capture, prior, config, num_threads=num_threads, progress=report)
     for one in found.judgements:
         if one.error is not None:  # it was asked for
-            raise one.error
+            with naming_the_sign(capture, scene, num_threads):
+                raise one.error
     values = {
         "scene": Path(scene).resolve().name,
         "prior": prior_name,

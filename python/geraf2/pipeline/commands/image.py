@@ -54,7 +54,7 @@ _Angle = Annotated[float, Interval(ge=0.0, le=90.0)]
 class ImageOptions(Bounded):
     """Poses and grid of an image."""
 
-    pose: CountOrZero | None = None
+    plane: CountOrZero | None = None
     """Image this plane alone, counted from 0."""
     every: Count = 1
     """Use every n-th plane only."""
@@ -320,13 +320,13 @@ def note_method(plan: ImagePlan, run: RunFolder) -> str:
 
 def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
     n_poses = len(capture.poses)
-    if options.pose is None:
+    if options.plane is None:
         return list(range(0, n_poses, options.every))
-    if not 0 <= options.pose < n_poses:
+    if not 0 <= options.plane < n_poses:
         raise UserError(
-            what="--pose names no plane", expected=f"0 to {n_poses - 1}", got=options.pose
+            what="--plane names no plane", expected=f"0 to {n_poses - 1}", got=options.plane
         )
-    return [options.pose]
+    return [options.plane]
 
 
 def _searched(
@@ -381,7 +381,7 @@ def _depth_grid(options: ImageOptions, pose: Pose, n_poses: int) -> Grid:
     if options.size_m is not None:
         raise UserError(what="--depth-m and --size-m exclude each other")
     if n_poses != 1:
-        raise UserError(what="--depth-m needs one plane", got=n_poses, hint="add --pose N")
+        raise UserError(what="--depth-m needs one plane", got=n_poses, hint="add --plane N")
     along = pose.phase_centers @ pose.axes.T
     extent = options.extent_m or tuple(np.ptp(along[:, 1:], axis=0))
     if not min(extent) > 0:

@@ -46,6 +46,7 @@ from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, h
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.sign_check import naming_the_sign, require_sign
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
@@ -62,7 +63,7 @@ SAMPLES_STAGE = "samples"
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,
-    config: PresetConfig | str = "best",
+    preset: PresetConfig | str = "best",
     out: Path | str | None = None,
     *,
     options: RunOptions | None = None,
@@ -79,7 +80,7 @@ def reconstruct(
     in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses; None:
     found by radar (`geraf2.find_box`). A cuboid that is off by millimetres or degrees is corrected.
     A prior without walls takes those that the capture knows.
-    config: constants of a preset, or its name: best, fast, paper, or a method to compare with.
+    preset: its name, or its constants: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
     resume: keep stages in `out` that are done and would come out the same.
@@ -101,8 +102,7 @@ def reconstruct(
     True
     """
     started, options = time.perf_counter(), options or RunOptions()
-    if isinstance(config, str):
-        config = preset_type(config)()
+    config = preset_type(preset)() if isinstance(preset, str) else preset
     if options.samples:
         require_posterior(config, options.samples)
     scene = None if isinstance(capture, Capture) else Path(capture)
@@ -126,7 +126,8 @@ def reconstruct(
         job, prior_name = _started(request, run, resume=resume, num_threads=num_threads)
         job = _calibrated(job, options, request.where)
         _keep_inputs(request, job)
-        _run_stages(job, prior_name, options, report=report)
+        with naming_the_sign(loaded, request.where, num_threads):
+            _run_stages(job, prior_name, options, report=report)
         seconds = round(time.perf_counter() - started, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
@@ -176,10 +177,14 @@ class _Request:
         if making is None and (given is not None or source.is_given):
             found = _prior(given or source, capture, summary, listener)
             if not options.trust_los:
-                box = checked_prior(capture, *found, summary, listener, num_threads)
+                with naming_the_sign(capture, where, num_threads):
+                    box = checked_prior(capture, *found, summary, listener, num_threads)
         elif making is None:
-            box = box_from_radar(capture, summary, listener, num_threads)
+            with naming_the_sign(capture, where, num_threads):
+                box = box_from_radar(capture, summary, listener, num_threads)
         if box is not None:
+            if box.found is None:  # no wall is seen where it is
+                require_sign(capture, where, num_threads)
             found = box.prior, found[1] if found else "the box by radar"
         box_seconds = time.perf_counter() - start
         if found:

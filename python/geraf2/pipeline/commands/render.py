@@ -28,7 +28,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.estimates import require_renderable
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.planes import keep_planes, planes_at
+from geraf2.pipeline.planes import keep_planes, planes_at, quarter_planes
 from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset, PaperPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
@@ -48,7 +48,6 @@ if TYPE_CHECKING:
     from geraf2.surfaces.residual_field import ResidualField
     from geraf2.surfaces.surface_fit import SurfaceEcho
 
-_PAPER_ANGLES = (0.0, 90.0, 180.0, 270.0)
 # Powers of points at targets in single precision: of all planes, of a fold, and joined twice.
 _BYTES_PER_CELL = 16.0
 
@@ -65,8 +64,8 @@ class RenderOptions(Bounded):
     """
 
     angles: tuple[Degrees, ...] = ()
-    """Turntable angles of the planes [degrees]; those that the run left out when not given, else 0,
-    90, 180 and 270."""
+    """Turntable angles of the planes [degrees]; those that the run left out when not given, else
+    those nearest to 0, 90, 180 and 270."""
     spacing_m: CellM = 0.004
     """Voxels of the heat maps [m]."""
     n_draws: Few = 4
@@ -145,7 +144,8 @@ def render(
     _require_rendered(result, options, is_paper=is_paper)
     capture = capture_of(result, scene)
     hold_out, name = result.record.options.hold_out, result.run.scene_name
-    planes = planes_at(capture, options.angles or hold_out or _PAPER_ANGLES, name)
+    asked = options.angles or hold_out
+    planes = planes_at(capture, asked, name) if asked else quarter_planes(capture, name)
     _require_room(result, capture, options)
     half = 0.5 * max(result.prior.size_m)
     views = _Views(

@@ -41,6 +41,7 @@ from geraf2.surfaces.fit import (
     zero_level,
 )
 from geraf2.surfaces.isosurface import redistance
+from geraf2.surfaces.pieces import likely_ghosts, likely_part, piece_numbers
 from geraf2.surfaces.refinement import (
     SELECTION_VERSION,
     SelectedGlints,
@@ -247,11 +248,13 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """Size of the content's mesh, its evidence, its expected error, and intervals of its sizes."""
+    """Size of the content's mesh; evidence, expected error and sizes without likely ghosts."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
     sizes = meshes.samples.size_numbers() if meshes.samples is not None else {}
-    return numbers | quality_numbers(content) | sizes
+    numbers["likely_ghosts"] = [piece.numbers() for piece in likely_ghosts(content)]
+    likely = likely_part(content)
+    return numbers | piece_numbers(likely) | quality_numbers(likely) | sizes
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:

@@ -116,7 +116,7 @@ class PhaseSign:
             )
         return (
             f"phase sign {name}: focuses {self.peak_ratio:.3g} times the power of the other sign, "
-            f"sharpness {self.sharpness_ratio:.3g} times ({self.n_poses} poses){doubt}"
+            f"sharpness {self.sharpness_ratio:.3g} times ({self.n_poses} planes){doubt}"
         )
 
 

@@ -1,0 +1,63 @@
+"""The subcommands, and the flags that all of them take."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Command:
+    """One subcommand."""
+
+    module: str
+    summary: str
+    usage: str
+    after_stop: str = "every file is whole, the same command starts over"
+    """State of its output when it is interrupted, or when the disk is full."""
+
+
+_GOES_ON = "every file is whole, the same command continues"
+
+COMMANDS = {
+    "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
+    "import": Command(
+        "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
+    ),
+    "info": Command("info", "what is in a scene, recording or run, and what is odd", "SCENE"),
+    "plan": Command(
+        "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
+    ),
+    "simulate": Command("simulate", "physical-optics capture of an object in boxes", "SPEC OUT"),
+    "calibrate": Command(
+        "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
+    ),
+    "los": Command(
+        "los",
+        "outside of the box from photos, a mesh or its sides",
+        "PHOTOS|MESH|XxYxZ OUT",
+        _GOES_ON,
+    ),
+    "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
+    "reconstruct": Command(
+        "reconstruct",
+        "surface of what is hidden in the box",
+        "SCENE [OUT]",
+        "finished stages are kept, --resume continues",
+    ),
+    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
+    "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
+    "inspect": Command(
+        "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
+    ),
+    "export": Command("export", "surface or glints of a run as one file", "OUT FILE"),
+    "view": Command("view", "a run or a scene live in a browser", "OUT|SCENE"),
+    "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
+    "batch": Command(
+        "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON
+    ),
+    "benchmark": Command(
+        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
+    ),
+    "completion": Command("completion", "completion of a shell: bash, zsh or fish", "SHELL"),
+    "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
+}
+
+GLOBAL_FLAGS = ("--debug", "--version", "--json", "--quiet", "--verbose")

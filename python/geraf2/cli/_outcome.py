@@ -1,0 +1,56 @@
+"""What a run found, in a few lines and as numbers."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from geraf2.cli._console import keep, rows
+from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.surfaces.pieces import ghost_texts
+from geraf2.surfaces.samples import size_lines
+
+_KEPT = (
+    "n_pieces",
+    "extents_mm",
+    "middle_mm",
+    "volume_cm3",
+    "expected_error_median_mm",
+    "expected_error_95_percent_mm",
+    "evidence_shares",
+    "likely_ghosts",
+)
+
+
+def print_found(result: Reconstruction) -> None:
+    """Print what a run found, and keep it for `--json`."""
+    mesh = result.numbers.get("mesh", {})
+    rows(found_lines(mesh))
+    rows(size_lines(mesh))
+    keep({name: mesh[name] for name in _KEPT if name in mesh})
+    keep({"out": str(result.path), "content": str(result.path / CONTENT_NAME)})
+    keep({"report": None if result.report is None else str(result.report)})
+
+
+def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Name and text of what a run found; [] of a run without a surface.
+
+    mesh: numbers of the stage `mesh` in run.json.
+    """
+    if "n_pieces" not in mesh:
+        return []
+    n = mesh["n_pieces"]
+    sides, middle = (
+        mark.join(f"{v:.0f}" for v in mesh[name])
+        for name, mark in (("extents_mm", " x "), ("middle_mm", ", "))
+    )
+    pieces = "one object" if n == 1 else f"{n} separate pieces"
+    lines = [("found", f"{pieces}, {sides} mm, the middle at ({middle}) mm")]
+    if "expected_error_median_mm" in mesh:
+        half, most = mesh["expected_error_median_mm"], mesh["expected_error_95_percent_mm"]
+        lines.append(("typical error", f"{half:.1f} mm; 95 % of the surface below {most:.1f} mm"))
+        shares = mesh["evidence_shares"]
+        text = f"{100 * (1 - shares['seen']):.0f} % of the surface"
+        if shares["outline"] > 0.005:
+            text += f"; {100 * shares['outline']:.0f} % rests on its outline"
+        lines.append(("not seen", text))
+    return [*lines, *(("likely ghost", f"{text}, not counted") for text in ghost_texts(mesh))]

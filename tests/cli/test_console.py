@@ -1,0 +1,123 @@
+"""What all commands share: --json, --quiet, --verbose, one bar over all steps, completion."""
+
+import json
+import subprocess
+import webbrowser
+
+import pytest
+
+from geraf2.cli._console import CONSOLE
+from geraf2.cli.main import COMMANDS, main
+from helpers.small_scene import BOX, FAST
+
+
+def test_json_is_one_object_on_stdout_and_the_rest_goes_to_stderr(finished_run, scene, capsys):
+    # With the report that is there, all stages are done.
+    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
+    assert main([*arguments, "--json"]) == 0
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert printed.out.count("\n") == 1
+    assert found["command"] == "reconstruct"
+    assert found["exit_code"] == 0
+    assert found["n_pieces"] >= 1
+    assert len(found["extents_mm"]) == 3
+    assert found["expected_error_median_mm"] > 0
+    assert found["report"] == str(finished_run / "report.html")
+    assert "typical error" in printed.err
+    assert main(["info", str(scene)]) == 0  # the next command prints as before
+    assert "planes" in capsys.readouterr().out
+
+
+def test_an_error_is_a_json_object_too(tmp_path, capsys):
+    assert main(["info", str(tmp_path / "none"), "--json"]) == 2
+    printed = capsys.readouterr()
+    found = json.loads(printed.out)
+    assert found["command"] == "info"
+    assert found["exit_code"] == 2
+    assert printed.err == f"geraf2: {found['error']}\n"
+
+
+def test_a_command_without_results_of_its_own_gives_its_rows(capsys):
+    assert main(["doctor", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["rows"]["threads"]
+
+
+def test_quiet_leaves_out_progress_and_verbose_adds_the_log(finished_run, scene, capsys):
+    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
+    assert main([*arguments, "--quiet"]) == 0
+    printed = capsys.readouterr()
+    assert "..." not in printed.err
+    assert "found" in printed.out
+    assert main(["--verbose", *arguments]) == 0
+    assert "finding echoes of the content (done before) ..." in capsys.readouterr().err
+
+
+def test_a_run_ends_with_what_it_found_and_the_page_to_open(
+    finished_run, scene, capsys, monkeypatch
+):
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or True)
+    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
+    assert main([*arguments, "--open"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    names = [line.partition("  ")[0] for line in lines]
+    assert names[0] == "found"
+    assert {"typical error", "not seen", "report"} <= set(names)
+    assert opened == [(finished_run / "report.html").resolve().as_uri()]
+    assert main([*arguments, "--open", "--no-report"]) == 2
+
+
+def test_out_is_optional_and_another_scenes_run_there_is_refused(
+    finished_run, scene, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    finished_run.rename(tmp_path / "out")
+    assert main(["reconstruct", str(scene), *BOX, *FAST, "--resume", "--no-report"]) == 0
+    capsys.readouterr()
+    before = (tmp_path / "out" / "run.json").read_bytes()
+    assert main(["reconstruct", str(scene), *BOX, "--preset", "fast"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert error.startswith("geraf2: error: out: ")
+    assert (tmp_path / "out" / "run.json").read_bytes() == before
+
+
+def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):
+    with CONSOLE.whole({"glints": ("finding echoes", 1.0), "mesh": ("drawing", 3.0)}):
+        with CONSOLE.step("glints"):
+            pass
+        with CONSOLE.step("mesh (done before)"):
+            pass
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "finding echoes ..."
+    assert lines[1].startswith("finding echoes: 0.0 s; 25 % of all, about 0 s left")
+    assert lines[3].startswith("drawing (done before): 0.0 s; 100 % of all")
+    with CONSOLE.step("later"):
+        pass
+    assert "later ..." in capsys.readouterr().err
+
+
+def completed(script, *words):
+    line = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(words) - 1}; _geraf2"
+    code = f'{script}\n{line}; printf "%s\\n" "${{COMPREPLY[@]}}"'
+    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
+    return done.stdout.split()
+
+
+def test_a_shell_completes_commands_flags_and_choices(capsys):
+    assert main(["completion", "bash"]) == 0
+    script = capsys.readouterr().out
+    assert set(completed(script, "geraf2", "")) >= set(COMMANDS)
+    assert completed(script, "geraf2", "reco") == ["reconstruct"]
+    assert "--overwrite" in completed(script, "geraf2", "reconstruct", "scene", "--ov")
+    assert completed(script, "geraf2", "reconstruct", "--preset", "fa") == ["fast"]
+    assert completed(script, "geraf2", "import", "dca") == ["dca1000"]
+
+
+@pytest.mark.parametrize("shell", ["zsh", "fish"])
+def test_other_shells_get_every_command_and_flag(shell, capsys):
+    assert main(["completion", shell]) == 0
+    script = capsys.readouterr().out
+    assert all(name in script for name in COMMANDS)
+    assert "overwrite" in script
+    assert main(["completion", "tcsh"]) == 2
