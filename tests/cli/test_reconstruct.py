@@ -378,7 +378,7 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
     page = (evaluated_run / "report.html").read_text()
     assert "F1 15 mm" in page
     assert "beside the truth" in page
-    assert "Share of surface samples" in page
+    assert "share of samples over the distance" in page
 
 
 def test_evaluate_knows_the_planes_without_the_scene(finished_run, scene, tmp_path):

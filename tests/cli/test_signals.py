@@ -111,7 +111,7 @@ from geraf2.cli import main
 def stop():
     os.kill(os.getpid(), 15)
     time.sleep(0.1)
-def dispatch(rest):
+def dispatch(rest, asked):
     {work}
 main._dispatch, sys.argv = dispatch, ["geraf2", "doctor"]
 main.run()
@@ -132,7 +132,7 @@ from geraf2.cli import main
 Path("greedy.py").write_text("try:\\n    import slow\\nexcept BaseException:\\n    pass\\n")
 Path("slow.py").write_text("import os, time\\nos.kill(os.getpid(), 15)\\ntime.sleep(0.1)\\n")
 sys.path.insert(0, "")
-def dispatch(rest):
+def dispatch(rest, asked):
     import greedy
     time.sleep(5)
 main._dispatch, sys.argv = dispatch, ["geraf2", "doctor"]

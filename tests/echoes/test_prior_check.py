@@ -41,8 +41,8 @@ def test_a_small_box_has_echoes_in_front(capture):
     places = found_in(capture, box(0.04))
     assert places.in_front > 0.2
     with pytest.raises(UserError, match="smaller than its content or lies elsewhere") as caught:
-        require(capture, box(0.04), "--box 0.04 0.04 0.04")
-    assert str(caught.value).startswith("--box 0.04 0.04 0.04: ")
+        require(capture, box(0.04), "the box of a file")
+    assert str(caught.value).startswith("the box of a file: ")
 
 
 def test_a_box_elsewhere_does_not_contain_the_scene(capture):

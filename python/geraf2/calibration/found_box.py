@@ -176,6 +176,16 @@ def _plain(values: Floats | float) -> Any:
 class WallsNotFoundError(UserError):
     """A scan that shows no walls of a box."""
 
+    def __init__(self, seen: str) -> None:
+        super().__init__(
+            what="no walls of a box are found in the scan",
+            expected="flashes of at least one flat wall that antennas face squarely",
+            got=seen,
+            hint="give the outside of the box with --box X Y Z or --los MESH",
+        )
+        self.seen = seen
+        """What the scan shows instead."""
+
 
 def find_box(
     capture: Capture,
@@ -193,7 +203,7 @@ def find_box(
 
     Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
     interval. Where nothing but the seen walls bounds them, they are placed generously.
-    Raises WallsNotFoundError where no walls are found, UserError where antennas are within them.
+    Raises WallsNotFoundError where no walls are found, or where antennas stand within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
@@ -203,7 +213,7 @@ def find_box(
     summary = summary or summarize_capture(capture)
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
-        raise _without_box(seen="the planes face no common point")
+        raise WallsNotFoundError(seen="the planes face no common point")
     capture = _moved(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
@@ -215,7 +225,7 @@ def find_box(
             rough, seen, _ = _rough(capture, peaks, like)
     box = _filled(rough)
     if not box.size_m.min() > LEAST_SIDE_M:
-        raise _without_box(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
+        raise WallsNotFoundError(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
     box = _refined(capture, box, _Known(peaks, seen))
     box = replace(box, content_share=_content_share(box, seen))
     return _bounded(capture, box, seen).moved(focus)
@@ -245,7 +255,7 @@ def _rough(
     if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
         rough, known = around, outer
     if rough.mean_m == -np.inf:
-        raise _without_box(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
+        raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
     walls = rough.strength**2
     leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
     return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
@@ -301,7 +311,7 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
     try:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks)
     except UserError as error:
-        raise _without_box(seen=str(error).partition(", expected")[0]) from error
+        raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
     fit = problem.fit(("delay", "frame"))
     found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
     turn = found.prior_to_capture[:3, :3]
@@ -389,7 +399,7 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
     """Share of the energy within the walls; UserError where they do not enclose the echoes."""
     square = box.seen == Seen.SQUARELY
     if not square.any():
-        raise _without_box(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
+        raise WallsNotFoundError(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
     along, energy = peaks.points @ box.axes.T, peaks.strengths**2
 
     def share(margin_m: float) -> float:
@@ -399,7 +409,9 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
 
     outside = 1.0 - share(_MARGIN_M)
     if outside > _MOST_OUTSIDE:
-        raise _without_box(seen=f"planes with {100 * outside:.0f} % of the echoes outside of them")
+        raise WallsNotFoundError(
+            seen=f"planes with {100 * outside:.0f} % of the echoes outside of them"
+        )
     return share(-_MARGIN_M)
 
 
@@ -411,22 +423,4 @@ def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
         inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
         n_inside += bool(inside.all(axis=1).any())
     if n_inside:
-        raise UserError(
-            what="antennas stand within the walls that the scan shows",
-            expected="planes around the box",
-            got=f"{n_inside} planes within walls {_sides(offsets)} mm apart",
-            hint="check the positions, or give the outside of the box with --box X Y Z",
-        )
-
-
-def _sides(offsets_m: Floats) -> str:
-    return " x ".join(f"{1e3 * side:.0f}" for side in offsets_m.sum(axis=1))
-
-
-def _without_box(seen: str) -> WallsNotFoundError:
-    return WallsNotFoundError(
-        what="no walls of a box are found in the scan",
-        expected="flashes of at least one flat wall that antennas face squarely",
-        got=seen,
-        hint="give the outside of the box with --box X Y Z or --los MESH",
-    )
+        raise WallsNotFoundError(seen=f"planes around which walls would stand: {n_inside}")

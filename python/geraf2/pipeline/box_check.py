@@ -53,12 +53,12 @@ def box_from_radar(
     with listener.step(BOX_STAGE):
         try:
             found = find_box(capture, summary=summary, num_threads=num_threads)
-        except WallsNotFoundError:
+        except WallsNotFoundError as error:
             prior = content_region(capture, summary=summary, num_threads=num_threads)
             sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
             text = (
-                f"no walls of a box are seen: all within {sides} mm is taken as content in free "
-                "air; if it stands in a box, give --box X Y Z"
+                f"no walls of a box are seen ({error.seen}): all within {sides} mm is taken as "
+                "content in free air; if it stands in a box, give --box X Y Z"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
     prior = with_walls(found.prior, capture.walls)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from geraf2 import __version__
 from geraf2._types import AnyPath
+from geraf2.io.text import parse_json
 from geraf2.report.canvas import PANELS_KEY
 
 if TYPE_CHECKING:
@@ -78,7 +79,7 @@ def _panels_of(image: "Image") -> dict[str, Any]:
     """Rows of boxes of a picture, and the height of its letters [px], from `canvas.save`."""
     whole = {"rows": [[[0, 0, image.width, image.height]]], "letters": None}
     try:
-        kept = json.loads(image.info.get(PANELS_KEY, "null"))
+        kept = parse_json(image.info.get(PANELS_KEY, "null"))
         boxes = [box for row in kept["rows"] for box in row]
         good = kept["letters"] > 0 and all(
             0 <= x0 < x1 <= image.width and 0 <= y0 < y1 <= image.height for x0, y0, x1, y1 in boxes

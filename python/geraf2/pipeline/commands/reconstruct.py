@@ -134,6 +134,10 @@ def reconstruct(
     return Reconstruction(run)
 
 
+BY_RADAR = "the box by radar"
+"""Name of a found box in messages."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Request:
     """A request whose inputs were checked, before its run folder is touched."""
@@ -185,7 +189,7 @@ class _Request:
         if box is not None:
             if box.found is None:  # no wall is seen where it is
                 require_sign(capture, where, num_threads)
-            found = box.prior, found[1] if found else "the box by radar"
+            found = box.prior, found[1] if found else BY_RADAR
         box_seconds = time.perf_counter() - start
         if found:
             require_reconstructable(summary, record.config, found[0].size_m, where)
@@ -340,9 +344,14 @@ def _run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bo
     if not (options.trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
         with job.listener.step("prior"):
             peaks = job.peaks.of(job.capture)
-            require_echoes_inside(
-                job.capture, job.prior, peaks, prior_name, num_threads=job.num_threads
-            )
+            try:
+                require_echoes_inside(
+                    job.capture, job.prior, peaks, prior_name, num_threads=job.num_threads
+                )
+            except UserError as error:
+                if prior_name != BY_RADAR:  # that is the best there is
+                    raise
+                job.listener.warning(str(error))
     for stage in stages:
         job.do(stage)
     run.drop_stale()
