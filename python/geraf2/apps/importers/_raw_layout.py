@@ -48,9 +48,9 @@ _SEGMENT = 64
 _GUARD_BINS = 1
 # Words whose spectra are compared between layouts: 16000 samples of each of four receivers.
 _LAYOUT_WORDS = 1 << 17
-# Advantage of the best real order at which samples are real. At echoes of 0 to 20 dB over noise,
-# .01 to 2 for real samples (above .07 from 7 dB on) and below .05 for complex ones but one of 600;
-# -.7 to -2 on captures of real boards.
+# Advantage of the best real order at which samples are real. With one to three echoes at 0 to 20 dB
+# over noise 216 of 244 recordings of real samples reach it, and 1 of 488 of complex ones, most of
+# which stay below .05. Captures of three real boards, all complex, have -1.6 to -2.1.
 _REAL_ADVANTAGE = 0.1
 # That at which a configuration is not believed.
 _CONTRADICTING_ADVANTAGE = 0.2
