@@ -46,10 +46,17 @@ def test_two_transmitters_at_once_are_separated(reports, config):
     assert np.abs(signal).mean(axis=1) == pytest.approx(np.full(12, 2000), rel=0.001)
 
 
-@pytest.mark.parametrize("name", ["real_2_lanes.bin", "real_4_lanes.bin"])
-def test_real_samples_are_refused(reports, name):
+@pytest.mark.parametrize(
+    ("name", "layout"),
+    [("real_2_lanes.bin", "real-sequential"), ("real_4_lanes.bin", "real-alternating")],
+)
+def test_real_samples_are_read_once_their_number_is_known(reports, name, layout):
+    path = reports / "real_samples" / name
     with pytest.raises(UserError, match="the samples are real"):
-        recording(reports / "real_samples" / name)
+        recording(path)
+    found = open_recording(path, RadarManifest(n_samples=128), ImportOptions())
+    assert (found.evidence.order.layout, found.evidence.n_samples) == (layout, 64)
+    assert found.read_frames(0, 1).shape == (1, 1, 1, 4, 64)
 
 
 @pytest.mark.parametrize("name", ["two_lanes.bin", "four_lanes.bin"])

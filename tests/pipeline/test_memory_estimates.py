@@ -3,16 +3,21 @@
 import re
 import subprocess
 import sys
+from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 import geraf2
 from geraf2._memory import memory_limit
+from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.pipeline.estimates import image_estimate, reconstruct_cost, require_reconstructable
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.scene.summary import summarize_capture
 from geraf2.surfaces import FitConfig
+from geraf2.surfaces.config import fit_bytes
+from geraf2.surfaces.fit import _domain
 from geraf2.surfaces.refinement import RefineConfig
 from helpers.synthetic import point_capture
 
@@ -48,5 +53,36 @@ def test_voxels_of_the_fit_and_samples_count():
         for preset in (FastPreset(fit=fine), BestPreset(refine=RefineConfig(fit=fine))):
             with pytest.raises(UserError, match="scene: the run will not fit into memory"):
                 require_reconstructable(summary, preset, box, "scene")
+        with pytest.raises(UserError, match="the run will not fit into memory"):
+            require_reconstructable(summary, FastPreset(), (0.7, 0.05, 0.05), "scene")
         capped = FitConfig(spacing_m=0.001, max_voxels=10**6)
         require_reconstructable(summary, FastPreset(fit=capped), box, "scene")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["image", "scene", "out", "--size-m", "0.1", "0.1", "0.1"],
+        ["reconstruct", "scene", "out", "--box", "0.2", "0.2", "0.2", "--trust-los"],
+        ["reconstruct", "scene", "out", "--box", "0.2", "0.2", "0.2", "--preset", "fast"],
+    ],
+)
+def test_a_command_beyond_the_limit_is_refused_in_one_line(tmp_path, monkeypatch, capsys, words):
+    geraf2.save_capture(point_capture(2), tmp_path / "scene")
+    monkeypatch.chdir(tmp_path)
+    assert main([*words, "--max-memory", "0.1"]) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
+    assert len(lines) == 1
+    assert "the run will not fit into memory, expected about 0." in lines[0]
+    assert "got 0.1 GiB of --max-memory" in lines[0]
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_fit_is_refused_where_its_own_grid_exceeds_the_limit():
+    """A box may be larger than its content, or the prior unknown before the run."""
+    corners = np.array([[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]])
+    config = FitConfig(spacing_m=0.002)
+    n_voxels = _domain(corners, config).n_voxels * 8
+    for allowed, refused in ((1.1 * fit_bytes(n_voxels), False), (0.8 * fit_bytes(n_voxels), True)):
+        with memory_limit(allowed), pytest.raises(UserError) if refused else nullcontext():
+            _domain(corners, config)

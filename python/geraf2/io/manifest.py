@@ -98,7 +98,17 @@ class SceneManifest(_Strict):
 class RawManifest(_Strict):
     """How a raw capture of a TI board is stored; what is missing is determined."""
 
-    layout: Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"] | None = None
+    layout: (
+        Literal[
+            "4-lane",
+            "2-lane-pairs",
+            "2-lane-sequential",
+            "iq",
+            "real-sequential",
+            "real-alternating",
+        ]
+        | None
+    ) = None
     """Order of the 16-bit words, see docs/bring-your-own-scan.md."""
     offset_binary: bool | None = None
     swap_iq: bool | None = None

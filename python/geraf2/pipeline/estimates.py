@@ -10,7 +10,7 @@ from geraf2._memory import available_memory_bytes, memory_of_parts, require_memo
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.summary import CaptureSummary
-from geraf2.surfaces.config import SurfaceFitConfig
+from geraf2.surfaces.config import SurfaceFitConfig, fit_bytes
 
 __all__ = [
     "Estimate",
@@ -26,17 +26,16 @@ __all__ = [
 # pictures), what they do (fits, mesh), and of each antenna sample; 36 planes at 3 mm have 9e6.
 _RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
 # Python with its libraries and the pictures of a report: 304 MiB were the peak of a small scan.
-# Then bytes per antenna sample, and per voxel of the fit: 200 MiB without a report at 1.2 million.
+# Then bytes per antenna sample.
 _RECONSTRUCT_FIXED_BYTES = 320e6
 _RECONSTRUCT_BYTES_PER_SAMPLE = 32.0
-_BYTES_PER_FIT_VOXEL = 64.0
 _BYTES_PER_SAMPLE = 24.0
 # Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
 _IMAGE_NS_PER_PAIR = 0.9
 # 174 MiB were the peak of an image of 70 thousand voxels, 199 MiB of one of four million.
 _IMAGE_FIXED_BYTES = 190e6
 _BYTES_PER_IMAGE_VOXEL = 12.0
-FIXED_BYTES = 400e6
+_RENDER_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
 # The same of the factorised kernel: 3 s for 192^3 voxels and 2025 antennas.
 _FACTORISED_NS_PER_PAIR = 0.2
@@ -93,11 +92,11 @@ def require_reconstructable(
         return
     holders = (config, getattr(config, "refine", None))
     fits = [holder.fit for holder in holders if hasattr(holder, "fit")]
-    volume_m3 = float(np.prod(size_m))
-    voxels = [min(fit.max_voxels, volume_m3 / fit.spacing_m**3) for fit in fits]
-    memory_bytes = reconstruct_estimate(summary).memory_bytes
-    memory_bytes += _BYTES_PER_FIT_VOXEL * max(voxels, default=0.0)
-    require_memory(memory_bytes, "raise the fit's spacing-m, or leave planes out", where=where)
+    # The grid is a cube around the content, about as large as the box with room around it.
+    voxels = [min(fit.max_voxels, (max(size_m) / fit.spacing_m) ** 3) for fit in fits]
+    needed = max(reconstruct_estimate(summary).memory_bytes, fit_bytes(max(voxels, default=0.0)))
+    hint = "raise the fit's spacing-m, lower its max-voxels, or leave planes out"
+    require_memory(needed, hint, where=where)
 
 
 def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Estimate:
@@ -166,7 +165,7 @@ def require_renderable(
     }
     largest = max(parts, key=parts.__getitem__)
     change = "lower" if largest == "--echo.n-nodes" else "raise"
-    require_memory(FIXED_BYTES + sum(parts.values()), f"{change} {largest}")
+    require_memory(_RENDER_FIXED_BYTES + sum(parts.values()), f"{change} {largest}")
 
 
 def box_area_m2(size_m: tuple[float, float, float]) -> float:

@@ -19,6 +19,7 @@ from geraf2._bounds import (
     Positive,
     Rounds,
 )
+from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.errors import UserError
@@ -30,6 +31,7 @@ from geraf2.geometry.nearest import nearest_distance
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
+from geraf2.surfaces.config import fit_bytes
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
 _RAMP_M = 0.004
@@ -247,6 +249,8 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     if fine_cells**3 > config.max_voxels:
         grow = fine_cells / config.max_voxels ** (1.0 / 3.0)
         spacing, cells = spacing * grow, max(4, int(np.ceil(cells / grow)))
+    hint = "raise the fit's spacing-m, or lower its max-voxels"
+    require_memory(fit_bytes((cells * _COARSE) ** 3), hint)
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 

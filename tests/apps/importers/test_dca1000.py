@@ -233,7 +233,7 @@ class TestConfigurations:
             ("numAdcSamples", 128, "number of samples per chirp, expected 64"),
             ("laneEn", "0x3", "contradict the layout given"),
             ("b2AdcBits", 0, "not of 16 bits"),
-            ("b2AdcOutFmt", 0, "samples are real"),
+            ("b2AdcOutFmt", 0, "states real ones, .* got complex ones"),
             ("startFreqConst_GHz", "fast", "must be a number, got 'fast'"),
         ],
     )

@@ -1,45 +1,86 @@
-"""Real samples are refused, also where a single echo makes them look complex."""
+"""Real samples: told from complex ones, and read as the analytic signal at half the rate."""
+
+import json
 
 import numpy as np
 import pytest
 
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers.import_capture import import_capture
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.io.manifest import RawManifest
-from helpers.raw_capture import beat, opened, write_words
+from geraf2.io.manifest import AntennaManifest, RadarManifest, RasterManifest, RawManifest
+from geraf2.scene import load_capture
+from helpers.raw_capture import (
+    BOARD_RX,
+    RADAR,
+    STUDIO,
+    TARGET,
+    WAVEFORM,
+    beat,
+    opened,
+    quantised,
+    raster_positions,
+    scan_signal,
+    write_words,
+)
+
+LAYOUTS = ("real-sequential", "real-alternating")
+COMPLEX_LAYOUTS = ("4-lane", "2-lane-sequential", "2-lane-pairs", "iq")
 
 
-def real_words(frequencies, *, interleaved, n_samples=128, noise=3, seed=0):
+def real_words(chirps, layout):
+    """Words of real chirps (n_chirps, n_rx, n_samples)."""
+    words = np.round(chirps).astype("<i2")
+    return (words.transpose(0, 2, 1) if layout == "real-alternating" else words).tobytes()
+
+
+def real_echoes(frequencies, *, n_samples=128, noise=3, seed=0):
     """48 chirps of four receivers with echoes at these shares of the sample rate."""
     rng = np.random.default_rng(seed)
     phases = rng.uniform(0, 2 * np.pi, (1, 4, len(frequencies), 1))
     times = np.arange(n_samples)
     signal = np.cos(2 * np.pi * np.array(frequencies)[:, None] * times + phases).sum(axis=2)
-    signal = 900 * np.repeat(signal, 48, axis=0) + noise * rng.normal(size=(48, 4, n_samples))
-    chirps = np.round(signal).astype("<i2")
-    return chirps.transpose(0, 2, 1) if interleaved else chirps
+    return 900 * np.repeat(signal, 48, axis=0) + noise * rng.normal(size=(48, 4, n_samples))
 
 
-@pytest.mark.parametrize("interleaved", [False, True])
+# Shares of the sample rate at which chirps go on nearly without jumps, so that the layout is asked.
+UNCLEAR = (0.01, 0.07, 0.16, 0.25)
+
+
+# There chirps of two receivers join without a jump, too: what is given is contradicted.
+JOINED = {(0.07, 128), (0.16, 256)}
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("n_samples", [128, 256])
 @pytest.mark.parametrize("frequency", np.linspace(0.01, 0.4, 14))
-def test_a_single_real_echo_never_passes_for_complex(tmp_path, interleaved, n_samples, frequency):
+def test_a_single_real_echo_never_passes_for_complex(tmp_path, layout, n_samples, frequency):
     path = tmp_path / "a.bin"
-    words = real_words([frequency], interleaved=interleaved, n_samples=n_samples)
-    path.write_bytes(words.tobytes())
-    with pytest.raises(UserError, match="real"):
+    path.write_bytes(real_words(real_echoes([frequency], n_samples=n_samples), layout))
+    # At a quarter of the rate a sequence of real samples is one of complex ones, too.
+    text = "real|found out|middle" if frequency in (0.01, 0.25) else "the samples are real"
+    with pytest.raises(UserError, match=text):
         opened(path)
+    given = RawManifest(n_rx=4, layout=layout if round(frequency, 2) in UNCLEAR else None)
+    if layout == "real-sequential" and (round(frequency, 2), n_samples) in JOINED:
+        with pytest.raises(UserError, match="contradict the number of samples per chirp"):
+            opened(path, n_samples=n_samples, raw=given)
+        return
+    evidence = opened(path, n_samples=n_samples, raw=given).evidence
+    assert (evidence.order.layout, evidence.n_samples) == (layout, n_samples // 2)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_two_real_echoes_never_pass_for_complex(tmp_path, seed):
     path = tmp_path / "a.bin"
     frequencies = np.random.default_rng(seed).uniform(0.02, 0.4, 2)
-    path.write_bytes(real_words(frequencies, interleaved=seed % 2 == 0, seed=seed).tobytes())
-    with pytest.raises(UserError, match=r"real|cannot be found out"):
+    path.write_bytes(real_words(real_echoes(frequencies, seed=seed), LAYOUTS[seed % 2]))
+    with pytest.raises(UserError, match="samples are real"):
         opened(path)
 
 
-@pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential", "2-lane-pairs", "iq"])
+@pytest.mark.parametrize("layout", COMPLEX_LAYOUTS)
 @pytest.mark.parametrize("noise", [0.01, 0.1])
 @pytest.mark.parametrize("offset", [False, True])
 def test_complex_samples_are_none_of_these(tmp_path, layout, noise, offset):
@@ -49,8 +90,149 @@ def test_complex_samples_are_none_of_these(tmp_path, layout, noise, offset):
     assert recording.evidence.order.layout == layout
 
 
+def random_signal(rng):
+    """One to three echoes at 0 to 20 dB over noise, still or moving, with offsets."""
+    n_rx, n_samples, n_chirps = 4, int(rng.choice([64, 128, 200, 256])), int(rng.choice([48, 96]))
+    n_echoes = int(rng.integers(1, 4))
+    frequencies = rng.uniform(0.02, 0.45, (n_echoes, 1))
+    n_phases = n_chirps if rng.integers(2) else 1
+    phases = rng.uniform(0, 2 * np.pi, (n_phases, n_rx, n_echoes, 1))
+    amplitudes = rng.uniform(0.3, 1.0, (n_echoes, 1))
+    wave = amplitudes * np.exp(1j * (2 * np.pi * frequencies * np.arange(n_samples) + phases))
+    noise = rng.normal(size=(n_chirps, n_rx, n_samples, 2)) @ [1, 1j] / np.sqrt(2)
+    level = 10 ** (-rng.uniform(0, 20) / 20) * np.sqrt(np.square(amplitudes).sum())
+    offsets = rng.normal(size=(1, n_rx, 1, 2)) @ [1, 1j] * rng.choice([0, 0.5])
+    return 10 ** rng.uniform(1.5, 3.3) * (wave.sum(axis=2) + level * noise + offsets)
+
+
+def decision(path):
+    """What a recording is read as without any parameters."""
+    try:
+        opened(path)
+    except UserError as error:
+        return "real" if "samples are real" in str(error) else "refused"
+    return "complex"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("layout", [*LAYOUTS, *COMPLEX_LAYOUTS])
+def test_noise_hides_neither_kind(tmp_path, layout):
+    path, found = tmp_path / "a.bin", []
+    for trial in range(40):
+        rng = np.random.default_rng([trial, [*LAYOUTS, *COMPLEX_LAYOUTS].index(layout)])
+        signal = random_signal(rng)
+        if layout in LAYOUTS:
+            path.write_bytes(real_words(signal.real, layout))
+        else:
+            write_words(path, quantised(signal), layout)
+        found.append(decision(path))
+    wrong = "complex" if layout in LAYOUTS else "real"
+    assert found.count(wrong) <= 2, found  # noise, or an echo at a quarter of the rate
+    assert found.count("refused") <= 18  # noise over the echoes
+
+
 def test_a_layout_that_is_given_is_believed(tmp_path):
     path = tmp_path / "a.bin"
-    path.write_bytes(real_words([0.24], interleaved=True).tobytes())
+    path.write_bytes(real_words(real_echoes([0.24]), "real-alternating"))
     given = RawManifest(layout="4-lane", n_rx=4, offset_binary=False)
     assert opened(path, n_samples=64, raw=given).evidence.order.layout == "4-lane"
+
+
+def test_odd_numbers_and_configurations_of_the_other_kind_are_refused(tmp_path):
+    path, profile = tmp_path / "a.bin", tmp_path / "a.cfg"
+    path.write_bytes(real_words(real_echoes([0.2], n_samples=127), "real-sequential"))
+    with pytest.raises(UserError, match=r"an odd number of real samples per chirp .* got 127"):
+        opened(path, n_samples=127, raw=RawManifest(layout="real-sequential"))
+    line = "profileCfg 0 77 7 6 60 0 0 60 1 {} 2000 0 0 30\nadcCfg 2 {}\n"
+    options = ImportOptions(config=(profile,))
+    path.write_bytes(real_words(real_echoes([0.2]), "real-sequential"))
+    profile.write_text(line.format(128, 1))
+    with pytest.raises(UserError, match=r"states complex ones, .* got real ones"):
+        opened(path, options)
+    write_words(path, beat())
+    profile.write_text(line.format(64, 0))
+    with pytest.raises(UserError, match=r"states real ones, .* got complex ones"):
+        opened(path, options)
+
+
+def real_scan(places):
+    """The recording that `scan_signal` would be with real samples, twice as many at twice the rate.
+
+    A receiver without Q gives the cosine of the beat's phase 2 pi f(t) path / c.
+    """
+    tx, rx = np.repeat(places, 4, axis=0), (places[:, None] + BOARD_RX).reshape(-1, 3)
+    path = np.linalg.norm(TARGET - tx, axis=1) + np.linalg.norm(TARGET - rx, axis=1)
+    times = np.arange(2 * WAVEFORM.n_samples) / (2 * WAVEFORM.sample_rate_hz)
+    frequency = WAVEFORM.start_frequency_hz + WAVEFORM.chirp_slope_hz_per_s * times
+    path = path[:, None] + WAVEFORM.path_bias_m
+    phase = 2 * np.pi * frequency * path / SPEED_OF_LIGHT_M_PER_S
+    return (800 * np.cos(phase)).reshape(len(places), 4, -1)
+
+
+def focus_m(capture):
+    """Where a capture focuses along x through the target [m], and how sharply."""
+    pose, waveform = capture.poses[0], capture.waveform
+    x = np.arange(0.2, 0.5, 0.0005)
+    points = np.stack([x, np.full_like(x, TARGET[1]), np.full_like(x, TARGET[2])], axis=1)
+    path = sum(
+        np.linalg.norm(points[:, None] - antennas[None], axis=2)
+        for antennas in (pose.tx_positions, pose.rx_positions)
+    )
+    times = np.arange(waveform.n_samples) / waveform.sample_rate_hz
+    frequency = waveform.start_frequency_hz + waveform.chirp_slope_hz_per_s * times
+    image = np.zeros(len(x), dtype=complex)
+    for f, samples in zip(frequency, pose.signal.T, strict=True):
+        phase = 2 * np.pi * f * (path + waveform.path_bias_m) / SPEED_OF_LIGHT_M_PER_S
+        image += np.exp(1j * phase) @ samples
+    return x[np.abs(image).argmax()], np.abs(image).max() / pose.signal.size
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("given", ["profile", "studio", "toml"])
+def test_real_samples_focus_where_complex_ones_do(tmp_path, layout, given):
+    places = raster_positions(8, 8, 0.002)
+    raster = RasterManifest(n_rows=8, n_columns=8, row_step_m=0.002, column_step_m=0.002)
+    board = AntennaManifest(tx_offsets_m=[[0, 0, 0]], rx_offsets_m=BOARD_RX.tolist())
+    common = {"raster": raster, "antennas": board, "path_bias_m": WAVEFORM.path_bias_m}
+    write_words(tmp_path / "complex.bin", scan_signal(places))
+    complex_radar = RadarManifest(**RADAR, raster=raster, antennas=board)
+    import_capture("dca1000", tmp_path / "complex.bin", tmp_path / "a", radar=complex_radar)
+    path = tmp_path / "real.bin"
+    path.write_bytes(real_words(real_scan(places), layout))
+    radar, options = RadarManifest(**common), ImportOptions()
+    if given == "toml":
+        numbers = {**RADAR, "sample_rate_hz": 2e6, "n_samples": 128, "raw": RawManifest(n_rx=4)}
+        radar = RadarManifest(**{**common, **numbers})
+    else:
+        options = ImportOptions(config=(written_config(tmp_path, given, layout),))
+    import_capture("dca1000", path, tmp_path / "b", radar=radar, options=options)
+    captures = [load_capture(tmp_path / name) for name in "ab"]
+    assert captures[1].waveform == captures[0].waveform
+    (at, sharp), (real_at, real_sharp) = (focus_m(capture) for capture in captures)
+    range_bin_m = SPEED_OF_LIGHT_M_PER_S / (2 * WAVEFORM.bandwidth_hz)
+    assert at == pytest.approx(TARGET[0], abs=0.02 * range_bin_m)
+    assert real_at == pytest.approx(at, abs=0.02 * range_bin_m)
+    assert real_sharp == pytest.approx(sharp, rel=0.02)
+
+
+def written_config(folder, kind, layout):
+    """Configuration of `real_scan`, as the SDK or mmWave Studio writes it."""
+    if kind == "profile":
+        (folder / "a.cfg").write_text(
+            "channelCfg 15 1 0\nadcCfg 2 0\nprofileCfg 0 77 7 6 60 0 0 60 1 128 2000 0 0 30\n"
+            "chirpCfg 0 0 0 0 0 0 0 1\nframeCfg 0 0 1 64 128 50 1 0\n"
+        )
+        return folder / "a.cfg"
+    text = json.dumps(STUDIO)
+    interleave = 0 if layout == "real-alternating" else 1
+    for old, new in [
+        ('"b2AdcOutFmt": 1', '"b2AdcOutFmt": 0'),
+        ('"numAdcSamples": 64', '"numAdcSamples": 128'),
+        ('"digOutSampleRate": 1000', '"digOutSampleRate": 2000'),
+        ('"numLoops": 2', '"numLoops": 1'),
+        ('"numFrames": 20', '"numFrames": 64'),
+        ('"chInterleave": 0', f'"chInterleave": {interleave}'),
+    ]:
+        text = text.replace(old, new)
+    (folder / "a.mmwave.json").write_text(text)
+    return folder / "a.mmwave.json"

@@ -39,6 +39,17 @@ def test_headers_within_packets_are_removed_too(tmp_path):
     assert np.array_equal(samples(opened(tmp_path / "a.bin")), beat())
 
 
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("zero", ["first sample", "first receiver"])
+def test_zeros_of_a_signal_are_no_padding(tmp_path, layout, zero):
+    signal = beat()
+    signal[(0, 0, 0) if zero == "first sample" else (slice(None), 0)] = 0
+    (tmp_path / "a.bin").write_bytes(words_of(signal, layout).tobytes())
+    recording = opened(tmp_path / "a.bin")
+    assert np.array_equal(samples(recording), signal)
+    assert not any("zero and were left out" in note for note in recording.notes)
+
+
 def test_headers_at_irregular_distances_are_refused(tmp_path):
     data = with_headers(words_of(beat()), 40, SYNCS["two lanes"])
     (tmp_path / "a.bin").write_bytes(data[:5000] + data[5064:])

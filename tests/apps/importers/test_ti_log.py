@@ -101,7 +101,7 @@ def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
         ),
         ("FrameConfig,0,1", "FrameConfig,1,0", "chirpEndIdx of the frame lies before"),
         ("AdcOutConfig,2,1", "AdcOutConfig,0,1", "samples are not of 16 bits"),
-        ("AdcOutConfig,2,1", "AdcOutConfig,2,0", "samples are real"),
+        ("AdcOutConfig,2,1", "AdcOutConfig,2,3", "samples are neither real nor complex"),
         ("64,1000", "0x40,1e400", "line 7: must be a number, got '1e400'"),
     ],
 )
@@ -159,13 +159,17 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
     ("name", "text", "told"),
     [
         ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
-        ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0\n", "frameCfg has too many values.*got 8"),
+        ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0 0\n", "frameCfg has too many values.*got 9"),
         ("a.cfg", "profileCfg" + " 1" * 16, "profileCfg has too many values.*got 16"),
         ("a.cfg", "chirpCfg 0 0 0 0 0 0 0 1 0\n", "chirpCfg has too many values.*got 9"),
         ("a.cfg", "chirpComnCfg 8 0 0 256 1 28 0\n", "low-power chip"),
         ("a.cfg", "chirpTimingCfg 6 63 0 75 60\n", "low-power chip"),
         ("a.cfg", "advFrameCfg 2 0 0 1 0\n", "several sub-frames"),
-        ("a.cfg", "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nadcCfg 2 0\n", "are real"),
+        (
+            "a.cfg",
+            "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nframeCfg 0 3 64 5 656 100 1 0\n",
+            "the fifth is no number of samples, expected 64",
+        ),
         (
             "a.cfg",
             "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nlvdsStreamCfg -1 1 4 0\n",

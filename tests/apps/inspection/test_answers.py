@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from geraf2.apps.inspection import deviation
-from geraf2.apps.inspection.bodies import split_bodies
+from geraf2.apps.inspection.bodies import Content, split_bodies
 from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
 from geraf2.apps.inspection.matching import match_models
@@ -195,7 +195,7 @@ def test_models_find_their_parts_and_the_missing_one_is_reported(models):
     there[0, 3] = -0.09
     whole = measured(joined(models[2].mesh, apply(models[0].mesh, there)))
     bodies = split_bodies(whole)
-    found = match_models([models[0], *models[2:]], bodies, whole, None)
+    found = match_models([models[0], *models[2:]], Content(bodies, whole))
     assert [m.status for m in found] == ["present", "present", "missing"]
     assert [m.body for m in found] == [0, 1, None]
 
@@ -206,13 +206,13 @@ def apply(mesh, pose):
 
 def test_the_right_one_of_several_candidates_and_another_part_are_recognised(models):
     body = measured(models[1].mesh, unseen=(0, 0, -1))
-    (found,) = match_models(models[:2], [body], body, None, any_of=True)
+    (found,) = match_models(models[:2], Content([body], body), any_of=True)
     assert (models[found.model].name, found.status) == ("low", "present")
     ((loser, misfit),) = found.rivals
     assert models[loser].name == "wedge"
     assert misfit > found.placement.misfit
     body = measured(block((0.075, 0.02, 0.02)))
-    (found,) = match_models(models[:1], [body], body, None)
+    (found,) = match_models(models[:1], Content([body], body))
     assert found.status == "wrong part"
     assert found.placement.misfit > found.largest_misfit
 
@@ -229,7 +229,7 @@ def test_a_part_is_compared_with_where_it_should_be(turn_deg, shift_m, status):
     pose[:2, :2] = [[c, -s], [s, c]]
     pose[0, 3] = shift_m
     body = measured(model.mesh, pose)
-    (found,) = match_models([model], [body], body, None, placed=True)
+    (found,) = match_models([model], Content([body], body), placed=True)
     assert found.status == status
 
 

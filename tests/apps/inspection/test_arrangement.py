@@ -5,7 +5,7 @@ import pytest
 from skimage.measure import marching_cubes
 
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import capped, part_of, split_bodies
+from geraf2.apps.inspection.bodies import Content, capped, part_of, split_bodies
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
@@ -64,7 +64,7 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
     assert volumes == pytest.approx(exact, rel=0.06)  # with half of the bridge
     given = {m: (b, placed[m].pose) for m, b in home.items()}
     cad = [model_of(mesh, str(m)) for m, mesh in enumerate(models)]
-    found = match_models(cad, bodies, whole, None, given=given)
+    found = match_models(cad, Content(bodies, whole), given=given)
     assert [match.status for match in found] == ["present", "present", "missing"]
     assert [match.body for match in found] == [0, 1, None]
     assert cut_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})

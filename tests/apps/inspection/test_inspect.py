@@ -3,6 +3,7 @@
 import csv
 import json
 import shutil
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.commands.verify import verify
+from geraf2.pipeline.events import Listener
 from helpers.inspected import POSE, SMALL, block, few_starts, measured, wedge
 from helpers.solids import joined
 
@@ -124,6 +126,34 @@ def test_without_anything_required_nothing_is_judged(run, tmp_path, capsys):
     assert "result   not judged: nothing was required" in capsys.readouterr().out
     found = json.loads((tmp_path / "out" / "inspection.json").read_text())
     assert (found["verdict"], found["failures"]) == ("not judged", [])
+
+
+class Steps(Listener):
+    """Fractions that each step reports."""
+
+    def __init__(self):
+        self.fractions = {}
+
+    def step(self, label):
+        return nullcontext(self.fractions.setdefault(label, []).append)
+
+
+@pytest.mark.parametrize("any_of", [True, False])
+def test_the_search_reports_its_progress_after_each_model(tmp_path, any_of):
+    sides = [(0.02, 0.02, 0.01 + 0.001 * n) for n in range(3)]
+    run = run_of(tmp_path / "run", block(sides[2]))
+    listener, options = Steps(), geraf2.InspectOptions(any_of=any_of)
+    with few_starts():
+        geraf2.inspect(
+            run, [block(s) for s in sides], options=options, write=False, listener=listener
+        )
+    fractions = listener.fractions
+    assert fractions["finding the models"][:3] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert len(fractions["comparing surfaces"]) == (1 if any_of else 3)
+    search = fractions.get("separating connected parts", [])
+    assert bool(search) is not any_of
+    assert search == sorted(set(search))
+    assert max(search, default=0.5) <= 1.0
 
 
 def test_a_folder_that_is_no_run_and_a_run_without_surface(run, tmp_path, capsys):

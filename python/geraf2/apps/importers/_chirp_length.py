@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
 from geraf2._types import Floats
-from geraf2.apps.importers._word_order import WordOrder, decode
+from geraf2.apps.importers._word_order import WordOrder, decode, real_words
 from geraf2.errors import UserError
 
 _MIN_SAMPLES, _MAX_SAMPLES = 16, 8192
@@ -22,7 +22,11 @@ _MIN_CHIRPS = 12
 
 def channels(words: NDArray[np.int16], order: WordOrder) -> NDArray[np.complex64]:
     """Sample streams before the chirp length is known, (n_channels, n_samples)."""
-    if order.layout == "2-lane-sequential":
+    if order.is_real:
+        one = replace(order, n_rx=1) if order.is_sequential else order
+        real = real_words(words, one, words.size // one.n_rx)[0]
+        return np.asarray(real, dtype=np.complex64)
+    if order.is_sequential:
         one = replace(order, n_rx=1)
         return np.asarray(decode(words[: words.size // 4 * 4], one, words.size // 4 * 2)[0])
     n_samples = words.size // (2 * order.n_rx)
@@ -66,7 +70,8 @@ def find_n_samples(
 
 def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
     """Power of the prediction residual of each sample, (n_samples,)."""
-    errors = np.abs(prediction_error(channels(words, order))).astype(np.float64) ** 2
+    n_lags = _N_LAGS * order.per_complex
+    errors = np.abs(prediction_error(channels(words, order), n_lags)).astype(np.float64) ** 2
     # Channels of different strength count alike; a dead one is ignored.
     usual = np.median(errors, axis=1, keepdims=True)
     ratios = np.divide(errors, usual, out=np.zeros_like(errors), where=usual > 0)
@@ -74,8 +79,9 @@ def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
 
 
 def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
-    """Delay of the chirps, in samples, in words that should begin with a chirp."""
+    """Delay of the chirps, in samples as stored, in words that should begin with a chirp."""
     jumps = _jumps(words, order)
+    n_samples *= order.per_complex
     n_chirps = len(jumps) // n_samples
     if n_chirps < _MIN_CHIRPS:
         return 0
@@ -84,13 +90,18 @@ def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> 
     latest = (
         int(folded.argmax()) // (step := 2 if order.layout == "2-lane-sequential" else 1) * step
     )
+    # The error of a real sample after a jump may be larger than that of the first.
+    latest = 0 if order.is_real and latest < _N_LAGS * order.per_complex else latest
     usual = float(np.median(jumps))
     is_late = folded[latest] >= MIN_JUMP * max(usual, float(folded[0]))
     return latest if usual > 0 and is_late else 0
 
 
 def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) -> UserError:
-    """UserError for a recording whose first whole chirp begins `late` samples after its start."""
+    """UserError for a recording whose first whole chirp begins `late` samples after its start.
+
+    n_samples, late: samples as stored, two of which make a complex one where they are real.
+    """
     n_bytes = 2 * words_per_sample(order) * late
     return UserError(
         what=f"begins in the middle of a chirp: one of {n_samples} samples begins after {late}",
@@ -110,8 +121,9 @@ def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, i
 
 
 def words_per_sample(order: WordOrder) -> int:
-    """Words of one sample of the receivers that alternate."""
-    return 2 if order.layout == "2-lane-sequential" else 2 * order.n_rx
+    """Words of one sample as stored, of the receivers that alternate."""
+    n_alternating = 1 if order.is_sequential else order.n_rx
+    return n_alternating * 2 // order.per_complex
 
 
 def _jump_score(jumps: Floats, period: int) -> float:

@@ -53,15 +53,19 @@ def describe(
     ratio, order = evidence.energy_ratio, evidence.order
     found = "found" if evidence.n_samples_found else "given"
     other = f" ({evidence.next_layout}: {evidence.next_ratio:.3g} : 1)"
+    sides = f"energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
+    stored = order.per_complex * evidence.n_samples
+    made = f", read as {evidence.n_samples} complex ones at half the rate" if order.is_real else ""
     return [
         (
             "layout",
-            f"{order}: energy of the two sides of the spectrum {max(ratio, 1 / ratio):.4g} : 1"
-            f"{other if evidence.next_layout else ''}",
+            f"{order}: samples are real"
+            if order.is_real
+            else f"{order}: {sides}{other if evidence.next_layout else ''}",
         ),
         (
             "samples per chirp",
-            f"{evidence.n_samples}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
+            f"{stored}{made}, {found}: the signal jumps {evidence.jump_ratio:.3g} times as "
             "much from chirp to chirp as from sample to sample",
         ),
         (
@@ -85,11 +89,13 @@ def describe_peak(
     power = (np.abs(spectrum) ** 2).mean(axis=(0, 1))
     if evidence.energy_ratio < 1:
         power = power[-np.arange(n)]
-    strongest = _DC_BINS + int(np.argmax(power[_DC_BINS : n // 2]))
+    highest = n if evidence.order.is_real else n // 2
+    strongest = _DC_BINS + int(np.argmax(power[_DC_BINS:highest]))
     text = f"bin {strongest} of {n}"
     slope = radar.chirp_slope_hz_per_s or config.chirp_slope_hz_per_s
     rate = radar.sample_rate_hz or config.sample_rate_hz
     if slope and rate:
+        rate /= evidence.order.per_complex
         path = strongest * SPEED_OF_LIGHT_M_PER_S * rate / (n * slope)
         text += f", {0.5 * (path - (radar.path_bias_m or 0.0)):.3f} m"
     return "strongest echo", text

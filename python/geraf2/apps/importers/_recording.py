@@ -34,14 +34,13 @@ from geraf2.apps.importers._stream_parts import (
 )
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
-from geraf2.apps.importers._word_order import Layout, decode_integers
+from geraf2.apps.importers._word_order import Layout, decode, decode_integers
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.samples import complex_samples
 from geraf2.records import Samples
 
-_SAMPLE_BYTES = 4  # I and Q of 16 bits
+_SAMPLE_BYTES = 4  # I and Q of 16 bits, or two real samples
 # Bytes of the file that a thread decodes at a time: 4 MiB take a tenth longer, and below 1 MiB the
 # cost of a call shows (bench/python/import_raw.py).
 BLOCK_BYTES = 1 << 21
@@ -91,7 +90,9 @@ class Recording:
 
     def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
         """Complex samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
-        chirps = complex_samples(self.read_integers(first, stop))
+        raw = self._words(first, stop)
+        chirps = decode(raw, self.evidence.order, self.evidence.n_samples)
+        chirps = chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
         if self.decoder is None:
             return chirps
         separated = np.einsum("tc,flcrn->fltrn", self.decoder.astype(np.float32), chirps)
@@ -99,10 +100,14 @@ class Recording:
 
     def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
         """I and Q of the chirps of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2)."""
+        raw = self._words(first, stop)
+        chirps = decode_integers(raw, self.evidence.order, self.evidence.n_samples)
+        return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
+
+    def _words(self, first: int, stop: int) -> NDArray[np.int16]:
         raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
         self.stream.read_into(first * self.frame_bytes, raw)
-        chirps = decode_integers(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
-        return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
+        return raw.view("<i2")
 
     def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
         """Blocks of frames as (first, stop), multiples of `step` where memory allows."""
@@ -170,7 +175,7 @@ def open_recording(
     files = files.without_zeros(frame_bytes)
     notes = [*files.notes, *evidence.notes]
     _check_lanes(evidence, config, source)
-    if n_rx is None and evidence.order.layout == "2-lane-sequential":
+    if n_rx is None and evidence.order.is_sequential:
         notes.append(f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}")
     n_bytes = usual_bytes(files.streams)
     stream, n_empty = files.streams[0], 0
@@ -273,6 +278,7 @@ def _evidence(
         offset_binary=radar.raw.offset_binary,
         swap_iq=radar.raw.swap_iq,
         n_samples=radar.n_samples or config.n_samples,
+        is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
 
@@ -296,7 +302,8 @@ def _require_whole_chirp(head: NDArray[np.int16], evidence: LayoutEvidence, sour
     """Raise UserError where the recording begins in mid-chirp."""
     late = late_samples(head, evidence.order, evidence.n_samples)
     if late:
-        raise begins_in_chirp(evidence.order, evidence.n_samples, late, source)
+        stored = evidence.order.per_complex * evidence.n_samples
+        raise begins_in_chirp(evidence.order, stored, late, source)
 
 
 def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> list[str]:
@@ -340,6 +347,9 @@ def _without_headers(
 
 
 def _layout_of(config: TiConfig) -> Layout | None:
+    if config.is_real:
+        names: dict[bool | None, Layout] = {True: "real-alternating", False: "real-sequential"}
+        return names.get(config.interleaved)
     if config.n_lanes == 4:
         return "4-lane"
     if config.n_lanes == 2 and config.interleaved is not None:
@@ -348,7 +358,8 @@ def _layout_of(config: TiConfig) -> Layout | None:
 
 
 def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> None:
-    if config.n_lanes == 2 and not evidence.order.layout.startswith("2-lane"):
+    is_known = evidence.order.is_real or evidence.order.layout.startswith("2-lane")
+    if config.n_lanes == 2 and not is_known:
         raise UserError(
             what="the samples contradict the configuration, which states 2 lanes",
             where=source,
@@ -404,7 +415,8 @@ _MAX_THREADS = 2
 
 def is_kept(recording: Recording, per_place: int) -> bool:
     """Whether samples are kept as integers, as without averaging."""
-    return per_place == 1 and recording.n_loops == 1 and recording.decoder is None
+    averaged = per_place > 1 or recording.n_loops > 1
+    return not (averaged or recording.decoder is not None or recording.evidence.order.is_real)
 
 
 def read_places(

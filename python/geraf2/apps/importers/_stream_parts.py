@@ -137,10 +137,18 @@ def _sync_starts(words: NDArray[np.uint16]) -> Ints:
 
 
 def leading_zeros(stream: ByteStream) -> int:
-    """Count the bytes before the first word that is not zero; UserError where there is none."""
+    """Count the bytes of padding before the samples; UserError where all are zero.
+
+    Zeros of a dead receiver, or of a weak signal, are samples: as many follow again soon.
+    """
     for start, block in _blocks(stream, range(0, min(stream.n_bytes, _MAX_ZEROS), _SCAN_BYTES)):
         if block.any():
-            return start + int(np.argmax(block != 0)) // 2 * 2
+            n_zeros = start + int(np.argmax(block != 0)) // 2 * 2
+            size = min(_SCAN_BYTES, stream.n_bytes - n_zeros) // 2 * 2
+            after = np.zeros(size, dtype=np.uint8)
+            stream.read_into(n_zeros, after)
+            longest = np.diff(np.flatnonzero(after.view("<i2"))).max(initial=2)
+            return n_zeros if n_zeros > 3 * longest else 0
     raise UserError(what="begins with nothing but zeros", where=stream)
 
 

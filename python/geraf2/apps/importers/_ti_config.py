@@ -20,8 +20,8 @@ from geraf2.apps.importers._ti_log import has_calls, read_log
 from geraf2.apps.importers._ti_values import (
     TiConfig,
     bpm_mask,
+    is_real_16,
     ones,
-    require_complex_16,
     to_number,
 )
 from geraf2.apps.importers._transmitters import Transmitters, transmitters_of
@@ -33,7 +33,7 @@ from geraf2.io.text import parse_json, read_text
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
-_LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432), whose samples are real"
+_LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
 _BPM = "constBpmVal"
 _GIVE = "give the parameters in --radar"
 _NO_CONFIG = "is no configuration of a TI radar"
@@ -191,9 +191,10 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         if raw.has("rlDevDataFmtCfg_t"):
             interleaved = raw.table("rlDevDataFmtCfg_t").number("chInterleave") == 0
     channels = rf.table("rlChanCfg_t") if rf.has("rlChanCfg_t") else None
+    is_real = None
     if rf.has("rlAdcOutCfg_t"):
         out = rf.table("rlAdcOutCfg_t").table("fmt")
-        require_complex_16(out.number("b2AdcBits"), out.number("b2AdcOutFmt"), path)
+        is_real = is_real_16(out.number("b2AdcBits"), out.number("b2AdcOutFmt"), path)
     return TiConfig(
         ramp_start_hz=1e9 * profile.number("startFreqConst_GHz"),
         adc_start_s=1e-6 * profile.number("adcStartTimeConst_usec"),
@@ -206,6 +207,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         n_frames=n_frames or None,
         frame_period_s=1e-3 * frame.number("framePeriodicity_msec"),
         n_lanes=lanes,
+        is_real=is_real,
         interleaved=interleaved,
     )
 
@@ -223,11 +225,11 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
     return TiConfig(n_lanes=lanes)
 
 
-# Least and largest number of values in a line of a profile. Newer chips have others: a frameCfg of
-# the AWR2944 has the number of samples before the period.
+# Least and largest number of values in a line of a profile. A frameCfg of the AWR2944 has eight,
+# with the number of samples before the period.
 _LINE_LENGTHS = {
     "profileCfg": (11, 14),
-    "frameCfg": (5, 7),
+    "frameCfg": (5, 8),
     "chirpCfg": (8, 8),
     "channelCfg": (2, 5),
     "adcCfg": (2, 2),
@@ -251,7 +253,8 @@ def _from_profile(text: str, path: Path) -> TiConfig:
             raise UserError(
                 what=f"line {number}: {name}: the profile {_UNREAD_LINES[name]}",
                 where=path,
-                expected="one profileCfg, chirpCfg and frameCfg of complex samples",
+                expected="one profileCfg, chirpCfg and frameCfg",
+                hint=_GIVE,
             )
         if name not in _LINE_LENGTHS:
             continue
@@ -273,9 +276,14 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         )
     (profile,) = lines["profileCfg"]
     frame = lines.get("frameCfg", [[]])[-1]
-    channel = lines.get("channelCfg", [[]])[-1]
-    if "adcCfg" in lines:
-        require_complex_16(lines["adcCfg"][-1][0], lines["adcCfg"][-1][1], path)
+    if len(frame) == 8 and frame.pop(4) != profile[9]:
+        raise UserError(
+            what="frameCfg has eight values, of which the fifth is no number of samples",
+            where=path,
+            expected=f"{profile[9]:g}, as in profileCfg",
+            hint=_GIVE,
+        )
+    channel, adc = (lines.get(name, [[]])[-1] for name in ("channelCfg", "adcCfg"))
     for _, _, data_format, _ in lines.get("lvdsStreamCfg", [])[-1:]:
         if data_format not in (0, 1):
             raise UserError(
@@ -291,6 +299,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         n_samples=int(profile[9]),
         sample_rate_hz=1e3 * profile[10],
         n_rx=ones(channel[0]) if channel else None,
+        is_real=is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,
         n_frames=(int(frame[3]) or None) if frame else None,

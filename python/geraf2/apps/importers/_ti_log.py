@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._ti_values import TiConfig, bpm_mask, ones, require_complex_16
+from geraf2.apps.importers._ti_values import TiConfig, bpm_mask, is_real_16, ones
 from geraf2.apps.importers._transmitters import transmitters_of
 from geraf2.errors import UserError
 
@@ -81,13 +81,12 @@ def read_log(text: str, path: Path) -> TiConfig:
             where=path,
             expected="a line with API:ProfileConfig, or ar1.ProfileConfig(...)",
         )
-    if (codes := _adc_format(last)) is not None:
-        require_complex_16(*codes, path)
-    rx_mask = _rx_mask(last)
+    codes, rx_mask = _adc_format(last), _rx_mask(last)
     known: dict[str, Any] = {
         **_profile(_used_profile(calls, last, path), text),
         "n_rx": ones(rx_mask) if rx_mask else None,
         "n_lanes": _n_lanes(last),
+        "is_real": is_real_16(*codes, path) if codes else None,
     }
     if "DataFmtConfig" in last:
         known["interleaved"] = last["DataFmtConfig"].values[4] == 0

@@ -26,6 +26,8 @@ class TiConfig:
     """Frames to record; None also for recordings of unlimited length."""
     frame_period_s: float | None = None
     n_lanes: int | None = None
+    is_real: bool | None = None
+    """Whether samples are real, without Q."""
     interleaved: bool | None = None
     """Whether receivers alternate from sample to sample."""
 
@@ -63,11 +65,15 @@ def bpm_mask(code: float) -> int:
     return sum(1 << k for k in range(int(code).bit_length()) if int(code) >> 2 * k + 1 & 1)
 
 
-def require_complex_16(bits: float, output: float, path: Path) -> None:
-    """Raise UserError unless these codes mean complex samples of 16 bits."""
+def is_real_16(bits: float, output: float, path: Path) -> bool:
+    """Whether codes mean real samples and not complex ones; UserError unless they have 16 bits."""
     if bits != 2:
         raise UserError(what="samples are not of 16 bits", where=path, expected=2, got=int(bits))
-    if output == 0:
+    if output not in (0, 1, 2):
         raise UserError(
-            what="samples are real", where=path, expected="complex samples (output format 1)"
+            what="samples are neither real nor complex",
+            where=path,
+            expected="output format 0 (real), 1 or 2 (complex)",
+            got=f"{output:g}",
         )
+    return output == 0

@@ -5,11 +5,15 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import ifft, rfft
 
 from geraf2.io.samples import complex_samples
 
-Layout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
-LAYOUTS: tuple[Layout, ...] = get_args(Layout)
+ComplexLayout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
+RealLayout = Literal["real-sequential", "real-alternating"]
+Layout = ComplexLayout | RealLayout
+LAYOUTS: tuple[ComplexLayout, ...] = get_args(ComplexLayout)
+REAL_LAYOUTS: tuple[RealLayout, ...] = get_args(RealLayout)
 # Words decoded at a time: with their copies they fit into the second-level cache, and threads
 # seldom wait for the interpreter.
 _DECODE_WORDS = 1 << 18
@@ -18,7 +22,7 @@ SIGN_BIT = np.int16(-0x8000)
 
 @dataclass(frozen=True, kw_only=True)
 class WordOrder:
-    """Order of the 16-bit words of complex samples."""
+    """Order of the 16-bit words of complex or real samples."""
 
     layout: Layout
     n_rx: int
@@ -30,6 +34,21 @@ class WordOrder:
             msg = f"2-lane-pairs needs an even n_rx, got {self.n_rx}"
             raise ValueError(msg)
 
+    @property
+    def is_real(self) -> bool:
+        """Whether each word is a sample; two of them make a complex one."""
+        return self.layout in REAL_LAYOUTS
+
+    @property
+    def is_sequential(self) -> bool:
+        """Whether receivers follow each other chirp by chirp."""
+        return self.layout in ("2-lane-sequential", "real-sequential")
+
+    @property
+    def per_complex(self) -> int:
+        """Samples of a receiver in the file that make a complex one."""
+        return 2 if self.is_real else 1
+
     def __str__(self) -> str:
         return (
             f"{self.layout}, {'offset binary' if self.offset_binary else 'two-complement'}"
@@ -39,7 +58,32 @@ class WordOrder:
 
 def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.complex64]:
     """Complex samples of whole chirps, (n_chirps, n_rx, n_samples); see `decode_integers`."""
+    if order.is_real:
+        return analytic(real_words(words, order, 2 * n_samples))
     return complex_samples(decode_integers(words, order, n_samples))
+
+
+def real_words(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.float32]:
+    """Real samples of whole chirps, (n_chirps, n_rx, n_samples)."""
+    signed = words ^ SIGN_BIT if order.offset_binary else words
+    n_chirps = words.size // (order.n_rx * n_samples)
+    signed = signed[: n_chirps * order.n_rx * n_samples]
+    if order.layout == "real-sequential":
+        return signed.reshape(n_chirps, order.n_rx, n_samples).astype(np.float32)
+    chirps = signed.reshape(n_chirps, n_samples, order.n_rx).transpose(0, 2, 1)
+    return np.ascontiguousarray(chirps, dtype=np.float32)
+
+
+def analytic(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Every other sample of the analytic signal, (..., n) -> (..., n / 2).
+
+    It has no negative frequencies, so half the sample rate holds all of it: an echo
+    A cos(2 pi f t) becomes A exp(2 pi i f t).
+    """
+    half = samples.shape[-1] // 2
+    spectrum = rfft(samples, axis=-1)
+    spectrum[..., 0] = 0.5 * (spectrum[..., 0] + spectrum[..., half])
+    return np.asarray(ifft(spectrum[..., :half], axis=-1), dtype=np.complex64)
 
 
 def decode_integers(

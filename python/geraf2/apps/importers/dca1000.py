@@ -38,14 +38,15 @@ class Dca1000Importer:
         recording = open_recording(source, radar, options)
         evidence, config = recording.evidence, recording.config
         _require_single_places(recording, radar)
+        per_complex, rate = evidence.order.per_complex, config.sample_rate_hz
         manifest, notes = scene_manifest(
             "dca1000",
             Path(source),
-            radar,
+            _of_complex(radar, per_complex),
             {
                 "start_frequency_hz": config.first_sample_hz(),
                 "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
-                "sample_rate_hz": config.sample_rate_hz,
+                "sample_rate_hz": rate / per_complex if rate else None,
                 "n_samples": evidence.n_samples,
             },
             provenance=dict(recording.facts),
@@ -83,6 +84,16 @@ class Dca1000Importer:
             integers=is_kept(recording, track.frames_per_place),
             phase_sign=_phase_sign(evidence.energy_ratio),
         )
+
+
+def _of_complex(radar: RadarManifest, per_complex: int) -> RadarManifest:
+    """Parameters of the complex samples that those of the recording make."""
+    rate, n_samples = radar.sample_rate_hz, radar.n_samples
+    values = {
+        "sample_rate_hz": rate / per_complex if rate else None,
+        "n_samples": n_samples // per_complex if n_samples else None,
+    }
+    return radar.model_copy(update=values)
 
 
 def _require_single_places(recording: Recording, radar: RadarManifest) -> None:

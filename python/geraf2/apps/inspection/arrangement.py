@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import KDTree
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Progress
 from geraf2.apps.inspection.bodies import Body, capped, part_of
 from geraf2.apps.inspection.registration import (
     FAR,
@@ -128,12 +129,18 @@ class _Search:
 
 
 def arranged(
-    models: Sequence[TriangleMesh], whole: Body, glints: Glints | None, *, seed: int = 0
+    models: Sequence[TriangleMesh],
+    whole: Body,
+    glints: Glints | None,
+    *,
+    seed: int = 0,
+    progress: Progress = lambda _: None,
 ) -> list[Placement | None]:
     """Poses of models in one content that together explain the measurement.
 
     models: each closed, in its own frame [m]. whole: all of the content. glints: of the same run.
     seed: of the points that are drawn.
+    progress: called with the largest fraction of the search that can be done, after each model.
 
     With d the distance of a point in standard uncertainties, at most FAR, it minimises
 
@@ -149,11 +156,13 @@ def arranged(
     while len(chosen) < len(models):
         others = list(chosen.values())
         remaining = [m for m in range(len(models)) if m not in chosen]
-        for n in {1, len(remaining)}:
-            for middle in search.middles(search.residual(others), n):
-                for m in remaining:
-                    found = search.candidate(m, middle)
-                    pool[m] += [found] if found else []
+        residual = search.residual(others)
+        middles = [point for n in {1, len(remaining)} for point in search.middles(residual, n)]
+        for n, (middle, m) in enumerate(product(middles, remaining), 1):
+            found = search.candidate(m, middle)
+            pool[m] += [found] if found else []
+            share = n / (len(middles) * len(remaining))
+            progress((len(chosen) + share) / len(models))
         gains = [(search.gain(c, others), m, k) for m in remaining for k, c in enumerate(pool[m])]
         best, m, k = max(gains, default=(0.0, 0, 0))
         if best <= 0.0:

@@ -1,6 +1,8 @@
 """Parts of the content: position, size, volume and area, each with an uncertainty."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,6 +59,17 @@ class Body:
     def areas_m2(self) -> Floats:
         """Area around each vertex, (n_vertices,) [m^2]."""
         return vertex_areas(self.mesh.vertices, self.mesh.faces)
+
+
+class Content(NamedTuple):
+    """What was measured in a box."""
+
+    bodies: Sequence[Body]
+    """Its parts."""
+    whole: Body
+    """All parts in one."""
+    glints: Glints | None = None
+    """Of the same run."""
 
 
 @dataclass(frozen=True, kw_only=True)

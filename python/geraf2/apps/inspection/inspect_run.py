@@ -11,7 +11,7 @@ from annotated_types import Interval
 from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Body, body_of, measure, split_bodies
+from geraf2.apps.inspection.bodies import Body, Content, body_of, measure, split_bodies
 from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
@@ -93,8 +93,8 @@ def inspect(
     whole, pieces = _bodies(result)
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options)
-    with listener.step("finding the models"):
-        bodies, matches = _matched(models, pieces, whole, result.glints, options)
+    content = Content(pieces, whole, result.glints)
+    bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
     cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
@@ -105,10 +105,13 @@ def inspect(
             matches, patches, more = _compared(result, matches, models, options, num_threads)
             notes += more
     basis = _DeviationBasis(tolerance_m, _planes(result.path), result.glints, num_threads)
-    reports = tuple(
-        _report(models[m.model], m, bodies, whole, basis, patches.get(n))
-        for n, m in enumerate(matches)
-    )
+    reports: tuple[ModelReport, ...] = ()
+    if matches:
+        with listener.step("comparing surfaces") as progress:
+            for n, m in enumerate(matches):
+                report = _report(models[m.model], m, bodies, whole, basis, patches.get(n))
+                reports = (*reports, report)
+                progress(len(reports) / len(matches))
     comparison = None
     if against is not None:
         earlier = against if isinstance(against, Reconstruction) else load_run(against)
@@ -145,38 +148,36 @@ def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
 
 
 def _matched(
-    models: Sequence[CadModel],
-    pieces: list[Body],
-    whole: Body,
-    glints: Glints | None,
-    options: InspectOptions,
-) -> tuple[list[Body], list[Match]]:
+    models: Sequence[CadModel], content: Content, options: InspectOptions, listener: Listener
+) -> tuple[Sequence[Body], list[Match]]:
     """Parts and matches; connected parts are cut where a model is not found alone."""
 
     def match(
-        bodies: Sequence[Body], given: Mapping[int, tuple[int, Floats]] | None = None
+        content: Content, given: Mapping[int, tuple[int, Floats]] | None = None
     ) -> list[Match]:
-        return match_models(
-            models,
-            bodies,
-            whole,
-            glints,
-            any_of=options.any_of,
-            placed=options.placed,
-            given=given,
-            seed=options.seed,
-        )
+        with listener.step("finding the models") as progress:
+            return match_models(
+                models,
+                content,
+                any_of=options.any_of,
+                placed=options.placed,
+                given=given,
+                seed=options.seed,
+                progress=progress,
+            )
 
-    matches = match(pieces)
+    matches = match(content)
     all_present = all(one.status not in ("missing", "wrong part") for one in matches)
     if all_present or options.any_of or len(models) < 2:
-        return pieces, matches
+        return content.bodies, matches
     meshes = [model.mesh for model in models]
-    placements = arranged(meshes, whole, glints, seed=options.seed)
-    bodies, body_of_model = cut_apart(pieces, meshes, placements)
-    return bodies, match(
-        bodies, {m: (b, p.pose) for m, b in body_of_model.items() if (p := placements[m])}
-    )
+    with listener.step("separating connected parts") as progress:
+        placements = arranged(
+            meshes, content.whole, content.glints, seed=options.seed, progress=progress
+        )
+    bodies, body_of_model = cut_apart(content.bodies, meshes, placements)
+    given = {m: (b, p.pose) for m, b in body_of_model.items() if (p := placements[m])}
+    return bodies, match(content._replace(bodies=bodies), given)
 
 
 def _models(

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
-from geraf2._types import Floats
-from geraf2.apps.inspection.bodies import Body
+from geraf2._types import Floats, Progress
+from geraf2.apps.inspection.bodies import Content
 from geraf2.apps.inspection.deviation import pose_sigma
 from geraf2.apps.inspection.expected_echoes import LEAST_EXPLAINED, ExpectedEchoes, Patches
 from geraf2.apps.inspection.models import CadModel, diagonal_m
@@ -18,7 +18,6 @@ from geraf2.apps.inspection.registration import (
     register,
     surface_evidence_of,
 )
-from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import apply_rigid
 
@@ -57,23 +56,23 @@ class Match:
 
 def match_models(
     models: Sequence[CadModel],
-    bodies: Sequence[Body],
-    whole: Body,
-    glints: Glints | None,
+    content: Content,
     *,
     any_of: bool = False,
     placed: bool = False,
     given: Mapping[int, tuple[int, Floats]] | None = None,
     seed: int = 0,
+    progress: Progress | None = None,
 ) -> list[Match]:
     """Match of each model with a part.
 
-    models: in metres. bodies: parts, `whole`: all of them in one. glints: of the same run.
+    models: in metres. content: in which they are searched.
     any_of: the models are candidates: each part gets the best one, and none is required.
     placed: the models' own frame is the capture's, so that another pose is reported.
     given: known part and initial pose (4, 4) of some models.
-    seed: of the points that are drawn.
+    seed: of the points that are drawn. progress: called with the fraction of the models done.
     """
+    bodies, whole, glints = content
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
     matches: list[Match] = []
@@ -89,19 +88,21 @@ def match_models(
     def has_bodies(m: int) -> bool:
         return len(bodies) > 1 and face_labels(models[m].mesh.faces)[1] > 1
 
-    for m, (part, start) in (given or {}).items():
-        b = -1 if has_bodies(m) else part
-        matches.append(_match(m, b, register_in(b, m, start), models[m], placed))
-    free = set(range(len(bodies))) - {match.body for match in matches}
-    for m in set(range(len(models))) - {match.model for match in matches}:
-        if has_bodies(m):
-            matches.append(_match(m, -1, register_in(-1, m), models[m], placed))
-            continue
-        for b in free:
-            ratio = diagonal_m(models[m].mesh.vertices) / diagonal_m(bodies[b].mesh.vertices)
-            if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
-                found[m, b] = register_in(b, m)
-                misfits[m, b] = found[m, b].misfit
+    known = given or {}
+    free = set(range(len(bodies))) - {b for m, (b, _) in known.items() if not has_bodies(m)}
+    for n, m in enumerate([*known, *(m for m in range(len(models)) if m not in known)], 1):
+        b, start = known.get(m, (-1, None))
+        if m in known or has_bodies(m):
+            b = -1 if has_bodies(m) else b
+            matches.append(_match(m, b, register_in(b, m, start), models[m], placed))
+        else:
+            for b in free:
+                ratio = diagonal_m(models[m].mesh.vertices) / diagonal_m(bodies[b].mesh.vertices)
+                if max(ratio, 1.0 / ratio) <= _SIZE_RATIO:
+                    found[m, b] = register_in(b, m)
+                    misfits[m, b] = found[m, b].misfit
+        if progress is not None:
+            progress(n / len(models))
     pairs = _assigned(misfits, any_of=any_of)
     if len(models) == 1 and len(bodies) > 1 and not matches and not any_of:
         # An unseen stretch of surface may split one part into several.
