@@ -7,7 +7,6 @@ ROWS = [
     bad("nothing", says="unknown command"),
     bad("reconstrukt scene out", says="reconstruct"),
     bad("reconstruct", says="SCENE"),
-    bad("reconstruct", says="SCENE"),
     bad("reconstruct scene out --box 0.16 0.16 0.16 --los box.ply", says="both"),
     bad("reconstruct scene out extra --box 0.16 0.16 0.16", says="extra"),
     bad(RUN + " --nonsense 3", says="--nonsense"),

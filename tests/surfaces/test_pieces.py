@@ -80,7 +80,7 @@ def test_the_report_lists_it_apart():
     answer = answer_of(mesh, None, {"mesh": stage}, {})
     assert answer.found.startswith("One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm.")
     assert f"Likely ghosts, not counted: {ghost_texts(stage)[0]}." in answer.found
-    assert dict(answer.tiles)["expected error, median"] == "0.5 mm"
+    assert {card.title: card.value for card in answer.cards}["How sure"] == "0.5 mm"
 
 
 def test_confidence_goes_through_a_file_but_is_not_taken_from_one_of_others(tmp_path):

@@ -203,7 +203,7 @@ def find_box(
 
     Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
     interval. Where nothing but the seen walls bounds them, they are placed generously.
-    Raises WallsNotFoundError where no walls are found, or where antennas stand within them.
+    Raises WallsNotFoundError, a UserError, where no walls are found, or antennas within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
