@@ -95,7 +95,7 @@ ROWS = [
         for flags, says in (
             ("--box 220 220 220", "--box must be at most 10"),
             ("--box 0.2 0.2 0.2 --minutes 0.01", "no plan can be reached in the time"),
-            ("--box 0.2 0.2 0.2 --minutes 5 --planes 3", "--minutes chooses planes"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --planes 3", "chooses planes and elevations itself"),
             ("--box 0.2 0.2 0.2 --minutes 5 --figure a.png", "--figure draws a plan of rings"),
             ("--box 0.2 0.2 0.2 --minutes 5 --speed-m-per-s 3", "0.25 wavelengths of blur"),
             ("--box 0.2 0.2 0.2 --minutes 5 --array iwr", "no such array 'iwr'"),

@@ -1,4 +1,5 @@
 import json
+import shlex
 from dataclasses import replace
 
 import numpy as np
@@ -180,3 +181,11 @@ def test_a_run_says_what_it_found_and_what_to_type_next(finished_run, capsys):
 def test_a_scene_says_what_to_type_next(scene, capsys):
     assert main(["info", str(scene)]) == 0
     assert f"geraf2 reconstruct {scene} out" in capsys.readouterr().out
+
+
+def test_commands_to_type_next_can_be_pasted_whatever_the_name(scene, tmp_path, capsys):
+    odd = tmp_path / "my 'scan' <b>&1"
+    odd.symlink_to(scene)
+    assert main(["info", str(odd)]) == 0
+    line = next(x for x in capsys.readouterr().out.splitlines() if x.startswith("next"))
+    assert shlex.split(line)[1:] == ["geraf2", "reconstruct", str(odd), "out"]

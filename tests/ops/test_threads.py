@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 import torch
+from threadpoolctl import ThreadpoolController
 
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
-from geraf2.ops._threads import resolve_num_threads
+from geraf2.ops._threads import resolve_num_threads, with_one_blas_thread
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.subaperture import (
@@ -175,6 +176,7 @@ COUNT_THREADS = """
 import os, sys
 sys.path[:0] = sys.argv[1:]
 import torch
+from threadpoolctl import ThreadpoolController
 torch.set_num_threads(2)
 x = torch.randn(400_000)
 for _ in range(3):
@@ -202,3 +204,14 @@ def test_kernels_and_torch_share_their_threads():
     )
     before, after = map(int, done.stdout.split())
     assert after <= before + 1, done.stdout  # Embree may keep one
+
+
+def test_small_products_of_numpy_take_one_thread_and_others_as_many_as_before():
+    def n_threads():
+        found = ThreadpoolController().select(internal_api="openblas").info()
+        return [pool["num_threads"] for pool in found]
+
+    before = n_threads()
+    assert before  # NumPy's
+    assert set(with_one_blas_thread(n_threads)()) == {1}
+    assert n_threads() == before

@@ -26,6 +26,7 @@ from geraf2.calibration.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
+from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
@@ -187,6 +188,7 @@ class WallsNotFoundError(UserError):
         """What the scan shows instead."""
 
 
+@with_one_blas_thread
 def find_box(
     capture: Capture,
     *,

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 import numpy as np
@@ -82,6 +83,7 @@ def main(config: Config) -> int:
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
+    command = "image" if summary.is_plane else "reconstruct"
     rows(
         [
             ("scene", str(config.scene)),
@@ -101,7 +103,7 @@ def main(config: Config) -> int:
             ),
             ("image takes about", str(image_estimate(summary))),
             ("a fine image", _fine_image(summary)),
-            ("next", f"geraf2 {'image' if summary.is_plane else 'reconstruct'} {config.scene} out"),
+            ("next", f"geraf2 {command} {quote(str(config.scene))} out"),
         ]
     )
     findings = check_capture(summary)
@@ -147,16 +149,16 @@ def _is_recording(path: Path) -> bool:
 
 def _show_run(path: Path) -> int:
     """Show what a run found, and what may come next."""
-    result = load_run(path)
+    result, shown = load_run(path), quote(str(path))
     rows([("run of scene", result.run.scene_name), ("stages", ", ".join(result.run.stages))])
     is_done = "mesh" in result.run.stages
     if is_done:
         print_found(result)
     page = [("page to open", str(result.report))] if result.report else []
-    scores = [("scores", f"geraf2 evaluate {path} --truth MESH")]
-    finish = [("to finish it", f"geraf2 reconstruct SCENE {path} --resume")]
-    view = ("in 3D, live", f"geraf2 view {path}")
-    part = ("against a CAD model", f"geraf2 inspect {path} --cad PART")
+    scores = [("scores", f"geraf2 evaluate {shown} --truth MESH")]
+    finish = [("to finish it", f"geraf2 reconstruct SCENE {shown} --resume")]
+    view = ("in 3D, live", f"geraf2 view {shown}")
+    part = ("against a CAD model", f"geraf2 inspect {shown} --cad PART")
     rows([*page, view, part, *scores] if is_done else finish)
     return 0
 
@@ -168,7 +170,7 @@ def _show_recording(config: Config) -> int:
     )
     recording = open_recording(config.scene, radar, options)
     rows([("recording of", str(config.scene)), *recording.facts])
-    line = f"geraf2 import dca1000 {config.scene} scene --positions LOG --config FILES"
+    line = f"geraf2 import dca1000 {quote(str(config.scene))} scene --positions LOG --config FILES"
     rows([("to import it", line)])
     for note in recording.notes:
         warn(note)

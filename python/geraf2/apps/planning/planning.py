@@ -190,7 +190,10 @@ def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan | list[NextPl
 def make_timed_plan(options: PlanOptions) -> TimedPlan:
     """Plan that fits into `minutes`."""
     if options.planes is not None or options.elevations_deg != (0.0,):
-        raise UserError(what="--minutes chooses planes and elevations, without flags for them")
+        raise UserError(
+            what="a plan by minutes, as on a page, chooses planes and elevations itself",
+            hint="leave --planes and --elevations out; a picture as PNG draws a plan with them",
+        )
     plan = make_plan(replace(options, planes=1))
     return best_in_time(
         plan.box_m,

@@ -30,6 +30,7 @@ from geraf2.io.run_folder import (
     RunFolder,
     stage_key,
 )
+from geraf2.ops._threads import with_one_blas_thread
 from geraf2.pipeline.box_check import BOX_STAGE, BoxCheck, box_from_radar, checked_prior
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
@@ -60,6 +61,7 @@ SAMPLES_STAGE = "samples"
 """Name of the stage that `RunOptions.samples` asks for."""
 
 
+@with_one_blas_thread
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,
@@ -179,7 +181,8 @@ class _Request:
         making = find_prior_job(source.los, options.photos, summary, listener)
         found, box, start = None, None, time.perf_counter()
         if making is None and (given is not None or source.is_given):
-            found = _prior(given or source, capture, summary, listener)
+            last = options.trust_los
+            found = _prior(given or source, capture, summary, listener, is_last=last)
             if not options.trust_los:
                 with naming_the_sign(capture, where, num_threads):
                     box = checked_prior(capture, *found, summary, listener, num_threads)
@@ -289,15 +292,20 @@ def _temporary_folder() -> Path:
 
 
 def _prior(
-    source: LosPrior | PriorSource, capture: Capture, summary: CaptureSummary, listener: Listener
+    source: LosPrior | PriorSource,
+    capture: Capture,
+    summary: CaptureSummary,
+    listener: Listener,
+    *,
+    is_last: bool = True,
 ) -> tuple[LosPrior, str]:
-    """Prior, checked to lie in view, and its name in errors."""
-    if isinstance(source, LosPrior):
-        prior, name = source, "prior"
-        if not prior.walls:
-            prior = with_walls(prior, capture.walls, listener)
-    else:
-        prior, name = source.load(capture.walls, listener)
+    """Prior, checked to lie in view, and its name in errors.
+
+    is_last: whether it is used as it is; a size that the scene contradicts is worth a warning then.
+    """
+    prior, name = (source, "prior") if isinstance(source, LosPrior) else source.load((), listener)
+    if not prior.walls:
+        prior = with_walls(prior, capture.walls, listener if is_last else None)
     require_prior_in_view(prior, summary, name)
     return prior, name
 
