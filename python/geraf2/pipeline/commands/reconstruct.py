@@ -301,7 +301,7 @@ def _prior(
 ) -> tuple[LosPrior, str]:
     """Prior, checked to lie in view, and its name in errors.
 
-    is_last: whether it is used as it is; a size that the scene contradicts is worth a warning then.
+    is_last: whether it is used as it is; a warning states a size that the scene contradicts.
     """
     prior, name = (source, "prior") if isinstance(source, LosPrior) else source.load((), listener)
     if not prior.walls:
