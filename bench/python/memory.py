@@ -17,26 +17,12 @@ import tempfile
 from pathlib import Path
 
 from import_raw import PARAMETERS, write_recording
-from reconstruct import geraf2_command
+from reconstruct import SMALL_SPEC, geraf2_command
 
 MIB = 2.0**20
 WITHIN = 1.3
 SMALL_BYTES = 400 * MIB
 """Peak from which on a command needs an estimate."""
-SPEC = """
-[figure]
-name = "llama"
-height_m = 0.11
-[[walls]]
-size_m = [0.20, 0.20, 0.20]
-[scan]
-n_poses = {n_poses}
-spacing_m = {spacing_m}
-aperture_m = [0.16, 0.16]
-[numerics]
-wall_patch_m = 0.02
-antenna_block_m = 0.07
-"""
 SIZES = ((2, 0.006, 0.004, 20), (6, 0.004, 0.002, 60), (12, 0.004, 0.001, 120))
 """Planes, spacing of their antennas and of voxels [m], size of the recording [MB]."""
 BOX = ("--box", "0.2", "0.2", "0.2")
@@ -71,7 +57,9 @@ def measured(*words: str, allowed: tuple[int, ...] = (0,)) -> tuple[float, float
 def cases(folder: Path, size: int) -> dict[str, tuple[str, ...]]:
     """Words of each command in a folder, in their order: later ones use what earlier ones wrote."""
     n_poses, antennas_m, voxels_m, size_mb = SIZES[size]
-    (folder / "spec.toml").write_text(SPEC.format(n_poses=n_poses, spacing_m=antennas_m))
+    (folder / "spec.toml").write_text(
+        SMALL_SPEC.format(n_poses=n_poses, spacing_m=antennas_m, aperture_m=[0.16, 0.16])
+    )
     n_chirps = write_recording(folder / "raw.bin", "4-lane", size_mb, size_mb)
     radar = "".join(f"{key} = {value}\n" for key, value in PARAMETERS.items())
     (folder / "radar.toml").write_text(radar)

@@ -22,6 +22,20 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 KIB = 1024
+SMALL_SPEC = """
+[figure]
+name = "llama"
+height_m = 0.11
+[[walls]]
+size_m = [0.20, 0.20, 0.20]
+[scan]
+n_poses = {n_poses}
+spacing_m = {spacing_m}
+aperture_m = {aperture_m}
+[numerics]
+wall_patch_m = 0.02
+antenna_block_m = 0.07
+"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -46,22 +46,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 from geraf2.cli import main as command_line
 from geraf2.errors import UserError
 from geraf2.pipeline.commands.verify import verify
-from reconstruct import geraf2_command
+from reconstruct import SMALL_SPEC, geraf2_command
 
-SPEC = """
-[figure]
-name = "llama"
-height_m = 0.11
-[[walls]]
-size_m = [0.20, 0.20, 0.20]
-[scan]
-n_poses = 4
-spacing_m = 0.006
-aperture_m = [0.12, 0.14]
-[numerics]
-wall_patch_m = 0.02
-antenna_block_m = 0.07
-"""
+SPEC = SMALL_SPEC.format(n_poses=4, spacing_m=0.006, aperture_m=[0.12, 0.14])
 PYTHON_STARTS_S = 0.06
 """Processor time in which Python starts and imports the entry point [s]."""
 FAST = ["--preset", "fast", "--fit.spacing-m", "0.012"]

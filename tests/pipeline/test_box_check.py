@@ -13,8 +13,10 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
 from geraf2.pipeline import box_check
 from geraf2.pipeline.box_check import checked_prior
+from geraf2.pipeline.commands import reconstruct as reconstruct_command
 from geraf2.pipeline.events import Listener
 from geraf2.scene import LosPrior
+from geraf2.surfaces import FitConfig
 
 SIZE = np.array([0.30, 0.20, 0.25])
 
@@ -120,6 +122,21 @@ def test_content_in_free_air_is_reconstructed_with_a_warning(tmp_path):
     log = (tmp_path / "run" / "log.jsonl").read_text()
     assert "no walls of a box are seen" in log
     assert "give --box X Y Z" in log
+
+
+def test_echoes_that_contradict_a_box_by_radar_are_a_warning_and_a_given_one_an_error(
+    monkeypatch, tmp_path
+):
+    def contradict(*_, **__):
+        raise UserError(what="the box does not contain the scene")
+
+    monkeypatch.setattr(reconstruct_command, "require_echoes_inside", contradict)
+    capture = examples.small_capture()[0]
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    geraf2.reconstruct(capture, None, coarse, tmp_path / "run")
+    assert "does not contain the scene" in (tmp_path / "run" / "log.jsonl").read_text()
+    with pytest.raises(UserError, match="does not contain the scene"):
+        geraf2.reconstruct(capture, LosPrior.from_box(examples.BOX_M), coarse)
 
 
 def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):

@@ -16,8 +16,8 @@ from geraf2.pipeline.estimates import image_estimate, reconstruct_cost, require_
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.scene.summary import summarize_capture
 from geraf2.surfaces import FitConfig
-from geraf2.surfaces.config import fit_bytes
 from geraf2.surfaces.fit import _domain
+from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.refinement import RefineConfig
 from helpers.synthetic import point_capture
 

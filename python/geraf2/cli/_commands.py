@@ -48,7 +48,7 @@ COMMANDS = {
         "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
     ),
     "export": Command("export", "surface or glints of a run as one file", "OUT FILE"),
-    "view": Command("view", "a run or a scene live in a browser", "OUT|SCENE"),
+    "view": Command("view", "a run or a scene in 3D in a browser", "OUT|SCENE"),
     "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
     "batch": Command(
         "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON

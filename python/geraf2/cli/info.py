@@ -157,7 +157,7 @@ def _show_run(path: Path) -> int:
     page = [("page to open", str(result.report))] if result.report else []
     scores = [("scores", f"geraf2 evaluate {shown} --truth MESH")]
     finish = [("to finish it", f"geraf2 reconstruct SCENE {shown} --resume")]
-    view = ("in 3D, live", f"geraf2 view {shown}")
+    view = ("in 3D", f"geraf2 view {shown}")
     part = ("against a CAD model", f"geraf2 inspect {shown} --cad PART")
     rows([*page, view, part, *scores] if is_done else finish)
     return 0

@@ -1,4 +1,4 @@
-"""`geraf2 view`: a run or a scene live in a browser."""
+"""`geraf2 view`: a run or a scene in 3D in a browser."""
 
 import threading
 from dataclasses import dataclass

@@ -129,7 +129,7 @@ class Silhouettes:
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""
-        per_outline = [n for n, kind in _LAYOUTS.items() if n not in ("spacing_m", "reason")]
+        per_outline = _LAYOUTS.keys() - {"spacing_m", "reason"}
         return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
     def free_distance(self, points: Floats) -> Floats:
@@ -142,7 +142,7 @@ class Silhouettes:
     def free_distances(self, points: Floats) -> Floats:
         """Least distance from points to the content by each outline alone, (n, n_points) [m].
 
-            Distance to the nearest line of sight along its axis that is not free; negative, the
+        Distance to the nearest line of sight along its axis that is not free; negative, the
         distance to the nearest free one, where blocked, and -inf where nothing is known. Free
         lines are connected to the border of what is known, or to one with the whole flash: other
         bright ones may be echoes of the content at the wall's range. A line that misses a part of

@@ -10,7 +10,8 @@ from geraf2._memory import available_memory_bytes, memory_of_parts, require_memo
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.summary import CaptureSummary
-from geraf2.surfaces.config import SurfaceFitConfig, fit_bytes
+from geraf2.surfaces.config import SurfaceFitConfig
+from geraf2.surfaces.fit_memory import fit_bytes
 
 __all__ = [
     "Estimate",

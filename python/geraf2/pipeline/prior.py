@@ -89,6 +89,7 @@ def load_prior(
     >>> geraf2.load_prior((0.22, 0.22, 0.22), center_m=(0.0, 0.0, 0.1)).center_m
     (0.0, 0.0, 0.1)
     """
+    heard = listener or Listener()
     if isinstance(source, Path | str):
         path = Path(source)
         if path.is_dir() and not (path / LOS_NAME).is_file():
@@ -99,15 +100,13 @@ def load_prior(
                 hint="make one of photos, a scan or a box with 'geraf2 los'",
             )
         mesh = read_mesh(path / LOS_NAME if path.is_dir() else path)
-        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, listener or Listener())
+        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, heard)
     size, center = np.asarray(source, dtype=np.float64), np.asarray(center_m, dtype=np.float64)
     if size.shape != (3,) or not (np.isfinite(size).all() and size.min() > 0):
         raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
     if center.shape != (3,) or not np.isfinite(center).all():
         raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
-    return with_walls(
-        LosPrior.from_box(triple(size), triple(center)), walls, listener or Listener()
-    )
+    return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, heard)
 
 
 def with_walls(

@@ -17,14 +17,6 @@ ECHO_VERSION = 3
 """Raised when the same surface and planes give another echo, or another picture of it."""
 RESIDUAL_VERSION = 1
 """Raised when the same surface, echo and planes give another field beside it."""
-# Peaks of `geraf2 reconstruct --preset fast`: 341, 582 and 817 MiB with grids of 1.0, 2.9 and 4.3
-# million voxels, within 5 % of this (`bench/python/memory.py`).
-_FIT_FIXED_BYTES, _BYTES_PER_FIT_VOXEL = 200e6, 155.0
-
-
-def fit_bytes(n_voxels: float) -> float:
-    """Peak memory of a process that fits a grid of so many voxels."""
-    return _FIT_FIXED_BYTES + _BYTES_PER_FIT_VOXEL * n_voxels
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ from geraf2.geometry.nearest import nearest_distance
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
-from geraf2.surfaces.config import fit_bytes
+from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
 _RAMP_M = 0.004
