@@ -27,7 +27,7 @@ def plane():
     return TriangleMesh(vertices=np.array(sheet.vertices), faces=np.array(sheet.faces))
 
 
-def test_support_is_what_the_docstring_says():
+def test_support_follows_its_equation():
     rng = np.random.default_rng(1)
     mesh, model = plane(), SupportModel()
     points = mesh.vertices[rng.integers(0, len(mesh.vertices), 40)] + rng.normal(0, 2e-3, (40, 3))
@@ -55,7 +55,7 @@ def test_the_factor_falls_with_support_and_is_one_where_it_is_full():
     assert np.isfinite(factor).all()
 
 
-def test_seen_asks_for_a_similar_normal():
+def test_seen_requires_a_similar_normal():
     mesh = plane()
     for degrees, seen in ((18, True), (22, False), (180, False)):
         normal = [np.sin(np.deg2rad(degrees)), 0, np.cos(np.deg2rad(degrees))]

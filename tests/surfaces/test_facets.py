@@ -96,7 +96,7 @@ def test_a_sphere_echoes_as_its_highlight():
     assert np.abs(signal).mean() == pytest.approx(expected, rel=0.03)
 
 
-def test_what_stands_before_hides_content_and_far_wall_but_not_the_near_wall():
+def test_a_blocker_hides_content_and_far_wall_but_not_the_near_wall():
     wide = TriangleMesh(
         vertices=np.array([[0.05, -1.0, -1.0], [0.05, 1.0, -1.0], [0.05, 0.0, 2.0]]),
         faces=np.array([[0, 1, 2]]),
@@ -112,7 +112,7 @@ def test_what_stands_before_hides_content_and_far_wall_but_not_the_near_wall():
     np.testing.assert_array_equal(hidden[1], free[1])
 
 
-def test_walls_put_what_is_inside_farther_away():
+def test_walls_move_the_content_farther_away():
     content = Facets(points=np.zeros((1, 3)), normals=np.array([[1.0, 0.0, 0.0]]), areas=np.ones(1))
     pose = point_pose(0.0, n_side=1)
     plain = renderer(content).render(pose, np.ones((1, 1)))[0]

@@ -36,7 +36,7 @@ def errors_near(sdf, directions, reach_m=0.008):
     return sdf.sample(points) - offset
 
 
-def test_a_sphere_all_of_which_was_seen_is_a_signed_distance():
+def test_a_fully_seen_sphere_gives_its_signed_distance():
     sdf = fit_sdf(glints_on(fibonacci_sphere(1500)), COARSE)
     error = errors_near(sdf, fibonacci_sphere(997))
     assert np.abs(error).max() < 8e-4
@@ -64,7 +64,7 @@ def seen_from_the_side():
     return directions[np.abs(directions[:, 2]) < 0.5]
 
 
-def test_top_and_bottom_that_nobody_saw_are_closed():
+def test_unseen_top_and_bottom_are_closed():
     sdf = fit_sdf(glints_on(seen_from_the_side()), COARSE)
     surface = extract_surface(sdf)
     assert surface_report(surface).is_watertight

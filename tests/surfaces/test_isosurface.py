@@ -42,7 +42,7 @@ def test_sphere_surface_is_metric_closed_and_wound_outwards():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_plane_comes_out_exactly_whatever_the_gradient(axis):
+def test_a_plane_is_exact_for_any_gradient(axis):
     coordinate = GRID.points()[:, axis].reshape(GRID.shape)
     mesh = extract_surface(sdf(0.3 * (coordinate - 0.0123)))
     # float32 indices up to 36 times 4 mm: 36 * 2^-24 * 0.004 = 9e-9 m, and the samples' rounding
@@ -145,7 +145,7 @@ def test_support_decides_between_a_small_part_and_a_large_artefact():
     assert (report.n_kept, report.n_unsupported, report.n_fragments) == (1, 1, 1)
 
 
-def test_a_large_part_that_was_hardly_seen_is_a_ghost():
+def test_a_large_piece_with_few_glints_is_a_ghost():
     two = np.minimum(ball(GRID, [0.03, 0, 0], 0.02), ball(GRID, [-0.03, 0, 0], 0.022))
     mesh = extract_surface(sdf(two))
     seen = glints_on_sphere(0.02, 400, center=[0.03, 0, 0]).positions
@@ -190,7 +190,7 @@ def test_box_and_content_are_separated_and_joined():
     np.testing.assert_allclose(winding, [1, 1, 0, 0], atol=1e-6)
 
 
-def test_content_that_runs_into_the_wall_is_cut_there_and_stays_closed():
+def test_content_that_meets_the_wall_is_cut_there_and_stays_closed():
     content, _ = content_surface(
         sdf(ball(GRID, [0.035, 0, 0], 0.03)),
         glints_on_sphere(0.03, 200, center=[0.035, 0, 0]),
@@ -200,7 +200,7 @@ def test_content_that_runs_into_the_wall_is_cut_there_and_stays_closed():
     assert surface_report(content).is_watertight
 
 
-def test_a_prior_of_unknown_walls_has_only_its_outside():
+def test_a_prior_without_walls_has_only_an_outer_surface():
     prior = LosPrior.from_box((0.11, 0.1, 0.12))
     assert box_surface(prior).faces.shape[0] == 12
 

@@ -120,7 +120,7 @@ def test_resampling_keeps_a_linear_field(spacing_m, n):
     np.testing.assert_allclose(fine.values, plane(fine.grid), atol=1e-7)
 
 
-def test_resampling_wants_a_positive_spacing():
+def test_resampling_requires_a_positive_spacing():
     grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(3, 3, 3))
     with pytest.raises(ValueError, match=r"spacing_m.*-0\.01"):
         resample(SdfGrid(grid=grid, values=np.zeros((3, 3, 3), np.float32)), -0.01)

@@ -45,7 +45,7 @@ def scene(planes, probability=0.9):
     return with_probability(marked, piece_probability(marked, glints)), n
 
 
-def test_a_small_piece_exists_where_several_planes_see_it_not_by_the_number_of_its_glints():
+def test_a_small_piece_exists_by_its_number_of_planes_not_of_glints():
     seen, n = scene(planes=[0, 1, 2, 3, 4, 5])
     once, _ = scene(planes=[0] * 12)
     assert (seen.confidence[:n] > 0.9).all()
@@ -55,7 +55,7 @@ def test_a_small_piece_exists_where_several_planes_see_it_not_by_the_number_of_i
     assert (doubted.confidence[n:] < seen.confidence[n:]).all()
 
 
-def test_a_likely_ghost_enters_neither_size_nor_middle_and_its_error_tells():
+def test_a_likely_ghost_has_a_large_error_and_no_part_in_the_sizes():
     mesh, n = scene(planes=[0, 0])
     ghost = mesh.vertices[n:]
     assert np.ptp(mesh.vertices[:, 2]) > 0.09
@@ -74,7 +74,7 @@ def test_a_likely_ghost_enters_neither_size_nor_middle_and_its_error_tells():
     assert samples.size_numbers()["extents_mm"] == pytest.approx([60, 60, 60], abs=0.5)
 
 
-def test_the_report_lists_it_apart():
+def test_the_report_lists_likely_ghosts_separately():
     mesh, _ = scene(planes=[0, 0])
     stage = {"likely_ghosts": [piece.numbers() for piece in likely_ghosts(mesh)]}
     answer = answer_of(mesh, None, {"mesh": stage}, {})
@@ -83,7 +83,7 @@ def test_the_report_lists_it_apart():
     assert {card.title: card.value for card in answer.cards}["How sure"] == "0.5 mm"
 
 
-def test_confidence_goes_through_a_file_but_is_not_taken_from_one_of_others(tmp_path):
+def test_confidence_is_read_back_only_from_own_files(tmp_path):
     mesh, n = scene(planes=[0, 0])
     write_mesh(mesh, tmp_path / "m.ply")
     again = read_mesh(tmp_path / "m.ply")

@@ -161,7 +161,7 @@ def test_misfit_is_that_of_the_neighbours_with_the_same_normal():
     assert local_misfit(none, ball_field(), model).shape == (0,)
 
 
-def test_a_surface_without_glints_is_less_sure():
+def test_a_surface_without_glints_has_a_larger_error():
     glints = ball_glints()
     half = glints.select(glints.normals[:, 2] < 0.2)
     samples = extract_meshes(ball_field(), half, BOX).samples
@@ -179,7 +179,7 @@ def test_the_expected_error_is_the_spread_of_the_samples():
     np.testing.assert_allclose(spread_m, found.mesh_content.expected_error_m, rtol=1e-4)
 
 
-def test_points_of_outlines_are_no_part_of_a_plane():
+def test_tangent_points_have_no_plane_offset():
     noise = point_noise(ball_glints(n=30), 4, ball_field(), BOX)
     assert noise.groups.shape == (34, 2)
     assert (noise.groups[30:] == -1).all()
@@ -214,7 +214,7 @@ def test_the_spread_covers_fits_of_simulated_errors():
     assert 0.58 < np.mean(within) < 0.80
 
 
-def test_intervals_hold_what_all_samples_share():
+def test_intervals_include_shared_offsets():
     ball = solids.ball(0.02, 3)
     n = len(ball.vertices)
     shared = np.linspace(-1.7e-3, 1.7e-3, 25)[:, None] * np.ones(n)

@@ -105,7 +105,7 @@ def test_powers_of_the_field_add_as_the_matrix_says(renderer):
     np.testing.assert_allclose(found, expected, atol=0.05 * expected.max())
 
 
-def test_the_bound_is_what_a_quarter_of_the_planes_leave():
+def test_the_bound_is_the_lower_quartile_over_the_planes():
     unexplained = np.array([[5.0, 1.0], [1.0, np.nan], [2.0, np.nan], [3.0, 2.0], [4.0, np.nan]])
     np.testing.assert_array_equal(allowed_power(unexplained), [2.0, 0.0])
 
@@ -124,7 +124,7 @@ def test_the_gradient_is_that_of_the_loss():
         assert gradient[place] == pytest.approx((both[0] - both[1]) / 2e-6, rel=1e-6)
 
 
-def test_what_scatters_beside_the_surface_is_found_and_nothing_else(renderer):
+def test_only_echoes_beside_the_surface_are_found(renderer):
     poses = planes(renderer, lambda _: SCATTERERS)
     fitted = fit_residual_field(renderer, ECHO, poses[:-1], GRID, CONFIG)
     assert fitted.gain_db > 1.0
@@ -137,7 +137,7 @@ def test_what_scatters_beside_the_surface_is_found_and_nothing_else(renderer):
     assert view.psnr_db > view.surface_psnr_db + 1.0
 
 
-def test_where_the_surface_is_too_bright_there_is_no_field(renderer):
+def test_no_field_where_the_surface_is_too_bright(renderer):
     poses = [
         replace(pose, signal=0.7 * pose.signal)
         for pose in planes(renderer, lambda _: SCATTERERS[:0])
@@ -148,7 +148,7 @@ def test_where_the_surface_is_too_bright_there_is_no_field(renderer):
 
 
 @pytest.mark.parametrize(("is_own", "helps"), [(True, False), (False, True)])
-def test_what_planes_see_each_elsewhere_does_not_help_others(is_own, helps):
+def test_echoes_at_other_points_in_each_plane_give_no_gain(is_own, helps):
     """Place v is lit in every fourth plane, its own, or in all."""
     n_planes, n_places = 8, 12
     lit = np.arange(n_planes)[:, None] % 4 == np.arange(n_places) % 4
@@ -160,7 +160,7 @@ def test_what_planes_see_each_elsewhere_does_not_help_others(is_own, helps):
     assert (gain > 3.0) if helps else (gain < 0.0)
 
 
-def test_arrays_hold_everything_and_an_empty_field_adds_nothing(renderer):
+def test_arrays_restore_the_field_and_an_empty_field_adds_no_power(renderer):
     field = ResidualField(points=SCATTERERS, power=np.arange(3.0), looks=np.array([1, 0, 2]))
     again = ResidualField.of_arrays(field.arrays())
     for name in ("points", "power", "looks"):

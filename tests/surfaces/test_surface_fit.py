@@ -58,7 +58,7 @@ def poses(surface, truth):
     return tuple(made)
 
 
-def test_what_was_put_in_is_found_again(surface, truth, poses):
+def test_the_fit_recovers_a_simulated_echo(surface, truth, poses):
     found = fit_surface_echo(surface, poses, GRID, CONFIG)
     np.testing.assert_allclose(found.reflectivity, truth.reflectivity, atol=0.1)
     assert found.power == pytest.approx(truth.power, rel=0.05)
@@ -73,7 +73,7 @@ def test_stiffness_makes_reflectivity_uniform(surface, poses):
     np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
 
 
-def test_the_stiffness_is_the_one_that_explains_planes_left_out(surface, truth, poses):
+def test_the_stiffness_with_the_least_left_out_error_is_chosen(surface, truth, poses):
     both = replace(CONFIG, stiffness=(100.0, 1e-4))
     painted = fit_surface_echo(surface, poses, GRID, both)
     np.testing.assert_allclose(painted.reflectivity, truth.reflectivity, atol=0.1)
@@ -91,7 +91,7 @@ def test_the_stiffness_is_the_one_that_explains_planes_left_out(surface, truth, 
     np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
 
 
-def test_the_error_of_planes_left_out_is_that_of_fits_without_them():
+def test_the_leave_one_out_error_equals_that_of_refits():
     rng = np.random.default_rng(5)
     truth = np.r_[rng.uniform(0.5, 1.5, 6), 0.4 + 0.2j, -0.3 + 0.1j]
     planes = []
@@ -116,7 +116,7 @@ def test_the_error_of_planes_left_out_is_that_of_fits_without_them():
     assert told - seen == pytest.approx(refitted - seen, rel=0.05)
 
 
-def test_departures_cost_as_their_covariance_says():
+def test_departure_rows_whiten_the_covariance():
     rng = np.random.default_rng(3)
     nodes, x, length = rng.uniform(0, 0.06, (7, 3)), rng.uniform(0, 2, 7), 0.02
     covariance = np.empty((7, 7))
@@ -130,14 +130,14 @@ def test_departures_cost_as_their_covariance_says():
     np.testing.assert_allclose(departure_rows(nodes, length) @ np.ones(7), 0.0, atol=1e-9)
 
 
-def test_neighbours_that_are_alike_are_likelier_than_neighbours_that_are_not():
+def test_similar_neighbours_have_a_smaller_departure():
     nodes = np.stack([np.arange(6) * 0.01, np.zeros(6), np.zeros(6)], axis=1)
     rows = departure_rows(nodes, 0.02)
     halves, comb = np.array([1.0, 1, 1, 0, 0, 0]), np.array([1.0, 0, 1, 0, 1, 0])
     assert np.linalg.norm(rows @ comb) > 2 * np.linalg.norm(rows @ halves)
 
 
-def test_arrays_hold_everything(truth):
+def test_arrays_restore_the_echo(truth):
     again = SurfaceEcho.of_arrays(truth.arrays())
     for name in ("nodes", "reflectivity", "walls"):
         np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
@@ -155,7 +155,7 @@ def test_shares_of_a_point_sum_to_one_and_a_node_has_its_own():
     assert len(spread_nodes(np.zeros((5, 3)), 3)) == 1  # all in one place
 
 
-def test_what_cannot_be_fitted_is_said(surface, poses):
+def test_an_impossible_fit_is_a_user_error(surface, poses):
     silent = tuple(replace(p, signal=np.zeros_like(p.signal)) for p in poses)
     with pytest.raises(UserError, match="heat map is zero or not finite"):
         fit_surface_echo(surface, silent, GRID, CONFIG)

@@ -6,7 +6,7 @@ from geraf2.surfaces.workers import Workers
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])
-def test_results_and_what_is_said_of_them_are_in_order(num_threads):
+def test_results_and_their_reports_are_in_order(num_threads):
     said, caller = [], threading.get_ident()
 
     def say(number):
@@ -20,12 +20,12 @@ def test_results_and_what_is_said_of_them_are_in_order(num_threads):
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])
-def test_what_a_piece_raises_is_raised(num_threads):
+def test_an_error_of_a_task_is_raised(num_threads):
     with Workers(num_threads) as workers, pytest.raises(ZeroDivisionError):
         workers.each(lambda x: 1 / x, [1, 0])
 
 
-def test_pieces_run_beside_each_other():
+def test_tasks_run_in_parallel():
     meet = threading.Barrier(2, timeout=20.0)
     with Workers(2) as workers:
         beside = workers.start(meet.wait)

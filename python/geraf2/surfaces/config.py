@@ -1,4 +1,4 @@
-"""How reflectivity and a residual field are fitted to heat maps beside a finished surface."""
+"""Settings of the fits to heat maps that follow a finished surface."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -14,39 +14,39 @@ from geraf2._bounds import (
 )
 
 ECHO_VERSION = 3
-"""Raised when the same surface and planes give another echo, or another picture of it."""
+"""Increase when the same surface and planes give another echo or another image of it."""
 RESIDUAL_VERSION = 1
-"""Raised when the same surface, echo and planes give another field beside it."""
+"""Increase when the same surface, echo and planes give another residual field."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceFitConfig(Bounded):
-    """How finely a surface is rendered, and what is fitted."""
+    """Settings of the rendering of a surface and of the fit of its reflectivity."""
 
     max_edge_m: CellM = 0.002
     """Longest edge of a facet [m]; half a wavelength is 1.9 mm."""
     wall_edge_m: CellM = 0.0025
-    """The same of the box's walls [m]."""
+    """Longest edge of a facet of the box's walls [m]."""
     n_nodes: Few = 96
-    """Places on the content that have a reflectivity; between them it is interpolated."""
+    """Number of points on the content with a reflectivity, which is interpolated between them."""
     correlation_m: CellM = 0.02
-    """Reflectivities of places nearer than that are much alike [m]."""
+    """Correlation length of the reflectivity over the surface [m]."""
     stiffness: Annotated[tuple[Positive, ...], MinLen(1)] = (3.0, 0.3, 0.1)
-    """Pull of each node's reflectivity to that of all, lest it make up for errors of the surface.
-    Of several the one is taken whose fits explain planes best that they were not fitted to."""
+    """Weights that hold each reflectivity near the mean of all, so that it cannot compensate
+    errors of the surface. The fit with the least error on left-out planes is used."""
     n_planes: Count = 18
-    """Planes whose maps are fitted, spread evenly over the scan."""
+    """Number of planes whose heat maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**8)] = 3000
-    """Places at which a plane's maps are compared: half drawn by power, half anywhere."""
+    """Samples of a plane's heat map: half drawn by power, half uniformly."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualFieldConfig(Bounded):
-    """What may be put beside a surface (`geraf2 render --residual`)."""
+    """Settings of the residual field beside a surface (`geraf2 render --residual`)."""
 
     n_points: Few = 1500
-    """Voxels that may hold matter: those at which planes leave most unexplained."""
+    """Number of voxels that may hold residual echoes: those with most unexplained power."""
     n_planes: Count = 18
-    """Planes whose maps are fitted, spread evenly over the scan."""
+    """Number of planes whose heat maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**5)] = 1000
-    """Voxels at which a plane's maps are compared: half drawn by what is unexplained."""
+    """Voxels at which a plane is compared: half drawn by unexplained power, half uniformly."""

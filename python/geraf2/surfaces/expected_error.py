@@ -1,4 +1,4 @@
-"""How far each vertex of a reconstructed surface may be from the truth, and what it rests on."""
+"""Expected error of each vertex of a reconstructed surface, and the kind of its evidence."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -14,32 +14,33 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 
 N_NEAREST = 64
-"""Glints around a vertex that count: with 36 planes a patch of 6 to 8 mm."""
+"""Glints around a vertex that count: with 36 planes they cover a patch of 6 to 8 mm."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SupportModel:
     """Conformal factor of the posterior's spread at a vertex, from the glints around it.
 
-    The posterior takes each glint for a direct return. A glint that others confirm is one more
-    often, so the factor falls with the number of agreeing glints. Exponent, least and full support
-    are the maximum likelihood of population seeds 0 to 39 (`bench/python/expected_error.py --fit`).
+    The posterior treats each glint as a direct return. A glint that its neighbours confirm is a
+    direct return more often, so the factor falls with the number of agreeing glints. Exponent,
+    least and full support are maximum likelihood values of the simulated population of objects
+    (`bench/python/expected_error.py --fit`).
     """
 
     reach_m: float = 0.018
-    """Standard deviation of a glint's weight over distance [m]."""
+    """Standard deviation of the Gaussian that weights glints by distance [m]."""
     least: float = 0.01
-    """Support of a vertex without a glint around, in strong glints."""
+    """Support of a vertex without a glint nearby, in strong glints."""
     full: float = 10.6
-    """Support at which the posterior's spread holds as it is."""
+    """Support at which the factor is 1."""
     exponent: float = 0.4
-    """Power of the factor's fall."""
+    """Exponent of the factor's decrease."""
     seen_reach_m: float = 0.005
-    """A vertex was seen if a glint lies within this distance [m] ..."""
+    """A vertex was seen if a glint lies within this distance [m]..."""
     seen_angle_rad: float = 0.35
-    """... and its normal within this angle of the vertex's, 20 degrees [rad]."""
+    """...and the normals of both differ by at most this angle [rad]."""
     beside_m: float = 0.003
-    """It rests on an outline that is not farther away [m]."""
+    """Largest distance of a vertex that an outline supports [m]."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
@@ -47,10 +48,10 @@ class SupportModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Nearness:
-    """What lies near each vertex, (n_vertices,) each."""
+    """Glints near each vertex, (n_vertices,) each."""
 
     support: Floats
-    """Sum of the agreeing glints around, each weighted by strength and distance."""
+    """Sum of the agreeing glints nearby, each weighted by strength and distance."""
     seen: Bools
     """Whether a glint with a similar normal lies within reach."""
 
@@ -65,7 +66,7 @@ def nearness(
 
         support(v) = sum_j w_j a_j exp(-|v - p_j|^2 / (2 reach^2)) max(0, n_v . n_j)
 
-    over the 64 nearest glints; a_j is the strength over that of a strong glint, at most 1.
+    over the 64 nearest glints. a_j is the strength relative to a strong glint, at most 1.
 
     weights: w_j of the glints in the fit, (n_glints,); ones when None.
     """
@@ -102,7 +103,7 @@ def evidence_of_vertices(
 
 
 def seen_vertices(mesh: TriangleMesh, glints: Glints | None) -> Bools | None:
-    """Which vertices an echo came from, (n_vertices,); None where nothing tells."""
+    """Vertices that an echo came from, (n_vertices,); None without evidence and glints."""
     if mesh.evidence is not None:
         return np.asarray(mesh.evidence == Evidence.SEEN)
     if glints is None or not len(glints):
@@ -111,10 +112,10 @@ def seen_vertices(mesh: TriangleMesh, glints: Glints | None) -> Bools | None:
 
 
 def typical_error_m(mesh: TriangleMesh, share: float = 0.5) -> float:
-    """Return the expected error that this share of the area does not exceed [m].
+    """Return the expected error that is not exceeded on a share of the area [m].
 
-    With half of the area it is the typical expected error of all reports. mesh: with expected
-    errors.
+    share: 0.5 gives the typical expected error of all reports.
+    mesh: with expected errors.
     """
     assert mesh.expected_error_m is not None
     areas = vertex_areas(mesh.vertices, mesh.faces)
@@ -124,7 +125,7 @@ def typical_error_m(mesh: TriangleMesh, share: float = 0.5) -> float:
 
 
 def quality_numbers(mesh: TriangleMesh) -> dict[str, Any]:
-    """Sum up expected errors over the area [mm], and shares of the area by evidence; {} without."""
+    """Quantiles of the expected error [mm] and area shares of evidence; {} without them."""
     if mesh.expected_error_m is None or mesh.evidence is None or not len(mesh.faces):
         return {}
     areas = vertex_areas(mesh.vertices, mesh.faces)

@@ -1,4 +1,4 @@
-"""From one signed distance field to the meshes of a run: content, box, both together."""
+"""Meshes of a run from a signed distance field: content, box, and both together."""
 
 import logging
 from dataclasses import replace
@@ -26,7 +26,7 @@ from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
 MESH_VERSION = 7
-"""Raised when the same field gives another mesh, or another expected error."""
+"""Increase when the same field gives another mesh or another expected error."""
 _log = logging.getLogger(__name__)
 
 
@@ -36,11 +36,11 @@ class ExtractedMeshes(NamedTuple):
     mesh: TriangleMesh
     """Box and content together."""
     mesh_box: TriangleMesh
-    """The box: the prior's outer surface, and the inner faces of walls of known thickness."""
+    """The box: outer surface of the prior, and inner faces of walls of known thickness."""
     mesh_content: TriangleMesh
-    """What is hidden, with the expected error, evidence and confidence of each vertex."""
+    """The content, with expected error, evidence and confidence of each vertex."""
     samples: SurfaceSamples | None = None
-    """Samples of the content behind its expected error; None of a field without glints."""
+    """Posterior samples of the content's surface; None for a field without glints."""
 
 
 def extract_meshes(
@@ -51,15 +51,14 @@ def extract_meshes(
     *,
     num_threads: int | None = None,
 ) -> ExtractedMeshes:
-    """Zero level of the whole field, separated into box and content by the prior.
+    """Zero level of a field, separated into box and content by the prior.
 
-    evidence, fit: what `sdf` was fitted to, and how.
+    evidence, fit: data and settings of the fit that gave `sdf`.
 
-    Content is the zero level of `sdf` inside the prior's innermost known face, without any
-    threshold, less voids and fragments (:func:`content_surface`), each vertex with its expected
-    error (:func:`geraf2.surfaces.posterior.sample_surface`).
-    The box comes from the prior: it was given, not found. `mesh` holds both:
-    f < 0 in the wall and in the content, f > 0 in the air between them.
+    The content is the zero level of `sdf` inside the prior's innermost known face, without voids
+    and fragments (:func:`content_surface`). Each vertex has its expected error
+    (:func:`geraf2.surfaces.posterior.sample_surface`). The box comes from the prior. `mesh` holds
+    both: f < 0 in the wall and in the content, f > 0 in the air between them.
     """
     if isinstance(evidence, Glints):
         evidence = Evidence(glints=evidence)
@@ -86,8 +85,8 @@ def content_surface(
     """Zero level of max(f, b), where b < 0 inside the box, without voids and fragments.
 
     b is the signed distance to the prior's surface plus the thickness of the outermost known
-    wall. Intersecting the sets instead of cutting triangles keeps the surface closed where the
-    fitted field runs into the wall.
+    wall. An intersection of sets, unlike a cut of triangles, keeps the surface closed where the
+    fitted field meets the wall.
     """
     thickness = prior.walls[0].thickness_m if prior.walls else 0.0
     surface = extract_surface(_inside(sdf, prior, thickness, num_threads))
@@ -97,11 +96,10 @@ def content_surface(
 def cropped_content(
     sdf: SdfGrid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
 ) -> tuple[TriangleMesh, ComponentReport]:
-    """Zero level of a field that holds box and content, with the box cropped out.
+    """Content of a field without glints that includes the box's walls.
 
-    For fields that learn the walls as well, and come without glints: everything nearer to the
-    prior's surface than `crop_m` [m] is cut off, and what is left of a wall, a piece with most of
-    its area on the cut, is dropped with voids and fragments.
+    Everything nearer to the prior's surface than `crop_m` [m] is cut off. Residual pieces of a
+    wall, with most of their area on the cut, are dropped with voids and fragments.
     """
     surface = extract_surface(_inside(sdf, prior, crop_m, num_threads))
     if surface.faces.shape[0]:
@@ -112,9 +110,9 @@ def cropped_content(
 
 
 def _inside(sdf: SdfGrid, prior: LosPrior, margin_m: float, num_threads: int | None) -> SdfGrid:
-    """Largest of a field and the distance to the prior's inside, so much below its surface [m].
+    """Intersect the content with the box's inside, `margin_m` below the prior's surface [m].
 
-    Only in cells with a corner inside: no others have a part of the zero level.
+    Computed only in cells with a corner inside: no other cell has a part of the zero level.
     """
     near = binary_dilation(sdf.values <= 0.0, np.ones((3, 3, 3), dtype=bool)).ravel()
     depth = signed_distances(prior.mesh, sdf.grid.points()[near], num_threads=num_threads)
@@ -148,7 +146,7 @@ def box_surface(prior: LosPrior) -> TriangleMesh:
 
 
 def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
-    """All triangles in one mesh, without errors and evidence: what was given has none."""
+    """Join triangles in one mesh, without errors and evidence, which the box does not have."""
     offsets = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
     return TriangleMesh(
         vertices=np.concatenate([m.vertices for m in meshes]),
@@ -182,8 +180,8 @@ def _inner_face(prior: LosPrior, wall: Wall) -> TriangleMesh:
         sides = triple(size - 2.0 * wall.thickness_m)
         inner = LosPrior.from_box(sides, triple(center), axes=axes)
         return _flipped(TriangleMesh(vertices=inner.vertices, faces=inner.faces))
-    # Any other closed shape: the level set one thickness inside. Flat parts come out exactly, edges
-    # are rounded by a voxel; 80 voxels a side take about a second.
+    # Any other closed shape: the level set one thickness inside. Flat parts are exact, edges are
+    # rounded by a voxel; 80 voxels a side take about a second.
     extent = prior.bounds[1] - prior.bounds[0]
     spacing = max(float(extent.max()) / 80.0, 0.5 * wall.thickness_m)
     shape = tuple(int(n) for n in np.ceil(extent / spacing).astype(int) + 3)

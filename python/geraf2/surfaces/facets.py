@@ -1,9 +1,9 @@
-"""Echo of a known surface: the lensless model where its sharpness has no limit.
+"""Echo of a known surface: the lensless model for an infinitely sharp surface.
 
-Opacity is then one step at the surface, the weight of a ray a point on it, and squared
-transmittance whether antenna and point see each other. Points stand closer than the carrier's half
-wavelength, so that the specular lobe need not be put in: neighbouring echoes add up where the
-surface mirrors the antenna, and cancel elsewhere (docs/math/heat-maps.md#surface-echo).
+Opacity is then a step at the surface and a ray has one weight, at its point on it. The squared
+transmittance is 1 where antenna and point are in line of sight, else 0. Points lie closer than half
+the carrier's wavelength, so the specular lobe need not be modelled: neighbouring echoes add up
+where the surface mirrors the antenna, and cancel elsewhere (docs/math/heat-maps.md#surface-echo).
 """
 
 from collections.abc import Callable
@@ -21,13 +21,13 @@ from geraf2.scene import Pose, Waveform
 from geraf2.surfaces.clusters import antenna_clusters
 
 ExcessPath = Callable[[Floats, Floats, Floats], Floats]
-"""Excess one-way path of the walls (n,) [m] of antennas, unit directions and ranges."""
+"""Excess one-way path in the walls (n,) [m] from antennas, unit directions and ranges."""
 
 N_WALL_PARTS = 2
-"""Walls echo from without and from within."""
-# Beyond 45 degrees the tracer's specular factor is zero.
+"""Wall echoes of the near walls' front faces and of the far walls' back faces."""
+# Least cosine of incidence: the signal tracer's specular factor is zero beyond 45 degrees.
 _LEAST_COSINE = 0.7
-# Rays leave a facet this far above it [m]; flat neighbours of a curved surface do not hide it.
+# Rays leave a facet this far above it [m], so that neighbours of a curved surface do not hide it.
 _LIFT_M = 2e-5
 
 
@@ -62,38 +62,38 @@ class Facets:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LitFacets:
-    """Facets that a group of antennas sees."""
+    """Facets in line of sight of a group of antennas."""
 
     index: Ints
-    """Which they are, ascending, (n_lit,)."""
+    """Ascending indices of the facets, (n_lit,)."""
     points: Floats
-    """Where they seem to be, behind the excess path of the walls, (n_lit, 3) [m]."""
+    """Apparent positions, farther by the walls' excess path, (n_lit, 3) [m]."""
     normals: Floats
     """(n_lit, 3)."""
     amplitudes: Floats
-    """Area times spreading, (n_lit,) [m^2]."""
+    """Area times spreading factor, (n_lit,) [m^2]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LitPoints:
-    """Points that a group of antennas sees."""
+    """Points in line of sight of a group of antennas."""
 
     index: Ints
-    """Which they are, ascending, (n_lit,)."""
+    """Ascending indices of the points, (n_lit,)."""
     points: Floats
-    """Where they seem to be, behind the excess path of the walls, (n_lit, 3) [m]."""
+    """Apparent positions, farther by the walls' excess path, (n_lit, 3) [m]."""
     spreading: Floats
-    """Of their amplitudes, 1 in the middle of the scene, (n_lit,)."""
+    """Spreading factor of the amplitude, 1 in the middle of the scene, (n_lit,)."""
 
 
 class SurfaceRenderer:
-    """Signals that a content and the box around it send back, each part by itself.
+    """Signals that a content and its box scatter back, one for each part.
 
-    content: facets of what is inside.
+    content: facets of the content.
     outside: facets of the box's outer surface.
-    blocker: the content as a mesh: what hides the parts behind it.
-    center_m: amplitudes are relative to a square metre that stands here.
-    excess_path: what the walls add; nothing when None.
+    blocker: mesh of the content, which blocks lines of sight.
+    center_m: position where one square metre has amplitude 1.
+    excess_path: excess path of the walls; zero when None.
     n_clusters: groups of neighbouring antennas that share visibility, spreading and excess path.
     """
 
@@ -118,17 +118,17 @@ class SurfaceRenderer:
     def render(self, pose: Pose, shares: Floats) -> NDArray[np.complex64]:
         """Signals of the parts of the scene at a plane's antennas.
 
-        s_i(t) = sum_p share_p area_p V_p (R_0 / R_p)^2 (w_o . w_r)_+ exp(-j 2 pi f_t d / c), with
-        d both ways and the walls' excess path, V_p 1 where the middle of the antenna's group sees
-        the point, and R_0 its distance from `center_m`. Equation 4 of the paper at the limit
-        s -> infinity, with the spreading of equation 2.
+        s_i(t) = sum_p share_p area_p V_p (R_0 / R_p)^2 (w_o . w_r)_+ exp(-j 2 pi f_t d / c)
+
+        d is the two-way path with the walls' excess path. V_p is 1 where the centre of the antenna
+        group has a line of sight to the point, and R_0 its distance from `center_m`. Source:
+        equation 4 of the paper in the limit s -> infinity, with the spreading of equation 2.
 
         pose: the plane; its measured signal is not read.
-        shares: how much of each of the content's facets belongs to each part, (n_parts, n_facets),
-            not negative.
+        shares: share of each content facet in each part, (n_parts, n_facets), not negative.
 
-        Returns (n_parts + 2, n_antennas, n_samples): the content's parts, the walls from without,
-        the walls from within.
+        Returns (n_parts + 2, n_antennas, n_samples): the parts of the content, the walls' front
+        faces, the walls' back faces.
         """
         require_shape("shares", shares, (None, self.content.points.shape[0]))
         n_parts = len(shares)
@@ -146,22 +146,22 @@ class SurfaceRenderer:
         return out
 
     def lit_content(self, middle: Floats) -> LitFacets:
-        """Facets of the content that antennas around a place (3,) [m] see."""
+        """Facets of the content in line of sight of antennas around a position (3,) [m]."""
         return self._lit(self.content, middle, side=1.0, is_inside=True)
 
     def lit_points(self, points: Floats, middle: Floats) -> LitPoints:
-        """Points (n, 3) [m] in the box that antennas around a place (3,) [m] see."""
+        """Points (n, 3) [m] in the box in line of sight of antennas around a position (3,) [m]."""
         index = np.flatnonzero(
             ~self._blocker.occluded(points, np.broadcast_to(middle, points.shape))
         )
         seen = points[index]
-        way = middle - seen
-        length = np.linalg.norm(way, axis=1)
-        places = self._seeming(middle, seen, way, length) if index.size else seen
-        return LitPoints(index=index, points=places, spreading=self._spreading(middle, length))
+        direction = middle - seen
+        length = np.linalg.norm(direction, axis=1)
+        apparent = self._apparent(middle, seen, direction, length) if index.size else seen
+        return LitPoints(index=index, points=apparent, spreading=self._spreading(middle, length))
 
     def groups(self, pose: Pose) -> list[Ints]:
-        """Antennas of a plane that share visibility, spreading and excess path."""
+        """Group a plane's antennas that share visibility, spreading and excess path."""
         return antenna_clusters(pose.phase_centers, self._n_clusters)
 
     def _trace(
@@ -172,16 +172,16 @@ class SurfaceRenderer:
         if not used.any():
             return 0.0
         echo = amplitude[used].astype(np.float32)
-        places = lit.points[used], pose.tx_positions[group], pose.rx_positions[group]
+        geometry = lit.points[used], pose.tx_positions[group], pose.rx_positions[group]
         return signal_tracer(
-            echo, *places, self.waveform, normals=lit.normals[used], num_threads=self._num_threads
+            echo, *geometry, self.waveform, normals=lit.normals[used], num_threads=self._num_threads
         )
 
     def _lit(self, facets: Facets, middle: Floats, *, side: float, is_inside: bool) -> LitFacets:
-        """Facets whose outer (side 1) or inner (-1) face the middle of a group sees."""
-        way = middle - facets.points
-        length = np.linalg.norm(way, axis=1)
-        cosine = side * np.einsum("ij,ij->i", way, facets.normals) / length
+        """Facets whose outer (side 1) or inner (-1) face is in line of sight of `middle`."""
+        direction = middle - facets.points
+        length = np.linalg.norm(direction, axis=1)
+        cosine = side * np.einsum("ij,ij->i", direction, facets.normals) / length
         index = np.flatnonzero(cosine > _LEAST_COSINE)
         if is_inside and index.size:
             starts = facets.points[index] + _LIFT_M * side * facets.normals[index]
@@ -189,7 +189,7 @@ class SurfaceRenderer:
             index = index[~self._blocker.occluded(starts, targets)]
         points, length = facets.points[index], length[index]
         if is_inside and index.size:
-            points = self._seeming(middle, points, way[index], length)
+            points = self._apparent(middle, points, direction[index], length)
         return LitFacets(
             index=index,
             points=points,
@@ -197,12 +197,14 @@ class SurfaceRenderer:
             amplitudes=facets.areas[index] * self._spreading(middle, length),
         )
 
-    def _seeming(self, middle: Floats, points: Floats, way: Floats, length: Floats) -> Floats:
-        """Where points inside seem to be, behind the excess path of the walls, (n, 3) [m]."""
+    def _apparent(
+        self, middle: Floats, points: Floats, direction: Floats, length: Floats
+    ) -> Floats:
+        """Apparent positions of points in the box, farther by the excess path, (n, 3) [m]."""
         if self._excess_path is None:
             return points
-        towards = -way / length[:, None]
-        # A far wall's own facets lie on the surface that counts as crossed: stay before them.
+        towards = -direction / length[:, None]
+        # The facets of a far wall lie on it: stop before, so that the ray does not cross it.
         before = length - 10.0 * _LIFT_M
         excess = self._excess_path(np.broadcast_to(middle, points.shape), towards, before)
         return np.asarray(points + towards * excess[:, None])

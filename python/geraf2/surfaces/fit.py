@@ -1,4 +1,4 @@
-"""From glints to the signed distance of the content."""
+"""Fit of the content's signed distance to its glints."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -35,80 +35,80 @@ from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
 _RAMP_M = 0.004
-"""Over which the weight of the pull to a distance ends, at the end of the band [m]."""
-# Voxels of the first solve over those of the second, which it only speeds up.
+"""Width of the ramp that ends the distance term's weight at the end of its band [m]."""
+# Voxel size of the first solve over that of the second, which it only accelerates.
 _COARSE = 2.0
-# Residuals, relative: 1e-5 leaves 0.02 mm in a solve, which is enough at last; starts may err more.
+# Relative residuals of the last solve (0.02 mm of error) and of those that only start another.
 _FINE, _ROUGH = 1e-5, 1e-4
 
 UNKNOWN_OFFSET_M = 1e-3
-"""Standard deviation of the range offset of a scan that shows no wall of its box [m]."""
+"""Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
 FIT_VERSION = 24
-"""Raised when the same glints and settings give another field, for best, too."""
+"""Increase when the same glints and settings give another field, also for the preset best."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(Bounded):
-    """Constants of the fit."""
+    """Settings of the fit; the constants are properties of the simulated population of objects."""
 
     spacing_m: CellM = 0.004
     """Voxel size [m]."""
     margin_m: LengthM = 0.035
-    """Room around the glints [m]; the domain's faces are pulled to about this distance."""
+    """Margin around the glints [m], about equal to the distance at the domain's faces."""
     max_voxels: Annotated[int, Interval(ge=1000, le=10**9)] = 4_000_000
     """Largest grid; above it the voxels grow."""
     position_weight: Positive = 30.0
-    """Weight of f = 0 at the glints, against that of grad f = n there, which is the unit."""
+    """Weight of f = 0 at the glints, relative to that of grad f = n there."""
     bending_weight: Positive = 0.8
     """Weight of the squared Hessian."""
     outside_weight: NotNegative = 0.1
-    """Weight of the pull at the domain's faces; without it closed bodies open up."""
+    """Weight of the distance at the domain's faces; without it closed bodies open."""
     outside_distance_m: LengthM = 0.03
-    """Distance that the faces are pulled to [m]."""
+    """Distance that the fit assumes at the domain's faces [m]."""
     distance_rounds: Rounds = 2
-    """Rounds that draw the field to the distance from its own zero level, lest it flatten and
-    bulge."""
+    """Number of rounds that pull the field to the distance from its own zero level. Without them
+    it becomes flat and bulges."""
     distance_weight: NotNegative = 0.12
-    """Weight of that pull."""
+    """Weight of this distance term."""
     distance_band_m: LengthM = 0.02
-    """The pull acts within this distance of the zero level [m]."""
+    """Half width of the band around the zero level in which the distance term acts [m]."""
     cap_slope: NotNegative = 1.0
-    """Unseen flat caps go inwards by this times how much farther than cap_start_m a glint is."""
+    """Inward displacement of unseen flat caps per distance of a glint beyond cap_start_m."""
     cap_start_m: MarginM = 0.0225
-    """Distance from the glints at which that begins [m]."""
+    """Distance from the nearest glint at which the displacement begins [m]."""
     cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
-    """Cosine of a cap's normal to those around it: flat below the first, round from the second
-    on."""
+    """Cosine between a cap's normal and those around it. Below the first the cap is flat and moves
+    fully, above the second it is round and does not move."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Evidence:
-    """What a surface is fitted to."""
+    """Data of a surface fit."""
 
     glints: Glints
-    """Of whole sub-apertures, at least 10. Caps are judged by these alone."""
+    """Glints of whole sub-apertures, at least 10. They alone decide about caps."""
     rim: Glints | None = None
-    """Of smaller sub-apertures at the rim; the surface is drawn through them, too."""
+    """Glints of the smaller rim sub-apertures."""
     rim_weight: float = 1.0
-    """Weight of one of them against one of `glints`."""
+    """Weight of a rim glint relative to one of `glints`."""
     outlines: Silhouettes | None = None
-    """Shadows whose edges the surface touches."""
+    """Silhouettes whose edges touch the surface."""
     outline_weight: float = 0.0
-    """Weight of a point where an edge touches, against a strong glint; 0: there is none."""
+    """Weight of a tangent point of an outline's edge, relative to a strong glint; 0: not used."""
     outline_clearance_m: float = 0.0
-    """Outlines yield to glints nearer than this [m]."""
+    """Glints nearer than this override outlines [m]."""
     common_sigma_m: float = UNKNOWN_OFFSET_M
-    """Standard deviation of the range offset that all glints share, as calibration states it: delay
-    of the radar, radius of the turntable [m]."""
+    """Standard deviation of the range offset that all glints share [m]. Calibration states it; its
+    causes are the radar's delay and the turntable's radius."""
 
     @property
     def seen(self) -> Glints:
-        """All glints, those of the rim last."""
+        """All glints, rim glints last."""
         return self.glints if self.rim is None else self.glints.join(self.rim)
 
     @property
     def weights(self) -> Floats:
-        """Of these against one of whole sub-apertures, (n,)."""
+        """Weights of `seen` relative to glints of whole sub-apertures, (n,)."""
         n_rim = 0 if self.rim is None else len(self.rim)
         return np.repeat([1.0, self.rim_weight], [len(self.glints), n_rim])
 
@@ -120,12 +120,12 @@ def fit_sdf(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
-    """Signed distance of the content from its glints; negative inside.
+    """Signed distance of the content from its glints, negative inside.
 
-    Minimises position + normal + bending + outside terms
-    (docs/math/surface-fit.md#linear-signed-distance), coarse then fine, then with the points where
-    edges of outlines touch what it found. It then draws the field to the distance from its own
-    zero level, and cuts it to the outlines.
+    Minimises the sum of position, normal, bending and outside terms
+    (docs/math/surface-fit.md#linear-signed-distance). It solves on a coarse grid, then on a fine
+    one, then with the points where edges of outlines touch the result. Further rounds pull the
+    field to the distance from its own zero level. Outlines finally cut it.
 
     glints: at least 10; or all evidence.
     config: weights and sizes.
@@ -159,17 +159,17 @@ def fit_sdf(
 
 
 class _FirstFit(NamedTuple):
-    """Field that is no distance yet."""
+    """Field whose gradient is not yet of length 1."""
 
     system: LinearSdf
     sdf: SdfGrid
-    known: Floats  # positions of glints and of points that edges of outlines touch, (n, 3) [m]
+    known: Floats  # positions of glints and of outlines' tangent points, (n, 3) [m]
 
 
 def _first_solves(
     evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
 ) -> _FirstFit:
-    """Fit of all oriented points, coarse, fine, and with the points that outlines touch."""
+    """Fit the oriented points on a coarse grid, a fine one, and with the tangent points."""
     terms, points = _terms(config), _weigh(evidence, config)
     grid = _domain(evidence.glints.positions, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
@@ -189,7 +189,7 @@ def _first_solves(
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
-    """Points of a field that edges of outlines touch; None without outlines."""
+    """Tangent points of outlines on the zero level of a field; None without outlines."""
     outlines = evidence.outlines
     if outlines is None or not len(outlines) or evidence.outline_weight <= 0.0:
         return None
@@ -200,9 +200,9 @@ def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tange
 def fitted_points(
     evidence: Evidence, sdf: SdfGrid, config: FitConfig, *, num_threads: int | None = None
 ) -> tuple[OrientedPoints, SdfTerms]:
-    """Points and terms of the last solve of :func:`fit_sdf`: glints, then where outlines touch.
+    """Points and terms of the last solve of :func:`fit_sdf`: glints, then tangent points.
 
-    sdf: field that the fit gave; it decides where edges of outlines touch the surface.
+    sdf: result of the fit, on whose zero level the outlines' tangent points lie.
     """
     return _weigh(evidence, config, _touched(evidence, sdf, num_threads)), _terms(config)
 
@@ -220,12 +220,12 @@ def _terms(config: FitConfig) -> SdfTerms:
 def _weigh(
     evidence: Evidence, config: FitConfig, touched: Tangents | None = None
 ) -> OrientedPoints:
-    glints, together = evidence.glints, evidence.seen
-    relative = relative_strengths(together.strengths, glints.strengths)
-    # Variances: of a normal as 1 / amplitude, of a position as its root; thin parts echo weakly.
-    shares = together.probability * evidence.weights
+    glints, both = evidence.glints, evidence.seen
+    relative = relative_strengths(both.strengths, glints.strengths)
+    # The variance of a normal falls as 1 / amplitude, that of a position as its root.
+    shares = both.probability * evidence.weights
     position, normal = shares * np.sqrt(relative), shares * relative
-    groups: list[Glints | Tangents] = [together]
+    groups: list[Glints | Tangents] = [both]
     if touched is not None:
         groups.append(touched)
         outline = np.full(len(touched), evidence.outline_weight)
@@ -239,7 +239,7 @@ def _weigh(
 
 
 def _domain(points: Floats, config: FitConfig) -> Grid:
-    """Coarse grid around the surface: a cube, so that no direction is favoured."""
+    """Coarse grid around the surface: a cube, so that no axis is preferred."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
     center = 0.5 * (low + high)
@@ -257,9 +257,9 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
 def _distance_target(
     sdf: SdfGrid, glints: Glints, known: Floats, config: FitConfig, num_threads: int | None
 ) -> DistanceTarget:
-    """Distance of voxels in the band to the present zero level, whose caps retreat first.
+    """Distance of voxels in the band to the zero level after its caps are moved inwards.
 
-    The weight ends with a ramp. known: where the surface is known, seen or not, (n, 3) [m].
+    known: positions of seen and tangent points of the surface, (n, 3) [m].
     """
     vertices, faces = zero_level(sdf)
     points, band_m = sdf.grid.points(), config.distance_band_m
@@ -267,7 +267,7 @@ def _distance_target(
     distance = scene.distance(points, max_distance_m=band_m)
     weights = np.clip((band_m - distance) / _RAMP_M, 0.0, 1.0)
     voxels = np.nonzero(weights)[0]
-    # The sign is the field's own, so that an open zero level cannot turn it.
+    # The sign is that of the field: an open zero level has no reliable sign.
     values = np.copysign(distance[voxels], sdf.values.ravel()[voxels].astype(np.float64))
     retreat = cap_retreat(
         vertices,
@@ -279,7 +279,7 @@ def _distance_target(
         lean=config.cap_lean,
     )
     if retreat.any():
-        # Most voxels are near to no vertex that retreats, which is soon known.
+        # Most voxels are far from every moved vertex: exclude them first, which is fast.
         moving = KDTree(vertices[retreat != 0.0])
         reach_m = band_m + 2.0 * sdf.grid.spacing_m
         close = np.isfinite(moving.query(points[voxels], distance_upper_bound=reach_m)[0])
@@ -296,13 +296,15 @@ def cut_to_outlines(
     *,
     num_threads: int | None = None,
 ) -> SdfGrid:
-    """Largest of a field and the distance to what outlines do not show free.
+    """Remove from a field what outlines show to be free space.
 
-    That distance is less by what a point lacks of `clearance_m` to the nearest glint: a glint is
-    the better witness where both differ by less.
+    The result is the maximum of the field and the outlines' free distance. Near glints the free
+    distance is reduced by `clearance_m` minus the distance to the nearest glint, because glints
+    are more accurate than outlines.
 
-    sdf: signed distance of the content. seen: at least one glint. clearance_m: distance to the
-    nearest glint from which on outlines are believed as they are [m].
+    sdf: signed distance of the content.
+    seen: at least one glint.
+    clearance_m: distance to the nearest glint from which outlines count fully [m].
     """
     points = sdf.grid.points()
     distance = nearest_distance(
@@ -314,7 +316,7 @@ def cut_to_outlines(
 
 
 def zero_level(sdf: SdfGrid) -> tuple[Floats, Ints]:
-    """Triangles of the zero level, outward; UserError when there is none."""
+    """Triangles of the zero level, facing outwards; UserError when there is none."""
     low, high = float(sdf.values.min()), float(sdf.values.max())
     if not low < 0.0 < high:
         raise UserError(

@@ -18,34 +18,34 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 
 MIN_AREA_FRACTION = 0.02
-"""Least area of a kept component relative to the main one; chance blobs stay below 0.01."""
+"""Least area of a kept component relative to the main one; noise blobs have less than 0.01."""
 
 MIN_SUPPORT = 10
-"""Glints that keep a smaller component: several sub-apertures see a real facet's echo."""
+"""Least glints on a small kept component: several sub-apertures see a true facet."""
 
 MIN_SUPPORT_SHARE = 0.02
-"""And at least this share of the main component's glints: ghosts have 10 to 60."""
+"""Least glints on a small kept component, as a share of the main component's glints."""
 
 MIN_SUPPORTED_AREA_FRACTION = 0.001
-"""Below this even those go: 0.3 cm^2 of a 12 cm figure is less than one 4 mm voxel around."""
+"""Least area of a component with enough glints, relative to the main one."""
 
 MIN_SUPPORT_DENSITY = 0.1
-"""Least glints per area relative to the main component; a grown ghost had 0.04 of it."""
+"""Least glints per area of a kept component, relative to the main one."""
 
 SUPPORT_REACH_M = 0.005
-"""A glint supports a component within this distance [m]: 98 % of good glints lie within 5 mm."""
+"""Largest distance of a glint from its component [m]; 98 % of correct glints lie within it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceReport:
-    """What kind of surface a mesh is."""
+    """Topology and size of a mesh."""
 
     n_vertices: int
     """Number of vertices."""
     n_faces: int
     """Number of triangles."""
     n_components: int
-    """Connected pieces."""
+    """Number of connected components."""
     is_watertight: bool
     """Whether every edge is shared by exactly two consistently wound faces."""
     area_m2: float
@@ -53,21 +53,21 @@ class SurfaceReport:
     volume_m3: float | None
     """Enclosed volume, None unless watertight [m^3]."""
     n_holes: int | None = None
-    """Holes through the pieces, the sum of their genera; None unless watertight."""
+    """Number of holes, the sum of the components' genera; None unless watertight."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ComponentReport:
-    """Which connected pieces were kept, and why the others were not."""
+    """Numbers of kept and of dropped connected components."""
 
     n_kept: int
     """Components kept."""
     n_fragments: int
-    """Dropped: small beside the main component and seen by few glints, or thinly seen."""
+    """Dropped: small with few glints, or with few glints per area."""
     n_unsupported: int
     """Dropped: no glint within reach."""
     n_voids: int
-    """Dropped: closed surfaces that face inwards; a radar cannot see into what reflects it."""
+    """Dropped: closed surfaces that face inwards; a radar cannot see into a reflector."""
     dropped_area_m2: float
     """Total area dropped [m^2]."""
 
@@ -75,36 +75,37 @@ class ComponentReport:
 def extract_surface(sdf: SdfGrid, level: float = 0.0) -> TriangleMesh:
     """Triangles of the level set f(x) = level [m], wound counter-clockwise seen from f > level.
 
-    Marching cubes on the samples as they are: crossings are interpolated linearly along grid
-    edges, so that a plane comes out exactly where it is, whatever |grad f|. Where the level set
-    runs into the grid's border the surface is open there. Empty when nothing crosses the level.
+    Marching cubes interpolates crossings linearly along grid edges. A plane is therefore exact for
+    any |grad f|. The surface is open where the level set meets the grid's border, and empty when
+    no value crosses the level.
     """
     from skimage.measure import marching_cubes  # noqa: PLC0415 - heavy, needed only here
 
     values = sdf.values
     if min(values.shape) < 2 or not values.min() < level <= values.max():
         return TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    # With "descent" scikit-image winds faces so that they face the larger values, the air.
+    # "descent" makes scikit-image wind the faces towards the larger values, the air.
     vertices, faces, _, _ = marching_cubes(
         values, level=level, gradient_direction="descent", allow_degenerate=False
     )
-    placed = np.asarray(sdf.grid.origin_m) + sdf.grid.spacing_m * vertices.astype(np.float64)
-    return TriangleMesh(vertices=placed, faces=faces.astype(np.int64))
+    positions = np.asarray(sdf.grid.origin_m) + sdf.grid.spacing_m * vertices.astype(np.float64)
+    return TriangleMesh(vertices=positions, faces=faces.astype(np.int64))
 
 
 def redistance(
     sdf: SdfGrid, surface: TriangleMesh | None = None, *, num_threads: int | None = None
 ) -> SdfGrid:
-    """Replace each sample by its distance to the zero level, the zero level unmoved.
+    """Replace each sample by its distance to the zero level, which does not move.
 
     f'(x) = sign(f(x)) min_y |x - y| over the triangles y of the zero level. A fitted field has
-    the right zero level but a gradient of 0.2 to 0.75; afterwards |grad f'| = 1. Triangles cut
-    the corners of a curved surface, which would pull it inwards by h^2 / (8 r), 0.04 mm for
-    voxels of h = 4 mm on a radius of 30 mm; the samples beside the zero level are therefore
-    corrected until it crosses the grid's edges where it did.
+    the right zero level but a gradient of 0.2 to 0.75; the result has |grad f'| = 1. Triangles cut
+    the corners of a curved surface, which moves it inwards by h^2 / (8 r): 0.04 mm for voxels of
+    h = 4 mm and a radius of 30 mm. Samples beside the zero level are therefore corrected until it
+    crosses the grid's edges where it did before.
 
-    sdf: field whose zero level is meant.
-    surface: closed zero level to measure to, when parts of the field's own were dropped; distance
+    sdf: field with the zero level.
+    surface: closed zero level to use instead, when parts of the field's own were dropped; it then
+        determines distance and sign. By default `extract_surface(sdf)`, with the field's sign.
         and sign are then the surface's. By default `extract_surface(sdf)`, with the field's sign.
     num_threads: threads of the distance queries; all cores when None.
 
@@ -123,11 +124,11 @@ def redistance(
 
 
 def _restore_crossings(distances: Floats, values: Floats) -> Floats:
-    """Nudge distances so that each grid edge is crossed where the field `values` crosses it.
+    """Correct distances so that they cross each grid edge where the field `values` does.
 
-    At the crossing t of an edge, r = (1 - t) d_0 + t d_1 should vanish; each end gives way by the
-    mean r of its edges. Eight rounds leave less than a tenth of the error. Edges that the
-    distances cross elsewhere, because a part was dropped or cut, are left alone.
+    At the crossing t of an edge, r = (1 - t) d_0 + t d_1 should vanish. Each voxel subtracts the
+    mean r of its edges; eight rounds leave less than a tenth of the error. Edges that the
+    distances cross elsewhere, because a component was dropped, stay as they are.
     """
     edges = []
     agree = (values < 0) == (distances < 0)
@@ -149,7 +150,7 @@ def _restore_crossings(distances: Floats, values: Floats) -> Floats:
             residual[low] += r
             residual[high] += r
         corrected -= residual / np.maximum(n_edges, 1.0)
-    # A sample at the zero level itself must not change sides by a rounding.
+    # A sample on the zero level must not change its sign by rounding.
     return np.where(distances < 0, np.minimum(corrected, -1e-12), np.maximum(corrected, 0.0))
 
 
@@ -161,7 +162,7 @@ def signed_distances(
 
 
 def surface_report(mesh: TriangleMesh) -> SurfaceReport:
-    """Count, closedness, area, volume and holes of a mesh."""
+    """Report number of elements, closedness, area, volume and holes of a mesh."""
     watertight = mesh.faces.shape[0] > 0 and bool(closed_edges(mesh.faces).all())
     _, n_components = face_labels(mesh.faces)
     return SurfaceReport(
@@ -178,7 +179,7 @@ def surface_report(mesh: TriangleMesh) -> SurfaceReport:
 def _n_holes(mesh: TriangleMesh, n_components: int) -> int:
     """Sum of the genera g of closed pieces: V - E + F = sum over pieces of 2 - 2 g."""
     n_vertices, n_faces = len(np.unique(mesh.faces)), len(mesh.faces)
-    # Every edge of a closed surface has two faces.
+    # Each edge of a closed surface has two faces.
     return n_components - (n_vertices - 3 * n_faces // 2 + n_faces) // 2
 
 
@@ -190,14 +191,14 @@ def largest_components(
     min_support: int = MIN_SUPPORT,
     support_reach_m: float = SUPPORT_REACH_M,
 ) -> tuple[TriangleMesh, ComponentReport]:
-    """Drop what is not a surface that was seen: voids, unsupported pieces, fragments.
+    """Drop components that no radar saw as a surface: voids, unsupported pieces, fragments.
 
-    The main component is the one with most `support` (the glints' positions, (n, 3) [m]) within
-    `support_reach_m`, or the largest where no support is given. Another component stays if it
-    faces outwards and has at least `min_area_fraction` of the main one's area. With `support` it
-    also needs MIN_SUPPORT_DENSITY of the main one's points per area, and a smaller one stays if
-    it has `min_support` points and MIN_SUPPORT_SHARE of the main one's. The main component always
-    stays, so that a surface is never answered by nothing.
+    The main component is the one with most points of `support` within `support_reach_m`. `support`
+    holds the glints' positions, (n, 3) [m]; without it the largest component is the main one.
+    Another component stays if it faces outwards and has at least `min_area_fraction` of the main
+    one's area. With `support` it also needs MIN_SUPPORT_DENSITY of the main one's points per area.
+    A smaller one stays if it has `min_support` points and MIN_SUPPORT_SHARE of the main one's. The
+    main component always stays, so that the result is not empty.
     """
     labels, n_components = face_labels(mesh.faces)
     if n_components == 0:
@@ -239,7 +240,7 @@ def largest_components(
 
 
 def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
-    """Leave out connected pieces with more than half of their area on marked faces."""
+    """Drop connected components with more than half of their area on marked faces."""
     labels, n_components = face_labels(mesh.faces)
     areas = face_areas(mesh.corners)
     total = np.bincount(labels, areas, minlength=n_components)
@@ -250,7 +251,7 @@ def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
 def _support_counts(
     mesh: TriangleMesh, labels: Ints, n_components: int, support: Floats, reach_m: float
 ) -> Ints:
-    """Points within reach of each component; each point counts for its nearest vertex's."""
+    """Count the points within reach of each component; each counts for its nearest vertex."""
     if support.shape[0] == 0:
         return np.zeros(n_components, dtype=np.int64)
     vertex_labels = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)

@@ -1,7 +1,7 @@
-"""Signed distance from glints: a linear least-squares fit, made a true distance in a few rounds.
+"""Signed distance from glints: linear least squares, corrected to a true distance in a few rounds.
 
-The energy is quadratic in the grid values, so each round is one linear solve by conjugate gradients
-under a multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
+The energy is quadratic in the grid values. Each round is one linear solve by conjugate gradients
+with a multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
 """
 
 from collections.abc import Callable
@@ -27,30 +27,30 @@ from geraf2.surfaces.multigrid import (
     restriction,
 )
 
-# All lengths inside this file are centimetres: values, gradients and second derivatives are then
-# of order one, and so are the weights.
+# Lengths in this file are centimetres: values, gradients and second derivatives then have order
+# one, and so have the weights.
 _CM = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class SdfTerms:
-    """Weights of the energy; lengths in centimetres inside."""
+    """Weights of the terms of the energy, with lengths in centimetres."""
 
     position: float
-    """Of the weighted mean of f(p)^2."""
+    """Weight of the weighted mean of f(p)^2."""
     normal: float
-    """Of the weighted mean of |grad f(p) - n|^2."""
+    """Weight of the weighted mean of |grad f(p) - n|^2."""
     bending: float
-    """Of the mean of the squared Frobenius norm of the Hessian."""
+    """Weight of the mean of the squared Frobenius norm of the Hessian."""
     outside: float
-    """Of the mean over the domain's faces of (f - outside_distance)^2."""
+    """Weight of the mean over the domain's faces of (f - outside_distance)^2."""
     outside_distance_m: float
-    """Distance that the faces are pulled to [m]."""
+    """Assumed distance at the domain's faces [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrientedPoints:
-    """What the fit reads of the glints."""
+    """Positions and normals of the fit, with weights."""
 
     positions: Floats
     """(n, 3) [m]."""
@@ -64,14 +64,14 @@ class OrientedPoints:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DistanceTarget:
-    """Distances that the field is drawn to, voxel by voxel."""
+    """Distances that a term of the energy pulls the field to, voxel by voxel."""
 
     values: Floats
     """(n_used,) [m]."""
     voxels: Ints
-    """Flat index of the voxels where they hold, (n_used,)."""
+    """Flat indices of these voxels, (n_used,)."""
     weights: Floats
-    """Of (f - target)^2 at each, (n_used,)."""
+    """Weight of (f - target)^2 at each voxel, (n_used,)."""
 
 
 class LinearSdf:
@@ -85,13 +85,13 @@ class LinearSdf:
         *,
         num_threads: int | None = None,
     ) -> None:
-        """Prepare the normal equations on `sdf.grid`; its values are the starting point."""
+        """Prepare the normal equations on `sdf.grid`; its values start the solver."""
         self._grid, self._terms, self._num_threads = sdf.grid, terms, num_threads
         self._start = sdf.values.astype(np.float64).ravel() * _CM
         spacing = sdf.grid.spacing_m * _CM
-        place = (points.positions - np.asarray(sdf.grid.origin_m)) * _CM
+        position = (points.positions - np.asarray(sdf.grid.origin_m)) * _CM
         self._right = np.zeros(sdf.grid.n_voxels)
-        for axis, rows in enumerate(trilinear_rows(place / spacing, sdf.grid.shape, spacing)[1]):
+        for axis, rows in enumerate(trilinear_rows(position / spacing, sdf.grid.shape, spacing)[1]):
             weighted = points.normal_weights * points.normals[:, axis]
             self._right += terms.normal * (rows.T @ weighted)
         self._right += _face_pull(sdf.grid.shape, terms) * (terms.outside_distance_m * _CM)
@@ -99,8 +99,8 @@ class LinearSdf:
         self._sizes = [_Size(shape=sdf.grid.shape, spacing=(spacing, spacing, spacing))]
         while np.prod(self._sizes[-1].shape) > DIRECT_VOXELS:
             self._sizes.append(self._sizes[-1].coarser())
-        self._data = [_data_matrix(size, place, points, terms) for size in self._sizes]
-        # A pull adds to the diagonal, which raises no eigenvalue of D^-1 A that is above 1.
+        self._data = [_data_matrix(size, position, points, terms) for size in self._sizes]
+        # The distance term adds to the diagonal, which raises no eigenvalue of D^-1 A above 1.
         self._largest = [
             largest_eigenvalue(self._energy(level, _face_pull(size.shape, terms), np.float32))
             for level, size in enumerate(self._sizes[:-1])
@@ -115,12 +115,13 @@ class LinearSdf:
         max_iterations: int = 100,
         on_iteration: Callable[[], None] | None = None,
     ) -> SdfGrid:
-        """Minimise the energy, with the pull to `target` if given -> signed distance.
+        """Minimise the energy, with a distance term if `target` is given -> signed distance.
 
-        target: distances to be drawn to.
+        target: distances that the field is pulled to.
         start: first guess on the same grid; that of the constructor when None.
-        tolerance: of the residual relative to the right side; 1e-5 leaves 0.02 mm of error.
-        max_iterations: of the conjugate gradients; a dozen are usual.
+        tolerance: residual relative to the right side; 1e-5 leaves 0.02 mm of error.
+        max_iterations: of the conjugate gradients; about twelve are usual.
+        on_iteration: called after each iteration.
         """
         right, pull = self._right, np.zeros(self._grid.n_voxels)
         if target is not None:
@@ -143,10 +144,10 @@ class LinearSdf:
     def responder(
         self, *, tolerance: float, max_iterations: int = 100
     ) -> Callable[[Floats], Floats]:
-        """Return a function that solves A x = right, (n_voxels,) each, without a pull to a target.
+        """Return a function that solves A x = right, (n_voxels,) each, without a distance term.
 
         x is the change of the minimum, in centimetres, when `right` is added to the right side of
-        the normal equations. Levels are prepared once.
+        the normal equations. The multigrid levels are prepared once.
         """
         energy = self._energy(0, _face_pull(self._grid.shape, self._terms), np.float64)
         precondition = self._preconditioner(np.zeros(self._grid.n_voxels))
@@ -178,7 +179,7 @@ class LinearSdf:
         )
 
     def _preconditioner(self, pull: Floats) -> Preconditioner:
-        """Levels whose energies are discretised anew on each grid; the pull is shared out."""
+        """Levels with the energy discretised on each grid; `pull` is restricted to each."""
         levels = []
         for number, largest in enumerate(self._largest):
             shape = self._sizes[number].shape
@@ -193,7 +194,7 @@ class LinearSdf:
 
 @dataclass(frozen=True, kw_only=True)
 class _Size:
-    """Grid of one level, over the domain of the finest; lengths in centimetres."""
+    """Grid of one level over the domain of the finest; lengths in centimetres."""
 
     shape: tuple[int, int, int]
     spacing: tuple[float, float, float]
@@ -210,7 +211,7 @@ class _Size:
 
 
 def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
-    """Trilinear copy on a grid of another spacing over the same domain [m]."""
+    """Resample a field on a grid of another spacing [m] over the same domain, trilinearly."""
     require_positive("spacing_m", spacing_m)
     extent = np.asarray(sdf.grid.shape) - 1
     shape = np.maximum(np.rint(extent * sdf.grid.spacing_m / spacing_m).astype(int), 1) + 1
@@ -229,7 +230,7 @@ def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
 def trilinear_rows(
     index: Floats, shape: tuple[int, int, int], spacing: float | tuple[float, float, float]
 ) -> tuple[sp.csr_matrix, list[sp.csr_matrix]]:
-    """Rows that give a trilinear field's value and its three derivatives at points."""
+    """Sparse rows for a trilinear field's value and its three derivatives at points."""
     columns, value, gradients = _corners(index, shape, np.broadcast_to(spacing, 3))
     offsets = np.arange(0, columns.size + 1, 8)
     size = (len(index), int(np.prod(shape)))
@@ -243,7 +244,7 @@ def trilinear_rows(
 def _corners(
     index: Floats, shape: tuple[int, int, int], spacing: Floats
 ) -> tuple[Ints, Floats, Floats]:
-    """Voxels around each point (n, 8), their weights (n, 8), and the gradients' (3, n, 8)."""
+    """Voxels around each point (n, 8), their weights (n, 8), the weights' gradients (3, n, 8)."""
     cell = np.clip(np.floor(index).astype(np.int64), 0, np.asarray(shape) - 2)
     t = index - cell
     columns = np.empty((len(index), 8), dtype=np.int64)
@@ -261,18 +262,18 @@ def _corners(
 
 
 def _data_matrix(
-    size: _Size, place: Floats, points: OrientedPoints, terms: SdfTerms
+    size: _Size, position: Floats, points: OrientedPoints, terms: SdfTerms
 ) -> sp.csr_matrix:
-    """Position and normal terms: each point couples the eight voxels around it."""
+    """Matrix of the position and normal terms: each point couples the eight voxels around it."""
     spacing = np.asarray(size.spacing)
-    columns, value, gradients = _corners(place / spacing, size.shape, spacing)
+    columns, value, gradients = _corners(position / spacing, size.shape, spacing)
     forms = np.concatenate(
         [
             np.sqrt(terms.position * points.position_weights)[:, None] * value[None],
             np.sqrt(terms.normal * points.normal_weights)[:, None] * gradients,
         ]
     ).transpose(1, 0, 2)
-    # Points in one cell couple the same voxels: a matrix for each cell, not for each point.
+    # Points in one cell couple the same voxels, so one block per cell is enough.
     order = np.argsort(columns[:, 0], kind="stable")
     starts = np.nonzero(np.diff(columns[order, 0], prepend=-1))[0]
     blocks = np.add.reduceat(np.matmul(forms.transpose(0, 2, 1), forms)[order], starts)

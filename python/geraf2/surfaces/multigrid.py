@@ -1,9 +1,10 @@
 """Conjugate gradients for a grid energy, with a multigrid cycle as preconditioner.
 
-Bending is a fourth-order operator: with the diagonal alone as preconditioner the iterations grow
-with the square of the grid's side, and 400 of them leave millimetres of error on 57^3 voxels. With
-a V-cycle of Chebyshev-smoothed levels (Saad, Iterative methods for sparse linear systems, 2003,
-chapters 12 and 13) a dozen reach micrometres (docs/math/surface-fit.md#solver).
+Bending is a fourth-order operator. With only the diagonal as preconditioner, the number of
+iterations grows with the square of the grid's side, and 400 of them leave millimetres of error on
+57^3 voxels. A V-cycle of Chebyshev-smoothed levels reaches micrometres in about twelve
+(docs/math/surface-fit.md#solver). Source: Saad, Iterative methods for sparse linear systems, 2003,
+chapters 12 and 13.
 """
 
 from collections.abc import Callable
@@ -18,10 +19,10 @@ from geraf2.ops.grid_energy import GridEnergy
 
 # Grids of at most this many voxels are solved directly: 9^3 take 10 ms.
 DIRECT_VOXELS = 729
-# Steps before and after each coarse correction. 3 take a third more iterations, no less time.
+# Chebyshev steps before and after each coarse correction.
 _DEGREE = 4
-# Eigenvalues of D^-1 A that smoothing deals with, relative to the largest; coarser grids take the
-# rest. The smoothest waves that they cannot represent lie at 1/36 of the largest.
+# Smallest eigenvalue of D^-1 A that is smoothed, relative to the largest. The smoothest waves that
+# a coarser grid cannot represent have 1/36 of the largest.
 _SMOOTHED_SHARE = 1.0 / 30.0
 _POWER_STEPS = 20
 _POWER_MARGIN = 1.1  # power iteration stops a little below the largest eigenvalue
@@ -34,35 +35,35 @@ class Level:
     """One grid of the hierarchy."""
 
     energy: GridEnergy
-    """In float32."""
+    """Energy in float32."""
     largest: float
-    """Bound of the eigenvalues of D^-1 A."""
+    """Upper bound of the eigenvalues of D^-1 A."""
     to_coarser: tuple[Matrix, Matrix, Matrix]
     """Restriction along each axis, (n_coarse, n); the transpose of linear interpolation."""
 
 
 def coarser_length(n: int) -> int:
-    """Voxels along an axis of the next coarser grid over the same domain."""
+    """Voxel count along an axis of the next coarser grid over the same domain."""
     return max(n // 2, 1) + 1
 
 
 def restriction(n: int) -> Matrix:
     """Transpose of linear interpolation from the coarser axis, (n_coarse, n)."""
     n_coarse = coarser_length(n)
-    place = np.linspace(0.0, n_coarse - 1.0, n)
-    distance = np.abs(place - np.arange(n_coarse)[:, None])
+    index = np.linspace(0.0, n_coarse - 1.0, n)
+    distance = np.abs(index - np.arange(n_coarse)[:, None])
     return np.maximum(1.0 - distance, 0.0).astype(np.float32)
 
 
 def restrict(values: NDArray[np.float32], matrices: tuple[Matrix, Matrix, Matrix]) -> Matrix:
-    """Apply a restriction along each axis of a field, (n_x, n_y, n_z)."""
-    for axis in range(3):  # the first makes the rest smaller, at the price of no transposition
+    """Restrict a field, (n_x, n_y, n_z), along each axis."""
+    for axis in range(3):  # the x axis first: it needs no transposition and shrinks the rest
         values = _restrict_axis(values, matrices[axis], axis)
     return values
 
 
 def prolong(values: NDArray[np.float32], matrices: tuple[Matrix, Matrix, Matrix]) -> Matrix:
-    """Adjoint of :func:`restrict`: linear interpolation along each axis."""
+    """Interpolate linearly along each axis: the adjoint of :func:`restrict`."""
     for axis in (2, 1, 0):
         values = _prolong_axis(values, matrices[axis], axis)
     return values
@@ -72,7 +73,7 @@ def _restrict_axis(values: Matrix, matrix: Matrix, axis: int) -> Matrix:
     n_coarse, n = matrix.shape
     if n != 2 * n_coarse - 1:
         return _apply_along(values, matrix, axis)
-    # Every second place is one of the coarser grid.
+    # Every second voxel coincides with one of the coarser grid.
     fine = np.moveaxis(values, axis, 0)
     out = np.ascontiguousarray(values.take(range(0, n, 2), axis=axis))
     coarse, half = np.moveaxis(out, axis, 0), np.float32(0.5) * fine[1::2]
@@ -104,7 +105,7 @@ def _apply_along(values: Matrix, matrix: Matrix, axis: int) -> Matrix:
 
 
 def largest_eigenvalue(energy: GridEnergy) -> float:
-    """Bound of the eigenvalues of D^-1 A, by power iteration."""
+    """Upper bound of the eigenvalues of D^-1 A, by power iteration."""
     diagonal = energy.diagonal()
     scale = np.divide(1.0, diagonal, out=np.zeros_like(diagonal), where=diagonal > 0.0)
     vector = np.random.default_rng(0).standard_normal(energy.n_voxels).astype(energy.dtype)
@@ -122,7 +123,7 @@ class Preconditioner:
     """One V-cycle: an approximate inverse, symmetric and positive definite."""
 
     def __init__(self, levels: list[Level], coarsest: GridEnergy) -> None:
-        """Levels from fine to coarse; the coarsest, in float64, is solved directly."""
+        """Levels from fine to coarse; `coarsest`, in float64, is solved directly."""
         self._levels, self._coarsest = levels, coarsest
         unit = np.zeros(coarsest.n_voxels)
         columns = []
@@ -131,7 +132,7 @@ class Preconditioner:
             columns.append(coarsest.apply(unit))
             unit[voxel] = 0.0
         matrix = np.stack(columns)
-        # Guards voxels that no term holds.
+        # Keeps the matrix regular at voxels without any term.
         matrix.flat[:: len(matrix) + 1] += 1e-12 * float(np.trace(matrix)) / len(matrix)
         self._factor = cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
 
@@ -173,19 +174,20 @@ def conjugate_gradients(
 ) -> Floats:
     """Solution of A f = right.
 
-    energy: a, in float64.
+    energy: A, in float64.
     precondition: approximate inverse of A.
     right: (n_voxels,).
     start: first guess, (n_voxels,).
-    tolerance: of the residual relative to the right side.
-    max_iterations: give up after this many.
+    tolerance: residual relative to the right side.
+    max_iterations: stop after this many.
+    on_iteration: called after each iteration.
     """
     solution = start.copy()
     residual = right - energy.apply(solution)
     goal = tolerance * float(np.linalg.norm(right))
     direction, product = np.zeros_like(right), 1.0
     for _ in range(max_iterations):
-        if not float(np.linalg.norm(residual)) > goal:  # NaN stops here too
+        if not float(np.linalg.norm(residual)) > goal:  # also stops on NaN
             break
         scaled = precondition(residual)
         previous, product = product, float(residual @ scaled)

@@ -15,29 +15,29 @@ from geraf2.geometry.triangles import enclosed_volume_m3, used_vertices
 from geraf2.io.mesh import TriangleMesh
 
 LIKELY = 0.5
-"""Pieces below this probability are likely ghosts."""
+"""Pieces with a lower probability are likely ghosts."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PieceModel:
-    """Probability that a piece of the surface exists, from the glints on it.
+    """Probability that a piece of the surface exists, from its glints.
 
         log(p / (1 - p)) = gain log(planes / even)
 
-    planes is the sum over the planes of the probability that one of their glints on the piece is a
-    direct return. The main piece, on which most glints lie, has at least `main`. Ghosts are seen
-    from one plane, and true parts of 8 mm from four or more of 5 to 16 planes; the constants lie
-    between (`bench/python/ghosts.py` on seeds 0 to 4 of the population and on 12 screws).
+    planes is the sum over the planes of the probability that at least one of the plane's glints on
+    the piece is a direct return. The main piece, with most glints, has at least `main`. The
+    constants are properties of the simulated population of objects: ghosts are seen from one
+    plane, true parts of 8 mm from four or more (`bench/python/ghosts.py`).
     """
 
     even: float = 1.25
-    """Planes at which a piece exists as often as not."""
+    """Number of planes at which the odds are even."""
     gain: float = 3.0
-    """Slope of the log odds over the logarithm of the planes."""
+    """Slope of the log odds over the logarithm of the number of planes."""
     main: float = 0.99
     """Least probability of the main piece."""
     reach_m: float = 0.005
-    """A glint is on the piece that it is nearest to, if within this distance [m]."""
+    """A glint within this distance [m] belongs to the piece nearest to it."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
@@ -45,19 +45,19 @@ class PieceModel:
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """A connected piece of a surface in numbers."""
+    """Numbers of a connected piece of a surface."""
 
     probability: float
-    """That it exists."""
+    """Probability that the piece exists."""
     volume_m3: float
     """Enclosed volume [m^3]."""
     low_m: Floats
-    """Lowest corner of its box, (3,) [m]."""
+    """Lowest corner of its bounding box, (3,) [m]."""
     high_m: Floats
     """Highest corner, (3,) [m]."""
 
     def numbers(self) -> dict[str, Any]:
-        """For run.json."""
+        """Entry of run.json."""
         return {
             "probability": round(self.probability, 3),
             "volume_cm3": round(1e6 * self.volume_m3, 2),
@@ -71,7 +71,7 @@ def piece_probability(
 ) -> Floats:
     """Probability that the piece of each vertex exists, (n_vertices,).
 
-    glints: that the surface was drawn through, those of the rim too.
+    glints: all that the surface was fitted to, rim glints too.
     """
     model = model or PieceModel()
     labels, n_pieces = face_labels(mesh.faces)
@@ -82,7 +82,7 @@ def piece_probability(
     distance, nearest = KDTree(mesh.vertices).query(glints.positions)
     near = distance <= model.reach_m
     piece, plane = of_vertex[nearest[near]], np.unique(glints.poses, return_inverse=True)[1][near]
-    none = np.zeros((n_pieces, int(glints.poses.max()) + 1))  # log of: no glint is a return
+    none = np.zeros((n_pieces, int(glints.poses.max()) + 1))  # log P(no glint is a direct return)
     np.add.at(none, (piece, plane), np.log1p(-np.minimum(glints.probability[near], 1.0 - 1e-6)))
     planes = (1.0 - np.exp(none)).sum(axis=1)
     odds = (planes / model.even) ** model.gain
@@ -93,12 +93,12 @@ def piece_probability(
 
 
 def with_probability(mesh: TriangleMesh, probability: Floats) -> TriangleMesh:
-    """Mesh whose expected error also holds that a piece may not exist.
+    """Mesh whose expected error includes the probability that a piece does not exist.
 
         sigma'^2 = p sigma^2 + (1 - p) d^2
 
-    d is the distance to the pieces that likely exist. Pieces that likely exist keep their error:
-    theirs was measured on such pieces.
+    d is the distance to the pieces that likely exist. These keep their expected error, which was
+    measured on existing pieces.
     """
     assert mesh.expected_error_m is not None
     likely, error = probability >= LIKELY, mesh.expected_error_m.copy()
@@ -133,7 +133,7 @@ def likely_ghosts(mesh: TriangleMesh) -> list[Piece]:
 
 
 def piece_numbers(mesh: TriangleMesh) -> dict[str, Any]:
-    """Count the pieces and measure the box around all, for run.json; {} of an empty mesh."""
+    """Count the pieces and measure their common bounding box, for run.json; {} if empty."""
     if not len(mesh.faces):
         return {}
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
@@ -157,9 +157,9 @@ def _piece(mesh: TriangleMesh, faces: Any) -> Piece:
 
 
 def ghost_texts(numbers: Mapping[str, Any]) -> list[str]:
-    """Position, size and probability of each likely ghost.
+    """Describe position, size and probability of each likely ghost.
 
-    numbers: of the stage `mesh` in run.json.
+    numbers: entry of the stage `mesh` in run.json.
     """
     return [
         f"{ghost['volume_cm3']:.2f} cm³ at ({', '.join(f'{v:.0f}' for v in ghost['middle_mm'])}) mm"

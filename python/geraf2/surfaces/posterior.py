@@ -1,8 +1,8 @@
-"""Samples of the fitted signed distance: perturb the data and the bend, solve again.
+"""Samples of the fitted signed distance: perturb data and prior, and solve again.
 
-The fit minimises a quadratic energy, so an error of what it reads becomes an error of its field by
-one more solve with another right side (perturb-and-MAP: Papandreou and Yuille 2010; Orieux et al.
-2012). Derivation: docs/math/expected-error.md.
+The fit minimises a quadratic energy. Errors of its data become errors of the field by one more
+solve with another right side. Sources: perturb-and-MAP, Papandreou and Yuille 2010; Orieux et al.
+2012. Derivation: docs/math/expected-error.md.
 """
 
 from dataclasses import dataclass, replace
@@ -32,38 +32,38 @@ from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resa
 from geraf2.surfaces.samples import SurfaceSamples
 
 N_SAMPLES = 24
-"""Samples behind an expected error: their spread errs by 14 %."""
+"""Samples of an expected error, whose standard deviation they estimate to 14 %."""
 _CELLS = 36
-"""Cells along a side of the samples' grid: 5 to 8 mm each."""
+"""Cells along a side of the samples' grid, of 5 to 8 mm each."""
 _TOLERANCE = 0.03
-"""Of a sample's residual: a tenth of the spread's own error."""
+"""Relative residual of a sample's solve: a tenth of the standard deviation's own error."""
 _LEAST_SLOPE = 0.5
-"""Between two sheets a field of this spacing is flatter than the distance to either."""
-_BYTES_PER_MOVE = 44.0
-"""Of a vertex in a sample: arrays of doubles while they are scaled, and the result."""
+"""Least gradient of the field: between two close surfaces it is flatter than a distance."""
+_BYTES_PER_DISPLACEMENT = 44.0
+"""Memory of one vertex in one sample: temporary float64 arrays and the result [bytes]."""
 _CM = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
-    """Standard deviations of what the fit reads; measured on glints of the population's scans."""
+    """Standard deviations of the fit's data, for glints of the simulated population of objects."""
 
     common_sigma_m: float = UNKNOWN_OFFSET_M
-    """Range offset that all glints share: delay of the radar, radius of the turntable [m]."""
+    """Range offset that all glints share, of the radar's delay and the turntable's radius [m]."""
     plane_sigma_m: float = 0.0005
     """Range offset that the glints of one plane share [m]."""
     face_sigma_m: float = 0.0003
-    """Range offset that the glints behind one face of the box share: thickness of its wall [m]."""
+    """Range offset that the glints behind one wall of the box share, of its thickness [m]."""
     point_sigma_m: float = 0.0009
-    """Position of one glint beside its own sigma: echoes that merge [m]."""
+    """Position of one glint in addition to its own sigma, of merged echoes [m]."""
     normal_sigma_rad: float = 0.17
-    """Direction of one glint beside its own sigma: curvature over a sub-aperture [rad]."""
+    """Normal of one glint in addition to its own sigma, of curvature in a sub-aperture [rad]."""
     outline_sigma_m: float = 0.002
-    """Position of a point that an outline's edge touches [m]."""
+    """Position of an outline's tangent point [m]."""
     bend_density_m: float = 0.0035
     """Spectral density of the second derivatives of the objects' signed distance [m]."""
     misfit_cap_m: float = 0.005
-    """A glint farther from the surface is of something else, and counts as if this far [m]."""
+    """Largest residual that counts [m]; a glint farther from the surface belongs to another."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
@@ -71,19 +71,19 @@ class NoiseModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointNoise:
-    """Errors of oriented points, each of its own and shared."""
+    """Errors of oriented points: independent ones and shared offsets."""
 
     position_sigma_m: Floats
-    """Along the normal, (n,) [m]."""
+    """Independent error along the normal, (n,) [m]."""
     normal_sigma_rad: Floats
-    """Of each component of the normal, (n,) [rad]."""
+    """Independent error of each component of the normal, (n,) [rad]."""
     shared_sigma_m: Floats
-    """Of each offset that several points share, (n_groups,) [m]."""
+    """Standard deviation of each shared offset, (n_groups,) [m]."""
     groups: Ints
-    """Offsets of each point, (n, n_shared); -1: none."""
+    """Indices of the offsets of each point, (n, n_shared); -1: none."""
 
     def draw(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
-        """One error of every position along its normal, (n,) [m], and of its normal, (n, 3)."""
+        """Draw errors of all positions along their normals, (n,) [m], and of normals, (n, 3)."""
         n = len(self.position_sigma_m)
         position = self.position_sigma_m * rng.standard_normal(n)
         offsets = np.append(self.shared_sigma_m * rng.standard_normal(len(self.shared_sigma_m)), 0)
@@ -94,15 +94,15 @@ class PointNoise:
 def point_noise(
     glints: Glints, n_outline: int, sdf: SdfGrid, prior: LosPrior, model: NoiseModel | None = None
 ) -> PointNoise:
-    """Errors of the points of a fit: glints first, then points that outlines touch.
+    """Errors of the points of a fit: glints first, then tangent points of outlines.
 
-    sigma_i^2 = position_sigma_i^2 + point^2 + m_i^2, with m_i the root mean square of f at the
-    glints around, weighted as in docs/math/expected-error.md.
+    sigma_i^2 = position_sigma_i^2 + point^2 + m_i^2. m_i is the root mean square of f at nearby
+    glints, weighted as in docs/math/expected-error.md.
 
-    glints: that the surface was drawn through, those of the rim too.
-    n_outline: number of points that outlines touch.
+    glints: all that the surface was fitted to, rim glints too.
+    n_outline: number of tangent points of outlines.
     sdf: fitted field.
-    prior: a glint belongs to the face of the box that its normal, prolonged, meets.
+    prior: box, whose face a glint's normal meets decides the shared offset.
     """
     model = model or NoiseModel()
     misfit = local_misfit(glints, sdf, model)
@@ -121,19 +121,19 @@ def point_noise(
 
 
 def local_misfit(glints: Glints, sdf: SdfGrid, model: NoiseModel) -> Floats:
-    """Root mean square of the field at the glints around each, those alike count most, (n,) [m]."""
+    """Weighted RMS of the field at glints near each one with a like normal, (n,) [m]."""
     n_near = min(N_NEAREST, len(glints))
     if n_near == 0:
         return np.zeros(0)
-    off = np.clip(np.abs(sdf.sample(glints.positions)), 0.0, model.misfit_cap_m)
+    residual = np.clip(np.abs(sdf.sample(glints.positions)), 0.0, model.misfit_cap_m)
     distance, near = KDTree(glints.positions).query(glints.positions, k=np.arange(1, n_near + 1))
     cosine = np.einsum("nk,njk->nj", glints.normals, glints.normals[near])
     weights = np.exp(-0.5 * (distance / SupportModel().reach_m) ** 2) * np.maximum(cosine, 0.0)
-    return np.asarray(np.sqrt((weights * off[near] ** 2).sum(axis=1) / weights.sum(axis=1)))
+    return np.asarray(np.sqrt((weights * residual[near] ** 2).sum(axis=1) / weights.sum(axis=1)))
 
 
 def faces_met(glints: Glints, prior: LosPrior) -> Ints:
-    """Side of the box that each normal, prolonged, meets, (n,): -x, x, -y, y, -z, z as 0 to 5."""
+    """Face of the box that each normal points to, (n,): -x, x, -y, y, -z, z as 0 to 5."""
     directions = glints.normals
     if len(glints):
         box = MeshScene(prior.vertices, prior.faces)
@@ -147,7 +147,7 @@ def faces_met(glints: Glints, prior: LosPrior) -> Ints:
 
 
 class FieldPosterior:
-    """Errors of a fitted field on a coarse grid, one solve each."""
+    """Posterior errors of a fitted field on a coarse grid, one solve each."""
 
     def __init__(
         self,
@@ -160,10 +160,10 @@ class FieldPosterior:
         tolerance: float = _TOLERANCE,
         num_threads: int | None = None,
     ) -> None:
-        """Prepare the solves on the grid of `sdf`; its values do not matter.
+        """Prepare the solves on the grid of `sdf`, whose values are not used.
 
         points, terms: of the fit. noise: errors of the points.
-        bend_density_m: of the bend that the prior denies, see `NoiseModel`.
+        bend_density_m: spectral density of the curvature, see `NoiseModel`.
         """
         self.grid, self._noise = sdf.grid, noise
         system = LinearSdf(sdf, points, terms, num_threads=num_threads)
@@ -179,7 +179,7 @@ class FieldPosterior:
         self._bending = terms.bending
 
     def right_side(self, rng: np.random.Generator) -> Floats:
-        """One draw of what the errors add to the right side of the fit, (n_voxels,)."""
+        """Draw the change of the fit's right side by errors of data and prior, (n_voxels,)."""
         position, normal = self._noise.draw(rng)
         right = self._value @ (position * _CM)
         for rows, error in zip(self._slopes, normal.T, strict=True):
@@ -189,11 +189,11 @@ class FieldPosterior:
         return np.asarray(right + self._bend * root.ravel())
 
     def draw(self, n_samples: int, rng: np.random.Generator) -> Floats:
-        """Errors of the field, (n_samples, n_voxels) [m]."""
+        """Draw errors of the field, (n_samples, n_voxels) [m]."""
         return np.stack([self.draw_one(rng) for _ in range(n_samples)])
 
     def draw_one(self, rng: np.random.Generator) -> Floats:
-        """One error of the field, (n_voxels,) [m]."""
+        """Draw one error of the field, (n_voxels,) [m]."""
         return np.asarray(self._respond(self.right_side(rng)) / _CM)
 
 
@@ -202,8 +202,8 @@ def bending_force(
 ) -> Floats:
     """Draw L^T e with e white of unit variance, where L^T L is the matrix of the bending energy.
 
-    Stencils as those of `geraf2.ops.grid_energy.GridEnergy`: second differences on lines, mixed
-    ones, counted twice, on cell faces, each kind averaged over its own number.
+    Same stencils as `geraf2.ops.grid_energy.GridEnergy`: second differences along each axis, and
+    mixed ones, counted twice, on cell faces. Each kind is averaged over its number.
     """
     force = np.zeros(shape)
 
@@ -234,12 +234,12 @@ def bending_force(
 
 
 class Displacements(NamedTuple):
-    """Samples of a surface's error along its normals, outwards."""
+    """Samples of a surface's error along its outward normals."""
 
     own_m: Floats
-    """Of each vertex, (n_samples, n_vertices) [m]."""
+    """Independent error of each vertex, (n_samples, n_vertices) [m]."""
     common_m: Floats
-    """Offset that all share, (n_samples,) [m]."""
+    """Offset that all vertices share, (n_samples,) [m]."""
     common_sigma_m: float
     """Standard deviation of that offset [m]."""
 
@@ -260,14 +260,14 @@ def draw_displacements(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> Displacements:
-    """Draw how far the true surface lies outside each vertex, without any conformal factor.
+    """Draw distances from each vertex outwards to the true surface, without conformal factor.
 
         u(v) = c - df(v) / max(|grad f(v)|, 1/2)
 
-    df is a sample of the field's error and c that of the offset which all glints share: a constant
-    added to f passes the energy, so it needs no solve. Its draws are the quantiles of a normal
-    distribution in random order, and df is made uncorrelated with them: few samples then have the
-    spread of many.
+    df is a sample of the field's error, and c one of the offset that all glints share. The energy
+    does not depend on a constant added to f, so c needs no solve. Draws of c are quantiles of a
+    normal distribution in random order, and df is made uncorrelated with them. Few samples then
+    have the standard deviation of many.
 
     vertices: of the zero level of `sdf`, (n_vertices, 3) [m].
     sdf: fitted field. fitted: points and terms of the fit. noise: of these points.
@@ -287,7 +287,7 @@ def draw_displacements(
     slope = np.maximum(slope, _LEAST_SLOPE)
     change = np.stack([value @ posterior.draw_one(rng) / slope for _ in range(n_samples)])
     common = _spread_draws(n_samples, rng)
-    if n_samples > 1:  # few draws correlate by chance, and every vertex would have that error
+    if n_samples > 1:  # remove the chance correlation of few draws, which all vertices would share
         change -= common[:, None] * (common @ change / n_samples)
         change *= np.sqrt(n_samples / (n_samples - 1))
     return Displacements(-change, model.common_sigma_m * common, model.common_sigma_m)
@@ -304,16 +304,16 @@ def sample_surface(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> SurfaceSamples:
-    """Draw surfaces from the posterior of a fit; the mesh gets its errors and evidence.
+    """Draw surfaces from the posterior of a fit; the mesh gets expected errors and evidence.
 
-    mesh: zero level of `sdf`, or its parts.
-    sdf: field of the fit. evidence, fit: what it was fitted to, and how.
-    prior: box, whose faces delay the echoes behind them.
+    mesh: zero level of `sdf`, or some of its components.
+    sdf: field of the fit. evidence, fit: its data and settings.
+    prior: box, whose walls delay the echoes behind them.
     n_samples, seed: of the draws.
 
     Each sample moves a vertex along its normal by its conformal factor times a draw of
-    :func:`draw_displacements`. The expected error is the spread of the
-    samples. Not differentiable.
+    :func:`draw_displacements`. The expected error is the standard deviation over the samples. Not
+    differentiable.
     """
     model, noise = SupportModel(), NoiseModel(common_sigma_m=evidence.common_sigma_m)
     near = nearness(mesh, evidence.seen, model, evidence.weights)
@@ -321,7 +321,7 @@ def sample_surface(
     if not len(mesh.vertices):
         nothing = replace(mesh, expected_error_m=np.zeros(0), evidence=kinds)
         return SurfaceSamples(nothing, np.zeros((n_samples, 0)), noise.common_sigma_m)
-    n_bytes = _BYTES_PER_MOVE * n_samples * len(mesh.vertices)
+    n_bytes = _BYTES_PER_DISPLACEMENT * n_samples * len(mesh.vertices)
     require_memory(n_bytes, f"{n_samples} samples are too many for this mesh")
     fitted = fitted_points(evidence, sdf, fit or FitConfig(), num_threads=num_threads)
     n_outline = len(fitted[0].positions) - len(evidence.seen)

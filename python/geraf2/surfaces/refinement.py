@@ -17,58 +17,57 @@ from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig
 from geraf2.surfaces.workers import Workers
 
 _MOST_DISAGREEMENT = 0.05
-"""Share of the blocked lines that two sides of one correct outline do not agree on: up to 0.02 of
-seven correct ones, 0.07 of an eighth; 0.04 to 0.20 of wrong ones."""
+"""Largest share of blocked lines of sight on which both sides of a correct outline disagree;
+a property of the simulated population of objects."""
 _LEAST_CONFIRMING = 20
-"""Glints on lines of sight that an outline knows, at least."""
+"""Least number of glints on the known lines of sight of an outline that confirm it."""
 SELECTION_VERSION = 9
-"""Raised when :func:`select_glints` finds something else in the same capture."""
+"""Increase when :func:`select_glints` returns something else for the same capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RefineConfig(Bounded):
-    """What the preset best adds to the glints, and the fit through all."""
+    """Settings of the evidence that the preset best adds, and of the fit to all evidence."""
 
     rim: RimConfig = field(default_factory=RimConfig)
-    """Glints of smaller sub-apertures at the rim."""
+    """Glints of smaller rim sub-apertures."""
     silhouettes: SilhouetteConfig = field(default_factory=SilhouetteConfig)
-    """Outline of the content against the box's far walls."""
+    """Silhouettes of the content against the box's far walls."""
     fit: FitConfig = field(default_factory=lambda: FitConfig(spacing_m=0.003))
-    """How the surface is drawn through all; on voxels that resolve what the rim adds."""
+    """Fit to all evidence, on voxels that resolve the details of rim glints."""
     rim_weight: NotNegative = 0.2
-    """Weight of a glint of the rim, whose sub-aperture blurs echoes together, against one of whole
-    sub-apertures."""
+    """Weight of a rim glint, in whose small sub-aperture echoes merge, relative to one of a whole
+    sub-aperture."""
     outline_weight: NotNegative = 0.05
-    """Weight of a point where the edge of an outline touches the surface, which errs by 2 mm,
-    against a strong glint, which errs by 0.4 mm."""
+    """Weight of an outline's tangent point, with an error of 2 mm, relative to a strong glint, with
+    an error of 0.4 mm."""
     outline_clearance_m: MarginM = 0.005
-    """Outlines yield to glints nearer than this [m]."""
+    """Glints nearer than this override outlines [m]."""
     shadows: bool = True
-    """Cut off what lies on lines of sight that the silhouettes show free."""
+    """Whether to remove content on lines of sight that silhouettes show free."""
     max_contradicted: Share = 0.03
-    """Outlines are dropped if more of the amplitude of glints on lines that they know lies where
-    they show free space; half of it where planes on the opposite side do not show the same. Of 34
-    outlines the correct ones have up to 0.025, wrong ones 0.02 to 0.7; one correct one with 0.019
-    is lost, since its sides differ. Chosen on these."""
+    """Largest share of the glints' amplitude in an outline's free space, of that on its known lines
+    of sight; half of it where the opposite side disagrees. Outlines above are dropped. A property
+    of the simulated population of objects."""
 
 
 class SelectedGlints(NamedTuple):
-    """Glints and outlines that the fit reads."""
+    """Glints and outlines of the fit."""
 
     glints: Glints
-    """Of whole sub-apertures."""
+    """Glints of whole sub-apertures."""
     rim: Glints
-    """Of smaller sub-apertures at the rim that continue them."""
+    """Glints of smaller rim sub-apertures that continue them."""
     silhouettes: Silhouettes | None = None
-    """Outlines against the far walls, None if they were not searched for."""
+    """Silhouettes against the far walls; None if they were not searched for."""
 
     @property
     def seen(self) -> Glints:
-        """All glints."""
+        """All glints, rim glints last."""
         return self.glints.join(self.rim)
 
     def numbers(self) -> dict[str, int | str]:
-        """How much of each there is, and why there are no outlines."""
+        """Count rim glints and outlines, and state why there are no outlines."""
         found: dict[str, int | str] = {"rim": len(self.rim)}
         if self.silhouettes is not None:
             found["outlines"] = len(self.silhouettes)
@@ -87,9 +86,9 @@ def select_glints(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SelectedGlints:
-    """Continue glints to the rim of the apertures, and find outlines.
+    """Find rim glints that continue the given ones, and outlines.
 
-    first: how `glints` were found. Other arguments as those of `find_rim_glints`.
+    first: settings that found `glints`. Other arguments as those of `find_rim_glints`.
     """
     config = config or RefineConfig()
     with Workers(resolve_num_threads(num_threads)) as workers:
@@ -109,11 +108,11 @@ def select_glints(
 
 
 def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) -> Silhouettes:
-    """Those whose free lines of sight do not pass through what was seen.
+    """Select the outlines whose free lines of sight do not cross glints.
 
-    Only glints on lines that an outline knows can confirm it: of a region without content, or of
-    a wall that bulges too much, there are none. They count by amplitude and probability. Wrong
-    outlines come from a wall's shape and position, which differ on the two sides of the box.
+    Glints on the known lines of sight confirm an outline; a region without content has none. They
+    count by amplitude and probability. Wrong outlines come from errors of a wall's shape and
+    position, which differ on opposite sides of the box.
     """
     limit = np.where(outlines.disagreement > _MOST_DISAGREEMENT, 0.5, 1.0) * config.max_contradicted
     free_m = outlines.free_distances(seen.positions)
@@ -126,9 +125,9 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
 def evidence_of(
     selected: SelectedGlints, config: RefineConfig, common_sigma_m: float = UNKNOWN_OFFSET_M
 ) -> Evidence:
-    """Gather what the refined surface is fitted to, without outlines that glints contradict.
+    """Gather the data of the refined fit, without outlines that glints contradict.
 
-    common_sigma_m: of the range offset that all glints share [m].
+    common_sigma_m: standard deviation of the range offset that all glints share [m].
     """
     outlines = selected.silhouettes
     if outlines is not None:

@@ -1,7 +1,7 @@
-"""Matter beside a finished surface, for what its echo leaves unexplained in the heat maps.
+"""Residual field: small echoes beside a finished surface, for power that it leaves unexplained.
 
-The lensless model where opacity is small: samples let nearly everything through, so that only the
-surface hides them; their phases are not known, so that powers add
+The field is the lensless model for low opacity: its samples do not hide each other, and only the
+surface hides them. Their phases are unknown, so their powers add
 (docs/math/heat-maps.md#residual-field).
 """
 
@@ -24,13 +24,16 @@ from geraf2.surfaces.facets import SurfaceRenderer
 from geraf2.surfaces.surface_fit import SurfaceEcho, spread_evenly
 
 _FOLDS = 4
+"""Number of groups of planes in the cross-validation."""
 _LEAST_PLANES = 3
-"""Planes that must see a place before it may hold matter."""
+"""Planes that must see a voxel before it may hold an echo."""
 _QUARTER = 0.25
+"""Quantile over the planes of the unexplained power that bounds a voxel's power."""
 _LEAST_GAIN_DB = 0.1
+"""Least decrease of the left-out planes' squared error that keeps a field [dB]."""
 _MAX_STEPS = 40
 _LOOK_PERIOD = (4, 4, 1)
-"""Voxels along x, y, z after which two share a look: farther apart than a plane resolves."""
+"""Voxels along x, y, z between samples of one look, more than the resolution of a plane."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,14 +41,14 @@ class ResidualField:
     """Small echoes of unknown phase beside a surface."""
 
     points: Floats
-    """Where they are: voxels of a grid, (n_points, 3) [m]."""
+    """Voxel positions, (n_points, 3) [m]."""
     power: Floats
-    """abs(P)^2 at the place of each, if it stood in the middle of the scene, (n_points,)."""
+    """abs(P)^2 at each point, as if it were in the middle of the scene, (n_points,)."""
     looks: Ints
-    """Which of them share a signal, (n_points,): those that stand far apart."""
+    """Number of each point's look, (n_points,); points of one look share a signal."""
 
     def arrays(self) -> dict[str, Floats]:
-        """By name, for a checkpoint."""
+        """Arrays by name, for a checkpoint."""
         return {name: np.asarray(values, np.float64) for name, values in vars(self).items()}
 
     @classmethod
@@ -59,22 +62,22 @@ class FittedField(NamedTuple):
     """Outcome of `fit_residual_field`."""
 
     field: ResidualField
-    """Empty where no field was better than any."""
+    """Empty if no field lowered the error."""
     gain_db: float
-    """By which fields lowered the squared error of planes left out of their fit; 0 if empty."""
+    """Decrease of the squared error of left-out planes; 0 if empty [dB]."""
 
 
 class PlaneAtTargets(NamedTuple):
-    """What is known of a plane at its targets."""
+    """Targets of one plane: voxels at which its heat map is compared."""
 
     matrix: NDArray[np.float32]
-    """Largest power that each place may add there, (n_targets, n_points)."""
+    """Largest power that each point may add at a target, (n_targets, n_points)."""
     surface: Floats
     """Power of the surface's image, (n_targets,)."""
     measured: Floats
-    """Magnitudes, (n_targets,)."""
+    """Magnitudes of the measured image, (n_targets,)."""
     weights: Floats
-    """Voxels that each target stands for, (n_targets,)."""
+    """Number of voxels that each target represents, (n_targets,)."""
 
 
 def surface_image(
@@ -85,7 +88,7 @@ def surface_image(
     *,
     num_threads: int | None = None,
 ) -> NDArray[np.complex64]:
-    """Image a plane's antennas would make of a surface and the box around it, grid.shape."""
+    """Image of a surface and its box, rendered for a plane's antennas, grid.shape."""
     shares = echo.reflectivity_at(renderer.content.points)[None]
     factors = echo.power * np.concatenate([[1.0], echo.walls])
     signal = np.tensordot(factors, renderer.render(pose, shares), axes=1).astype(np.complex64)
@@ -103,8 +106,8 @@ def field_power(
 ) -> Floats:
     """Power that a field adds to a plane's heat map, grid.shape.
 
-    Samples are dealt out to looks whose powers add up; those of a look stand apart, in phases
-    drawn at random.
+    The power is the sum over looks. Samples of one look are farther apart than the resolution, and
+    have random phases.
     """
     phases = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(field.points)))
     amplitudes = np.sqrt(field.power) / renderer.waveform.n_samples * phases
@@ -133,12 +136,14 @@ def power_matrix(
 ) -> NDArray[np.float32]:
     """Power at targets of an echo of power 1 at each of the points, (n_targets, n_points).
 
-    abs(K)^2, K(x, v) = (1 / N) sum_g V_gv (R_0 / R_gv)^2 D(d_g(x) - d_g(v)) sum_(i in g) exp(j k
-    (d_i(x) - d_i(v))) with groups g of the N antennas, V whether a group sees v, d the path there
-    and back, D the mean of the chirp's phasors at that difference. A chirp's phase apart from the
-    carrier's is taken at the middle of the group.
+    The power is abs(K)^2 with
 
-    points, targets: (n_points, 3), (n_targets, 3) [m].
+        K(x, v) = (1 / N) sum_g V_gv (R_0 / R_gv)^2 D(d_g(x) - d_g(v))
+                  sum_(i in g) exp(j k (d_i(x) - d_i(v)))
+
+    for groups g of the N antennas. V is 1 if a group has a line of sight to v, d the two-way path,
+    D the mean of the chirp's phasors at that path difference. D uses the centre of the group, the
+    carrier's phase each antenna.
     """
     waveform = renderer.waveform
     wavenumber = 2.0 * np.pi / waveform.center_wavelength_m
@@ -149,8 +154,8 @@ def power_matrix(
         if not lit.index.size:
             continue
         there, back = (
-            np.exp(1j * wavenumber * _paths(tx, rx, places)).astype(np.complex64)
-            for places in (targets, lit.points)
+            np.exp(1j * wavenumber * _paths(tx, rx, ends)).astype(np.complex64)
+            for ends in (targets, lit.points)
         )
         sums = there.T @ (back.conj() * (lit.spreading / pose.n_antennas).astype(np.float32))
         middles = tx.mean(axis=0)[None], rx.mean(axis=0)[None]
@@ -159,9 +164,9 @@ def power_matrix(
     return np.square(total.real) + np.square(total.imag)
 
 
-def _paths(tx: Floats, rx: Floats, places: Floats) -> Floats:
-    """From transmitters over places to receivers, (n_antennas, n_places) [m]."""
-    legs = (np.linalg.norm(places[None] - ends[:, None], axis=2) for ends in (tx, rx))
+def _paths(tx: Floats, rx: Floats, points: Floats) -> Floats:
+    """Two-way paths from transmitters over points to receivers, (n_antennas, n_points) [m]."""
+    legs = (np.linalg.norm(points[None] - ends[:, None], axis=2) for ends in (tx, rx))
     return np.asarray(sum(legs))
 
 
@@ -187,19 +192,19 @@ def fit_residual_field(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> FittedField:
-    """Find what must be there beside a surface for the heat maps to be the measured ones.
+    """Fit small echoes beside a surface so that its heat maps agree with the measured ones.
 
-    Minimises sum (sqrt(abs(S)^2 + sum_v w_v abs(K_v)^2) - abs(P))^2 over the voxels of all planes,
-    of which some are drawn, for 0 <= w_v <= c_v. S is the image of surface and box, P the measured
-    one, K_v that of an echo at v; c_v is what abs(P)^2 - abs(S)^2 at v leaves at most in a quarter
-    of the planes that see it. v are the voxels with the largest c_v. A field is kept if fits to
-    three quarters of the planes lower the error of the other quarter by 0.1 dB, four times in turn
-    (one plane in turn where there are fewer).
+    Minimises sum (sqrt(abs(S)^2 + sum_v w_v abs(K_v)^2) - abs(P))^2 for 0 <= w_v <= c_v, over drawn
+    voxels of all planes. S is the image of surface and box, P the measured one, K_v that of an echo
+    at v. c_v is the lower quartile, over the planes that see v, of abs(P)^2 - abs(S)^2 at v. The
+    points v are the voxels with the largest c_v. A field is kept if fits to three quarters of the
+    planes lower the error of the last quarter by 0.1 dB, in four-fold cross-validation. With fewer
+    than four planes, one plane at a time is left out.
 
-    renderer, echo: the surface, and how strongly it echoes.
-    poses: planes that may be fitted to.
-    grid: where heat maps are compared and where matter may be, over the box.
-    config: what is fitted.
+    renderer, echo: the surface and its reflectivity.
+    poses: planes available for the fit.
+    grid: voxels of the heat maps and of the field, over the box.
+    config: settings of the fit.
     seed: of the voxels at which planes are compared.
     """
     config = config or ResidualFieldConfig()
@@ -216,11 +221,11 @@ def fit_residual_field(
     seen = np.stack(evidence)
     allowed = allowed_power(seen)
     chosen = _largest(allowed, config.n_points)
-    places = grid.points()
+    positions = grid.points()
     planes = []
     for number, (pose, image) in enumerate(zip(poses, images, strict=True), start=1):
         targets, weights = _draw(*image, config.n_targets, rng)
-        matrix = power_matrix(renderer, pose, places[chosen], places[targets])
+        matrix = power_matrix(renderer, pose, positions[chosen], positions[targets])
         of_surface, magnitudes = (values.ravel()[targets] for values in image)
         planes.append(PlaneAtTargets(matrix, of_surface, magnitudes.astype(np.float64), weights))
         if progress is not None:
@@ -231,7 +236,9 @@ def fit_residual_field(
     power = _solve(planes, allowed[chosen]) if chosen.size else np.zeros(0)
     looks = np.stack(np.unravel_index(chosen, grid.shape)) % np.array(_LOOK_PERIOD)[:, None]
     field = ResidualField(
-        points=places[chosen], power=power, looks=np.ravel_multi_index(tuple(looks), _LOOK_PERIOD)
+        points=positions[chosen],
+        power=power,
+        looks=np.ravel_multi_index(tuple(looks), _LOOK_PERIOD),
     )
     return FittedField(field, gain)
 
@@ -239,7 +246,7 @@ def fit_residual_field(
 def _unexplained(
     renderer: SurfaceRenderer, pose: Pose, surface: Floats, measured: Floats, grid: Grid
 ) -> Floats:
-    """Power that a plane leaves unexplained at the voxels it sees, else NaN, (n_voxels,)."""
+    """Unexplained power at the voxels in line of sight of a plane, else NaN, (n_voxels,)."""
     lit = renderer.lit_points(grid.points(), pose.phase_centers.mean(axis=0))
     rest = np.maximum(measured.astype(np.float64) ** 2 - surface, 0.0)
     at = ((lit.points - np.asarray(grid.origin_m)) / grid.spacing_m).T
@@ -249,10 +256,10 @@ def _unexplained(
 
 
 def allowed_power(unexplained: Floats) -> Floats:
-    """Bound of the power at places, (n_places,): a quarter of the planes leave at most as much.
+    """Upper bound of the power at each point, (n_points,): lower quartile over the planes.
 
-    unexplained: of each plane, NaN where it does not see, (n_planes, n_places). Zero where fewer
-    than three planes see.
+    unexplained: power of each plane, NaN without line of sight, (n_planes, n_points). The bound is
+    zero where fewer than three planes have a line of sight.
     """
     seen = np.isfinite(unexplained)
     ascending = np.sort(np.where(seen, unexplained, np.inf), axis=0)
@@ -262,7 +269,7 @@ def allowed_power(unexplained: Floats) -> Floats:
 
 
 def _largest(values: Floats, n: int) -> Ints:
-    """Places of the n largest that are not zero, ascending."""
+    """Ascending indices of the n largest positive values."""
     order = np.argsort(-values, kind="stable")[:n]
     return np.sort(order[values[order] > 0.0])
 
@@ -270,7 +277,7 @@ def _largest(values: Floats, n: int) -> Ints:
 def _draw(
     surface: Floats, measured: Floats, n_targets: int, rng: np.random.Generator
 ) -> tuple[Ints, Floats]:
-    """Voxels, half drawn by unexplained power, half anywhere, and how many each stands for."""
+    """Draw voxels, half by unexplained power, half uniformly, and how many each represents."""
     rest = np.abs(measured.astype(np.float64) ** 2 - surface).ravel()
     chance = 0.5 * rest / max(float(rest.sum()), 1e-300) + 0.5 / rest.size
     drawn = rng.choice(rest.size, n_targets, p=chance / chance.sum())
@@ -278,7 +285,7 @@ def _draw(
 
 
 def _solve(planes: Sequence[PlaneAtTargets], allowed: Floats) -> Floats:
-    """Power of each place, (n_places,)."""
+    """Fitted power of each point, (n_points,)."""
     matrix = np.concatenate([plane.matrix for plane in planes])
     surface, measured, weights = (
         np.concatenate([getattr(plane, name) for plane in planes])
@@ -300,13 +307,14 @@ def _solve(planes: Sequence[PlaneAtTargets], allowed: Floats) -> Floats:
 def loss_of_shares(
     shares: Floats, matrix: Floats, surface: Floats, measured: Floats, weights: Floats
 ) -> tuple[float, Floats]:
-    """Weighted squared error of magnitudes and its gradient to the shares, (n_places,).
+    """Weighted squared error of magnitudes and its gradient to the shares, (n_points,).
 
-    matrix: power at the targets where every share is 1, (n_targets, n_places). surface, measured,
-    weights: power, magnitude and number of voxels of each target, (n_targets,).
+    shares: power of each point relative to its bound, (n_points,).
+    matrix: power at the targets for shares of 1, (n_targets, n_points).
+    surface, measured, weights: power, magnitude and number of voxels of each target, (n_targets,).
     """
     power = surface + matrix @ shares.astype(matrix.dtype)
-    # Where nothing is rendered the root has no slope; a share of zero there is at its bound.
+    # The root has no gradient at zero; a share of zero there is at its bound.
     magnitude = np.sqrt(np.maximum(power, 1e-12 * float(np.max(measured**2))))
     rest = magnitude - measured
     slope = (weights * rest / magnitude).astype(matrix.dtype)
@@ -316,16 +324,18 @@ def loss_of_shares(
 def left_out_gain(
     planes: Sequence[PlaneAtTargets], unexplained: Floats, chosen: Ints, config: ResidualFieldConfig
 ) -> float:
-    """By how much fields lower the squared error of planes that they were not fitted to [dB]."""
+    """Decrease of the squared error of left-out planes by fitted fields [dB]."""
     without = with_field = 0.0
     n_folds = min(_FOLDS, len(planes))
     for fold in range(n_folds) if n_folds > 1 else ():
         kept = np.arange(len(planes)) % n_folds != fold
         allowed = allowed_power(unexplained[kept])
         own = _largest(allowed, config.n_points)
-        places = np.flatnonzero(np.isin(chosen, own))
-        cut = [plane._replace(matrix=plane.matrix[:, places]) for plane in planes]
-        power = _solve([p for p, k in zip(cut, kept, strict=True) if k], allowed[chosen[places]])
+        own_points = np.flatnonzero(np.isin(chosen, own))
+        cut = [plane._replace(matrix=plane.matrix[:, own_points]) for plane in planes]
+        power = _solve(
+            [p for p, k in zip(cut, kept, strict=True) if k], allowed[chosen[own_points]]
+        )
         for plane in cut[fold::n_folds]:
             rendered = np.sqrt(plane.surface + plane.matrix @ power.astype(np.float32))
             without += float(plane.weights @ (np.sqrt(plane.surface) - plane.measured) ** 2)

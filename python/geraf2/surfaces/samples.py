@@ -1,4 +1,4 @@
-"""Samples of a reconstructed surface, and intervals of what is computed from it."""
+"""Posterior samples of a reconstructed surface, and intervals of quantities derived from it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -14,22 +14,22 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.surfaces.pieces import likely_faces, likely_part
 
 NORMAL_95 = 1.96
-"""Half of the interval that holds 95 % of a normal distribution, in standard deviations."""
+"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SurfaceSamples(Short):
-    """Surfaces that the scan allows, all with the triangles of one mesh.
+    """Surfaces that agree with the scan, all with the triangles of one mesh.
 
-    Shared offsets are in them, so neighbours move together: a number that depends on the whole
-    mesh takes its uncertainty from its values over the samples.
+    The samples include shared offsets, so neighbouring vertices move together. The uncertainty of a
+    quantity of the whole mesh is its spread over the samples.
     """
 
     mesh: TriangleMesh
-    """Reconstructed surface, with the expected error of each vertex and its evidence."""
+    """Reconstructed surface, with expected error and evidence of each vertex."""
     displacements_m: Floats
-    """How far each sample moves each vertex outwards along its normal, (n_samples, n_vertices)
-    [m]."""
+    """Displacement of each vertex along its outward normal in each sample,
+    (n_samples, n_vertices) [m]."""
     common_sigma_m: float
     """Standard deviation of the range offset that all echoes of the scan share [m]."""
 
@@ -37,7 +37,7 @@ class SurfaceSamples(Short):
         return len(self.displacements_m)
 
     def meshes(self) -> Iterator[TriangleMesh]:
-        """Each sample as a mesh."""
+        """Iterate over the samples as meshes."""
         normals = vertex_normals(self.mesh.vertices, self.mesh.faces)
         for moved in self.displacements_m:
             yield replace(self.mesh, vertices=self.mesh.vertices + moved[:, None] * normals)
@@ -45,10 +45,10 @@ class SurfaceSamples(Short):
     def interval(
         self, quantity: Callable[[TriangleMesh], Any], *, deviations: float = NORMAL_95
     ) -> tuple[Floats, Floats]:
-        """Low and high end of a quantity of the surface: its value plus and minus 1.96 sigma.
+        """Lower and upper bound of a quantity of the surface: its value plus and minus 1.96 sigma.
 
         quantity: number or array of a mesh, for example its volume.
-        deviations: half of the interval in standard deviations of the samples.
+        deviations: half width of the interval in standard deviations of the samples.
         """
         if len(self) < 2:
             msg = f"an interval needs at least 2 samples, got {len(self)}"
@@ -70,7 +70,7 @@ class SurfaceSamples(Short):
         write_npz_atomic(path, arrays)
 
     def likely(self) -> "SurfaceSamples":
-        """Leave out likely ghosts."""
+        """Return the samples without likely ghosts."""
         used = np.unique(self.mesh.faces[likely_faces(self.mesh)])
         return replace(
             self, mesh=likely_part(self.mesh), displacements_m=self.displacements_m[:, used]
@@ -103,7 +103,7 @@ class SurfaceSamples(Short):
 def size_lines(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Name and text of each size of a run with its 95 % interval; [] without intervals.
 
-    numbers: of the stage `mesh` in run.json.
+    numbers: entry of the stage `mesh` in run.json.
     """
     if "volume_95_percent_cm3" not in numbers:
         return []

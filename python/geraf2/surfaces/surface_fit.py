@@ -1,4 +1,4 @@
-"""Reflectivity and power of a finished surface, from the heat maps of the planes it was made of."""
+"""Reflectivity and power of a finished surface, fitted to the heat maps of its scan."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,28 +21,29 @@ from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.facets import N_WALL_PARTS, ExcessPath, Facets, SurfaceRenderer
 
 _NEAREST_NODES = 3
+"""Nodes between which a reflectivity is interpolated."""
 _MAX_STEPS = 20
 _ENOUGH = 1e-4
-"""A step that lowers the sum of squares by a smaller share is the last."""
+"""Relative decrease of the sum of squares below which the solver stops."""
 _NUGGET = 0.05
-"""Variance of a reflectivity that its neighbours do not share, relative to what they share."""
+"""Variance of a reflectivity that neighbours do not share, relative to the shared variance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfaceEcho:
-    """How strongly a surface and the box around it echo."""
+    """Reflectivity of a surface and of the box around it."""
 
     nodes: Floats
-    """Places on the content, (n_nodes, 3) [m]."""
+    """Points on the content, (n_nodes, 3) [m]."""
     reflectivity: Floats
-    """Of the content at the nodes, mean 1, (n_nodes,)."""
+    """Reflectivity of the content at the nodes, mean 1, (n_nodes,)."""
     power: float
-    """Amplitude of a square metre of reflectivity 1 in the middle of the scene."""
+    """Amplitude of one square metre of reflectivity 1 in the middle of the scene."""
     walls: NDArray[np.complex128]
-    """Amplitude and phase of the walls, relative to power: from without, from within, (2,)."""
+    """Amplitude and phase of the walls' front and back faces relative to power, (2,)."""
 
     def arrays(self) -> dict[str, Floats]:
-        """By name, for a checkpoint."""
+        """Arrays by name, for a checkpoint."""
         power, walls = np.array([self.power]), np.stack([self.walls.real, self.walls.imag])
         return {**vars(self), "power": power, "walls": walls}
 
@@ -55,7 +56,7 @@ class SurfaceEcho:
         )
 
     def reflectivity_at(self, points: Floats) -> Floats:
-        """Interpolated between the nodes, (n, 3) [m] -> (n,)."""
+        """Interpolate the reflectivity between the nodes, (n, 3) [m] -> (n,)."""
         return self.reflectivity @ node_shares(self.nodes, points)
 
 
@@ -80,7 +81,7 @@ def renderer_in_box(
 ) -> SurfaceRenderer:
     """Make the renderer of facets in a box, behind its walls.
 
-    content: facets of what is in the box. blocker: what stands in their way.
+    content: facets of the content. blocker: what blocks their lines of sight.
     outside: facets of the box; the prior's triangles when None.
     """
     if outside is None:
@@ -134,16 +135,16 @@ def fit_surface_echo(
 ) -> SurfaceEcho:
     """Reflectivity, power and walls of a surface, by least squares of its heat maps.
 
-    Minimises sum (abs(sum_k c_k P_k) - abs(P))^2 + stiffness term over the targets, P_k the image
-    of part k and P the measured one, all planes alike; reflectivities are not negative. The
-    stiffness term is that of :func:`departure_rows`. The start is the non-negative solution of
-    abs(P)^2 = sum c_k^2 abs(P_k)^2, in which the content is one. Of several stiffnesses the one is
-    taken with the least error of planes left out, one at a time.
+    Minimises sum (abs(sum_k c_k P_k) - abs(P))^2 + stiffness term over the targets of all planes.
+    P_k is the image of part k, P the measured image, and reflectivities are not negative. The
+    stiffness term is that of :func:`departure_rows`. The solver starts at the non-negative solution
+    of abs(P)^2 = sum c_k^2 abs(P_k)^2 with the content as one part. Of several stiffnesses, the one
+    with the least leave-one-out error over the planes is used.
 
     renderer: of the surface.
-    poses: planes that may be fitted to.
-    grid: where heat maps are compared, over the box.
-    config: what is fitted.
+    poses: planes available for the fit.
+    grid: voxels of the heat maps, over the box.
+    config: settings of the fit.
     seed: of the targets.
     """
     import torch  # noqa: PLC0415 - torch takes a second
@@ -161,8 +162,8 @@ def fit_surface_echo(
         image = np.abs(pose_image(pose, grid, waveform, num_threads=num_threads)).ravel()
         targets = choose_targets(image, config.n_targets, rng, "a plane's heat map")
         signals = torch.from_numpy(renderer.render(pose, shares))
-        places = pose.tx_positions, pose.rx_positions, grid.points()[targets]
-        parts = point_images(signals, signals[:0], *places, waveform, num_threads=num_threads)
+        geometry = pose.tx_positions, pose.rx_positions, grid.points()[targets]
+        parts = point_images(signals, signals[:0], *geometry, waveform, num_threads=num_threads)
         planes.append(_PlaneImages(parts.of_signals.numpy(), image[targets]))
         if progress is not None:
             progress(number / len(chosen))
@@ -175,28 +176,28 @@ def fit_surface_echo(
 
 
 def spread_evenly(poses: Sequence[Pose], n_most: int) -> list[Pose]:
-    """At most so many planes, evenly spread over the scan."""
+    """Select at most n_most planes, evenly spread over the scan."""
     chosen = np.unique(np.linspace(0, len(poses) - 1, min(n_most, len(poses))).round())
     return [poses[plane] for plane in chosen.astype(int)]
 
 
 class _PlaneImages(NamedTuple):
-    """What a plane's heat map is at its targets."""
+    """Images of one plane at its targets."""
 
     parts: NDArray[np.complex64]
-    """Images of nodes and walls, (n_parts, n_targets)."""
+    """Rendered images of nodes and walls, (n_parts, n_targets)."""
     measured: NDArray[np.float32]
-    """Magnitudes, (n_targets,)."""
+    """Magnitudes of the measured image, (n_targets,)."""
 
 
 def departure_rows(nodes: Floats, correlation_m: float) -> Floats:
-    r"""Matrix W, (n_nodes, n_nodes): how unlikely reflectivities x at nodes (n_nodes, 3) [m] are.
+    r"""Whitening matrix W of a prior for reflectivities x at nodes (n_nodes, 3) [m].
 
     .. math:: |W x|^2 = (x - \bar x)^T C^{-1} (x - \bar x), \qquad
         C_{kl} = e^{-d_{kl}^2 / 2 \ell^2} + 0.05 \, \delta_{kl}
 
-    with d the distances of nodes and l the correlation length: the covariance of a Gaussian
-    process, as in kriging (Rasmussen and Williams 2006, section 2.2).
+    d are the distances of nodes and l is the correlation length. C is the covariance of a Gaussian
+    process (Rasmussen and Williams 2006, section 2.2). Returns (n_nodes, n_nodes).
     """
     distance = np.linalg.norm(nodes[:, None] - nodes, axis=2)
     covariance = np.exp(-0.5 * (distance / correlation_m) ** 2) + _NUGGET * np.eye(len(nodes))
@@ -207,9 +208,9 @@ def departure_rows(nodes: Floats, correlation_m: float) -> Floats:
 def choose_targets(
     image: NDArray[np.inexact], n_targets: int, rng: np.random.Generator, name: str
 ) -> Ints:
-    """Voxels of a heat map, or magnitudes, (n,): half drawn by power, half anywhere; ascending.
+    """Draw indices of samples of a heat map, half by power, half uniformly; ascending, unique.
 
-    UserError, which says `name`, if it is zero or not finite.
+    name: of the image, for the UserError if it is zero or not finite.
     """
     power = np.abs(image).astype(np.float64) ** 2
     if not (np.isfinite(power).all() and power.sum() > 0.0):
@@ -224,27 +225,27 @@ def choose_targets(
 
 
 class _Fitted(NamedTuple):
-    """Coefficients that are least squares of something."""
+    """Result of one least-squares fit."""
 
     x: Floats
-    """Reflectivities, then real and imaginary parts of the walls; in units of the start."""
+    """Reflectivities, then real and imaginary parts of the walls, relative to the start."""
     stiff: Floats
-    """Times x they are residuals, beside those of magnitudes, (n_nodes, n_x)."""
+    """Matrix S of the stiffness term |S x|^2, (n_nodes, n_x)."""
     is_free: NDArray[np.bool_]
-    """What is not held at its bound, (n_x,)."""
+    """Coefficients that are not at a bound, (n_x,)."""
 
 
 class _MagnitudeFit:
-    """Coefficients of the parts' images whose sums have the measured magnitudes.
+    """Fit of coefficients to the parts' images, so that their sum has the measured magnitudes.
 
-    planes: images and magnitudes. n_nodes: parts that are not walls; those come first.
+    planes: images and magnitudes. n_nodes: number of nodes, the parts before the walls.
     """
 
     def __init__(self, planes: list[_PlaneImages], n_nodes: int) -> None:
         images = np.concatenate([plane.parts for plane in planes], axis=1).astype(np.complex128)
         magnitudes = np.concatenate([plane.measured for plane in planes]).astype(np.float64)
-        together = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
-        start = np.sqrt(nnls(np.abs(together.T) ** 2, magnitudes**2)[0])
+        parts = np.concatenate([images[:n_nodes].sum(axis=0)[None], images[n_nodes:]])
+        start = np.sqrt(nnls(np.abs(parts.T) ** 2, magnitudes**2)[0])
         if not start[0] > 0.0:
             raise UserError(
                 what="the surface echoes nowhere where the scan does",
@@ -261,9 +262,9 @@ class _MagnitudeFit:
         ]
 
     def solve(self, rows: Floats) -> _Fitted:
-        """Least squares of magnitudes and of `rows` times the reflectivities.
+        """Minimise the squared errors of magnitudes plus the stiffness term.
 
-        rows: (n_nodes, n_nodes), relative to the root mean square of the magnitudes.
+        rows: stiffness matrix, (n_nodes, n_nodes), relative to the RMS of the magnitudes.
         """
         stiff = np.zeros((len(rows), len(self._basis)))
         stiff[:, : self._n_nodes] = rows
@@ -291,16 +292,18 @@ class _MagnitudeFit:
 
     def _jacobian(self, x: Floats) -> Floats:
         image = x @ self._basis
-        turned = np.conj(image) / np.maximum(np.abs(image), 1e-12 * self._magnitudes.max())
-        return np.asarray((turned * self._basis).real.T)
+        phasor = np.conj(image) / np.maximum(np.abs(image), 1e-12 * self._magnitudes.max())
+        return np.asarray((phasor * self._basis).real.T)
 
     def left_out_error(self, fitted: _Fitted) -> float:
-        """Sum of squared errors of planes, each by a fit that did not know of it.
+        """Leave-one-out error: sum of squared errors of planes, each with a fit without it.
 
-        A fit without a plane is one Gauss-Newton step from that with all of them: with J the
-        Jacobian, r the misfit, b the plane and e its share of the squared magnitudes, with which
-        stiffness goes, too, (J^T J - J_b^T J_b + (1 - e) S^T S)^-1 (J_b^T r_b + e S^T S x).
-        Beirami et al. 2017, "On optimal generalizability in parametric learning".
+        A fit without plane b is approximated by one Gauss-Newton step from the fit with all planes,
+
+            (J^T J - J_b^T J_b + (1 - e) S^T S)^-1 (J_b^T r_b + e S^T S x)
+
+        J is the Jacobian, r the residual, e the plane's share of the squared magnitudes.
+        Source: Beirami et al. 2017, "On optimal generalizability in parametric learning".
         """
         x, stiff, free = fitted
         jacobian, stiff = self._jacobian(x)[:, free], stiff[:, free]
@@ -310,14 +313,14 @@ class _MagnitudeFit:
             own, without = jacobian[plane], x.copy()
             share = np.square(self._magnitudes[plane]).sum() / energy
             normal = data - own.T @ own + (1.0 - share) * pull
-            pushed = own.T @ self._misfit(x, plane) + share * (pull @ x[free])
-            without[free] += np.linalg.lstsq(normal, pushed, rcond=None)[0]
+            right = own.T @ self._misfit(x, plane) + share * (pull @ x[free])
+            without[free] += np.linalg.lstsq(normal, right, rcond=None)[0]
             without[: self._n_nodes] = np.maximum(without[: self._n_nodes], 0.0)
             total += float(np.square(self._misfit(without, plane)).sum())
         return total
 
     def echo(self, fitted: _Fitted, nodes: Floats) -> SurfaceEcho:
-        """Write coefficients as reflectivities of mean 1, power and walls."""
+        """Convert coefficients to reflectivities of mean 1, power and walls."""
         reflectivity = fitted.x[: self._n_nodes]
         real, imaginary = fitted.x[self._n_nodes :].reshape(2, N_WALL_PARTS)
         mean = float(reflectivity.mean()) or 1.0
@@ -330,7 +333,7 @@ class _MagnitudeFit:
 
 
 def spread_nodes(points: Floats, n_nodes: int) -> Floats:
-    """Points that stand far apart, each the farthest from those before, (n_nodes, 3) at most."""
+    """Farthest-point samples: each is farthest from those before, at most (n_nodes, 3)."""
     chosen = [0]
     distance = np.linalg.norm(points - points[0], axis=1)
     while len(chosen) < n_nodes and distance.max() > 0.0:
@@ -340,9 +343,9 @@ def spread_nodes(points: Floats, n_nodes: int) -> Floats:
 
 
 def node_shares(nodes: Floats, points: Floats) -> Floats:
-    """Weights of nodes at points, (n_nodes, n_points); those of a point sum to 1.
+    """Interpolation weights of nodes at points, (n_nodes, n_points); columns sum to 1.
 
-    Inverse squares of the distances to the nearest three.
+    They are inverse squares of the distances to the nearest three nodes.
     """
     n_near = min(_NEAREST_NODES, len(nodes))
     distance, nearest = KDTree(nodes).query(points, k=[*range(1, n_near + 1)])

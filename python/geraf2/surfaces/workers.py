@@ -1,4 +1,4 @@
-"""Independent pieces of work side by side, their results in order."""
+"""Independent tasks in parallel threads, with results in order."""
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -10,12 +10,11 @@ _T = TypeVar("_T")
 
 
 class Workers:
-    """Threads for pieces that spend their time in kernels of one thread each.
+    """Pool of threads for tasks whose kernels use one thread each.
 
-    So no result depends on the number of threads, and none waits for another at the end of each
-    kernel.
+    No result depends on the number of threads, and tasks do not wait for each other.
 
-    num_threads: torch's number when torch is loaded, else all cores, when None.
+    num_threads: when None, torch's number if torch is loaded, else all cores.
     """
 
     def __init__(self, num_threads: int | None = None) -> None:
@@ -35,9 +34,9 @@ class Workers:
         *arguments: Iterable[object],
         on_result: Callable[[int], None] | None = None,
     ) -> list[_T]:
-        """Results of `work` for the first of all arguments, the second, and so on.
+        """Map `work` over the arguments in parallel; results are in the arguments' order.
 
-        on_result: called with their number as they come, in their order, by the caller's thread.
+        on_result: called after each result with their number so far, in the caller's thread.
         """
         results: list[_T] = []
         for result in (map if self._pool is None else self._pool.map)(work, *arguments):
@@ -47,5 +46,5 @@ class Workers:
         return results
 
     def start(self, work: Callable[[], _T]) -> Callable[[], _T]:
-        """Begin a piece beside the caller; what is returned waits for its result."""
+        """Start a task in parallel and return a function that waits for its result."""
         return work if self._pool is None else self._pool.submit(work).result
