@@ -26,13 +26,13 @@ def ring(lean: float, radius_m: float = 0.05, n: int = 300) -> Glints:
 
 
 @pytest.mark.parametrize(("lean", "share"), [(0.0, 1.0), (0.2, 1.0), (0.3, 0.5), (0.5, 0.0)])
-def test_the_lean_of_the_surroundings_decides(lean, share):
+def test_the_normals_around_a_cap_decide(lean, share):
     middle = np.zeros((1, 3))
     retreat = cap_retreat(middle, UP, ring(lean), **SETTINGS)
     assert retreat[0] == pytest.approx(share * (0.05 - 0.02), abs=1e-9)
 
 
-def test_only_points_far_from_every_glint_retreat():
+def test_only_points_far_from_every_glint_move():
     along = np.array([[0.0, 0.0, 0.0], [0.029, 0.0, 0.0], [0.031, 0.0, 0.0], [0.05, 0.0, 0.0]])
     retreat = cap_retreat(along, np.repeat(UP, 4, axis=0), ring(0.0), **SETTINGS)
     np.testing.assert_allclose(retreat, [0.03, 0.001, 0.0, 0.0], atol=1e-9)
@@ -51,6 +51,6 @@ def test_few_glints_and_none(n):
     assert not cap_retreat(np.zeros((2, 3)), np.repeat(UP, 2, axis=0), none, **SETTINGS).any()
 
 
-def test_slope_zero_switches_it_off():
+def test_slope_zero_moves_nothing():
     settings = {**SETTINGS, "slope": 0.0}
     assert cap_retreat(np.zeros((1, 3)), UP, ring(0.0), **settings)[0] == 0.0

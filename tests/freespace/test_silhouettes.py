@@ -111,7 +111,7 @@ def test_a_wall_that_bulges_is_a_curved_mirror(law, bulge_m):
 
 
 @pytest.mark.parametrize(("tilt_deg", "axes"), [(-2.5, []), (2.5, [0])])
-def test_a_strip_that_sees_past_the_edge_of_a_tilted_wall_says_nothing(tilt_deg, axes):
+def test_antennas_that_miss_the_box_by_a_tilted_wall_give_no_outline(tilt_deg, axes):
     y, z = (a.ravel() for a in np.meshgrid(np.arange(0.092, 0.098, 1e-3), Z, indexing="ij"))
     ramp = 2.0 * np.tan(np.radians(tilt_deg)) * y
     path_m = 2 * (STANDOFF_M + INNER_M + WALL.one_way_delay_m) + 0.15 + ramp
@@ -128,7 +128,7 @@ def test_a_strip_that_sees_past_the_edge_of_a_tilted_wall_says_nothing(tilt_deg,
     assert ("lines of sight" in str(found.reason)) == (not axes)
 
 
-def test_it_is_said_why_there_is_no_outline():
+def test_the_reason_for_no_outline_is_stated():
     capture = shadow_capture("body", "geometric_flash")
     assert str(find_silhouettes(capture).reason) == ""
     pose, weak = capture.poses[0], shadow_capture("body", "geometric_flash", strength=0.0)
@@ -139,7 +139,7 @@ def test_it_is_said_why_there_is_no_outline():
     silent = replace(pose, signal=np.zeros_like(pose.signal))
     for found, reason in (
         (find_silhouettes(replace(capture, walls=())), "not known"),
-        (find_silhouettes(replace(capture, poses=(beside,))), "squarely"),
+        (find_silhouettes(replace(capture, poses=(beside,))), "right angle"),
         (find_silhouettes(replace(capture, poses=(inside,))), ""),
         (find_silhouettes(replace(capture, poses=(silent,))), ""),
         (find_silhouettes(weak), "of 25% at least"),
@@ -149,13 +149,13 @@ def test_it_is_said_why_there_is_no_outline():
         assert (found.free_distance(np.zeros((3, 3))) == -np.inf).all()
 
 
-def test_a_box_that_is_turned_a_little_does_not_matter():
+def test_a_small_tilt_of_the_box_is_corrected():
     straight = find_silhouettes(shadow_capture("body", "geometric_flash"))
     tilted = find_silhouettes(shadow_capture("body", "geometric_flash", tilt=np.radians(1.0)))
     np.testing.assert_allclose(edges(tilted, "body"), edges(straight, "body"), atol=1e-3)
 
 
-def test_where_an_inner_box_is_crossed_its_delay_is_taken_off():
+def test_the_delay_of_an_inner_box_is_subtracted():
     capture = shadow_capture("body", "geometric_flash")
     # A quarter of a turn of phase on the way there and back, of what its walls cover.
     inner = Wall(size_m=(0.12, 0.09, 0.12), thickness_m=0.0009, permittivity=1.6)
@@ -217,7 +217,7 @@ def test_free_distance_is_that_to_the_outline():
     np.testing.assert_allclose(made(disc()).free_distance(points), expected, atol=7e-4)
 
 
-def test_a_hole_is_free_where_the_flash_is_all_there():
+def test_a_hole_with_the_full_flash_is_free():
     points = np.random.default_rng(0).uniform(-0.05, 0.05, (500, 3))
     r = np.hypot(points[:, 0], points[:, 2])
     hole = made(disc(hole_m=0.012))
@@ -230,7 +230,7 @@ def test_a_hole_is_free_where_the_flash_is_all_there():
     np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
 
 
-def test_the_dim_shadow_of_a_thin_part_is_not_free_but_an_edge_that_is_blurred():
+def test_a_dim_shadow_of_a_thin_part_is_not_free_but_a_blurred_edge_is():
     x, z = np.meshgrid(np.arange(61) * 0.002 - 0.06, np.arange(81) * 0.002 - 0.08, indexing="ij")
     bar = np.where((np.abs(x - 0.046) < 0.0025) & (np.abs(z) < 0.05), 0.6, 1.0)
     rim = np.where(np.hypot(x, z) < 0.035, 0.6, 1.0)
@@ -248,7 +248,7 @@ def test_the_dim_shadow_of_a_thin_part_is_not_free_but_an_edge_that_is_blurred()
     np.testing.assert_allclose(alone, to_bar, atol=1.5e-3)
 
 
-def test_sharpened_edges_stay_and_strips_are_as_wide_as_they_are():
+def test_sharpening_keeps_edges_and_the_width_of_strips():
     """Against closed forms: a blurred half plane and strips are error functions."""
     blur_m, cell_m = 0.0034, 0.0005
     x = cell_m * np.arange(-80, 81)
@@ -269,7 +269,7 @@ def test_sharpened_edges_stay_and_strips_are_as_wide_as_they_are():
     assert width_m(thin) > 0.002
 
 
-def test_where_nothing_is_known_content_may_be():
+def test_unknown_cells_may_hold_content():
     known = np.ones((61, 81), dtype=bool)
     known[:, 61:] = False  # z above 0.04
     x = np.zeros((100, 3))
@@ -315,7 +315,7 @@ def test_an_outline_that_glints_contradict_is_dropped():
     assert len(refinement.uncontradicted(outlines, outside, config)) == 0
 
 
-def test_what_is_saved_is_read_again(tmp_path):
+def test_a_saved_file_is_read_back(tmp_path):
     path = tmp_path / "silhouettes.npz"
     for outlines in (
         made(disc()),

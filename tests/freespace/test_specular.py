@@ -40,7 +40,7 @@ def surface():
 
 @pytest.mark.parametrize("blocked", [False, True])
 @pytest.mark.parametrize("least_m", [-0.02, 0.0, 0.015])
-def test_margins_are_those_of_a_plain_loop(apertures, surface, blocked, least_m):
+def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, least_m):
     normals = fibonacci_sphere(250)
     points = 1.02 * RADIUS_M * normals
     vertices, faces = surface
@@ -64,7 +64,7 @@ def test_margins_are_those_of_a_plain_loop(apertures, surface, blocked, least_m)
     assert 10 < np.isfinite(found).sum() < found.size // 2
 
 
-def test_what_lies_in_the_cone_of_a_ball_is_blocked(apertures, surface):
+def test_points_in_the_cone_of_a_ball_are_blocked(apertures, surface):
     normals = fibonacci_sphere(20000)
     points = RADIUS_M * normals
     free = specular_visibility(points, normals, apertures)
@@ -79,7 +79,7 @@ def test_what_lies_in_the_cone_of_a_ball_is_blocked(apertures, surface):
     assert lost.sum() > 50
 
 
-def test_an_aperture_is_what_the_antennas_cover(apertures):
+def test_an_aperture_is_the_area_that_the_antennas_cover(apertures):
     for number, one in enumerate(apertures):
         made = pose(51.0 * number, raster(5, 0.03) * [1.0, 2.0])
         np.testing.assert_allclose(one.half_m, (0.06, 0.12), atol=1e-12)

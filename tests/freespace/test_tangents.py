@@ -23,7 +23,7 @@ def ball(radius_m, spacing_m=0.003):
 
 
 @pytest.mark.parametrize("found_m", [0.030, 0.037])
-def test_a_ball_that_was_found_too_small_is_touched_on_its_great_circles(found_m):
+def test_a_ball_fitted_too_small_has_tangent_points_on_great_circles(found_m):
     circle = tangent_points(ball(found_m), outlines([0, 1], [RADIUS_M] * 3), NOBODY, 0.005)
     assert len(circle) > 2 * 0.9 * 2.0 * np.pi * RADIUS_M / CELL_M
     np.testing.assert_allclose(np.linalg.norm(circle.positions, axis=1), RADIUS_M, atol=1.5e-3)
@@ -36,11 +36,11 @@ def test_a_ball_that_was_found_too_small_is_touched_on_its_great_circles(found_m
     assert np.minimum(*np.abs(circle.positions[:, :2]).T).max() < flat_m
 
 
-def test_a_ball_that_was_found_too_large_is_left_to_the_cut():
+def test_a_ball_fitted_too_large_has_no_tangent_points():
     assert len(tangent_points(ball(0.043), outlines([0, 1], [RADIUS_M] * 3), NOBODY, 0.005)) == 0
 
 
-def test_places_of_glints_and_what_another_outline_shows_free_are_left_out():
+def test_tangent_points_near_glints_or_in_free_space_are_left_out():
     seen = np.array([[0.0, 0.0, RADIUS_M]])
     every = tangent_points(ball(0.037), outlines([0, 1], [RADIUS_M] * 3), NOBODY, 0.005)
     clear = tangent_points(ball(0.037), outlines([0, 1], [RADIUS_M] * 3), seen, 0.005)
@@ -59,7 +59,7 @@ def test_places_of_glints_and_what_another_outline_shows_free_are_left_out():
     assert len(alone) == 0
 
 
-def test_an_outline_that_leaves_what_is_known_has_no_edge_there():
+def test_an_outline_has_no_edge_at_the_border_of_known_cells():
     cells = CELL_M * np.arange(-40, 41)
     known = np.tile(cells < 0.02, (len(cells), 1))
     places, _ = outlines([0], [RADIUS_M] * 3, known).edge(0)
@@ -71,7 +71,7 @@ def test_an_outline_that_leaves_what_is_known_has_no_edge_there():
     assert found.positions.shape == found.normals.shape == (0, 3)
 
 
-def test_a_fit_is_drawn_out_to_a_shadow_that_reaches_farther():
+def test_a_larger_shadow_moves_the_fit_outwards():
     belt = glints_on_sphere(RADIUS_M, 1500)
     belt = belt.select(np.abs(belt.positions[:, 2]) < 0.5 * RADIUS_M)
     config = FitConfig(spacing_m=0.004)

@@ -17,7 +17,7 @@ def peaks_of_plane(number, places, cosines, ranges_m, period=np.inf, magnitudes=
         magnitudes=np.broadcast_to(magnitudes, n).astype(float),
         noise=np.full(n, 0.01),
         subaperture_centers=-STANDOFF_M * axes[0] + places @ axes[1:],
-        subaperture_places=np.asarray(places, dtype=float),
+        subaperture_coordinates=np.asarray(places, dtype=float),
         subaperture_planes=np.full(n, number, dtype=np.int64),
         tops=np.ones(n),
         periods=np.full((n, 2), period),

@@ -108,8 +108,8 @@ def test_levels_refer_to_the_strongest_peak_in_the_span(peaks):
 def test_thinned_sub_apertures_are_a_step_apart_and_reach_both_ends(peaks, step_m):
     kept = np.unique(peaks.thinned(step_m).subapertures)
     for plane in range(3):
-        every = peaks.subaperture_places[peaks.subaperture_planes == plane]
-        chosen = peaks.subaperture_places[kept[peaks.subaperture_planes[kept] == plane]]
+        every = peaks.subaperture_coordinates[peaks.subaperture_planes == plane]
+        chosen = peaks.subaperture_coordinates[kept[peaks.subaperture_planes[kept] == plane]]
         for axis in range(2):
             lines = np.unique(np.round(chosen[:, axis], 6))
             ends = np.round([every[:, axis].min(), every[:, axis].max()], 6)
@@ -148,7 +148,7 @@ def moved(capture):
 
 
 @pytest.mark.parametrize("change", [lambda c: with_bias(c, 0.146), moved])
-def test_corrected_peaks_are_those_of_corrected_images(carton, change):
+def test_corrected_peaks_equal_those_of_corrected_images(carton, change):
     """A common delay or a plane that moves as a whole: to .15 mm of range and 1.5 mrad."""
     kept = KeptPeaks(PRIOR)
     kept.of(carton)
@@ -165,7 +165,7 @@ def test_corrected_peaks_are_those_of_corrected_images(carton, change):
         assert np.quantile(turned, 0.95) < 1.5e-3
 
 
-def test_each_plane_is_imaged_once_and_again_only_where_samples_or_places_change(carton):
+def test_a_plane_is_imaged_again_only_if_samples_or_positions_change(carton):
     kept = KeptPeaks(PRIOR)
     kept.of(carton, [0])
     assert kept.n_imaged == 1
@@ -199,7 +199,7 @@ def test_planes_left_out_keep_the_peaks_of_the_others(carton):
     np.testing.assert_array_equal(some.planes, every.planes[every.planes > 0] - 1)
 
 
-def test_peaks_of_samples_that_are_gone_go_with_them(carton):
+def test_peaks_are_dropped_with_their_samples(carton):
     kept = KeptPeaks(PRIOR)
     louder = tuple(replace(pose, signal=2.0 * pose.signal) for pose in carton.poses)
     kept.of(replace(carton, poses=louder))

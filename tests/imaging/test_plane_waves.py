@@ -66,7 +66,7 @@ def test_the_order_of_the_antennas_does_not_matter():
 
 
 @pytest.mark.parametrize("kind", ["scattered", "repeated", "line"])
-def test_what_is_no_raster_is_refused(kind):
+def test_irregular_antennas_are_refused(kind):
     pose = wave(10)
     positions = pose.tx_positions.copy()
     if kind == "scattered":
@@ -79,7 +79,7 @@ def test_what_is_no_raster_is_refused(kind):
         keep_angles(replace(pose, tx_positions=positions, rx_positions=positions), WAVEFORM, 0, 60)
 
 
-def test_a_raster_in_a_robot_s_rounding_is_a_raster():
+def test_a_raster_with_rounding_errors_is_a_raster():
     pose = wave(20)
     noise = np.random.default_rng(0).uniform(-5e-5, 5e-5, pose.tx_positions.shape)
     rounded = replace(
@@ -88,7 +88,7 @@ def test_a_raster_in_a_robot_s_rounding_is_a_raster():
     assert gain(rounded, 0, 60) == pytest.approx(np.ones(3), abs=0.06)
 
 
-def test_sharpness_counts_the_voxels_that_shine():
+def test_sharpness_counts_the_bright_voxels():
     volume = np.zeros((3, 4, 5), dtype=np.float32)
     volume[0] = 2.0
     volume[1, 2, 3] = 1.0
@@ -136,7 +136,7 @@ def test_a_point_is_sharpest_at_its_depth(n_samples):
     assert sharpness[best] > 5 * np.median(sharpness)
 
 
-def test_every_depth_has_the_image_of_its_waves():
+def test_every_depth_has_the_image_of_its_plane_waves():
     waveform = replace(WAVEFORM, path_bias_m=0.13)
     pose = point_at(0.1, waveform=waveform)
     depths, sharpness = search_depth(pose, waveform, 10.0)
@@ -152,6 +152,6 @@ def test_every_depth_has_the_image_of_its_waves():
     assert depths[sharpness.argmax()] == pytest.approx(0.1, abs=0.5 * wavelength)
 
 
-def test_a_coarse_raster_tells_no_depth():
+def test_a_coarse_raster_gives_no_depth():
     with pytest.raises(UserError, match="too coarse to search the depth"):
         search_depth(point_at(0.3, step=0.013), WAVEFORM, 1.0)

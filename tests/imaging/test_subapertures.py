@@ -87,7 +87,7 @@ def with_missing(places):
 
 @pytest.mark.parametrize("change", [jittered, with_missing])
 @pytest.mark.parametrize("baseline_m", [0.0, 0.005])
-def test_irregular_positions_see_what_the_raster_sees(change, baseline_m):
+def test_irregular_positions_give_the_image_of_the_raster(change, baseline_m):
     target = target_at((0.05, -0.03), 0.387)
     regular = pose_at(raster(27), target, baseline_m)
     irregular = pose_at(change(raster(27)), target, baseline_m)
@@ -121,7 +121,7 @@ def lines(along_m):
     ],
     ids=["4 mm with gaps", "4 mm, 1 mm off", "3 mm", "lines", "at random"],
 )
-def test_irregular_places_are_imaged_to_where_directions_look_alike(places, limits):
+def test_irregular_positions_are_imaged_up_to_ambiguous_directions(places, limits):
     pose = pose_at(places, ORIGIN)
     assert find_raster(pose, WAVELENGTH) is None
     config = SubapertureConfig(step_m=0.04, direction_oversampling=1.0)
@@ -145,7 +145,7 @@ def test_irregular_places_are_imaged_to_where_directions_look_alike(places, limi
         assert lobe > 0.2
 
 
-def test_an_echo_of_jittered_places_is_seen_once():
+def test_an_echo_at_jittered_positions_gives_one_peak():
     places = raster(20, 0.004) + np.random.default_rng(0).normal(0.0, 3e-4, (400, 2))
     pose = pose_at(places, target_at((0.11, -0.08), 0.387))
     _, peaks = only_peak(pose, SubapertureConfig())
@@ -194,7 +194,7 @@ def test_sub_apertures_reach_both_ends_in_equal_steps():
     np.testing.assert_allclose(sideways, 0.003 * np.array([-7, -2, 2, 7]), atol=1e-9)
 
 
-def test_an_aperture_smaller_than_a_sub_aperture_is_one():
+def test_a_small_aperture_is_one_sub_aperture():
     pose = pose_at(raster(9), ORIGIN)
     (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig())
     np.testing.assert_allclose(image.center, pose.phase_centers.mean(axis=0), atol=1e-9)
@@ -204,7 +204,7 @@ class TestFindRaster:
     def pose(self, places):
         return pose_at(places, ORIGIN)
 
-    def test_every_antenna_sits_at_its_place(self):
+    def test_every_antenna_is_at_its_lattice_point(self):
         places = np.random.default_rng(2).permutation(raster(12))
         pose = self.pose(places)
         found = find_raster(pose, WAVELENGTH)
@@ -212,14 +212,14 @@ class TestFindRaster:
         h, v = np.meshgrid(found.horizontal_m, found.vertical_m, indexing="ij")
         np.testing.assert_allclose(places[found.index], np.stack([h, v], axis=-1), atol=1e-9)
 
-    def test_rounding_in_a_file_is_forgiven(self):
+    def test_rounding_errors_of_a_file_are_tolerated(self):
         places = np.round(raster(60, 0.0031234), 4)  # to 0.1 mm
         found = find_raster(self.pose(places), WAVELENGTH)
         assert found.index.shape == (60, 60)
         spacing = np.diff(found.horizontal_m)
         np.testing.assert_allclose(spacing, 0.0031234, atol=2e-6)
 
-    def test_a_few_holes_are_forgiven(self):
+    def test_a_few_holes_are_tolerated(self):
         places = np.delete(raster(20), [3, 77, 205, 390], axis=0)
         found = find_raster(self.pose(places), WAVELENGTH)
         assert int((found.index < 0).sum()) == 4
@@ -235,5 +235,5 @@ class TestFindRaster:
         ],
         ids=["too many holes", "two at one place", "jittered", "one line"],
     )
-    def test_none_where_there_is_no_lattice(self, places):
+    def test_irregular_positions_have_no_lattice(self, places):
         assert find_raster(self.pose(places), WAVELENGTH) is None

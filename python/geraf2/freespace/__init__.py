@@ -1,1 +1,1 @@
-"""Where nothing is: silhouettes, surfaces that are tangent to their edges, caps."""
+"""Free space and unseen surfaces: silhouettes, their tangent points, caps."""

@@ -1,8 +1,8 @@
-"""How far unseen tops and bottoms are drawn inwards.
+"""Displacement of unseen tops and bottoms (caps) inwards.
 
-The surface that bends least over a wide unseen cap is a dome. The glints around the cap say whether
-that is likely: a body that rounds off is seen leaning towards the cap as far as the aperture
-reaches, a body with an edge there is not (docs/math/surface-fit.md#caps).
+The surface with the least bending over a wide unseen cap is a dome. The glints around the cap show
+whether that is likely. A rounded body has glints whose normals lean towards the cap, up to the
+limit of the aperture; a body with an edge has none (docs/math/surface-fit.md#caps).
 """
 
 import numpy as np
@@ -11,9 +11,9 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats
 from geraf2.echoes.glint_set import Glints
 
-# The glints that surround a cap: enough to reach around one of 10 cm, and few enough not to
-# reach around the whole figure. The most leaning sixth of them counts.
+# Glints around a cap: enough to surround a cap of 10 cm, and not the whole content.
 _NEIGHBORS = 100
+# Quantile of the cosines between the cap's normal and theirs: the most leaning sixth counts.
 _QUANTILE = 0.85
 
 
@@ -27,15 +27,15 @@ def cap_retreat(
     lean: tuple[float, float],
     known: Floats | None = None,
 ) -> Floats:
-    """Distance by which points of a surface are to be drawn inwards, (n_points,) [m].
+    """Distance by which points of a surface should move inwards, (n_points,) [m].
 
     points: on the surface, (n_points, 3) [m].
     normals: outward unit normals, (n_points, 3).
-    slope: retreat per distance to the nearest known place beyond `start_m`.
-    start_m: points nearer to a known place than this stay [m].
-    lean: cosines between the normal of a point and those of the glints around it: below the first
-        the retreat is whole, above the second there is none, linear between.
-    known: where the surface is known, seen or not, (n_known, 3) [m]; the glints when None.
+    slope: displacement per distance to the nearest known position beyond `start_m`.
+    start_m: points nearer to a known position do not move [m].
+    lean: cosines between a point's normal and those of the glints around it. Below the first the
+        displacement is full, above the second zero, linear between.
+    known: known positions of the surface, seen or not, (n_known, 3) [m]; the glints when None.
     """
     retreat = np.zeros(len(points))
     if slope <= 0.0 or len(glints) == 0:
@@ -57,9 +57,9 @@ def _flatness(
     lean: tuple[float, float],
     tree: KDTree,
 ) -> Floats:
-    """How far the glints around say that a cap has an edge, not that it rounds off, (n_points,).
+    """Flatness of a cap by the glints around it, from 0 (round) to 1 (has an edge), (n_points,).
 
-    From 0, round, to 1, flat; arguments as of `cap_retreat`. tree: of the glints' positions.
+    tree: of the glints' positions. Other arguments as those of `cap_retreat`.
     """
     neighbors = np.arange(1, min(_NEIGHBORS, len(glints)) + 1)
     _, around = tree.query(points, k=neighbors)

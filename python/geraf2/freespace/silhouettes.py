@@ -1,8 +1,8 @@
-"""Outline of the content as its shadow on the box's far walls shows it.
+"""Silhouettes: the content's shadow in the specular return of the box's far walls.
 
-An antenna that faces a wall squarely sees the flash of the far wall, too, unless the content stands
-in between. Over the antennas of a plane that is a hologram of the content's outline, seen along the
-wall's normal: the only evidence of tops and bottoms in a horizontal scan
+An antenna on a wall's normal also receives the far wall's flash, unless the content blocks it. Over
+the antennas of a plane, the flash is a hologram of the content's outline, projected along the
+normal. In a horizontal scan it is the only evidence of tops and bottoms
 (docs/math/free-space.md#silhouettes).
 """
 
@@ -35,39 +35,38 @@ from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
 
 _FOCUSES = 9
-"""Focal lengths that are tried, from one shadow at the wall to two on the way."""
+"""Focal lengths that are tried, from waves with one shadow at the wall to two on the path."""
 _TILTS = 17
-"""Tilts of the wall that are tried along each of its sides, in each of two rounds."""
+"""Wall tilts that are tried along each side, in each of two rounds."""
 _MIN_ANTENNAS = 100
 _FLAT_M = 1e-4
-"""A wall whose path is off that of a flat one by less (rms, two ways) is taken for flat [m]."""
+"""A wall with a smaller RMS error of the two-way path counts as flat [m]."""
 _REFINE = 4
-"""Cells of the outline's distance in one of the hologram's, along each axis."""
+"""Cells of the outline's distance map per cell of the hologram, along each axis."""
 _FREE = 0.2
-"""A transmission that is off 1 by less is free; a flash of which the wall's edges take more is not
-used."""
+"""Largest deviation from 1 of a free line's transmission, and of a flash that the wall's edges
+attenuate."""
 _THIN, _BLUR_M = 0.7, 0.008
-"""A transmission below the first (its square for waves, which pass twice), farther than the second
-from any blocked line [m], is the shadow of a part too thin to block the flash; nearer it may be the
-blur of an edge."""
+"""Transmission of a part too thin to block the flash (squared for two passes), and least distance
+[m] of that part from a blocked line of sight: nearer it may be the blur of an edge."""
 _SAME_EDGE_M = 0.005
-"""Edges of one outline from opposite sides differ by less: refocusing errs by millimetres [m]."""
+"""Largest distance between edges of one outline from opposite sides [m], by focusing errors."""
 _EDGE = 0.5
-"""Field at the edge of a half plane over that without it."""
+"""Relative field at the edge of a half plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SilhouetteConfig(Bounded):
-    """What is taken for the far wall's flash, and what for a shadow."""
+    """Settings of the detection of far walls' flashes and shadows."""
 
     spacing_m: CellM = 0.002
-    """Cells of the outline [m]."""
+    """Cell size of the outline [m]."""
     aperture: Annotated[float, Interval(gt=0.0, le=100.0)] = 1.2
-    """Standard deviation of the antennas' weight about a cell's foot, in Fresnel zones."""
+    """Standard deviation of the antennas' weight around a cell's foot point, in Fresnel zones."""
     max_tilt_deg: Annotated[float, Interval(gt=0.0, le=45.0)] = 2.0
-    """The box may be turned against its frame by this [degrees]."""
+    """Largest tilt of the box against its frame [degrees]."""
     min_free: OpenShare = 0.25
-    """Least share of a plane's cells with the unshadowed flash; else there is no such wall."""
+    """Least share of a plane's cells with an unshadowed flash; below it the plane is not used."""
 
 
 _LAYOUTS = {
@@ -84,25 +83,25 @@ _LAYOUTS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Silhouettes:
-    """Outlines of the content, each looked at along an axis of the frame; possibly none."""
+    """Outlines of the content, each projected along an axis of the frame; possibly none."""
 
     axes: Ints
-    """Along which the lines of sight go, (n,)."""
+    """Axis of the lines of sight of each outline, (n,)."""
     origins_m: Floats
-    """First cell in the two other axes, in their order, (n, 2) [m]."""
+    """Position of the first cell along the two other axes, in their order, (n, 2) [m]."""
     spacing_m: Floats
-    """Size of a cell, () [m]."""
+    """Cell size, () [m]."""
     transmission: Floats
-    """Flash of the wall over that without content, (n, n_u, n_v); 1 on a free line."""
+    """Flash of the wall relative to that without content, (n, n_u, n_v); 1 on a free line."""
     known: Bools
     """Cells that antennas cover, (n, n_u, n_v)."""
     thresholds: Floats
-    """Transmission of a free line, at least, (n,)."""
+    """Least transmission of a free line of sight, (n,)."""
     disagreement: Floats
-    """Share of the blocked lines that planes on the two sides of the box do not agree on, (n,); 1
-    where there is no outline from both."""
+    """Share of the blocked lines of sight on which planes of opposite sides disagree, (n,); 1 if
+    there is no outline from both."""
     reason: NDArray[np.str_]
-    """Why there is no outline, (); empty where there is one."""
+    """Reason for no outline, (); empty if there is one."""
 
     def __post_init__(self) -> None:
         n = self.axes.shape[0]
@@ -119,12 +118,12 @@ class Silhouettes:
         return int(self.axes.shape[0])
 
     def save(self, path: AnyPath) -> None:
-        """Write one array per field, in the units given above."""
+        """Write one array per field."""
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
 
     @classmethod
     def load(cls, path: AnyPath) -> "Silhouettes":
-        """Read what `save` wrote; UserError for any other file."""
+        """Read a file written by `save`; UserError for any other file."""
         return cls(**read_arrays(path, _LAYOUTS))
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
@@ -133,20 +132,21 @@ class Silhouettes:
         return replace(self, **{name: getattr(self, name)[keep] for name in per_outline})
 
     def free_distance(self, points: Floats) -> Floats:
-        """Least distance from points, (n_points, 3), to the content, (n_points,) [m].
+        """Lower bound of the distance from points, (n_points, 3), to the content, (n_points,) [m].
 
-        Largest of `free_distances`; -inf where nothing is known.
+        The maximum of `free_distances`; -inf where no outline is known.
         """
         return np.asarray(self.free_distances(points).max(axis=0, initial=-np.inf))
 
     def free_distances(self, points: Floats) -> Floats:
-        """Least distance from points to the content by each outline alone, (n, n_points) [m].
+        """Lower bound of the distance to the content by each outline alone, (n, n_points) [m].
 
-        Distance to the nearest line of sight along its axis that is not free; negative, the
-        distance to the nearest free one, where blocked, and -inf where nothing is known. Free
-        lines are connected to the border of what is known, or to one with the whole flash: other
-        bright ones may be echoes of the content at the wall's range. A line that misses a part of
-        the flash far from any edge is not free: a wire or a slat does not block it all.
+        It is the distance to the nearest line of sight along the outline's axis that is not free.
+        On a blocked line it is the negative distance to the nearest free one, and -inf where the
+        outline is unknown. A free region must touch the border of the known cells or contain the
+        full flash, since other bright lines may be echoes of the content at the wall's range. A
+        line with a reduced flash far from any edge is not free: a wire or a slat blocks only a
+        part.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
@@ -164,9 +164,9 @@ class Silhouettes:
         return [self._distance_map(number) for number in range(len(self))]
 
     def _distance_map(self, number: int) -> tuple[Floats, Bools, float]:
-        """Distance to the nearest line that is not free, less that to the nearest free one [m].
+        """Signed distance to free lines of sight [m], mask of known cells, size of a cell [m].
 
-        Which cells are known, and their size [m], finer than those of the transmission.
+        Positive on free lines. The cells are finer than those of the transmission.
         """
         known = self.known[number]
         n_fine = (np.array(known.shape) - 1) * _REFINE + 1
@@ -176,7 +176,7 @@ class Silhouettes:
         spacing_m = float(self.spacing_m) / _REFINE
         blocked = (seen <= self.thresholds[number]) & known
         edges_m = spacing_m * distance_transform_edt(~blocked) if blocked.any() else np.inf
-        passes = np.log(self.thresholds[number]) / np.log(_EDGE)  # 1, or 2 for waves
+        passes = np.log(self.thresholds[number]) / np.log(_EDGE)  # passes of the content, 1 or 2
         thin = (seen < _THIN**passes) & (edges_m > _BLUR_M)
         free = known & ~blocked & ~thin
         parts, _ = label(free)
@@ -189,20 +189,20 @@ class Silhouettes:
         return spacing_m * distance, known, spacing_m
 
     def edge(self, number: int) -> tuple[Floats, Floats]:
-        """Border between free lines and others of one outline, a point for each cell it passes.
+        """Edge between free and other lines of sight of one outline, one point per cell.
 
-        Positions across the lines of sight, (n, 2) [m], and unit normals to the free side, (n, 2);
-        smoothed over half a cell. Where the outline leaves what is known it has no border.
+        Returns positions across the lines, (n, 2) [m], and unit normals towards free lines, (n, 2);
+        smoothed over half a cell. There is no edge at the border of the known cells.
         """
         distance, known, spacing_m = self._distance_maps[number]
         distance = gaussian_filter(distance, 0.5 * _REFINE)
         lines = find_contours(distance, 0.0, mask=binary_erosion(known, iterations=_REFINE))
-        places = [np.zeros((0, 2))]
+        points = [np.zeros((0, 2))]
         for line in lines:
             along = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1).cumsum()])
             at = np.arange(0.5 * _REFINE, along[-1], _REFINE)
-            places.append(np.stack([np.interp(at, along, line[:, k]) for k in range(2)], axis=1))
-        cells = np.concatenate(places)
+            points.append(np.stack([np.interp(at, along, line[:, k]) for k in range(2)], axis=1))
+        cells = np.concatenate(points)
         slope = [map_coordinates(g, cells.T, order=1) for g in np.gradient(distance, spacing_m)]
         normals = np.stack(slope, axis=1)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -210,22 +210,22 @@ class Silhouettes:
 
 
 class _Flash(NamedTuple):
-    """Echo of a wall at the antennas of a plane that face it."""
+    """Far wall's flash at the antennas of a plane that face it."""
 
     feet: Floats
-    """Antennas along the wall, (n, 2) [m]."""
+    """Foot points of the antennas on the wall, (n, 2) [m]."""
     response: NDArray[np.complex128]
-    """Over that of the whole wall without content, up to one factor, (n,)."""
+    """Signal relative to that of the whole wall without content, up to one factor, (n,)."""
     content_m: Floats
     """Distance to the middle of the box along the wall's normal, (n,) [m]."""
     wall_m: Floats
     """Distance to the wall, (n,) [m]."""
     side: float
-    """Direction to the wall along its axis, 1 or -1."""
+    """Sign of the direction to the wall along its axis, 1 or -1."""
 
 
 class _Outline(NamedTuple):
-    """Transmission and known cells, (n_u, n_v) each; transmission of a free line, at least."""
+    """Transmission and known cells, (n_u, n_v) each; least transmission of a free line."""
 
     transmission: Floats
     known: Bools
@@ -235,11 +235,10 @@ class _Outline(NamedTuple):
 def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -> Silhouettes:
     """Outlines of the content along the axes whose walls flash; possibly none.
 
-    capture: its walls, outermost first, have to be known; of a nested box the outermost is the
-        mirror.
+    capture: with known walls, outermost first; in a nested box the outermost wall is the mirror.
 
-    What the content leaves of the flash is an in-line hologram (Gabor 1948), focused by the
-    measured field's sharpest outline: docs/math/free-space.md#silhouettes.
+    The shadow in the flash is an in-line hologram (Gabor 1948), focused at the distance with the
+    sharpest outline: docs/math/free-space.md#silhouettes.
     """
     config = config or SilhouetteConfig()
     by_axis: dict[int, list[_Flash]] = defaultdict(list)
@@ -253,34 +252,34 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
         wall = capture.walls[0]
         cells = [
             config.spacing_m * np.arange(-n, n + 1)
-            for n in (_inner(wall)[_across(axis)] / config.spacing_m).astype(int)
+            for n in (_half_inner_size(wall)[_across(axis)] / config.spacing_m).astype(int)
         ]
         found, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
         free_shares.append(free_share)
         if found:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
             outlines.append((axis, first, found[0]))
-            sides = _gathered([(axis, first, side) for side in found[1:]], config.spacing_m)
+            sides = _joined([(axis, first, side) for side in found[1:]], config.spacing_m)
             disagreement.append(_disagreement(sides))
     reason = ""
     if not capture.walls:
         reason = "the walls of the box are not known"
     elif not by_axis:
-        reason = "no plane of antennas stands squarely before a wall"
+        reason = "no plane of antennas faces a wall at a right angle"
     elif not outlines:
         reason = (
             f"at most {max(free_shares):.0%} of a plane's lines of sight show the far wall's flash "
-            f"without a shadow, of {config.min_free:.0%} at least"
+            f"without a shadow, at least {config.min_free:.0%} are needed"
         )
     return replace(
-        _gathered(outlines, config.spacing_m),
+        _joined(outlines, config.spacing_m),
         disagreement=np.array(disagreement, dtype=np.float64),
         reason=np.array(reason),
     )
 
 
-def _gathered(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> Silhouettes:
-    """Outlines along axes, from their first cells [m]."""
+def _joined(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> Silhouettes:
+    """Join outlines, given with their axes and positions of their first cells [m]."""
     shape = tuple(max((o.known.shape[k] for *_, o in outlines), default=0) for k in range(2))
     found = Silhouettes(
         axes=np.array([o[0] for o in outlines], dtype=np.int64),
@@ -300,7 +299,7 @@ def _gathered(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) ->
 
 
 def _disagreement(sides: Silhouettes) -> float:
-    """Share of blocked lines that one of two outlines shows free; 1 where none is blocked."""
+    """Share of blocked lines of sight that only one of two outlines blocks; 1 if none does."""
     (one, known, _), (other, also_known, _) = sides._distance_maps
     one, other = (part[known & also_known] for part in (one, other))
     blocked = (one < 0.0) | (other < 0.0)
@@ -312,15 +311,15 @@ def _across(axis: int) -> list[int]:
     return [k for k in range(3) if k != axis]
 
 
-def _inner(wall: Wall) -> Floats:
-    """Half the inner side lengths of a box [m]."""
+def _half_inner_size(wall: Wall) -> Floats:
+    """Half the inner side lengths of a box, (3,) [m]."""
     return 0.5 * np.asarray(wall.size_m) - wall.thickness_m
 
 
 def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
-    """Response of the far wall along an axis, None if too few antennas face it."""
+    """Flash of the far wall along an axis; None if too few antennas face it."""
     wall, waveform = capture.walls[0], capture.waveform
-    inner, across = _inner(wall), _across(axis)
+    inner, across = _half_inner_size(wall), _across(axis)
     tx, rx, feet = (
         np.asarray(p) - np.asarray(wall.center_m)
         for p in (pose.tx_positions, pose.rx_positions, pose.phase_centers)
@@ -329,13 +328,13 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
     content_m = -side * feet[:, axis]
     wall_m = content_m + inner[axis]
     outside = content_m > inner[axis]
-    # The flash comes from a Fresnel zone of the wall, which its edges cut.
+    # The edges of the wall cut the Fresnel zone that the flash comes from.
     share = np.ones(len(feet), dtype=np.complex128)
     for k in across:
         scale = 2.0 / np.sqrt(waveform.center_wavelength_m * np.where(outside, wall_m, np.inf))
         low, high = (_fresnel((inner[k] + sign * feet[:, k]) * scale) for sign in (-1.0, 1.0))
         share *= (low + high) / (1.0 - 1.0j)
-    # Antennas that can have it: those before the wall.
+    # Only antennas in front of the wall receive the flash.
     before = (np.abs(feet) < inner)[:, across].all(axis=1)
     used = outside & before & (np.abs(share) > 1.0 - _FREE)
     if used.sum() < _MIN_ANTENNAS or not feet[used][:, across].std(axis=0).min() > 0.0:
@@ -346,7 +345,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
     for layer in capture.walls:
         offset = feet[used] + np.asarray(wall.center_m) - np.asarray(layer.center_m)
         within = (np.abs(offset) < 0.5 * np.asarray(layer.size_m))[:, across].all(axis=1)
-        # The outermost is crossed before the flash and after it, others on both of their sides.
+        # The path crosses two faces of the outermost box and four of an inner one.
         crossed_m += within * layer.one_way_delay_m * (2.0 if layer is wall else 4.0)
     path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
     response = response_at(pose.signal[used], path_m, waveform)
@@ -357,8 +356,8 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         wall_m=wall_m[used],
         side=side,
     )
-    flash = _level(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
-    return _flattened(flash, waveform.center_wavelength_m)
+    flash = _correct_tilt(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
+    return _correct_bulge(flash, waveform.center_wavelength_m)
 
 
 def _fresnel(v: Floats) -> NDArray[np.complex128]:
@@ -366,10 +365,10 @@ def _fresnel(v: Floats) -> NDArray[np.complex128]:
     return np.asarray(cosine - 1j * sine)
 
 
-def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
-    """Take off the phase ramp of a wall that is tilted: the one that leaves the largest sum.
+def _correct_tilt(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
+    """Remove the phase ramp of a tilted wall: the one whose removal gives the largest sum.
 
-    The ray of an antenna is square to the wall, and passes the content beside its foot.
+    An antenna's ray is normal to the wall, so it passes the content beside the foot point.
     """
     slopes = np.zeros(2)
     reach = 2.0 * wavenumber * np.sin(np.radians(config.max_tilt_deg))
@@ -388,17 +387,17 @@ def _level(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash
     )
 
 
-def _flattened(flash: _Flash, wavelength_m: float) -> _Flash:
-    """Take off what a bulge of the wall does to phase, strength and direction of its flash."""
+def _correct_bulge(flash: _Flash, wavelength_m: float) -> _Flash:
+    """Correct phase, amplitude and direction of the flash for a bulge of the wall."""
     shape = path_shape(flash.feet, flash.response, wavelength_m)
     if shape is None or shape.rms_m < _FLAT_M:
         return flash
-    turned = flash.response * np.exp(2j * np.pi / wavelength_m * shape.length_m)
-    if np.abs(turned.sum()) < np.abs(flash.response.sum()):
-        return flash  # neighbours have phases of their own
+    corrected = flash.response * np.exp(2j * np.pi / wavelength_m * shape.length_m)
+    if np.abs(corrected.sum()) < np.abs(flash.response.sum()):
+        return flash  # the phases of neighbouring antennas are independent
     return flash._replace(
-        response=turned / shape.gain(flash.wall_m),
-        # The ray of an antenna goes to where the wall is square to it: here it passes the content.
+        response=corrected / shape.gain(flash.wall_m),
+        # An antenna's ray is normal to the bulged wall: this is where it passes the content.
         feet=flash.feet - 0.5 * flash.content_m[:, None] * shape.slope,
     )
 
@@ -406,9 +405,9 @@ def _flattened(flash: _Flash, wavelength_m: float) -> _Flash:
 def _focused(
     flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
 ) -> tuple[list[_Outline], float]:
-    """Outlines of all planes and of each side, where sharpest; largest free share of a plane."""
+    """Outlines of all planes and of each side at the sharpest focus; largest free share."""
     coarse = [c[::2] for c in cells]
-    # What a strip of antennas at a tilted wall's edge sees may lie beside the box.
+    # With a tilted wall, the lines of sight of a narrow strip of antennas may miss the box.
     flashes = [flash for flash in flashes if _covered(flash, coarse).any()]
     if not flashes:
         return [], 0.0
@@ -426,7 +425,7 @@ def _focused(
         if free_shares[-1] >= config.min_free:
             total[int(flash.side > 0.0), known] += image.real[known]
             count[int(flash.side > 0.0), known] += 1.0
-    # Waves are stopped on the way there and on the way back.
+    # With waves on both passes the content attenuates twice.
     threshold, blur_m = _EDGE**2, 0.0
     if focus < 0.5:
         focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
@@ -441,10 +440,10 @@ def _focused(
 
 
 def sharpened(image: Floats, blur_cells: float) -> Floats:
-    """Take a Gaussian blur off to first order, or thin parts would seem transparent.
+    """Remove a Gaussian blur to first order, so that thin parts do not appear transparent.
 
-    A blur of b makes T = S + b^2 / 2 laplacian(S) + ... of S, so that S is about T - b^2 / 2
-    laplacian(T): a straight edge stays, a narrow strip becomes darker and as wide as it is.
+    A blur of b gives T = S + b^2 / 2 laplacian(S) + ... of S, so S is about T - b^2 / 2
+    laplacian(T). A straight edge does not move; a narrow strip becomes darker and gets its width.
 
     image: transmission, (n_u, n_v).
     blur_cells: standard deviation of the blur [cells].
@@ -453,7 +452,7 @@ def sharpened(image: Floats, blur_cells: float) -> Floats:
 
 
 def _focal_m(flash: _Flash, focus: float) -> Floats:
-    """Focal length for the content before each antenna, (n,) [m]."""
+    """Focal length of each antenna for the content, (n,) [m]."""
     ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
     return np.asarray(flash.content_m * ahead_m / (2.0 * flash.wall_m))
 
@@ -461,23 +460,23 @@ def _focal_m(flash: _Flash, focus: float) -> Floats:
 def _hologram(
     flash: _Flash, cells: list[Floats], focus: float, wavelength_m: float, aperture: float
 ) -> tuple[NDArray[np.complex128], Bools]:
-    """Transmission as focused on the content, (n_u, n_v), and which cells the antennas cover."""
+    """Transmission focused on the content and mask of cells that antennas cover, (n_u, n_v)."""
     focal_m = _focal_m(flash, focus)
     zone_m = aperture * np.sqrt(wavelength_m * focal_m)
     u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
     seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T
-    # Far beside all antennas nothing is left of their weights.
+    # Far from all antennas their weights vanish.
     image = np.zeros(whole.shape, dtype=np.complex128)
     np.divide(seen, whole, out=image, where=whole != 0.0)
     known = _covered(flash, cells)
-    # Where nothing stands in between is where it is bright.
+    # Unblocked lines of sight are the bright ones; their median is the reference.
     size = np.abs(image[known])
     bright = image[known][size >= np.quantile(size, 0.6)]
     return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
 
 
 def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
-    """Cells before which there are antennas, (n_u, n_v)."""
+    """Mask of the cells in front of antennas, (n_u, n_v)."""
     low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
     covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
     return np.asarray(covered[0][:, None] & covered[1][None, :])
@@ -486,9 +485,9 @@ def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
 def _chirp(
     cells: Floats, feet: Floats, focal_m: Floats, zone_m: Floats, wavelength_m: float
 ) -> NDArray[np.complex64]:
-    """Weight and phase of antennas for cells, along one axis, (n_cells, n_antennas).
+    """Weight and phase of antennas at cells, along one axis, (n_cells, n_antennas).
 
-    In single precision: phases of hundreds of radians err by 1e-4.
+    Single precision: phases of hundreds of radians have an error of 1e-4.
     """
     square = (np.subtract.outer(cells, feet) ** 2).astype(np.float32)
     phase = (np.pi / (wavelength_m * focal_m)).astype(np.float32) * square

@@ -1,7 +1,7 @@
-"""Which antennas receive the specular return of a surface.
+"""Antennas that receive the specular return of a surface.
 
-A surface element returns a specular echo to an antenna of a plane where its normal, prolonged,
-meets the plane's aperture and nothing blocks the path.
+An antenna of a plane receives a specular return if the line along the surface's normal meets the
+plane's aperture and nothing blocks it.
 """
 
 from collections.abc import Sequence
@@ -14,9 +14,9 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 
 LIFT_M = 1e-4
-"""Rays begin this far above their own face [m]: below any detail of an exact surface."""
-_INNER_SHARE = 0.3  # of a box's sides: where content is put to find the normals that a scan sees
-# Points along and across an aperture whose directions stand for all that it covers.
+"""Rays start this far above their own face [m], less than any detail of an exact surface."""
+_INNER_SHARE = 0.3  # share of a box's sides within which content is assumed
+# Points along and across an aperture that represent all its antenna positions.
 _N_GRID = 9
 
 
@@ -35,14 +35,14 @@ def specular_visibility(
     -inf where no return is received: the normal points away, the margin is below `least_m`, or the
     path is blocked.
 
-    points: of a smooth surface, (n_points, 3) [m].
+    points: on a smooth surface, (n_points, 3) [m].
     normals: outward unit normals, (n_points, 3).
     apertures: of the planes of antennas.
     blocker: what may block the path; nothing when None.
-    least_m: least margin [m], or one for each point and aperture, (n_points, n_apertures): positive
-        where a sub-aperture must fit around the mirror point, negative where a lobe is wider than
-        the aperture or a limit is a ramp.
-    lift_m: rays begin this far above the surface [m]: more than its facets deviate from it.
+    least_m: least margin [m], or one for each point and aperture, (n_points, n_apertures). Positive
+        where a sub-aperture must fit around the mirror point. Negative where a lobe is wider than
+        the aperture or the limit is a ramp.
+    lift_m: rays start this far above the surface [m], more than its facets deviate from it.
 
     Returns margins, (n_points, n_apertures) [m].
     """
@@ -60,7 +60,7 @@ def specular_visibility(
 
 
 def received_normals(apertures: Sequence[Aperture], normals: Floats, point: Floats) -> Bools:
-    """Whether each aperture receives a surface at a point (3,) [m], of each normal (n, 3).
+    """Whether each aperture receives a surface at `point` (3,) [m] with each normal (n, 3).
 
     Returns (n_normals, n_apertures).
     """
@@ -71,9 +71,9 @@ def received_normals(apertures: Sequence[Aperture], normals: Floats, point: Floa
 def seen_share(apertures: Sequence[Aperture], center_m: Floats, box_m: Floats) -> float:
     """Share of all normals whose specular return some aperture receives.
 
-    Mean over the middle of a box and the corners of its inner third.
+    Mean over the centre of a box and the corners of its inner third.
 
-    center_m: middle of the box, (3,) [m]. box_m: its sides, (3,) [m].
+    center_m: centre of the box, (3,) [m]. box_m: its sides, (3,) [m].
     """
     normals = sphere_points(4000)
     points = inner_points(center_m, box_m)
@@ -81,7 +81,7 @@ def seen_share(apertures: Sequence[Aperture], center_m: Floats, box_m: Floats) -
 
 
 def inner_points(center_m: Floats, box_m: Floats) -> Floats:
-    """Middle of a box and corners of its inner third, (9, 3) [m]; arguments of `seen_share`."""
+    """Centre of a box and corners of its inner third, (9, 3) [m]; arguments of `seen_share`."""
     reach = 0.5 * _INNER_SHARE * np.asarray(box_m)
     return np.asarray(center_m + np.concatenate([np.zeros((1, 3)), SIGNS * reach]))
 
@@ -89,7 +89,7 @@ def inner_points(center_m: Floats, box_m: Floats) -> Floats:
 def angles_off(normals: Floats, apertures: Sequence[Aperture], center_m: Floats) -> Floats:
     """Angle from each normal to the nearest one that some aperture receives, (n,) [rad].
 
-    normals: (n, 3). center_m: where the surface is, (3,) [m].
+    normals: (n, 3). center_m: position of the surface, (3,) [m].
     """
     grid = np.linspace(-1.0, 1.0, _N_GRID)
     shares = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)

@@ -1,10 +1,9 @@
-"""Places where lines of sight along the edge of an outline should touch the surface and miss it.
+"""Tangent points: where lines of sight along the edge of an outline should touch the surface.
 
-A line of sight at the edge of a shadow touches the content somewhere, with the content's normal
-across the line: the outline tells two coordinates and the normal of a point of the surface, and the
-fitted field where along the line it is, namely where the line comes nearest to the inside
-(docs/math/free-space.md#tangents). So a shadow that reaches farther than the surface draws it out;
-where the surface reaches farther it is cut in the end.
+A line of sight at the edge of a shadow is tangent to the content. The outline gives two coordinates
+of the tangent point and its normal, which is perpendicular to the line. The third coordinate is
+where the line passes nearest to the fitted content (docs/math/free-space.md#tangents). A shadow
+larger than the surface therefore moves the surface outwards; a smaller shadow cuts it later.
 """
 
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from geraf2.geometry.nearest import nearest_distance
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tangents:
-    """Oriented points of the surface that outlines tell of."""
+    """Oriented points of the surface from outlines."""
 
     positions: Floats
     """(n, 3) [m]."""
@@ -38,17 +37,17 @@ def tangent_points(
     *,
     num_threads: int | None = None,
 ) -> Tangents:
-    """Where lines of sight at the edges of outlines miss the content; possibly none.
+    """Tangent points of lines of sight at outlines' edges that miss the content; possibly none.
 
-    sdf: signed distance of the content, as far as it is known.
-    outlines: shadows; where one of them is free, no line of another touches anything.
-    seen: places of glints, (n_glints, 3) [m].
-    clearance_m: nearer to one than this there is no point: a glint is the better witness [m].
+    sdf: signed distance of the content so far.
+    outlines: silhouettes; a point in the free space of another outline is not used.
+    seen: positions of glints, (n_glints, 3) [m].
+    clearance_m: least distance of a tangent point to a glint, which is more accurate [m].
     """
     positions, normals = [np.zeros((0, 3))], [np.zeros((0, 3))]
     for number in range(len(outlines)):
         others = outlines.select(np.arange(len(outlines)) != number)
-        found = _touching(sdf, others, int(outlines.axes[number]), *outlines.edge(number))
+        found = _tangents_along(sdf, others, int(outlines.axes[number]), *outlines.edge(number))
         positions.append(found.positions)
         normals.append(found.normals)
     points = np.concatenate(positions)
@@ -57,12 +56,12 @@ def tangent_points(
     return Tangents(positions=points[clear], normals=np.concatenate(normals)[clear])
 
 
-def _touching(
+def _tangents_along(
     sdf: SdfGrid, others: Silhouettes, axis: int, edge: Floats, outward: Floats
 ) -> Tangents:
-    """Points of lines along an axis, through (n, 2) [m], with normals across it, (n, 2).
+    """Tangent points of lines along an axis that pass outside of the surface.
 
-    Only of those that pass outside of the surface.
+    edge: positions of the lines across the axis, (n, 2) [m]. outward: normals there, (n, 2).
     """
     grid, across = sdf.grid, [k for k in range(3) if k != axis]
     low, n_samples = np.asarray(grid.origin_m), np.asarray(grid.shape)
@@ -76,7 +75,7 @@ def _touching(
     free_m = others.free_distance(points.reshape(-1, 3)).reshape(field.shape)
     nearest = np.maximum(field, free_m).argmin(axis=1)
     outside = field[np.arange(len(field)), nearest] > 0.0
-    # A least value at the border of the grid is no touch.
+    # A minimum at the border of the grid is no tangent point.
     touch = np.nonzero(outside & (nearest > 0) & (nearest < n_samples[axis] - 1))[0]
     normals = np.zeros((len(touch), 3))
     normals[:, across] = outward[touch]

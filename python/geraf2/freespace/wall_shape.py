@@ -1,8 +1,7 @@
-"""Shape of a far wall, from the phase of its flash: cardboard bulges by millimetres.
+"""Shape of a far wall from the phase of its flash: cardboard bulges by millimetres.
 
-A bulged wall is a curved mirror: it turns the ray of each antenna, and gathers or spreads what it
-sends back. All of it follows from how much longer the path is
-(docs/math/free-space.md#silhouettes).
+A bulged wall is a curved mirror. It tilts the ray of each antenna, and focuses or spreads the
+return. Both follow from the excess path length (docs/math/free-space.md#silhouettes).
 """
 
 from typing import NamedTuple
@@ -14,32 +13,33 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats
 
 _DEGREE = 4
-"""Of the polynomial that the path is: a bulge with its edges fixed is told to 2 % of it."""
+"""Degree of the polynomial of the path: for a bulge with fixed edges its error is 2 %."""
 _ROUNDS = 6
 _OFF_RAD = 0.3
+"""Scale of the robust loss [rad]."""
 _LOOSE_RAD = 3.0
-"""3 mm are 10 rad, shared out over several powers."""
+"""Standard deviation of a coefficient [rad]: 3 mm are 10 rad, shared by several powers."""
 _DARK = 0.3
-"""Of the flash: at the edge of a shadow half of it is left, or a quarter."""
+"""Relative amplitude of a shadow; at its edge it is a half, or a quarter after two passes."""
 _LEAST_GAIN = 0.2
-"""Least share of a flat wall's area that is gathered; nearer to a focus this does not hold."""
+"""Lower bound of the squared gain; near a focus the model is invalid."""
 
 
 class PathShape(NamedTuple):
-    """How much longer the path to a wall and back is than to a flat one, over the antennas."""
+    """Excess two-way path to a wall over that to a flat one, at the antennas."""
 
     length_m: Floats
-    """At each antenna, (n,) [m]; its mean is meaningless."""
+    """Excess path of each antenna, (n,) [m]; its mean has no meaning."""
     slope: Floats
-    """Change of it along the wall, (n, 2)."""
+    """Gradient of the path along the wall, (n, 2)."""
     curvature_1_per_m: Floats
-    """Change of the slope, (n, 2, 2) [1/m]."""
+    """Hessian of the path along the wall, (n, 2, 2) [1/m]."""
 
     rms_m: float
-    """Of it where the wall was seen: how far it is from flat, two ways [m]."""
+    """RMS of the path over the bright antennas [m]."""
 
     def gain(self, wall_m: Floats) -> Floats:
-        """Amplitude of the flash over that of a flat wall at this distance, (n,)."""
+        """Amplitude of the flash relative to a flat wall at this distance, (n,)."""
         mapping = np.eye(2) - 0.5 * wall_m[:, None, None] * self.curvature_1_per_m
         return np.asarray(np.sqrt(np.maximum(np.linalg.det(mapping), _LEAST_GAIN)))
 
@@ -47,39 +47,38 @@ class PathShape(NamedTuple):
 def path_shape(
     feet: Floats, response: NDArray[np.complex128], wavelength_m: float
 ) -> PathShape | None:
-    """Fit the path of a wall's flash, whose shadows are dark or of any phase.
+    """Fit the excess path of a wall's flash, whose shadows are dark or have any phase.
 
-    Differences of phase between neighbours, which do not wrap, give a first polynomial; what is
-    left of the phase itself the rest. Both fits are robust: at edges of shadows the phase is
-    another.
+    Phase differences between neighbours, which do not wrap, give a first polynomial; the residual
+    phase gives the rest. Both fits are robust, since the phase changes at the edges of shadows.
 
-    feet: antennas along the wall, (n, 2) [m].
-    response: over that of a flat wall without shadow, (n,), any tilt of the wall taken off.
+    feet: foot points of the antennas on the wall, (n, 2) [m].
+    response: signal relative to a flat wall without shadow, without the wall's tilt, (n,).
     wavelength_m: at the centre of the chirp [m].
 
-    None where antennas are too few or too far apart to follow the phase.
+    Returns None if the antennas are too few or too far apart to follow the phase.
     """
     wavenumber = 2.0 * np.pi / wavelength_m
     middle = 0.5 * (feet.min(axis=0) + feet.max(axis=0))
     scale = np.abs(feet - middle).max()
-    places = (feet - middle) / scale
-    values, slopes, curvatures = _polynomials(places)
+    scaled = (feet - middle) / scale
+    values, slopes, curvatures = _polynomials(scaled)
     tree = KDTree(feet)
     step = np.median(tree.query(feet, k=2)[0][:, 1])
     i, j = tree.query_pairs(1.5 * step, output_type="ndarray").T
     if len(i) < 4 * values.shape[1] or not response.any():
         return None
-    # In a shadow there is no phase to follow.
+    # The phase of a shadow has no meaning.
     bright = np.quantile(np.abs(response), 0.9) or 1.0
     strength = np.minimum(np.abs(response) / bright, 1.0)
     strength[strength < _DARK] = 0.0
-    turned = response[j] * response[i].conj()
-    found = _robust(values[j] - values[i], -np.angle(turned), strength[i] * strength[j])
+    difference = response[j] * response[i].conj()
+    found = _robust(values[j] - values[i], -np.angle(difference), strength[i] * strength[j])
     ones = np.ones((len(feet), 1))
     for _ in range(_ROUNDS):
-        left = response * np.exp(1j * (values @ found))
-        reference = (left * strength).sum()
-        phase = np.angle(left * np.conj(reference))
+        residual = response * np.exp(1j * (values @ found))
+        reference = (residual * strength).sum()
+        phase = np.angle(residual * np.conj(reference))
         change = _robust(np.hstack([values, ones]), values @ found - phase, strength)
         found = change[:-1]
     length_m = values @ found / wavenumber
@@ -92,8 +91,8 @@ def path_shape(
     )
 
 
-def _polynomials(places: Floats) -> tuple[Floats, Floats, Floats]:
-    """Powers up to `_DEGREE`, (n, m), their slopes, (n, 2, m), and curvatures, (n, 2, 2, m)."""
+def _polynomials(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Powers up to `_DEGREE`, (n, m), their gradients, (n, 2, m), and Hessians, (n, 2, 2, m)."""
     powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a) if a + b > 0]
 
     def derivative(power: int, order: int, at: Floats) -> Floats:
@@ -101,7 +100,7 @@ def _polynomials(places: Floats) -> tuple[Floats, Floats, Floats]:
         return np.asarray(factor * at ** max(power - order, 0))
 
     def term(a: int, b: int, order_a: int, order_b: int) -> Floats:
-        return derivative(a, order_a, places[:, 0]) * derivative(b, order_b, places[:, 1])
+        return derivative(a, order_a, points[:, 0]) * derivative(b, order_b, points[:, 1])
 
     def all_of(order_a: int, order_b: int) -> Floats:
         return np.stack([term(a, b, order_a, order_b) for a, b in powers], axis=-1)
@@ -111,14 +110,14 @@ def _polynomials(places: Floats) -> tuple[Floats, Floats, Floats]:
     return (
         all_of(0, 0),
         np.stack([all_of(1, 0), all_of(0, 1)], axis=1),
-        curvatures.reshape(len(places), 2, 2, -1),
+        curvatures.reshape(len(points), 2, 2, -1),
     )
 
 
 def _robust(matrix: Floats, values: Floats, weights: Floats) -> Floats:
-    """Least squares in which what is off by more than `_OFF_RAD` counts less and less (Cauchy).
+    """Robust least squares with Cauchy weights of scale `_OFF_RAD`.
 
-    Coefficients are held to 0 as loosely as walls bulge, for where nothing is seen of them.
+    A weak prior holds coefficients near 0, for directions without data.
     """
     held = np.eye(matrix.shape[1]) * (_OFF_RAD / _LOOSE_RAD) ** 2
     used = weights

@@ -1,8 +1,8 @@
-"""Peaks of sub-aperture images: the one collection that every later step selects from.
+"""Peaks of sub-aperture images, from which all later steps select.
 
-A peak is a local maximum of a focused image over direction and range that lies above a multiple of
-the noise in its range bin (order-statistic CFAR: the noise is the median over the directions).
-Images are not kept (docs/math/images.md#sub-aperture-images).
+A peak is a local maximum of a focused image over direction and range above the detection
+threshold: a fixed ratio to the noise of its range bin, which is the median over the directions
+(order-statistic CFAR). Images are not stored (docs/math/images.md#sub-aperture-images).
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,18 +18,18 @@ from geraf2.ops.subaperture import subaperture_peaks
 from geraf2.scene import Capture, LosPrior, Pose
 
 DETECTION_DB = 12.0
-"""Least height of a peak over the noise of its range bin: the common threshold."""
+"""Detection threshold: least ratio of a peak to the noise of its range bin [dB]."""
 REACH_M = (0.1, 0.05)
-"""How far in front of the prior's box and behind it peaks are collected [m]: echoes from there show
-that the prior is too small or displaced."""
+"""Distances in front of the prior's box and behind it within which peaks are collected [m]. Echoes
+from there show that the prior is too small or displaced."""
 _BOX_MARGIN_M = 0.02
-"""The box of the prior and the blur of the echoes of its walls [m]."""
+"""Margin around the prior's box for the blur of its walls' echoes [m]."""
 MAX_RANGE_SHIFT_M = 0.05
-"""A delay that moves ranges by more asks for images of other ranges [m]."""
+"""Largest shift of ranges that does not require images of other ranges [m]."""
 _SAME_LINE_M = 1e-6
-"""Sub-apertures on one line of their lattice [m]."""
+"""Largest distance of sub-apertures on one line of their lattice [m]."""
 _RIGID_M = 1e-8
-"""Antennas moved rigidly if their positions in the plane changed by less than this [m]."""
+"""Largest change of antenna positions in the plane that counts as a rigid motion [m]."""
 _PER_PEAK = ("subapertures", "directions", "ranges_m", "magnitudes", "noise")
 
 
@@ -38,26 +38,26 @@ class PeakSet:
     """Peaks of the sub-aperture images of several planes, as lines of sight with a range."""
 
     subapertures: Ints
-    """Sub-aperture of each peak, an index of the arrays below, (n,)."""
+    """Sub-aperture of each peak, an index into the arrays below, (n,)."""
     directions: Floats
-    """From the centre of the sub-aperture to the reflector, unit, (n, 3)."""
+    """Unit vectors from the centre of the sub-aperture to the reflector, (n, 3)."""
     ranges_m: Floats
-    """One-way distance from that centre by the recorded instrument delay, (n,) [m]."""
+    """One-way distance from that centre, corrected for the recorded instrument delay, (n,) [m]."""
     magnitudes: Floats
-    """Of the image, (n,)."""
+    """Magnitude of the image, (n,)."""
     noise: Floats
-    """Root mean square of the noise in the range bin, (n,)."""
+    """RMS noise of the range bin, (n,)."""
     subaperture_centers: Floats
-    """(n_subapertures, 3) [m]."""
-    subaperture_places: Floats
-    """The same along the plane's horizontal and vertical axis, (n_subapertures, 2) [m]."""
+    """Centre of each sub-aperture, (n_subapertures, 3) [m]."""
+    subaperture_coordinates: Floats
+    """Centre along the plane's horizontal and vertical axis, (n_subapertures, 2) [m]."""
     subaperture_planes: Ints
     """Plane of each sub-aperture, (n_subapertures,)."""
     tops: Floats
-    """Magnitude of the strongest peak of each sub-aperture, 0 without any, (n_subapertures,)."""
+    """Magnitude of the strongest peak of each sub-aperture, 0 without peak, (n_subapertures,)."""
     periods: Floats
-    """After which horizontal and vertical direction cosines repeat, (n_subapertures, 2); inf where
-    no grating lobe is imaged."""
+    """Periods of the horizontal and vertical direction cosine, (n_subapertures, 2); inf where no
+    grating lobe is imaged."""
 
     def __len__(self) -> int:
         return len(self.ranges_m)
@@ -79,7 +79,7 @@ class PeakSet:
 
     @property
     def strengths(self) -> Floats:
-        """Magnitude times range: that of a flat wall does not depend on its distance, (n,)."""
+        """Magnitude times range, which is independent of a flat wall's distance, (n,)."""
         return np.asarray(self.magnitudes * self.ranges_m)
 
     @property
@@ -89,15 +89,15 @@ class PeakSet:
 
     @property
     def margins_db(self) -> Floats:
-        """Magnitude over the noise of the range bin, (n,) [dB]."""
+        """Magnitude relative to the noise of the range bin, (n,) [dB]."""
         return np.asarray(20.0 * np.log10(self.magnitudes / np.maximum(self.noise, 1e-300)))
 
     def select(self, keep: Bools | Ints) -> "PeakSet":
-        """Peaks by mask or index; levels still refer to the same tops."""
+        """Peaks by mask or index; `tops` stay the same."""
         return replace(self, **{name: getattr(self, name)[keep] for name in _PER_PEAK})
 
     def within(self, spans_m: Floats) -> "PeakSet":
-        """Peaks in a span of ranges of each plane, (n_planes, 2) [m]; levels refer to these."""
+        """Peaks in a span of ranges of each plane, (n_planes, 2) [m]; `tops` are theirs."""
         low, high = spans_m[self.planes].T
         found = self.select((self.ranges_m > low) & (self.ranges_m < high))
         tops = np.zeros(len(self.tops))
@@ -109,30 +109,30 @@ class PeakSet:
         return self.select(self.planes == number)
 
     def thinned(self, step_m: float) -> "PeakSet":
-        """Peaks of sub-apertures about a step apart, the outermost ones included [m].
+        """Peaks of sub-apertures that are about `step_m` [m] apart, including the outermost ones.
 
-        Neighbours that overlap repeat each other's echoes, and their noise is not independent.
+        Overlapping neighbours have the same echoes, and their noise is not independent.
         """
         keep = np.zeros(len(self.tops), dtype=bool)
         for number in np.unique(self.subaperture_planes):
             own = np.flatnonzero(self.subaperture_planes == number)
-            keep[own] = _thinned(self.subaperture_places[own], step_m)
+            keep[own] = _thinned(self.subaperture_coordinates[own], step_m)
         return self.select(keep[self.subapertures])
 
 
 def grating_lobes(directions: Floats, axes: Floats, periods: Floats) -> list[Floats]:
     """Directions of the grating lobes of a coarse raster, (n, 3) each.
 
-    directions: unit, (n, 3). axes: of the plane. periods: of both direction cosines, (2,).
-    NaN where there is none a period away.
+    directions: unit vectors, (n, 3). axes: of the plane. periods: of both direction cosines, (2,).
+    NaN where no direction is one period away.
     """
-    turns = [(0.0, -period, period) if np.isfinite(period) else (0.0,) for period in periods]
+    shifts = [(0.0, -period, period) if np.isfinite(period) else (0.0,) for period in periods]
     cosines = directions @ axes[1:].T
-    return [directions_at(cosines + turn, axes) for turn in product(*turns) if any(turn)]
+    return [directions_at(cosines + shift, axes) for shift in product(*shifts) if any(shift)]
 
 
 def directions_at(cosines: Floats, axes: Floats) -> Floats:
-    """Turn cosines along the last two axes, (n, 2), into unit vectors ahead, (n, 3).
+    """Directions in front of the plane from cosines along its last two axes, (n, 2) -> (n, 3).
 
     NaN where no direction has such cosines.
     """
@@ -142,7 +142,7 @@ def directions_at(cosines: Floats, axes: Floats) -> Floats:
 
 
 def join_peaks(parts: Sequence[PeakSet]) -> PeakSet:
-    """One set of the peaks of several, in order."""
+    """Join sets of peaks, in order."""
     if not parts:
         nothing, index = np.zeros(0), np.zeros(0, dtype=np.int64)
         return PeakSet(
@@ -152,7 +152,7 @@ def join_peaks(parts: Sequence[PeakSet]) -> PeakSet:
             magnitudes=nothing,
             noise=nothing,
             subaperture_centers=np.zeros((0, 3)),
-            subaperture_places=np.zeros((0, 2)),
+            subaperture_coordinates=np.zeros((0, 2)),
             subaperture_planes=index,
             tops=nothing,
             periods=np.zeros((0, 2)),
@@ -167,9 +167,9 @@ def join_peaks(parts: Sequence[PeakSet]) -> PeakSet:
 
 
 def box_spans(poses: Iterable[Pose], prior: LosPrior, margin_m: float = 0.0) -> Floats:
-    """Ranges that hold the prior's box, seen from each plane, (n_planes, 2) [m].
+    """Spans of ranges of the prior's box from each plane, (n_planes, 2) [m].
 
-    margin_m: by so much more in front and behind [m].
+    margin_m: added in front and behind [m].
     """
     spans = np.array([_box_span(pose, prior) for pose in poses]).reshape(-1, 2)
     return spans + margin_m * np.array([-1.0, 1.0])
@@ -198,14 +198,14 @@ def collect_peaks(
     """Peaks of each plane around the prior's box; every plane is imaged once.
 
     capture: the scan.
-    prior: outside of the box; images are focused on its middle.
+    prior: outside of the box; images are focused on its centre.
     subaperture: size and sampling of the images.
-    noise_margin_db: least height of a peak over the noise of its range bin.
-    planes: numbers of those that are imaged; all when None.
-    reach_m: how far in front of the box and behind it peaks are collected [m].
+    noise_margin_db: detection threshold relative to the noise of the range bin [dB].
+    planes: indices of the planes to image; all when None.
+    reach_m: distances in front of the box and behind it within which peaks are collected [m].
     progress: called with the fraction done.
 
-    Returns peaks whose planes are numbers of the capture's poses.
+    Returns peaks whose planes are indices of the capture's poses.
     """
     chosen = list(range(len(capture.poses)) if planes is None else planes)
     parts = []
@@ -214,7 +214,7 @@ def collect_peaks(
         if pose.n_antennas == 0:
             continue
         near, far = _box_span(pose, prior)
-        # Nearer than two range cells the transmitter leaks into the receiver.
+        # Within two range cells the leakage from transmitter to receiver dominates.
         low = max(near - reach_m[0], min(near, 2.0 * waveform.range_cell_m))
         high = max(far, min(far + reach_m[1], low + waveform.unambiguous_range_m))
         focus = prior.bounds.mean(axis=0)
@@ -228,7 +228,7 @@ def collect_peaks(
 def _peaks_of(
     images: PoseImages, number: int, noise_margin_db: float, num_threads: int | None
 ) -> PeakSet:
-    """Peaks of a plane's images, which are not kept."""
+    """Peaks of a plane's images."""
     pose, bins, centers = images.pose, images.bins, images.centers
     found = subaperture_peaks(
         pose.signal,
@@ -249,7 +249,7 @@ def _peaks_of(
         magnitudes=found.magnitudes,
         noise=found.noise,
         subaperture_centers=centers,
-        subaperture_places=centers @ pose.axes[1:].T,
+        subaperture_coordinates=centers @ pose.axes[1:].T,
         subaperture_planes=np.full(len(centers), number, dtype=np.int64),
         tops=tops,
         periods=np.tile([bins.horizontal.period, bins.vertical.period], (len(centers), 1)),
@@ -257,7 +257,7 @@ def _peaks_of(
 
 
 def _thinned(points: Floats, step_m: float) -> Bools:
-    """Which points of a lattice, (n, 2) [m], are about a step apart along both axes, (n,)."""
+    """Select points of a lattice, (n, 2) [m], about a step apart along both axes, (n,)."""
     keep = np.ones(len(points), dtype=bool)
     for along in points.T:
         lines, line = np.unique(np.rint(along / _SAME_LINE_M), return_inverse=True)
@@ -269,7 +269,7 @@ def _thinned(points: Floats, step_m: float) -> Bools:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Kept:
-    """Peaks of a plane, and where its antennas stood."""
+    """Peaks of a plane, with the antenna geometry and delay of their images."""
 
     signal: "ReferenceType[object]"
     tx: Floats
@@ -280,11 +280,11 @@ class _Kept:
 
 
 class KeptPeaks:
-    """Peaks of the planes of a capture, which are imaged when they are first asked for.
+    """Peaks of the planes of a capture, which are imaged on first use.
 
-    A corrected capture gets corrected peaks: a change of the delay moves ranges by half of it, a
-    plane that moves as a whole takes its peaks along. Planes with other samples, or with antennas
-    that moved against each other, are imaged again. Only peaks are kept.
+    A corrected capture gets corrected peaks. A change of the delay shifts ranges by half of it, and
+    a rigid motion of a plane moves its peaks. Planes with other samples, or with antennas that
+    moved relative to each other, are imaged again. Only peaks are stored.
     """
 
     def __init__(
@@ -307,7 +307,7 @@ class KeptPeaks:
         *,
         progress: Progress | None = None,
     ) -> PeakSet:
-        """Peaks of some planes of a capture, all when None; their planes are its numbers."""
+        """Peaks of some planes of a capture, all when None; `planes` are the capture's indices."""
         self._kept = {k: kept for k, kept in self._kept.items() if kept.signal() is not None}
         chosen = list(range(len(capture.poses)) if planes is None else planes)
         parts = []
@@ -347,18 +347,23 @@ class KeptPeaks:
         if kept is None or kept.signal() is not pose.signal:
             return None
         shift_m = 0.5 * (capture.waveform.path_bias_m - kept.bias_m)
-        turn, origin, moved_to = kept.axes.T @ pose.axes, kept.tx.mean(axis=0), pose.tx_positions
+        rotation, origin, moved_to = (
+            kept.axes.T @ pose.axes,
+            kept.tx.mean(axis=0),
+            pose.tx_positions,
+        )
         same = kept.tx is pose.tx_positions and kept.rx is pose.rx_positions
         pairs = ((kept.tx, pose.tx_positions), (kept.rx, pose.rx_positions))
         if abs(shift_m) > MAX_RANGE_SHIFT_M or not (
-            same or all(_moves(before - origin, after, turn, moved_to) for before, after in pairs)
+            same
+            or all(_is_rigid(before - origin, after, rotation, moved_to) for before, after in pairs)
         ):
             return None
         peaks = kept.peaks
         centers, directions = peaks.subaperture_centers, peaks.directions
         if not same:
-            centers = (centers - origin) @ turn + moved_to.mean(axis=0)
-            directions = directions @ turn
+            centers = (centers - origin) @ rotation + moved_to.mean(axis=0)
+            directions = directions @ rotation
         return replace(
             peaks,
             directions=directions,
@@ -368,8 +373,10 @@ class KeptPeaks:
         )
 
 
-def _moves(before: Floats, after: Floats, turn: Floats, moved_to: Floats) -> bool:
-    """Whether positions about an origin, turned and moved to another, equal those after."""
+def _is_rigid(before: Floats, after: Floats, rotation: Floats, moved_to: Floats) -> bool:
+    """Whether rotated and translated positions equal those after."""
     if before.shape != after.shape:
         return False
-    return bool(np.abs(before @ turn + moved_to.mean(axis=0) - after).max(initial=0.0) < _RIGID_M)
+    return bool(
+        np.abs(before @ rotation + moved_to.mean(axis=0) - after).max(initial=0.0) < _RIGID_M
+    )

@@ -1,10 +1,10 @@
-"""A raster of antennas as a sum of plane waves, and the depth at which its image is sharpest.
+"""Plane waves of a raster of antennas, and the depth at which its image is sharpest.
 
 Over a plane, the echo of a scatterer is a sum of waves exp(j (k_h y + k_v z)) with the two-way
-wave number k_h^2 + k_v^2 = (4 pi f / c)^2 sin^2(angle). The matched filter does not weigh them:
-those that run almost along the plane, where few rasters sample finely enough, come out strongest
-near the antennas. And what lies flat before the radar, foam or the side of a box, answers along
-its normal far stronger than an edge.
+wave number k_h^2 + k_v^2 = (4 pi f / c)^2 sin^2(angle). The matched filter gives them equal
+weights. Waves nearly parallel to the plane, which few rasters sample finely enough, are then
+strongest near the antennas. A flat surface in front of the radar, foam or the side of a box, is
+along its normal far stronger than an edge.
 """
 
 from dataclasses import replace
@@ -17,28 +17,28 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.scene import Pose, Waveform
 
-# Positions off a raster by more than this part of a step are no raster.
+# Largest distance of antennas from a raster, in steps of it.
 _OFF_RASTER = 0.1
-# Gaps between sorted coordinates above this part of the largest one are steps of the raster.
+# Gaps between sorted coordinates above this share of the largest one are steps of the raster.
 _GAP_SHARE = 0.4
-# A search over depth uses this many of the frequencies: the aperture alone measures the depth, and
-# ranges that then alias are blurred.
+# Frequencies of a search over depth: the aperture alone measures the depth, and ranges that alias
+# with so few are blurred.
 _N_SEARCH_FREQUENCIES = 16
-_MAX_SEARCH_WAVES = 1 << 22  # of all frequencies, for 0.2 GB and 10 s: fewer frequencies where more
-# The upper limit is a cosine slope over this part of it: a sharp edge would ring.
+_MAX_SEARCH_WAVES = 1 << 22  # limit of waves times frequencies: 0.2 GB and 10 s
+# Share of the upper limit over which a cosine slope ends it: a sharp edge would ring.
 _SLOPE = 0.2
 
 
 def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: float) -> Pose:
-    """Pose with the waves that arrive between two angles from its looking direction.
+    """Pose with only the waves that arrive between two angles from the plane's normal.
 
-    In wave numbers over the plane, zero outside of it, the signal at each frequency is multiplied
-    by (1 - exp(-(s / sin lowest)^2)) and by a cosine slope that ends at sin highest, with s the
-    sine of the angle, |k| c / (4 pi f).
+    In the wave number domain of the plane, zero-padded, the signal at each frequency is multiplied
+    by (1 - exp(-(s / sin lowest)^2)) and by a cosine slope that ends at sin highest. s is the sine
+    of the angle, |k| c / (4 pi f).
 
-    pose: antennas on a regular raster across the looking direction, transmitter and receiver close
-        to each other against the distance.
-    lowest_deg, highest_deg: angles from the looking direction [degrees]; a lowest_deg of 0 is no
+    pose: antennas on a regular raster in the plane; transmitter and receiver are close to each
+        other relative to the distance.
+    lowest_deg, highest_deg: angles from the plane's normal [degrees]; a lowest_deg of 0 is no
         limit.
     """
     index, shape, steps = _raster_of(pose)
@@ -58,16 +58,17 @@ def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: 
 
 
 def search_depth(pose: Pose, waveform: Waveform, farthest_m: float) -> tuple[Floats, Floats]:
-    """Rising distances from a raster of antennas [m], and the sharpness of the image at each.
+    """Ascending distances from a raster of antennas [m], and the sharpness of the image at each.
 
-    The image at depth z is the sum of plane waves exp(j sqrt((4 pi f / c)^2 - |k|^2) z), all of one
-    weight, over the frequencies. From two wavelengths on, in steps of half a wavelength and then of
-    up to a quarter of the depth of focus 2 lambda z^2 / D^2, D the wider side of the raster; to
-    where that is half of the depth, D^2 / (4 lambda), or to `farthest_m`.
+    The image at depth z is the sum of plane waves exp(j sqrt((4 pi f / c)^2 - |k|^2) z) of equal
+    weight over the frequencies. Depths start at two wavelengths. Steps are half a wavelength and
+    grow to a quarter of the depth of focus 2 lambda z^2 / D^2, with D the longer side of the
+    raster. The last depth is D^2 / (4 lambda), where the depth of focus is half the depth, or
+    `farthest_m`.
 
     pose: antennas on a regular raster, as for keep_angles, with steps of up to a wavelength;
-        UserError where they are on none.
-    farthest_m: no farther than this [m].
+        UserError otherwise.
+    farthest_m: largest distance [m].
     """
     index, shape, steps = _raster_of(pose)
     most = max(1, min(_N_SEARCH_FREQUENCIES, _MAX_SEARCH_WAVES // (4 * shape[0] * shape[1])))
@@ -109,10 +110,10 @@ def _spectrum(
     shape: tuple[int, int],
     steps: tuple[float, float],
 ) -> tuple[NDArray[np.complex64], Floats]:
-    """Plane waves of each sample, of the raster with as much again around it; their |k| [rad/m]."""
+    """Plane waves of each sample of the zero-padded raster, and their |k| [rad/m]."""
     planes = np.zeros((*shape, signal.shape[1]), dtype=np.complex64)
     planes.reshape(-1, signal.shape[1])[index] = signal
-    # Twice the size, so that one edge does not answer at the other.
+    # Twice the size, so that the periodic transform does not couple opposite edges.
     padded = tuple(2 * n for n in shape)
     spectrum = np.fft.fft2(planes, s=padded, axes=(0, 1)).astype(np.complex64, copy=False)
     k_h, k_v = (2 * np.pi * np.fft.fftfreq(n, step) for n, step in zip(padded, steps, strict=True))
@@ -122,10 +123,10 @@ def _spectrum(
 def depth_sharpness(volume: NDArray[np.float32], axis: int) -> Floats:
     """Sharpness of each slice across an axis, n sum |v|^4 / (sum |v|^2)^2, (volume.shape[axis],).
 
-    1 for a flat slice; n, the number of voxels of a slice, for a single bright one.
+    It is 1 for a constant slice, and n, the number of its voxels, for a single bright one.
 
     volume: magnitude of an image.
-    axis: the axis along which slices are counted.
+    axis: normal of the slices.
     """
     slices = np.moveaxis(np.asarray(volume, dtype=np.float64), axis, 0)
     power = slices.reshape(slices.shape[0], -1) ** 2
@@ -145,7 +146,7 @@ def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[flo
         gaps = np.diff(ordered)
         if not np.ptp(ordered) > 0:
             _refuse(pose)
-        # The other gaps are between antennas of one row or column, as far as a robot is off.
+        # Smaller gaps separate antennas of one row or column, by the positioner's inaccuracy.
         starts = np.flatnonzero(gaps > _GAP_SHARE * gaps.max()) + 1
         means = np.array([part.mean() for part in np.split(ordered, starts)])
         step = np.ptp(means) / round(np.ptp(means) / np.median(np.diff(means)))
@@ -156,10 +157,10 @@ def _raster_of(pose: Pose) -> tuple[NDArray[np.intp], tuple[int, int], tuple[flo
         numbers.append(number)
         shape.append(int(number.max()) + 1)
         steps.append(float(step))
-    n_places = shape[0] * shape[1]
+    n_points = shape[0] * shape[1]
     index = numbers[0] * shape[1] + numbers[1]
-    # Holes are zero, but two antennas at one position cannot be separated.
-    if len(np.unique(index)) < len(index) or n_places > 4 * len(index):
+    # Empty points count as zero, but two antennas at one point cannot be separated.
+    if len(np.unique(index)) < len(index) or n_points > 4 * len(index):
         _refuse(pose)
     return index, (shape[0], shape[1]), (steps[0], steps[1])
 

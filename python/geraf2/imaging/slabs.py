@@ -1,4 +1,4 @@
-"""Slabs of a grid: parts of a volume that are imaged one after another, or by many workers."""
+"""Slabs of a grid: parts of a volume that are imaged in sequence or by several workers."""
 
 import math
 from collections.abc import Iterator
@@ -8,29 +8,28 @@ from geraf2.errors import UserError
 from geraf2.scene import Grid
 
 SLAB_BYTES_PER_VOXEL = 16.0
-"""Complex image of a pose, its magnitude, and the sum over poses."""
+"""Memory: complex image of a pose, its magnitude, and the sum over poses."""
 SLAB_GIB = 0.25
-"""By default: 16.8 million voxels, so that an image of up to 256 voxels a side is one slab."""
-# Boxes of voxels over which the matched filter interpolates
-# (docs/math/block-and-factorised.md#factorised-method): a slab that cuts none of them costs no more
-# than its share.
+"""Default memory of a slab, 16.8 million voxels or 256 a side."""
+# Block lengths of the matched filter's interpolation: slabs that cut no block need no extra time
+# (docs/math/block-and-factorised.md#factorised-method).
 _WHOLE_LAYERS = (64, 16, 4)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Slabs:
-    """Parts of a grid along its longest axis; grid and memory alone decide where it is cut."""
+    """Parts of a grid along its longest axis; only grid and memory determine the cuts."""
 
     grid: Grid
     axis: int
     n_layers: int
-    """Layers of voxels in each slab but the last, which may have fewer."""
+    """Layers of voxels in each slab; the last may have fewer."""
 
     @classmethod
     def of(cls, grid: Grid, max_bytes: float) -> "Slabs":
-        """As thick as memory allows [bytes]; UserError where a layer does not fit.
+        """Slabs as thick as the memory allows [bytes]; UserError where a layer does not fit.
 
-        Multiples of 64, 16 or 4 layers where there are so many.
+        Their number of layers is a multiple of 64, 16 or 4 if possible.
         """
         axis = max(range(3), key=lambda a: grid.shape[a])
         n_all = grid.shape[axis]
@@ -52,17 +51,17 @@ class Slabs:
         return math.ceil(self.grid.shape[self.axis] / self.n_layers)
 
     def __iter__(self) -> Iterator[tuple[tuple[slice, ...], Grid]]:
-        """Yield where each slab lies in the volume, and its voxels."""
+        """Yield the index of each slab in the volume, and its voxels."""
         for number in range(len(self)):
-            yield self.place(number), self.part(number)
+            yield self.index(number), self.part(number)
 
     @property
     def n_voxels(self) -> int:
-        """Voxels of the largest slab."""
+        """Number of voxels of the largest slab."""
         return self.n_layers * self.grid.n_voxels // self.grid.shape[self.axis]
 
-    def place(self, number: int) -> tuple[slice, ...]:
-        """Where a slab lies in the volume."""
+    def index(self, number: int) -> tuple[slice, ...]:
+        """Index of a slab in the volume."""
         first = number * self.n_layers
         last = min(first + self.n_layers, self.grid.shape[self.axis])
         whole: list[slice] = [slice(0, n) for n in self.grid.shape]
@@ -71,12 +70,12 @@ class Slabs:
 
     def part(self, number: int) -> Grid:
         """Voxels of a slab."""
-        place = self.place(number)
+        index = self.index(number)
         if len(self) == 1:
             return self.grid
         x, y, z = (
             o + self.grid.spacing_m * s.start
-            for o, s in zip(self.grid.origin_m, place, strict=True)
+            for o, s in zip(self.grid.origin_m, index, strict=True)
         )
-        nx, ny, nz = (s.stop - s.start for s in place)
+        nx, ny, nz = (s.stop - s.start for s in index)
         return Grid(origin_m=(x, y, z), spacing_m=self.grid.spacing_m, shape=(nx, ny, nz))

@@ -1,8 +1,8 @@
 """Focused images of small sub-apertures on a grid of range and direction.
 
-A specular echo of a smooth surface focuses where the surface is only as long as the aperture is
-small against the surface's curvature; over a full scan plane it moves towards the centre of
-curvature (docs/math/images.md#sub-aperture-images).
+The specular return of a smooth surface focuses on the surface only if the aperture is small
+relative to the radius of curvature. Over a full plane it moves towards the centre of curvature
+(docs/math/images.md#sub-aperture-images).
 """
 
 from dataclasses import dataclass
@@ -26,15 +26,16 @@ from geraf2.ops.subaperture import (
 )
 from geraf2.scene import Pose, Waveform
 
-# A raster's antennas may miss their position sideways by this part of a wavelength: the error,
-# u * offset for direction cosines u up to 0.3, stays below 4 pi 0.3 / 20 = 0.19 rad.
+# Largest sideways error of a raster's antennas, in wavelengths. The phase error, 4 pi u * offset
+# for direction cosines u up to 0.3, stays below 4 pi 0.3 / 20 = 0.19 rad.
 _RASTER_TOLERANCE_WAVELENGTHS = 0.05
-# Share of raster points that may be empty; they count as zeros.
+# Largest share of empty raster points; they count as zeros.
 _RASTER_MAX_HOLES = 0.05
-# Fewer irregular antennas than this form no image.
+# Least number of irregular antennas of an image.
 _MIN_ANTENNAS = 16
-# Two directions are ambiguous where the response of irregular antennas to their difference exceeds
-# this power. Side lobes of windows are below it; antennas without a period exceed it this seldom.
+# Two directions are ambiguous if the power response of irregular antennas to their difference
+# exceeds both the first value, which is above windows' side lobes, and a level that random
+# positions exceed with the second probability.
 _ALIAS_POWER, _ALIAS_CHANCE = 0.01, 1e-6
 # Number of sub-apertures of a pose whose response is examined.
 _N_ALIAS_CUTS = 4
@@ -45,18 +46,18 @@ class SubapertureConfig(Bounded):
     """Size and sampling of the sub-aperture images."""
 
     size_m: ApertureM = 0.08
-    """Side of a square sub-aperture [m]; smaller blurs weak echoes, larger moves curved ones."""
+    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves."""
     step_m: ApertureM = 0.02
-    """Step from one sub-aperture to the next [m]; neighbours overlap by three quarters."""
+    """Step between sub-apertures [m]; at the default neighbours overlap by three quarters."""
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
-    """Direction bins per wavelength / size_m, the two-way resolution."""
+    """Direction bins per wavelength / size_m, the two-way resolution of the sub-aperture."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
-    """Largest direction cosine imaged; less where two directions are ambiguous to the antennas.
-    Rasters wrap around at wavelength / (2 spacing)."""
+    """Largest direction cosine imaged; less if directions are ambiguous to the antennas. Rasters
+    are periodic in 2 x wavelength / (4 spacing)."""
     range_oversampling: Annotated[int, Interval(ge=1, le=32)] = 2
     """Range bins per range cell."""
     rim_sizes_m: tuple[LengthM, ...] = ()
-    """Only sub-apertures cut to these sides at the aperture's rim [m]; empty: whole ones only."""
+    """Sides of the rim sub-apertures [m], which replace whole ones; empty: whole ones only."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -66,22 +67,22 @@ class SubapertureConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Raster:
-    """Antennas of a pose on a regular lattice of its horizontal and vertical axis."""
+    """Antennas of a pose on a regular lattice along its horizontal and vertical axis."""
 
     index: Ints
-    """Antenna at each lattice point, -1 where there is none, (n_horizontal, n_vertical)."""
+    """Antenna index of each lattice point, -1 if empty, (n_horizontal, n_vertical)."""
     horizontal_m: Floats
     """Lattice coordinates along the pose's horizontal axis, (n_horizontal,) [m]."""
     vertical_m: Floats
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
-# Rim windows and corrected captures ask again, and a lattice takes half as long as an image.
+# Cached for rim sub-apertures and corrected captures: a lattice takes half the time of an image.
 _RASTERS: WeakKeyDictionary[Pose, dict[float, Raster | None]] = WeakKeyDictionary()
 
 
 def find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
-    """Lattice on which the phase centres lie, or None when the positions are irregular."""
+    """Lattice of the phase centres, or None if the positions are irregular."""
     known = _RASTERS.setdefault(pose, {})
     if wavelength_m not in known:
         known[wavelength_m] = _find_raster(pose, wavelength_m)
@@ -105,7 +106,7 @@ def _find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
 
 
 def _lattice(values: Floats, tolerance: float) -> tuple[Floats, Ints] | None:
-    """Equally spaced lines through all values within the tolerance, and each value's line."""
+    """Equally spaced lines through all values within the tolerance, and the line of each value."""
     ordered = np.sort(values)
     groups = np.split(ordered, np.nonzero(np.diff(ordered) > 2.0 * tolerance)[0] + 1)
     centers = np.array([group.mean() for group in groups])
@@ -118,7 +119,7 @@ def _lattice(values: Floats, tolerance: float) -> tuple[Floats, Ints] | None:
         return None
     start = float(np.mean(values - spacing * steps))
     residual = values - start - spacing * steps
-    # Least squares over the spacing, since rounding in the file adds up over a long line.
+    # Fit the spacing, since rounding errors in the file accumulate over a long line.
     slope = float(residual @ (steps - steps.mean())) / max(float(np.var(steps)) * len(steps), 1.0)
     spacing += slope
     start = float(np.mean(values - spacing * steps))
@@ -129,7 +130,7 @@ def _lattice(values: Floats, tolerance: float) -> tuple[Floats, Ints] | None:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PoseImages:
-    """What it takes to image the sub-apertures of a pose."""
+    """Sub-apertures of a pose and the bins of their images."""
 
     pose: Pose
     waveform: Waveform
@@ -146,9 +147,9 @@ def pose_images(
     range_span_m: tuple[float, float],
     config: SubapertureConfig,
 ) -> PoseImages:
-    """Cut a pose into sub-apertures and lay out their images.
+    """Divide a pose into sub-apertures and define their images.
 
-    pose: antennas anywhere on or near a plane; a raster is imaged in half the time.
+    pose: antennas on or near a plane; a raster is imaged in half the time.
     waveform: the chirp; its instrument delay is subtracted.
     target: point on which the near field is focused, (3,) [m].
     range_span_m: smallest and largest one-way distance to image [m].
@@ -159,15 +160,15 @@ def pose_images(
         cuts = _irregular_cuts(pose, waveform, config)
     else:
         cuts = _raster_cuts(pose, raster, waveform, config)
-    look = pose.axes[0]
-    # The focus lies straight ahead of each sub-aperture, as far away as the target.
-    focus_range = (target - cuts.centers) @ look
+    normal = pose.axes[0]
+    # Each sub-aperture is focused along its normal, at the distance of the target.
+    focus_range = (target - cuts.centers) @ normal
     subapertures = Subapertures(
         offsets=np.concatenate([[0], np.cumsum([len(part) for part in cuts.antennas])]),
         antennas=_join(cuts.antennas, np.zeros(0, dtype=np.int64)),
         weights=_join(cuts.weights, np.zeros(0)),
-        places=_join(cuts.places, np.zeros((0, 2))),
-        focus=cuts.centers + focus_range[:, None] * look,
+        places=_join(cuts.offsets, np.zeros((0, 2))),
+        focus=cuts.centers + focus_range[:, None] * normal,
         focus_range_m=focus_range,
         lattice=cuts.lattice,
     )
@@ -188,11 +189,11 @@ def pose_images(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Cuts:
-    """Sub-apertures of a pose, in lists of one entry each."""
+    """Sub-apertures of a pose, one list entry each."""
 
     antennas: list[Ints]
     weights: list[Floats]
-    places: list[Floats]
+    offsets: list[Floats]
     centers: Floats
     lattice: Lattice | None
     axes: tuple[CosineAxis, CosineAxis]
@@ -208,7 +209,7 @@ def hann(n: int) -> Floats:
 
 
 def _starts(n_lines: int, length: int, spacing: float, step: float) -> Ints:
-    """First line of each sub-aperture: both ends reached, equal steps of at most `step`."""
+    """First line of each sub-aperture: equal steps of at most `step` that include both ends."""
     spare = n_lines - length
     n_steps = max(1, int(np.ceil(spare * spacing / step - 1e-9)))
     return np.unique(np.rint(np.linspace(0, spare, n_steps + 1)).astype(np.int64))
@@ -216,20 +217,20 @@ def _starts(n_lines: int, length: int, spacing: float, step: float) -> Ints:
 
 @dataclass(frozen=True)
 class _Span:
-    """What a sub-aperture covers of one axis."""
+    """Part of one axis that a sub-aperture covers."""
 
     start: float
     """First line of a raster, or lower end [m]."""
     extent: float
-    """Lines of a raster, or length [m]."""
+    """Number of lines of a raster, or length [m]."""
     is_whole: bool
-    """Whether it is not cut short at the rim."""
+    """Whether it has the full size, unlike a rim sub-aperture."""
 
 
-def _wanted(
+def _select_spans(
     horizontal: list[_Span], vertical: list[_Span], config: SubapertureConfig
 ) -> list[tuple[_Span, _Span]]:
-    """Spans of each sub-aperture; with `rim_sizes_m` those that are cut short."""
+    """Spans of each sub-aperture; with `rim_sizes_m` only those of rim sub-apertures."""
     pairs = list(product(horizontal, vertical))
     if not config.rim_sizes_m:
         return pairs
@@ -243,7 +244,7 @@ def _raster_spans(
     spans = [_Span(int(start), length, is_whole=True) for start in starts]
     for size in config.rim_sizes_m:
         short = max(2, round(size / spacing))
-        short += (length - short) % 2  # the same lattice about the middle
+        short += (length - short) % 2  # keeps the lattice around the centre
         if short < length:
             spans += [_Span(start, short, is_whole=False) for start in (0, n_lines - short)]
     return spans
@@ -258,30 +259,30 @@ def _raster_cuts(
     n_v = max(2, min(round(config.size_m / v_spacing), len(v_lines)))
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
-    antennas, weights, used_places, middles = [], [], [], []
-    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # and positions, by size
+    antennas, weights, used_offsets, centers = [], [], [], []
+    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # window and offsets, by size
     spans = (
         _raster_spans(len(h_lines), n_h, h_spacing, config),
         _raster_spans(len(v_lines), n_v, v_spacing, config),
     )
-    for h, v in _wanted(*spans, config):
+    for h, v in _select_spans(*spans, config):
         i, j, m_h, m_v = (int(x) for x in (h.start, v.start, h.extent, v.extent))
         if (m_h, m_v) not in windows:
             axes = _offsets(m_h, h_spacing), _offsets(m_v, v_spacing)
-            places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-            windows[m_h, m_v] = np.outer(hann(m_h), hann(m_v)), places
-        window, places = windows[m_h, m_v]
+            offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+            windows[m_h, m_v] = np.outer(hann(m_h), hann(m_v)), offsets
+        window, offsets = windows[m_h, m_v]
         index = raster.index[i : i + m_h, j : j + m_v]
         filled = index >= 0
         antennas.append(index[filled])
         weights.append(window[filled] / window[filled].sum())
-        used_places.append(places[filled])
-        middles.append((depth, h_lines[i : i + m_h].mean(), v_lines[j : j + m_v].mean()))
+        used_offsets.append(offsets[filled])
+        centers.append((depth, h_lines[i : i + m_h].mean(), v_lines[j : j + m_v].mean()))
     return _Cuts(
         antennas=antennas,
         weights=weights,
-        places=used_places,
-        centers=np.asarray(middles, dtype=np.float64).reshape(-1, 3) @ pose.axes,
+        offsets=used_offsets,
+        centers=np.asarray(centers, dtype=np.float64).reshape(-1, 3) @ pose.axes,
         lattice=Lattice(shape=(n_h, n_v), spacing_m=(h_spacing, v_spacing)),
         axes=(
             _cosines(h_spacing, waveform.center_wavelength_m, config),
@@ -291,7 +292,7 @@ def _raster_cuts(
 
 
 def _cosines(spacing: float, wavelength: float, config: SubapertureConfig) -> CosineAxis:
-    """Direction cosines of one image axis; a coarse raster makes them periodic."""
+    """Direction cosines of one image axis, periodic for a coarse raster."""
     pitch = wavelength / (config.size_m * config.direction_oversampling)
     unambiguous = wavelength / (4.0 * spacing)
     if unambiguous <= config.max_cosine:
@@ -301,15 +302,15 @@ def _cosines(spacing: float, wavelength: float, config: SubapertureConfig) -> Co
 
 
 def _offsets(n_lines: int, spacing: float) -> Floats:
-    """Positions of the lines of a sub-aperture about its middle [m]."""
+    """Positions of the lines of a sub-aperture relative to its centre [m]."""
     return np.asarray(spacing * (np.arange(n_lines) - 0.5 * (n_lines - 1)), dtype=np.float64)
 
 
 def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -> _Cuts:
     local = pose.phase_centers @ pose.axes.T
     depth = float(local[:, 0].mean())
-    antennas, weights, places, middles = [], [], [], []
-    for h, v in _wanted(_spans(local[:, 1], config), _spans(local[:, 2], config), config):
+    antennas, weights, offsets, centers = [], [], [], []
+    for h, v in _select_spans(_spans(local[:, 1], config), _spans(local[:, 2], config), config):
         sides = np.array([h.extent, v.extent])
         middle = np.array([h.start, v.start]) + sides / 2
         offset = local[:, 1:] - middle
@@ -319,52 +320,54 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
         weight = np.prod(np.cos(np.pi * offset[inside] / sides), axis=1) ** 2
         antennas.append(inside)
         weights.append(weight / weight.sum())
-        places.append(offset[inside])
-        middles.append((depth, *middle))
-    limits = _alias_free(places, weights, waveform.center_wavelength_m, config)
+        offsets.append(offset[inside])
+        centers.append((depth, *middle))
+    limits = _alias_free(offsets, weights, waveform.center_wavelength_m, config)
     pitch = waveform.center_wavelength_m / (config.size_m * config.direction_oversampling)
     return _Cuts(
         antennas=antennas,
         weights=weights,
-        places=places,
-        centers=np.asarray(middles, dtype=np.float64).reshape(-1, 3) @ pose.axes,
+        offsets=offsets,
+        centers=np.asarray(centers, dtype=np.float64).reshape(-1, 3) @ pose.axes,
         lattice=None,
         axes=(_up_to(limits[0], pitch), _up_to(limits[1], pitch)),
     )
 
 
 def _up_to(limit: float, pitch: float) -> CosineAxis:
-    """Direction cosines from -limit to limit, at most a pitch apart."""
+    """Direction cosines from -limit to limit in steps of at most a pitch."""
     n = int(np.ceil(limit / pitch))
     return CosineAxis.symmetric(2 * n + 1, limit / n, wraps=False)
 
 
 def _alias_free(
-    places: list[Floats], weights: list[Floats], wavelength: float, config: SubapertureConfig
+    offsets: list[Floats], weights: list[Floats], wavelength: float, config: SubapertureConfig
 ) -> tuple[float, float]:
-    """Largest direction cosines without ambiguous directions, from irregular antennas.
+    """Largest direction cosines without ambiguous directions, for irregular antennas.
 
-    Directions u and u + s give a sub-aperture the same signals as far as its response
-    |sum_a w_a exp(-2 j k s . delta_a)| is one: nearly so at the period of a raster, jittered or
-    gappy, and by chance where positions have no period (docs/math/images.md#sub-aperture-images).
+    Directions u and u + s give a sub-aperture the same signals if its response
+    |sum_a w_a exp(-2 j k s . delta_a)| is 1. It is near 1 at the period of a jittered or incomplete
+    raster, and by chance for random positions (docs/math/images.md#sub-aperture-images).
     """
     reach = 2.0 * config.max_cosine  # the largest difference within the limits
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(len(places), _N_ALIAS_CUTS)).astype(int))
-    # Half of what the window resolves.
+    chosen = np.unique(
+        np.linspace(0, len(offsets) - 1, min(len(offsets), _N_ALIAS_CUTS)).astype(int)
+    )
+    # Half the resolution of the window.
     step = wavelength / (2.0 * config.size_m)
     n = int(np.ceil(reach / step))
     v: Floats = step * np.arange(-n, n + 1, dtype=np.float64)
     h = v[n:]
     power, chance, lobe = np.zeros((len(h), len(v))), 0.0, np.zeros(2)
-    for place, weight in ((places[i], weights[i].astype(np.float32)) for i in chosen):
+    for offset, weight in ((offsets[i], weights[i].astype(np.float32)) for i in chosen):
         phases = (
             np.outer(s, x) * (4.0 * np.pi / wavelength)
-            for s, x in zip((h, v), place.T, strict=True)
+            for s, x in zip((h, v), offset.T, strict=True)
         )
         waves_h, waves_v = (np.exp(-1j * phase).astype(np.complex64) for phase in phases)
         power += np.abs((waves_h * weight) @ waves_v.T) ** 2
         chance += float(weight @ weight)
-        lobe = np.maximum(lobe, 2.0 * wavelength / np.maximum(np.ptp(place, axis=0), wavelength))
+        lobe = np.maximum(lobe, 2.0 * wavelength / np.maximum(np.ptp(offset, axis=0), wavelength))
     by_chance = chance * gammainccinv(max(len(chosen), 1), _ALIAS_CHANCE) / max(len(chosen), 1)
     alike = power > max(by_chance, _ALIAS_POWER * len(chosen))
     alike &= power == maximum_filter(power, 3, mode="nearest")
@@ -374,7 +377,7 @@ def _alias_free(
 
 
 def _largest_rectangle(h: Floats, v: Floats, reach: float) -> tuple[float, float]:
-    """Half the sides of the largest rectangle from zero that holds none of the points inside."""
+    """Half sides of the largest rectangle with a corner at zero that contains no point."""
     sides = [
         (side, float(v[h < side].min(initial=reach)))
         for side in {reach, *(min(x, reach) for x in h[h > 0.0].tolist())}

@@ -23,19 +23,19 @@ def image_volume(
     """Sum over poses of the magnitude of each pose's full-aperture image, grid.shape.
 
     V(x) = sum_p |P_p(x)|, P_p(x) = 1/N_p sum_i sum_t s_i(t) exp(+j 2 pi (nu + k t) d_i(x) / c).
-    Poses are added in magnitude: a smooth surface is not seen coherently around a turntable.
+    Magnitudes are added, since a smooth surface is not coherent over the turntable's angles.
 
     capture: the scan.
     grid: voxels to image [m].
     poses: indices of the poses to use; all when None.
-    slabs: parts of the grid that are imaged one after another, which bounds the memory; the whole
-        grid at once when None. The ends of slabs determine the nodes of the interpolation, so that
+    slabs: parts of the grid that are imaged in sequence, which limits the memory; the whole grid at
+        once when None. The ends of slabs determine the nodes of the interpolation, so results for
         other slabs differ within the method's rtol.
-    num_threads: torch's number when torch is loaded, else all cores, when None.
+    num_threads: when None, torch's number if torch is loaded, else all cores.
     progress: called with the fraction done.
 
-    Returns an array of grid.shape; the method is matched_filter's choice, see
-    :func:`geraf2.ops.explain_method`. Raises ValueError where shapes do not go together.
+    Returns an array of grid.shape. matched_filter chooses the method, see
+    :func:`geraf2.ops.explain_method`. Raises ValueError for shapes that do not agree.
 
     >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.04, n_per_side=21)
     >>> geraf2.image_volume(geraf2.examples.small_capture()[0], grid, poses=[0]).shape
@@ -45,10 +45,10 @@ def image_volume(
     chosen = range(len(capture.poses)) if poses is None else poses
     parts = [((), grid)] if slabs is None else list(slabs)
     for number, index in enumerate(chosen):
-        pose = capture.poses[index]  # read once for all slabs
-        for k, (place, part) in enumerate(parts):
+        pose = capture.poses[index]  # read the signal once for all slabs
+        for k, (region, part) in enumerate(parts):
             report = _part(progress, number * len(parts) + k, len(chosen) * len(parts))
-            volume[place] += np.abs(
+            volume[region] += np.abs(
                 pose_image(pose, part, capture.waveform, num_threads=num_threads, progress=report)
             )
     return volume
@@ -72,23 +72,23 @@ def plane_images(
 
 def pose_image(
     pose: Pose,
-    places: Grid | Floats,
+    points: Grid | Floats,
     waveform: Waveform,
     *,
     signal: NDArray[np.complex64] | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.complex64]:
-    """Image a pose's signal, or another one of its antennas, by the matched filter."""
+    """Matched-filter image of a pose's signal, or of another signal of its antennas."""
     signal = pose.signal if signal is None else signal
     tx, rx = pose.tx_positions, pose.rx_positions
     return matched_filter(
-        signal, tx, rx, places, waveform, num_threads=num_threads, progress=progress
+        signal, tx, rx, points, waveform, num_threads=num_threads, progress=progress
     )
 
 
 def _part(progress: Progress | None, number: int, n_parts: int) -> Progress | None:
-    """Progress of one of n parts, as a fraction of all."""
+    """Progress of one of n parts, as a fraction of the whole."""
     if progress is None:
         return None
     return lambda fraction: progress((number + fraction) / n_parts)

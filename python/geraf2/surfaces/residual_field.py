@@ -33,7 +33,7 @@ _LEAST_GAIN_DB = 0.1
 """Least decrease of the left-out planes' squared error that keeps a field [dB]."""
 _MAX_STEPS = 40
 _LOOK_PERIOD = (4, 4, 1)
-"""Voxels along x, y, z between samples of one look, more than the resolution of a plane."""
+"""Voxels along x, y, z between samples with the same look, more than a plane's resolution."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +45,7 @@ class ResidualField:
     power: Floats
     """abs(P)^2 at each point, as if it were in the middle of the scene, (n_points,)."""
     looks: Ints
-    """Number of each point's look, (n_points,); points of one look share a signal."""
+    """Look number of each point, (n_points,); points with the same number share a signal."""
 
     def arrays(self) -> dict[str, Floats]:
         """Arrays by name, for a checkpoint."""
@@ -106,8 +106,8 @@ def field_power(
 ) -> Floats:
     """Power that a field adds to a plane's heat map, grid.shape.
 
-    The power is the sum over looks. Samples of one look are farther apart than the resolution, and
-    have random phases.
+    The power is summed over look numbers. Samples with the same number are farther apart than the
+    resolution, and have random phases.
     """
     phases = np.exp(2j * np.pi * np.random.default_rng(seed).random(len(field.points)))
     amplitudes = np.sqrt(field.power) / renderer.waveform.n_samples * phases

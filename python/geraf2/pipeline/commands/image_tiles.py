@@ -294,7 +294,7 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
     largest, strongest = -1.0, (0.0, 0.0, 0.0)
     second, fourth = np.zeros((2, 0 if axis is None else grid.shape[axis]))
     for number in range(len(job.slabs)):
-        values, place, part = job.read(number), job.slabs.place(number), job.slabs.part(number)
+        values, place, part = job.read(number), job.slabs.index(number), job.slabs.part(number)
         for along, found in enumerate(maxima):
             seen = found[tuple(s for a, s in enumerate(place) if a != along)]
             np.maximum(seen, values.max(axis=along), out=seen)
