@@ -77,7 +77,7 @@ def test_metal_has_nothing_behind():
     assert seen_first(seen)[0].mean() > 0.98
 
 
-def test_what_stands_in_a_shell_is_not_a_back_face():
+def test_content_of_a_shell_is_not_a_back_face():
     shell, inside = glints_on_sphere(0.07, 6000), glints_on_sphere(0.02, 600, seed=1)
     assert seen_through_share(shell.join(inside)) < 0.01
 

@@ -57,7 +57,7 @@ def test_the_uncertainty_covers_the_error(glints):
     assert np.mean(np.radians(angle) < 2.5 * glints.normal_sigma_rad) > 0.9
 
 
-def test_irregular_positions_place_the_glints_alike():
+def test_irregular_positions_give_the_same_glints():
     places = raster(41)
     places = places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
     capture = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=2, places=places)
@@ -71,7 +71,7 @@ def test_irregular_positions_place_the_glints_alike():
     assert angle.max() < 3.0
 
 
-def test_two_spheres_are_told_apart():
+def test_two_spheres_are_separated():
     centers, radii = [[0.0, 0.0, 0.04], [0.01, 0.0, -0.045]], [0.03, 0.025]
     found = find_glints(sphere_capture(centers, radii), BOX)
     distance, angle = errors(found, centers, radii)
@@ -127,7 +127,7 @@ def test_the_order_of_the_antennas_does_not_matter(capture, glints):
     np.testing.assert_allclose(found.normals, glints.normals, atol=1e-5)
 
 
-def test_the_range_correction_is_taken_off_along_the_line_of_sight(capture, glints):
+def test_the_range_correction_is_subtracted_along_the_line_of_sight(capture, glints):
     config = GlintConfig(range_correction_m=0.001)
     found = find_glints(capture, BOX, config)
     np.testing.assert_allclose(found.positions, glints.positions + 0.001 * glints.normals)
@@ -147,7 +147,7 @@ class TestNothingFound:
             find_glints(capture, BOX, NARROW)
         return str(caught.value)
 
-    def test_an_empty_box_tells_of_its_walls(self):
+    def test_an_empty_box_reports_its_wall_echoes(self):
         def walls(positions, axes):
             near = -positions @ axes[0] - BOX_M / 2
             return 2.0 * np.stack([near, near + BOX_M], axis=1)
@@ -164,7 +164,7 @@ class TestNothingFound:
 
         assert "0 echoes of the box's walls and 4 outside it" in self.message(behind)
 
-    def test_noise_alone_says_that_nothing_stands_out(self):
+    def test_noise_alone_is_reported_as_no_echo(self):
         def nothing(positions, axes):
             return np.zeros((len(positions), 0))
 
@@ -190,7 +190,7 @@ def test_a_narrow_dynamic_range_drops_the_weaker_body():
     assert sizes[1] > 15
 
 
-def test_the_standoff_of_the_test_capture_is_what_it_says(capture):
+def test_the_standoff_of_the_test_capture_is_correct(capture):
     middle = capture.poses[0].phase_centers.mean(axis=0)
     np.testing.assert_allclose(middle, [STANDOFF_M, 0.0, 0.0], atol=1e-12)
 

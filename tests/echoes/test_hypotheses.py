@@ -55,7 +55,7 @@ def test_all_periods_in_the_box_are_candidates(poses):
     assert found.is_alias.any()
 
 
-def test_a_fine_raster_has_only_what_the_image_shows(poses):
+def test_a_fine_raster_has_no_aliases(poses):
     peaks = sphere_peaks((0.0, 0.0, 0.0), 0.03, [0, 1])
     found = candidates(peaks, poses, range_correction_m=0.0)
     np.testing.assert_array_equal(found.peaks, np.arange(len(peaks)))

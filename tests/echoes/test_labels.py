@@ -111,7 +111,7 @@ def slow_posterior(peaks, found, volume_m3, inside, n_rounds):
     return share
 
 
-def test_the_rule_is_that_of_its_slow_twin():
+def test_the_posterior_equals_that_of_its_slow_twin():
     peaks = join_peaks(
         [
             sphere_peaks((0.0, 0.0, 0.065), RADIUS_M, [0, 1], PERIOD, magnitudes=0.5),

@@ -84,7 +84,7 @@ def test_the_dynamic_range_drops_weak_peaks():
     np.testing.assert_allclose(np.sort(peaks.magnitudes), [0.05, 1.0], rtol=1e-4)
 
 
-def test_the_noise_margin_looks_at_the_range_bin_of_the_peak():
+def test_the_noise_margin_uses_the_range_bin_of_the_peak():
     noise = 1e-3 * np.ones(SHAPE)
     noise[:, :, 10:] = 0.3
     magnitude = np.maximum(noise, lobe((6, 6, 5)))

@@ -28,7 +28,7 @@ def box(side_m, center_m=(0.0, 0.0, 0.0)):
     return LosPrior.from_box((side_m,) * 3, center_m)
 
 
-def test_everything_lies_in_a_box_around_everything(capture):
+def test_all_echoes_are_inside_a_box_around_everything(capture):
     places = found_in(capture, box(0.12))
     assert places.n_echoes > 0
     assert places.inside > 0.95
@@ -50,7 +50,7 @@ def test_a_box_elsewhere_does_not_contain_the_scene(capture):
         require(capture, box(0.06, (0.0, 0.0, 0.12)), "los.ply")
 
 
-def test_silence_is_left_to_the_search_for_glints(capture):
+def test_no_echo_is_reported_by_the_search_for_glints(capture):
     far = point_capture(4, n_side=40, spacing_m=0.003, targets=np.array([[0.0, 0.0, 50.0]]))
     quiet = type(far)(
         waveform=far.waveform,
@@ -59,7 +59,7 @@ def test_silence_is_left_to_the_search_for_glints(capture):
     assert require(quiet, box(0.1), "x").n_echoes == 0
 
 
-def test_the_flash_of_a_wall_that_a_coarse_raster_shows_in_front_is_not_counted():
+def test_grating_lobes_of_a_wall_in_front_are_not_counted():
     # Where the wall is seen squarely, 0.5 beside the axis of the plane; antennas 4 mm apart see it
     # 0.47 off, 3 cm before the same wall.
     targets = np.array([[0.31, 0.3, 0.0]])

@@ -40,7 +40,7 @@ def test_the_rim_of_a_sphere_lies_on_it_and_faces_outward(rim):
     assert np.median(angle) < 1.0
 
 
-def test_the_rim_is_seen_under_steeper_angles_than_whole_subapertures_reach(glints, rim):
+def test_rim_glints_have_steeper_angles_than_whole_subapertures(glints, rim):
     # Middles of whole sub-apertures reach 21 mm up on a plane 0.4 m away, those of 4 cm 41 mm.
     whole, cut = (float(g.normals[:, 2].max()) for g in (glints, rim))
     assert whole == pytest.approx(0.021 / STANDOFF_M, abs=0.006)
@@ -57,14 +57,14 @@ def test_irregular_positions_have_a_rim_too(glints):
     assert np.abs(np.linalg.norm(rim.positions, axis=1) - RADIUS_M).max() < 1e-3
 
 
-def test_peaks_without_a_known_glint_beside_are_dropped(capture, glints):
+def test_peaks_without_a_known_glint_nearby_are_dropped(capture, glints):
     elsewhere = Glints(
         **{**vars(glints), "positions": glints.positions + np.array([0.0, 0.0, 0.03])}
     )
     assert len(find_rim_glints(capture, BOX, elsewhere, look=NARROW)) == 0
 
 
-def test_without_sizes_or_glints_there_is_no_selection(capture, glints):
+def test_without_sizes_or_glints_there_are_no_rim_glints(capture, glints):
     assert len(find_rim_glints(capture, BOX, glints, RimConfig(sizes_m=()), NARROW)) == 0
     nothing = glints.select(np.zeros(len(glints), dtype=bool))
     assert len(find_rim_glints(capture, BOX, nothing, look=NARROW)) == 0

@@ -34,7 +34,7 @@ def capture(source):
 
 
 @pytest.mark.data
-def test_a_withheld_delay_is_found_to_a_millimetre_of_path(source, capture):
+def test_an_unknown_delay_is_found_to_a_millimetre_of_path(source, capture):
     prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
     blind = replace(capture, waveform=replace(capture.waveform, path_bias_m=0.0))
     found = aligned(blind, prior)
@@ -46,7 +46,7 @@ def test_a_withheld_delay_is_found_to_a_millimetre_of_path(source, capture):
 
 @pytest.mark.slow
 @pytest.mark.data
-def test_the_figure_in_the_carton_is_reconstructed(source, capture):
+def test_the_object_in_the_carton_is_reconstructed(source, capture):
     prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
     glints = find_glints(capture, prior)
     sdf = fit_sdf(glints)

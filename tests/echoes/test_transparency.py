@@ -37,7 +37,7 @@ def through_of(capture):
     return lambda glints: zero_level(fit_sdf(glints, config))
 
 
-def test_a_dielectric_ball_keeps_its_front_and_tells_its_permittivity(plastic):
+def test_a_dielectric_ball_keeps_its_front_and_gives_its_permittivity(plastic):
     capture, glints = plastic
     first, seen = first_surfaces(glints, through_of(capture))
     kept = glints.select(first)
@@ -71,7 +71,7 @@ def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():
     np.testing.assert_allclose(pairs.optical_m, 2.0 * INDEX * RADIUS_M, rtol=2e-3)
 
 
-def test_what_is_not_known_is_said():
+def test_an_unknown_permittivity_is_reported():
     assert describe({"n_glints": 3}) == ""
     said = describe({"n_back_faces": 5, "back_face_share": 0.25})
     assert "25 %" in said

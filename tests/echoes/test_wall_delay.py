@@ -43,7 +43,7 @@ def test_oblique_incidence_follows_the_refracted_ray(scene, angle):
     assert delay(scene, (OUTER,), center, direction, 0.35) == pytest.approx(expected, rel=1e-6)
 
 
-def test_an_echo_in_front_of_the_wall_or_beside_it_is_not_late(scene):
+def test_an_echo_outside_the_wall_has_no_delay(scene):
     assert delay(scene, (OUTER,), [0.4, 0, 0], [-1, 0, 0], 0.25) == 0.0
     assert delay(scene, (OUTER,), [0.4, 0.3, 0], [-1, 0, 0], 0.5) == 0.0
 
@@ -55,7 +55,7 @@ def test_an_inner_wall_counts_only_for_echoes_inside_it(scene):
         assert found == pytest.approx(expected)
 
 
-def test_a_displaced_inner_wall_is_where_it_says(scene):
+def test_a_displaced_inner_wall_counts_at_its_position(scene):
     moved = Wall(**{**vars(INNER), "center_m": (0.0, 0.03, 0.0)})
     with_inner = delay(scene, (OUTER, moved), [0.4, 0.06, 0], [-1, 0, 0], 0.4)
     without = delay(scene, (OUTER, INNER), [0.4, 0.06, 0], [-1, 0, 0], 0.4)
@@ -109,13 +109,13 @@ def test_no_wall_seen_is_no_delay(scene):
     assert learn_wall_delay(wall_echoes(0.004, 1.6, 0.0, n=0), scene) == 0.0
 
 
-def test_lines_of_sight_that_miss_the_box_teach_nothing(scene):
+def test_lines_of_sight_that_miss_the_box_are_not_used(scene):
     echoes = wall_echoes(0.004, 1.6, 0.0)
     aside = WallEcho(**{**vars(echoes), "centers": echoes.centers + np.array([0.0, 1.0, 0.0])})
     assert learn_wall_delay(aside, scene) == 0.0
 
 
-def test_slanted_lines_of_sight_teach_nothing(scene):
+def test_slanted_lines_of_sight_are_not_used(scene):
     echoes = wall_echoes(0.004, 1.6, 0.0)
     angle = 0.3
     directions = np.tile([-np.cos(angle), np.sin(angle), 0.0], (len(echoes.ranges_m), 1))

@@ -142,7 +142,7 @@ def test_the_reason_for_no_outline_is_stated():
         (find_silhouettes(replace(capture, poses=(beside,))), "right angle"),
         (find_silhouettes(replace(capture, poses=(inside,))), ""),
         (find_silhouettes(replace(capture, poses=(silent,))), ""),
-        (find_silhouettes(weak), "of 25% at least"),
+        (find_silhouettes(weak), "at least 25% are needed"),
     ):
         assert len(found) == 0
         assert reason in str(found.reason)

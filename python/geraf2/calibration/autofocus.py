@@ -199,7 +199,7 @@ class _Linear:
             kept = weight > _MIN_BIN_WEIGHT * weight.max()
             last = np.maximum.accumulate(np.where(kept, np.arange(n_bins), kept.argmax()))
             looking = 2.0 * k * (echo.directions @ echo.looking)
-            h, v = (echo.places_m / 0.04).T
+            h, v = (echo.offsets_m / 0.04).T
             columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, looking], axis=1)
             columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
             binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)

@@ -186,8 +186,8 @@ def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats
     found = np.zeros(len(echoes))
     for number, echo in enumerate(echoes):
         values = echo.values * np.exp(-1j * phases_rad[echo.pose][echo.antennas])
-        size = np.ptp(echo.places_m, axis=0).max()
-        turns = np.exp(2j * np.pi / size * echo.places_m[:, :, None] * _TILTS)
+        size = np.ptp(echo.offsets_m, axis=0).max()
+        turns = np.exp(2j * np.pi / size * echo.offsets_m[:, :, None] * _TILTS)
         sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
         found[number] = sums.max() / max(float(np.abs(values).sum()), 1e-30)
     return found
@@ -217,10 +217,10 @@ def _compared(
     known: dict[bytes, Ints] = {}  # all sub-apertures of a raster have the same
     parts = []
     for echo in echoes:
-        key = np.round(echo.places_m / _SAME_PLACE_M).astype(np.int32).tobytes()
+        key = np.round(echo.offsets_m / _SAME_PLACE_M).astype(np.int32).tobytes()
         if key not in known:
             n = min(_N_NEIGHBORS + 1, len(echo.antennas))
-            known[key] = KDTree(echo.places_m).query(echo.places_m, k=n)[1][:, 1:]
+            known[key] = KDTree(echo.offsets_m).query(echo.offsets_m, k=n)[1][:, 1:]
         scale = max(float(np.sqrt(np.mean(np.abs(echo.values) ** 2))), 1e-30)
         own = echo.antennas if channels is None else channels[echo.pose][echo.antennas]
         parts.append((own, echo.values / scale, known[key]))

@@ -1,4 +1,4 @@
-"""Specular echoes as oriented points, and what else a scan shows of the surface: silhouettes."""
+"""Specular returns as oriented points (glints), and their labels."""
 
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, find_glints

@@ -1,4 +1,4 @@
-"""Oriented points seen as specular echoes."""
+"""Glints: oriented points from specular returns."""
 
 from dataclasses import dataclass
 
@@ -24,7 +24,7 @@ _LAYOUTS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Glints(Short):
-    """Specular echoes: where a surface is and which way it faces there."""
+    """Specular returns: positions and normals of the surface."""
 
     positions: Floats
     """(n_glints, 3) [m]."""
@@ -37,9 +37,9 @@ class Glints(Short):
     normal_sigma_rad: Floats
     """Standard uncertainty of the normal's direction, (n_glints,) [rad]."""
     poses: Ints
-    """Index of the scan plane each glint was seen from, (n_glints,)."""
+    """Index of the plane that saw each glint, (n_glints,)."""
     probability: Floats
-    """That it is a return of the content, (n_glints,)."""
+    """Probability that the glint is a direct return of the content, (n_glints,)."""
 
     def __post_init__(self) -> None:
         n = self.positions.shape[0]
@@ -56,7 +56,7 @@ class Glints(Short):
         return Glints(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def join(self, others: "Glints") -> "Glints":
-        """Append others."""
+        """Append other glints."""
         names = self.__dataclass_fields__
         return Glints(**{n: np.concatenate([getattr(self, n), getattr(others, n)]) for n in names})
 
@@ -65,21 +65,21 @@ class Glints(Short):
         write_npz_atomic(path, {name: getattr(self, name) for name in self.__dataclass_fields__})
 
     def cloud_bytes(self) -> bytes:
-        """PLY of the points with their normals; the other fields are columns."""
+        """PLY file of the points with their normals; the other fields are columns."""
         names = [n for n in self.__dataclass_fields__ if n not in ("positions", "normals")]
         columns = {name: getattr(self, name) for name in names}
         return cloud_bytes(self.positions, self.normals, columns)
 
     @classmethod
     def load(cls, path: AnyPath) -> "Glints":
-        """Read what `save` wrote; UserError for any other file."""
+        """Read a file written by `save`; UserError for any other file."""
         return cls(**read_arrays(path, _LAYOUTS))
 
 
 def relative_strengths(strengths: Floats, among: Floats | None = None) -> Floats:
-    """Strengths over that of a strong glint, at most 1, (n,).
+    """Strengths relative to a strong glint, at most 1, (n,).
 
-    among: strengths whose 98 % quantile is that of a strong glint; `strengths` when None.
+    among: strengths whose 98 % quantile is the strong glint's; `strengths` when None.
     """
     strong = float(np.quantile(strengths if among is None else among, 0.98))
     return np.asarray(np.minimum(1.0, strengths / strong))

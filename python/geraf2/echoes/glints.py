@@ -1,7 +1,7 @@
-"""Glints: specular echoes as oriented points.
+"""Search for glints: specular returns as oriented points.
 
-A monostatic specular echo comes from the point whose normal points at the antenna, so each peak
-of a sub-aperture image gives a position and a normal (docs/math/echoes.md#glints).
+A monostatic specular return comes from the point whose normal points at the antenna. Each peak of a
+sub-aperture image therefore gives a position and a normal (docs/math/echoes.md#glints).
 """
 
 from collections.abc import Callable
@@ -22,52 +22,52 @@ from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 
-# Normals against the echo's strength a relative to the strong ones (98 % quantile), fitted to
-# simulated figures: 2 degrees within 10 dB, 6 at -15 dB, 18 at -25 dB.
+# Standard deviation of a strong glint's normal; weak ones are less accurate. A property of the
+# simulated population of objects.
 _NORMAL_SIGMA_RAD = 0.03
-# Of a range where no echoes merge: positions of the antennas and the walls' delay [m].
+# Standard deviation of the range of a single echo, by antenna positions and walls' delay [m].
 _POSITION_SIGMA_M = 2e-4
 
 
 GLINTS_VERSION = 17
-"""Raised when the same capture and settings give other glints, or others are dropped."""
+"""Increase when the same capture and settings give other glints."""
 
 
 _FEWEST = 200
-"""Glints of which a surface can be drawn; where fewer reach the least probability, the likeliest
-ones are taken down to `_LEAST_OF_FEW`."""
+"""Least number of glints for a surface. If fewer reach the least probability, the limit is lowered,
+at most to `_LEAST_OF_FEW`."""
 _LEAST_OF_FEW = 0.15
 
-# Share of peaks that a coarse raster shows elsewhere of which the user is told.
-_TOLD_SHARE = 0.01
+# Least share of peaks moved to another direction that is reported.
+_REPORTED_SHARE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class GlintConfig(Bounded):
-    """What counts as a glint."""
+    """Selection of glints."""
 
     subaperture: SubapertureConfig = field(default_factory=SubapertureConfig)
     """Size and sampling of the images."""
     dynamic_range_db: Decibels = 22.0
-    """Peaks weaker than the image's largest by more are dropped [dB]: side lobes of the Hann window
+    """Largest ratio of an image's strongest peak to a kept peak [dB]. Side lobes of the Hann window
     lie at -31 dB."""
     noise_margin_db: SignedDb = DETECTION_DB
-    """Least height of a peak over the noise floor of its range bin [dB]."""
+    """Detection threshold relative to the noise of the range bin [dB]."""
     wall_margin_m: SignedM = 0.012
-    """Echoes closer than this to the prior's surface are the wall's own [m]."""
+    """Half thickness of the layer around the prior's surface with the wall's own echoes [m]."""
     least_probability: Share = 0.5
-    """Peaks that are returns of the content with a smaller probability are dropped."""
+    """Least probability of a direct return of the content."""
     range_correction_m: SignedM | None = None
-    """Subtracted from every range of an echo from inside the box [m]; None: from the walls."""
+    """Subtracted from every range of an echo from inside the box [m]; None: by the walls."""
 
 
 class FoundEchoes(NamedTuple):
-    """Glints of a capture, and what all peaks are."""
+    """Glints of a capture, and the labels of all peaks."""
 
     glints: Glints
     labelled: LabelledPeaks
     numbers: Ints
-    """Of each glint among the labelled peaks, (n_glints,)."""
+    """Index of each glint in the labelled peaks, (n_glints,)."""
 
 
 def find_glints(
@@ -80,18 +80,18 @@ def find_glints(
     progress: Progress | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Glints:
-    """Glints of what is inside the prior's box.
+    """Glints of the content of the prior's box.
 
     capture: the scan.
     prior: outer surface of the box; its walls, or else the capture's, give the range correction.
-    config: what counts as a glint.
+    config: selection of glints.
     peaks: of the capture's planes; collected when None.
-    num_threads: torch's number when torch is loaded, else all cores, when None.
+    num_threads: when None, torch's number if torch is loaded, else all cores.
     progress: called with the fraction done.
-    tell: called with what the user should know: grating lobes of a coarse raster.
+    `tell`: called with messages for the user, about grating lobes of a coarse raster.
 
     Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
-    inside the box; the message states what was seen instead.
+    inside the box; the message states which echoes there are.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> glints = geraf2.find_glints(capture, geraf2.LosPrior.from_box(geraf2.examples.BOX_M))
@@ -141,7 +141,7 @@ def find_echoes(
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
     n_moved = int((labelled.labels == Label.ALIAS).sum())
-    if tell is not None and n_moved > _TOLD_SHARE * len(near):
+    if tell is not None and n_moved > _REPORTED_SHARE * len(near):
         tell(
             f"grating lobes of sparse sampling: of {len(near)} peaks {n_moved} were moved to "
             "their true direction"
@@ -151,7 +151,7 @@ def find_echoes(
 
 
 def _threshold(probability: Floats, least: float) -> float:
-    """Least probability of a glint; smaller where few reach it."""
+    """Least probability of a glint, lowered if few reach it."""
     likeliest = np.sort(probability)[-_FEWEST:]
     return float(np.clip(likeliest[0], min(_LEAST_OF_FEW, least), least))
 
@@ -164,7 +164,7 @@ def candidates_around(
     *,
     num_threads: int | None = None,
 ) -> tuple[PeakSet, Candidates]:
-    """Peaks at the ranges of the box that are as strong as glints may be weak, and candidates."""
+    """Peaks in the box's span of ranges and the dynamic range, and their candidates."""
     near = peaks.within(box_spans(capture.poses, prior))
     near = near.select(near.levels_db >= -config.dynamic_range_db)
     found = find_candidates(
@@ -179,18 +179,18 @@ def candidates_around(
 
 
 def box_volume_m3(prior: LosPrior) -> float:
-    """Volume over which clutter is uniform [m^3]."""
+    """Volume of the prior's bounding box, over which clutter is uniform [m^3]."""
     return float(np.prod(np.ptp(prior.bounds, axis=0)))
 
 
 def as_glints(
     peaks: PeakSet, found: Candidates, probability: Floats, known: Glints | None = None
 ) -> Glints:
-    """Candidates (n,) as glints, freed of the bias of merged echoes, with uncertainties.
+    """Glints from candidates (n,), corrected for the bias of merged echoes, with uncertainties.
 
     peaks: of the candidates.
-    probability: of each to be a return of the content, (n,).
-    known: glints found before: neighbours, and the scale of strengths; else these are their own.
+    probability: that each is a direct return of the content, (n,).
+    known: glints found before, as neighbours and as scale of strengths; none when None.
     """
     raw = peaks.select(found.peaks)
     others = None if known is None else (known.positions, known.normals)

@@ -1,8 +1,8 @@
-"""Where the reflector of each peak may lie: one candidate for each period of the direction cosines.
+"""Candidates for the reflector of each peak: one per period of the direction cosines.
 
 Antennas d apart do not distinguish the direction cosines u and u + wavelength / (2 d). Each peak
-therefore has a candidate for each period whose direction exists and that lies in the box or on its
-wall, besides the one that the image shows (docs/math/images.md#direction-aliases).
+has a candidate in the direction of the image. It has one more for each period whose direction
+exists and that lies in the box or on its wall (docs/math/images.md#direction-aliases).
 """
 
 from collections.abc import Sequence
@@ -18,25 +18,26 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Pose, Wall
 
 _LARGEST_COSINE = 0.9
-"""Of a candidate's direction with the plane: no antenna radiates farther aside."""
+"""Largest sine of the angle between a candidate's direction and the plane's normal: antennas do not
+radiate beyond."""
 _MOST_PERIODS = 2
-"""Off the direction in the image, along each axis."""
+"""Largest distance from the image's direction along each axis, in periods."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """Reflectors that may have caused the peaks, as oriented points."""
+    """Possible reflectors of the peaks, as oriented points."""
 
     peaks: Ints
     """Peak of each candidate, (n,)."""
     positions: Floats
-    """(n, 3) [m]; the walls' delay is subtracted."""
+    """(n, 3) [m], corrected for the walls' delay."""
     normals: Floats
-    """Towards the antennas, unit, (n, 3)."""
+    """Unit vectors towards the antennas, (n, 3)."""
     is_alias: Bools
-    """Whether the image shows another direction, (n,)."""
+    """Whether the image shows a grating lobe of it, (n,)."""
     depth_m: Floats
-    """Depth below the surface of the box by the recorded range, (n,) [m]."""
+    """Depth below the surface of the box, by the uncorrected range, (n,) [m]."""
 
     def __len__(self) -> int:
         return len(self.peaks)
@@ -55,13 +56,13 @@ def find_candidates(
     wall_margin_m: float,
     range_correction_m: float | None = None,
 ) -> Candidates:
-    """Candidates of all peaks: those of the image, and aliases in the box or on its wall.
+    """Candidates of all peaks: in the image's direction, and aliases in the box or on its wall.
 
     peaks: of any planes of `poses`.
     scene: outer surface of the box.
-    walls: of the box, outermost first; empty: their delay is estimated from their own echoes.
-    wall_margin_m: half the thickness of the layer in which echoes are the wall's own [m].
-    range_correction_m: subtracted from every range [m]; None: from the walls.
+    walls: of the box, outermost first; if empty, their delay is estimated from their own echoes.
+    wall_margin_m: half thickness of the layer with the wall's own echoes [m].
+    range_correction_m: subtracted from every range [m]; None: by the walls.
     """
     parts = [_of_plane(peaks, number, poses[number].axes) for number in np.unique(peaks.planes)]
     if not parts:
@@ -81,7 +82,7 @@ def find_candidates(
         peaks=peak, positions=positions, normals=-ahead, is_alias=is_alias, depth_m=depth_m
     ).select(~is_alias | (depth_m > -wall_margin_m))
     if range_correction_m is None and not walls:
-        range_correction_m = _learned(peaks, found, scene)
+        range_correction_m = _estimated_delay(peaks, found, scene)
     correction = (
         box_delay_m(
             scene, walls, peaks.centers[found.peaks], -found.normals, peaks.ranges_m[found.peaks]
@@ -93,27 +94,27 @@ def find_candidates(
 
 
 def _of_plane(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, Floats, Bools]:
-    """Peak, direction and whether it is an alias of each candidate of a plane."""
+    """Peak index, direction and alias flag of each candidate of a plane."""
     own = np.flatnonzero(peaks.planes == number)
     cosines = peaks.directions[own] @ axes[1:].T
-    turns = [
+    shifts = [
         period * np.arange(-_MOST_PERIODS, _MOST_PERIODS + 1) if np.isfinite(period) else (0.0,)
         for period in peaks.periods[peaks.subapertures[own[0]]]
     ]
     index, ahead, is_alias = [own], [peaks.directions[own]], [np.zeros(len(own), dtype=bool)]
-    for turn in product(*turns):
-        if not any(turn):
+    for shift in product(*shifts):
+        if not any(shift):
             continue
-        moved = cosines + turn
-        exists = (moved**2).sum(axis=1) < _LARGEST_COSINE**2
+        shifted = cosines + shift
+        exists = (shifted**2).sum(axis=1) < _LARGEST_COSINE**2
         index.append(own[exists])
-        ahead.append(directions_at(moved[exists], axes))
+        ahead.append(directions_at(shifted[exists], axes))
         is_alias.append(np.ones(int(exists.sum()), dtype=bool))
     return np.concatenate(index), np.concatenate(ahead), np.concatenate(is_alias)
 
 
-def _learned(peaks: PeakSet, found: Candidates, scene: MeshScene) -> float:
-    """Delay of unknown walls by their own echoes [m]."""
+def _estimated_delay(peaks: PeakSet, found: Candidates, scene: MeshScene) -> float:
+    """Delay of unknown walls from their own echoes [m]."""
     seen = found.select(~found.is_alias)
     return learn_wall_delay(
         WallEcho(

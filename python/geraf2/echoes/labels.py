@@ -1,10 +1,9 @@
-"""What each peak is: one inference over the graph of all peaks (docs/math/echoes.md#labels).
+"""Labels of peaks: one joint inference over the graph of all peaks (docs/math/echoes.md#labels).
 
 Each candidate of `hypotheses` competes with the other candidates of its peak and with clutter,
-which is uniform over the box. A candidate is likely where the tangent planes of others predict it:
-two points of a smooth surface satisfy (p_i - p_j) . (n_i + n_j) / 2 = 0 to third order. Echoes of
-the box's walls are candidates like all others, so that a grating lobe of a wall's flash is
-explained by the wall.
+which is uniform over the box. A candidate is likely if the tangent planes of others predict it: two
+points of a smooth surface satisfy (p_i - p_j) . (n_i + n_j) / 2 = 0 to third order. Echoes of the
+box's walls are candidates, too. They explain grating lobes of a wall's flash.
 """
 
 from dataclasses import dataclass, replace
@@ -22,77 +21,77 @@ from geraf2.imaging.peaks import PeakSet
 from geraf2.io.points import cloud_bytes
 
 _OFFSET_SIGMA_M = 1.4e-3
-"""Standard deviation of a point along its normal [m]. This and all that follows is estimated on
-seeds 0 to 32 of the population, by the likelihood of the true labels."""
+"""Standard deviation of a point along its normal [m]. This and the following constants are maximum
+likelihood values of the simulated population of objects."""
 _BEND_PER_M2 = 60.0
-"""Offset of two points of a smooth surface over the third power of their distance [1/m^2]."""
+"""Offset of two points of a smooth surface over the cube of their distance [1/m^2]."""
 _NORMAL_SIGMA_RAD = 0.25
 """Standard deviation of each component of a normal [rad]."""
 _CURVATURE_PER_M = 8.0
-"""Change of the normal over the distance [rad/m]."""
+"""Change of the normal per distance [rad/m]."""
 _SPREAD_M = 0.011
 """Standard deviation of the distance along the surface at which points predict each other [m]."""
 _REACH_M = 0.02
-"""Pairs farther apart are left out [m]."""
+"""Largest distance of a pair [m]."""
 _ALIKE = 0.5
-"""So are those with a smaller cosine between both normals."""
+"""Least cosine between the normals of a pair."""
 _ALONE = 1.56
-"""Support of a surface without a neighbour, in units of the density of clutter."""
+"""Support of a surface point without neighbours, in units of the clutter density."""
 _OTHER_SCALE, _OTHER_POWER = 1.74, 0.44
-"""Support by other planes from which on it counts, and its weight: neighbours share errors."""
+"""Scale and exponent of the support by other planes; neighbours have common errors."""
 _SHARED = 0.45
-"""Power of the density of clutter by which all neighbours count less, for the same reason."""
+"""Exponent of the clutter density that reduces the support, because of common errors."""
 _FLOOR = 0.38
-"""Clutter at least, as a share of the peaks in the box."""
+"""Least share of clutter among the peaks in the box."""
 _LOG_ODDS = -2.80
-"""Log odds of a strong peak at the level of the noise against clutter."""
+"""Prior log odds of a strong peak at the noise level against clutter."""
 _PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
-"""Their change with the strength and with the margin above the noise [1/dB]."""
+"""Change of the log odds with strength and with the ratio to the noise [1/dB]."""
 _MOST_MARGIN_DB = 40.0
-"""From which on noise does not matter."""
+"""Ratio to the noise above which the noise has no effect [dB]."""
 _POINTS_AT_ONCE = 1000
 _NEGLIGIBLE = 1e-6
-"""Support that is dropped, over that of a neighbour at the point itself."""
+"""Support that is neglected, relative to a neighbour at the same position."""
 _ROUNDS = 6
-"""Rounds of the fixed-point iteration; more change 2 % of the labels at most."""
+"""Iterations of the fixed point; more change at most 2 % of the labels."""
 
 
 class Label(IntEnum):
-    """What a peak is."""
+    """Kind of a peak."""
 
     CLUTTER = 0
     """No surface: noise, side lobe, multipath."""
     DIRECT = 1
-    """Specular return of the content, in the direction that the image shows."""
+    """Specular return of the content, in the direction of the image."""
     ALIAS = 2
-    """Specular return of the content, of which the image shows a grating lobe."""
+    """Specular return of the content, shown by the image as a grating lobe."""
     WALL = 3
-    """Echo of the box's wall, or a grating lobe of one."""
+    """Echo of the box's wall, or its grating lobe."""
     OUTSIDE = 4
     """Echo from outside the box."""
     SEEN_THROUGH = 5
-    """Return from behind a dielectric front."""
+    """Return from behind a dielectric front face."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LabelledPeaks:
-    """Likeliest candidate of each peak."""
+    """Most probable candidate of each peak."""
 
     candidates: Candidates
-    """(n,), at most one of a peak."""
+    """(n,), at most one per peak."""
     labels: Ints
-    """`Label` of each, (n,)."""
+    """`Label` of each candidate, (n,)."""
     probability: Floats
-    """Of the content's direct return or of its alias, (n,)."""
+    """Probability of a specular return of the content, (n,)."""
 
     def relabelled(self, index: Ints, label: Label) -> "LabelledPeaks":
-        """Give some peaks another label than that of a direct return."""
+        """Relabel some peaks as something else than a direct return."""
         labels, probability = self.labels.copy(), self.probability.copy()
         labels[index], probability[index] = label, 0.0
         return replace(self, labels=labels, probability=probability)
 
     def cloud_bytes(self) -> bytes:
-        """PLY of the points with their normals, probability and label."""
+        """PLY file of the points with normals, probabilities and labels."""
         labels = np.asarray(self.labels, dtype=np.uint8)
         columns = {"probability": self.probability, "label": labels}
         names = " ".join(f"{label.value} {label.name.lower()}" for label in Label)
@@ -111,11 +110,11 @@ class LabelledPeaks:
 def label_peaks(
     peaks: PeakSet, found: Candidates, volume_m3: float, wall_margin_m: float
 ) -> LabelledPeaks:
-    """Label of each peak and its probability to be a return of the content.
+    """Label each peak, with its probability of a return of the content.
 
     found: candidates of the peaks.
     volume_m3: of the box, over which clutter is uniform [m^3].
-    wall_margin_m: half the thickness of the layer in which echoes are the wall's own [m].
+    wall_margin_m: half thickness of the layer with the wall's own echoes [m].
     """
     inside = found.depth_m > wall_margin_m
     share = posterior(peaks, found, volume_m3, inside)
@@ -132,15 +131,15 @@ def label_peaks(
 
 
 def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> Floats:
-    """Probability of each candidate, (n,); those of a peak and of clutter add up to one.
+    """Probability of each candidate, (n,); those of a peak and of clutter sum to 1.
 
-    The odds against clutter of a candidate with a neighbour's support r_s of its own plane and r_o
-    of other planes, both in units of the density of clutter, are
+    The odds of a candidate against clutter are
 
-        prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared,
+        prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared
 
-    r the sums of `pair_density` times the probabilities of the neighbours, r_0 that of a neighbour
-    at the point itself.
+    r_s and r_o are the support by neighbours of its own plane and of other planes, in units of the
+    clutter density: sums of `pair_density` times the neighbours' probabilities. r_0 is the support
+    by a neighbour at the same position.
 
     peaks: of the candidates. found: (n,). volume_m3: of the box [m^3].
     inside: candidates in the box, (n,).
@@ -158,7 +157,7 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
 def continuing(
     peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools, known: Glints
 ) -> Floats:
-    """Probability of each candidate where only known glints support it, (n,).
+    """Probability of each candidate if only known glints support it, (n,).
 
     known: glints with probabilities. Other arguments as those of `posterior`.
     """
@@ -173,19 +172,19 @@ def continuing(
 
 
 class _Rule:
-    """Probabilities of candidates by what supports them."""
+    """Update of candidates' probabilities by their support."""
 
     def __init__(self, peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> None:
         self._n_peaks, self._of = len(peaks), found.peaks
         self._prior = _log_prior(peaks, found.peaks, inside)
         self._shown = np.unique(found.peaks[inside & ~found.is_alias])
-        self._extent = volume_m3 * np.pi  # directions of a hemisphere, by its projection
+        self._extent = volume_m3 * np.pi  # solid angle of a hemisphere, projected
 
     def shares(self, probability: Floats, own: Floats, other: Floats) -> Floats:
-        """Probabilities from the present ones and the densities that neighbours predict, (n,)."""
+        """Update probabilities by the densities that neighbours predict, (n,)."""
         explained = np.bincount(self._of, probability, self._n_peaks)[self._shown]
         n_clutter = (1.0 - explained).sum() + _FLOOR * max(len(self._shown), 1)
-        cell = self._extent / n_clutter  # of one clutter peak [m^3 sr]
+        cell = self._extent / n_clutter  # volume and solid angle per clutter peak [m^3 sr]
         odds = (
             np.exp(self._prior)
             * (_ALONE + cell * own)
@@ -196,18 +195,19 @@ class _Rule:
 
 
 def _peak_density() -> float:
-    """Density of `pair_density` at a point itself [1 / (m^3 sr)]."""
+    """Value of `pair_density` at the same position [1 / (m^3 sr)]."""
     spread = _OFFSET_SIGMA_M * 2.0 * _NORMAL_SIGMA_RAD**2 * _SPREAD_M**2
     return float(1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread))
 
 
 def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
-    """Density at which a point of a surface predicts another one, (n,) [1 / (m^3 sr)].
+    """Density of a second surface point, predicted by a first one, (n,) [1 / (m^3 sr)].
 
-    offset_m: (p_i - p_j) . (n_i + n_j) / |n_i + n_j|, normal with the variance of both points
-        and of the third order of a surface.
-    turn_rad: between both normals, normal along two axes with the variance of both and of a bend.
-    along_m: distance perpendicular to the mean normal. distance_m: of both.
+    offset_m: (p_i - p_j) . (n_i + n_j) / |n_i + n_j|, Gaussian with the variance of both points
+        and of the third-order term of a surface.
+    turn_rad: angle between the normals, Gaussian along two axes with the variance of both normals
+        and of the curvature.
+    along_m: distance perpendicular to the mean normal. distance_m: between both points.
     """
     offset2 = 2.0 * _OFFSET_SIGMA_M**2 + (_BEND_PER_M2 * distance_m**3) ** 2
     turn2 = 2.0 * _NORMAL_SIGMA_RAD**2 + (_CURVATURE_PER_M * distance_m) ** 2
@@ -217,7 +217,7 @@ def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m
 
 
 class _Points(NamedTuple):
-    """Oriented points and where each is seen from."""
+    """Oriented points with their planes and sub-apertures."""
 
     positions: Floats  # (n, 3) [m]
     normals: Floats
@@ -240,10 +240,10 @@ def _neighbours(
 ) -> tuple[sparse.csr_array, sparse.csr_array]:
     """Pair densities within a plane and between planes, (n_points, n_others) each.
 
-    others: the points themselves when None.
-    Peaks of one sub-aperture do not support each other: a smooth surface has one return there.
-    Pairs are found for some points at a time, and those that add nothing are dropped: there are
-    many more within reach than support each other.
+    others: `points` when None.
+
+    Peaks of one sub-aperture do not support each other: it has one return of a smooth surface. Most
+    pairs in reach have no effect, so they are computed in blocks and dropped if negligible.
     """
     to = points if others is None else others
     tree, found = KDTree(to.positions), []
@@ -253,7 +253,7 @@ def _neighbours(
             tree, _REACH_M, output_type="ndarray"
         )
         i, j = near["i"] + first, near["j"]
-        if others is None:  # both directions are alike
+        if others is None:  # pairs are symmetric
             i, j = i[j > i], j[j > i]
         found.append(_densities(points, to, i, j))
     i, j, density = (np.concatenate(parts) for parts in zip(*found, strict=True))
@@ -270,7 +270,7 @@ def _neighbours(
 
 
 def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, Ints, Floats]:
-    """Those of pairs of points that support each other, and their densities, (n,) each."""
+    """Pairs that support each other, and their densities, (n,) each."""
     cosine = np.einsum("ij,ij->i", points.normals[i], to.normals[j])
     fits = (points.subapertures[i] != to.subapertures[j]) & (cosine > _ALIKE)
     i, j, cosine = i[fits], j[fits], cosine[fits]
@@ -288,7 +288,7 @@ def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, In
 
 
 def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:
-    """Log odds of each candidate by strength and noise alone, (n,)."""
+    """Prior log odds of each candidate by strength and noise, (n,)."""
     strength_db = 20.0 * np.log10(peaks.magnitudes[of])
     strong_db = np.quantile(strength_db[inside], 0.98) if inside.any() else strength_db.max()
     strength_db = np.minimum(strength_db - strong_db, 0.0)

@@ -1,8 +1,8 @@
 """Check that the echoes come from inside the box of the prior.
 
-Between the antennas and the outside of a closed box there is nothing but air, and the box is
-what the scan looks at. So echoes from in front of the box mean that it is too small or that it
-lies elsewhere, and echoes mostly from beside it that it does not contain the scene.
+There is only air between the antennas and a closed box, and the scan is aimed at the box. Echoes
+from in front of the box therefore show that it is too small or displaced. Echoes mostly from beside
+it show that it does not contain the scene.
 """
 
 from dataclasses import dataclass
@@ -17,47 +17,45 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.checks import in_mm
 
-# A prior may be off by a centimetre (it costs little), and a strong echo is placed to a few mm.
+# Tolerance of the box's surface [m]: a harmless error of the prior plus that of a strong echo.
 _MARGIN_M = 0.015
-# Measured on a figure in a 0.22 m carton: the right box, or one up to 10 mm off, has no energy in
-# front or outside; a box of 0.18 m has 41 % in front, one of 0.10 m 22 % and 43 % outside, one of
-# 0.05 m 9 % and 66 %. Antennas 4 mm apart see the flash of a bulged wall in a wrong direction, too:
-# a fifth of the energy of a right box. Peaks that may be such grating lobes do not count.
-# A turntable or stand adds to what is outside, never to what is in front.
+# Largest shares of the echo energy in front of the box, and outside of it, where a turntable or a
+# stand may add to it. Properties of a radar in front of a carton: a box within 10 mm has neither.
+# Possible grating lobes of a bulged wall's flash do not count.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
-# Cosine to the wall's normal of its specular return; a bulged, turned wall is 15 degrees off.
+# Least cosine between the wall's normal and its specular return, for a bulged or tilted wall.
 _SQUARE = 0.966
-# Side lobes and far clutter are weaker than this [dB].
+# Level above side lobes and far clutter, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = 15.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class EchoPlaces:
-    """Where the strong echoes lie; shares of their energy."""
+class EchoLocations:
+    """Locations of the strong echoes as shares of their energy."""
 
     n_echoes: int
     inside: float
-    """In the box or within the margin of its surface."""
+    """Share in the box or within the margin of its surface."""
     in_front: float
-    """On a ray into the box, before the ray meets it, and not the flash of a wall in another
-    direction that the raster shows in the same place."""
+    """Share on a line of sight into the box, but before it, without possible grating lobes of a
+    wall's flash."""
     beside: float
-    """On a ray that misses the box, or behind it."""
+    """Share on a line of sight that misses the box, or behind it."""
     bounds_m: Floats
-    """Box around the echoes that hold 90 % of the energy, (2, 3) [m]."""
+    """Bounding box of the strongest echoes with 90 % of the energy, (2, 3) [m]."""
 
 
 def locate_echoes(
     capture: Capture, prior: LosPrior, peaks: PeakSet, *, num_threads: int | None = None
-) -> EchoPlaces:
+) -> EchoLocations:
     """Shares of the strong echoes' energy inside, in front of, and beside the prior.
 
-    peaks: of the capture's planes, those in front of the box and behind it included.
+    peaks: of the capture's planes, including those in front of the box and behind it.
     """
     strong = peaks.select(peaks.levels_db >= -_DYNAMIC_RANGE_DB)
     if not len(strong):
-        return EchoPlaces(
+        return EchoLocations(
             n_echoes=0, inside=0.0, in_front=0.0, beside=0.0, bounds_m=np.full((2, 3), np.nan)
         )
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
@@ -69,7 +67,7 @@ def locate_echoes(
     front = np.zeros(len(strong), dtype=bool)
     near[before], front[before] = flashes, ~flashes
     total = float(energy.sum())
-    return EchoPlaces(
+    return EchoLocations(
         n_echoes=len(energy),
         inside=float(energy[near].sum()) / total,
         in_front=float(energy[front].sum()) / total,
@@ -79,7 +77,7 @@ def locate_echoes(
 
 
 def _maybe_flashes(capture: Capture, prior: LosPrior, peaks: PeakSet, scene: MeshScene) -> Bools:
-    """Which peaks may be grating lobes of the specular return of a wall, (n,)."""
+    """Mask of peaks that may be grating lobes of a wall's specular return, (n,)."""
     normals = unit_normals(prior.vertices[prior.faces])
     found = np.zeros(len(peaks), dtype=bool)
     for number in np.unique(peaks.planes):
@@ -102,29 +100,29 @@ def require_echoes_inside(
     where: object,
     *,
     num_threads: int | None = None,
-) -> EchoPlaces:
+) -> EchoLocations:
     """Raise UserError if the echoes do not come from the box.
 
     peaks: of the capture's planes.
-    where: named in the error: the mesh file, or --box.
+    where: source of the box for the error: the mesh file, or --box.
     """
-    places = locate_echoes(capture, prior, peaks, num_threads=num_threads)
-    if places.n_echoes == 0:
-        return places  # what was seen instead is find_glints' to say
-    outside = places.in_front + places.beside
-    if places.in_front > _MAX_IN_FRONT:
+    found = locate_echoes(capture, prior, peaks, num_threads=num_threads)
+    if found.n_echoes == 0:
+        return found  # find_glints reports the reason
+    outside = found.in_front + found.beside
+    if found.in_front > _MAX_IN_FRONT:
         what = (
             "the box is smaller than its content or lies elsewhere: "
-            f"{100 * places.in_front:.0f} % of the echo energy comes from between the antennas "
+            f"{100 * found.in_front:.0f} % of the echo energy comes from between the antennas "
             "and the box"
         )
     elif outside > _MAX_OUTSIDE:
         share = f"{100 * outside:.0f} % of the echo energy comes from outside"
         what = f"the box does not contain the scene: {share}"
     else:
-        return places
+        return found
     expected = f"a box around everything that reflects, not {_span(prior.bounds)}"
-    got = f"strong echoes {_span(places.bounds_m)}"
+    got = f"strong echoes {_span(found.bounds_m)}"
     raise UserError(what=what, where=where, expected=expected, got=got)
 
 

@@ -1,8 +1,8 @@
-"""Glints of the aperture's rim.
+"""Glints of rim sub-apertures.
 
-The middle of a whole sub-aperture stays half of its side away from the rim, so that normals which
-point at the rim are left out. Smaller ones reach there, but blur echoes together; their peaks are
-accepted where glints that are known support them (docs/math/echoes.md#rim-sub-apertures).
+The centre of a whole sub-aperture is half a side away from the rim of the aperture, so it misses
+normals that point at the rim. Smaller sub-apertures reach the rim, but echoes merge in them. Their
+peaks are accepted if known glints support them (docs/math/echoes.md#rim-sub-apertures).
 """
 
 from dataclasses import dataclass, replace
@@ -20,12 +20,12 @@ from geraf2.scene import Capture, LosPrior
 
 @dataclass(frozen=True, kw_only=True)
 class RimConfig(Bounded):
-    """What is believed of the sub-apertures at the rim."""
+    """Settings of rim sub-apertures."""
 
     sizes_m: tuple[LengthM, ...] = (0.06, 0.04)
-    """Sides to which sub-apertures are cut at the rim [m]."""
+    """Sides of the sub-apertures at the rim [m]."""
     dynamic_range_db: Decibels = 30.0
-    """Peaks weaker than the image's largest by more are dropped [dB]."""
+    """Largest ratio of an image's strongest peak to a kept peak [dB]."""
 
 
 def find_rim_glints(
@@ -33,35 +33,35 @@ def find_rim_glints(
     prior: LosPrior,
     glints: Glints,
     config: RimConfig | None = None,
-    look: GlintConfig | None = None,
+    first: GlintConfig | None = None,
     *,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Glints:
-    """Glints seen from the rim of each plane that continue known ones; possibly none.
+    """Glints of the rim of each plane that continue known ones; possibly none.
 
     glints: those of whole sub-apertures, from `find_glints`.
-    config: what is believed.
-    look: how glints were found: sub-apertures, margins, range correction, least probability.
+    config: settings of rim sub-apertures.
+    first: settings that found `glints`.
     """
-    config, look = config or RimConfig(), look or GlintConfig()
-    sizes = tuple(size for size in config.sizes_m if size < look.subaperture.size_m)
+    config, first = config or RimConfig(), first or GlintConfig()
+    sizes = tuple(size for size in config.sizes_m if size < first.subaperture.size_m)
     if not sizes or len(glints) == 0:
         return glints.select(np.zeros(len(glints), dtype=bool))
     peaks = collect_peaks(
         capture,
         prior,
-        replace(look.subaperture, rim_sizes_m=sizes),
-        look.noise_margin_db,
+        replace(first.subaperture, rim_sizes_m=sizes),
+        first.noise_margin_db,
         reach_m=(0.0, 0.0),
         num_threads=num_threads,
         progress=progress,
     )
-    closer = replace(look, dynamic_range_db=config.dynamic_range_db)
-    peaks, found = candidates_around(capture, prior, peaks, closer, num_threads=num_threads)
-    inside = found.depth_m > look.wall_margin_m
+    settings = replace(first, dynamic_range_db=config.dynamic_range_db)
+    peaks, found = candidates_around(capture, prior, peaks, settings, num_threads=num_threads)
+    inside = found.depth_m > first.wall_margin_m
     probability = continuing(peaks, found, box_volume_m3(prior), inside, glints)
-    keep = inside & (probability > look.least_probability)
+    keep = inside & (probability > first.least_probability)
     if not keep.any():
         return glints.select(np.zeros(len(glints), dtype=bool))
     return as_glints(peaks, found.select(keep), probability[keep], glints)

@@ -1,4 +1,4 @@
-"""What the box's walls add to the range of an echo from inside."""
+"""Delay of the box's walls: excess one-way path of an echo from inside."""
 
 from dataclasses import dataclass
 
@@ -10,12 +10,12 @@ from geraf2.geometry.triangles import unit_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 
-# A wall's own echo lies within this of the prior's surface [m]: 4 mm of cardboard put it 2.5 mm
-# behind the outer face, and priors are a few millimetres off.
+# Largest offset of a wall's own echo from the prior's surface [m], by the wall's thickness and by
+# errors of the prior.
 _WALL_SEARCH_M = 0.010
-# Wall echoes are used where the line of sight meets the wall within this angle [rad].
+# Largest angle between the line of sight and the normal for a wall echo [rad].
 _WALL_ANGLE_RAD = 0.1
-# Fewer wall echoes than this do not make an estimate.
+# Least number of wall echoes of an estimate.
 _MIN_WALL_ECHOES = 12
 
 
@@ -24,9 +24,9 @@ def box_delay_m(
 ) -> Floats:
     """Excess one-way path of plane walls between each antenna and its echo, (n,) [m].
 
-    A slab of thickness t and permittivity eps, met at the angle theta, adds
-    t (sqrt(eps - sin^2 theta) - cos theta). Every wall is met at the angle at which the line of
-    sight enters the prior's surface; inner walls count where the echo lies inside them.
+    A slab of thickness t and permittivity eps, with incidence angle theta, adds
+    t (sqrt(eps - sin^2 theta) - cos theta). All walls have the incidence angle of the prior's
+    surface. Inner walls count only if the echo is inside them.
 
     scene: the prior's outer surface.
     walls: outermost first.
@@ -55,7 +55,7 @@ def box_delay_m(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallEcho:
-    """Echoes among which those of the walls are."""
+    """Echoes that include those of the walls."""
 
     centers: Floats
     """(n, 3) [m]."""
@@ -70,13 +70,14 @@ class WallEcho:
 
 
 def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
-    """Range correction for echoes from inside, from the echoes of the walls themselves [m].
+    """Range correction for echoes from inside, estimated from the walls' own echoes [m].
 
-    With wall thickness t, index n = sqrt(eps) and a constant range error b, the near wall's two
-    faces echo as one from n t / 2 + b behind the outer face, the far wall, seen through the near
-    one, from 3 n t / 2 - 2 t + b behind its outer face; their mean is (n - 1) t + b, just what an
-    echo from inside is late by (docs/math/echoes.md#wall-delay). When no far wall is seen, half of
-    the near wall's offset stands in for it (exact for n = 4/3); 0 when no wall is seen at all.
+    Walls have the thickness t and the index n = sqrt(eps), ranges a constant error b. The merged
+    echo of the near wall's two faces lies n t / 2 + b behind its outer face. The far wall, seen
+    through the near one, lies 3 n t / 2 - 2 t + b behind its outer face. Their mean is
+    (n - 1) t + b, the delay of an echo from inside (docs/math/echoes.md#wall-delay). Without far
+    wall, half of the near wall's offset is used, which is exact for n = 4/3. Without wall echoes
+    the result is 0.
     """
     if len(echoes.ranges_m) == 0:
         return 0.0
@@ -94,13 +95,13 @@ def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
 
 
 def _median_offset(echoes: WallEcho, scene: MeshScene, t_wall: Floats) -> float | None:
-    """Strength-weighted median of range minus the wall's distance [m]; None without echoes."""
+    """Median of range minus wall distance, weighted by magnitude [m]; None without echoes."""
     seen = np.isfinite(t_wall)
     t_wall = np.where(seen, t_wall, 0.0)
     offset = echoes.ranges_m - t_wall
     seen &= np.abs(offset) < _WALL_SEARCH_M
     points = echoes.centers + echoes.directions * t_wall[:, None]
-    # Normal of the surface from the change of its distance over 1 mm along the line of sight.
+    # Cosine of incidence from the change of the distance over 1 mm along the line of sight.
     step = 1e-3
     before = scene.signed_distance(points - step * echoes.directions)
     seen &= np.abs(np.abs(before) / step) > np.cos(_WALL_ANGLE_RAD)
