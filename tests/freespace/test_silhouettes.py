@@ -14,6 +14,7 @@ from scipy.special import erf
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.freespace import silhouettes
 from geraf2.freespace.silhouettes import (
     Silhouettes,
     find_silhouettes,
@@ -331,3 +332,22 @@ def test_a_saved_file_is_read_back(tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(UserError, match="cannot read the arrays"):
         Silhouettes.load(path)
+
+
+@pytest.mark.parametrize(("gap_m", "share"), [(0.05, 1.0), (1.0, 0.2)])
+def test_cells_far_from_all_antennas_are_unknown(gap_m, share):
+    v = np.linspace(-0.03, 0.03, 21)
+    u = np.concatenate([v - 0.5 * gap_m, v + 0.5 * gap_m])
+    feet = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
+    n = len(feet)
+    flash = silhouettes._Flash(
+        side=1.0,
+        feet=feet,
+        response=np.ones(n, dtype=np.complex128),
+        content_m=np.full(n, 0.4),
+        wall_m=np.full(n, 0.5),
+    )
+    cells = [np.linspace(-0.5, 0.5, 201), v]
+    _, known = silhouettes._hologram(flash, cells, 0.0, 0.0039, 0.5)
+    covered = np.abs(cells[0]) < 0.5 * gap_m
+    assert known[covered].mean() == pytest.approx(share, abs=0.15)

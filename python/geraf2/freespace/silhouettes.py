@@ -421,7 +421,8 @@ def _focused(
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
         image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
-        free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()))
+        is_free = np.abs(image[known] - 1.0) < _FREE
+        free_shares.append(float(is_free.mean()) if known.any() else 0.0)
         if free_shares[-1] >= config.min_free:
             total[int(flash.side > 0.0), known] += image.real[known]
             count[int(flash.side > 0.0), known] += 1.0
@@ -465,10 +466,13 @@ def _hologram(
     zone_m = aperture * np.sqrt(wavelength_m * focal_m)
     u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
     seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T
-    # Far from all antennas their weights vanish.
+    # Far from all antennas, between two groups of them too, nothing but rounding is left.
+    near = np.abs(whole) > np.finfo(np.float32).eps
     image = np.zeros(whole.shape, dtype=np.complex128)
-    np.divide(seen, whole, out=image, where=whole != 0.0)
-    known = _covered(flash, cells)
+    np.divide(seen, whole, out=image, where=near)
+    known = near & _covered(flash, cells)
+    if not known.any():
+        return image, known
     # Unblocked lines of sight are the bright ones; their median is the reference.
     size = np.abs(image[known])
     bright = image[known][size >= np.quantile(size, 0.6)]
