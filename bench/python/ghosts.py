@@ -18,16 +18,15 @@ from pathlib import Path
 import numpy as np
 
 import geraf2
-from geraf2.echoes import Glints
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import vertex_areas
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, RIM_NAME
+from geraf2.io.run_folder import CONTENT_NAME, GHOSTS_NAME
 from geraf2.scene import Wall
 from geraf2.simulation.figures import build_figure
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
 from geraf2.surfaces.isosurface import signed_distances
-from geraf2.surfaces.pieces import LIKELY, piece_probability
+from geraf2.surfaces.pieces import LIKELY
 from inspection import cylinder, surface, wilson
 
 NEAR_M = 0.005
@@ -48,11 +47,12 @@ class Found:
 
 
 def pieces(run: Path, truth: Path) -> list[Found]:
-    mesh, true = read_mesh(run / CONTENT_NAME), read_mesh(truth)
-    glints = Glints.load(run / GLINTS_NAME)
-    if (run / RIM_NAME).is_file():
-        glints = glints.join(Glints.load(run / RIM_NAME))
-    probability = piece_probability(mesh, glints)
+    true = read_mesh(truth)
+    parts = [
+        read_mesh(run / name) for name in (CONTENT_NAME, GHOSTS_NAME) if (run / name).is_file()
+    ]
+    mesh = TriangleMesh.joined(parts)
+    probability = np.concatenate([part.confidence for part in parts])
     labels, n_pieces = face_labels(mesh.faces)
     of_vertex = np.zeros(len(mesh.vertices), dtype=int)
     of_vertex[mesh.faces] = labels[:, None]

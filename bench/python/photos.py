@@ -99,8 +99,8 @@ def box_errors(mesh, size_m):
 
 def largest_share(mesh):
     """Area of the largest component over that of all."""
-    _, dropped = largest_components(mesh, min_area_fraction=1.0)
-    return 1.0 - dropped.dropped_area_m2 / float(face_areas(mesh.corners).sum())
+    largest = largest_components(mesh, min_area_fraction=1.0)
+    return float(face_areas(largest.corners).sum() / face_areas(mesh.corners).sum())
 
 
 def mesh_facts(mesh, bounds):

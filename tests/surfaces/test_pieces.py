@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -8,13 +10,11 @@ from geraf2.report.answer import answer_of
 from geraf2.surfaces.pieces import (
     LIKELY,
     ghost_texts,
-    likely_ghosts,
-    likely_part,
     piece_numbers,
-    piece_probability,
-    with_probability,
+    pieces_of,
+    separate_pieces,
 )
-from geraf2.surfaces.samples import SurfaceSamples
+from helpers.glint_sets import glints_on_sphere
 from helpers.solids import ball
 
 
@@ -36,59 +36,82 @@ def scene(planes, probability=0.9):
         poses=poses,
         probability=np.append(np.full(n, 0.9), np.full(len(planes), probability)),
     )
-    marked = TriangleMesh(
-        vertices=both.vertices,
-        faces=both.faces,
-        expected_error_m=np.full(len(both.vertices), 5e-4),
-        evidence=np.full(len(both.vertices), 2, dtype=np.uint8),
-    )
-    return with_probability(marked, piece_probability(marked, glints)), n
+    return separate_pieces(both, glints), n
 
 
 def test_a_small_piece_exists_by_its_number_of_planes_not_of_glints():
     seen, n = scene(planes=[0, 1, 2, 3, 4, 5])
+    assert not len(seen.ghosts.faces)
+    assert (seen.content.confidence[:n] > 0.9).all()
+    assert (seen.content.confidence[n:] > LIKELY).all()
     once, _ = scene(planes=[0] * 12)
-    assert (seen.confidence[:n] > 0.9).all()
-    assert (seen.confidence[n:] > LIKELY).all()
-    assert (once.confidence[n:] < LIKELY).all()
+    assert len(once.content.vertices) == n
+    assert (once.ghosts.confidence < LIKELY).all()
     doubted, _ = scene(planes=[0, 1, 2, 3, 4, 5], probability=0.2)
-    assert (doubted.confidence[n:] < seen.confidence[n:]).all()
+    assert doubted.ghosts.confidence.max() < seen.content.confidence.min()
 
 
-def test_a_likely_ghost_has_a_large_error_and_no_part_in_the_sizes():
-    mesh, n = scene(planes=[0, 0])
-    ghost = mesh.vertices[n:]
-    assert np.ptp(mesh.vertices[:, 2]) > 0.09
-    numbers = piece_numbers(likely_part(mesh))
+def test_a_likely_ghost_is_apart_with_its_position_and_probability():
+    found, _n = scene(planes=[0, 0])
+    numbers = piece_numbers(found.content)
     assert numbers["n_pieces"] == 1
     assert numbers["extents_mm"] == pytest.approx([60, 60, 60], abs=0.5)
-    assert numbers["middle_mm"] == pytest.approx([0, 0, 0], abs=0.5)
-    (piece,) = likely_ghosts(mesh)
+    (piece,) = pieces_of(found.ghosts)
     assert piece.numbers()["middle_mm"] == pytest.approx([0, 0, 60], abs=0.5)
+    assert piece.numbers()["volume_cm3"] == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.05)
     assert 0.0 < piece.probability < LIKELY
-    away = np.linalg.norm(ghost, axis=1) - 0.03
-    expected = np.sqrt(piece.probability * 5e-4**2 + (1 - piece.probability) * away**2)
-    assert mesh.expected_error_m[n:] == pytest.approx(expected, rel=0.05)
-    assert mesh.expected_error_m[:n] == pytest.approx(5e-4)
-    samples = SurfaceSamples(mesh, np.zeros((4, len(mesh.vertices))), 1e-4)
-    assert samples.size_numbers()["extents_mm"] == pytest.approx([60, 60, 60], abs=0.5)
+
+
+def test_pieces_without_glints_and_voids_are_in_neither():
+    both, _ = scene(planes=[])
+    assert not len(both.ghosts.faces)
+    assert len(pieces_of(both.content)) == 1
+    shell, glints = ball(0.03), glints_on_sphere(0.03, 200)
+    inner = ball(0.02)
+    void = TriangleMesh(vertices=inner.vertices, faces=inner.faces[:, ::-1])
+    found = separate_pieces(TriangleMesh.joined([shell, void]), glints)
+    assert len(found.content.faces) == len(shell.faces)
+    assert not len(found.ghosts.faces)
+
+
+@pytest.mark.parametrize(("n_on_other", "n_kept"), [(12, 1), (80, 2)])
+def test_a_large_piece_with_few_glints_bridges_air(n_on_other, n_kept):
+    well, other = ball(0.02), ball(0.022)
+    moved = TriangleMesh(vertices=other.vertices - [0.06, 0.0, 0.0], faces=other.faces)
+    glints = glints_on_sphere(0.02, 400).join(
+        glints_on_sphere(0.022, n_on_other, center=[-0.06, 0, 0])
+    )
+    glints = replace(glints, poses=np.arange(len(glints)) % 8)
+    found = separate_pieces(TriangleMesh.joined([well, moved]), glints)
+    assert len(pieces_of(found.content)) == n_kept
+    # The piece with most glints stays, though the other one is larger.
+    assert found.content.vertices[:, 0].max() > 0.019
+
+
+def test_without_glints_the_largest_piece_is_left():
+    found = separate_pieces(ball(0.03), glints_on_sphere(0.03, 4).select(np.zeros(4, dtype=bool)))
+    assert len(pieces_of(found.content)) == 1
 
 
 def test_the_report_lists_likely_ghosts_separately():
-    mesh, _ = scene(planes=[0, 0])
-    stage = {"likely_ghosts": [piece.numbers() for piece in likely_ghosts(mesh)]}
-    answer = answer_of(mesh, None, {"mesh": stage}, {})
+    found, _ = scene(planes=[0, 0])
+    stage = {"likely_ghosts": [piece.numbers() for piece in pieces_of(found.ghosts)]}
+    answer = answer_of(found.content, None, {"mesh": stage}, {})
     assert answer.found.startswith("One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm.")
     assert f"Likely ghosts, not counted: {ghost_texts(stage)[0]}." in answer.found
-    assert {card.title: card.value for card in answer.cards}["How sure"] == "0.5 mm"
 
 
 def test_confidence_is_read_back_only_from_own_files(tmp_path):
-    mesh, n = scene(planes=[0, 0])
+    found, _n = scene(planes=[0, 1, 2, 3, 4, 5])
+    n_vertices = len(found.content.vertices)
+    mesh = replace(
+        found.content,
+        expected_error_m=np.full(n_vertices, 5e-4),
+        evidence=np.full(n_vertices, 2, dtype=np.uint8),
+    )
     write_mesh(mesh, tmp_path / "m.ply")
     again = read_mesh(tmp_path / "m.ply")
     assert again.confidence == pytest.approx(mesh.confidence, abs=1e-6)
-    assert len(likely_part(again).vertices) == n
     data = (tmp_path / "m.ply").read_bytes()
     (tmp_path / "other.ply").write_bytes(data.replace(b"uchar evidence", b"uchar elsewise"))
     assert read_mesh(tmp_path / "other.ply").confidence is None

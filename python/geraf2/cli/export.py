@@ -11,7 +11,6 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import Evidence, write_mesh
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.surfaces.pieces import likely_part
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +26,6 @@ class Config:
     """File to write: .ply or .glb; .ply of glints."""
     only_seen: bool = False
     """Only triangles whose corners were all seen: an echo came from there."""
-    no_ghosts: bool = False
-    """Without pieces that likely do not exist."""
     glints: bool = False
     """The glints instead: points with normals, strengths and probabilities."""
     overwrite: bool = False
@@ -50,7 +47,7 @@ def main(config: Config) -> int:
         write_bytes_atomic(config.file, result.glints.cloud_bytes())
         found = {"n_points": len(result.glints)}
     else:
-        mesh = likely_part(result.content_mesh) if config.no_ghosts else result.content_mesh
+        mesh = result.content_mesh
         if config.only_seen:
             if mesh.evidence is None:
                 raise UserError(what="the preset of the run does not know what was seen")

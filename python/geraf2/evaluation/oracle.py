@@ -66,7 +66,7 @@ def oracle_matched_filter(
     scores: list[tuple[float, TriangleMesh, MeshMetrics]] = []
     for level in levels:
         field = SdfGrid(grid=grid, values=(level * peak - volume).astype(np.float32))
-        mesh, _ = cropped_content(field, prior, crop_m, num_threads=num_threads)
+        mesh = cropped_content(field, prior, crop_m, num_threads=num_threads)
         if mesh.faces.shape[0]:
             metrics = evaluate_mesh(
                 mesh,

@@ -13,7 +13,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
-from geraf2.surfaces.pieces import ghost_texts, likely_part
+from geraf2.surfaces.pieces import ghost_texts
 from geraf2.surfaces.samples import size_lines
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
@@ -78,7 +78,6 @@ def answer_of(
     if not content.faces.shape[0]:
         found = "Nothing was found in the box: the surface is empty."
         return Answer(found=found, corrected=corrected, remarks=remarks)
-    content = likely_part(content)
     report = surface_report(content)
     seen = seen_vertices(content, glints)
     cards = [_size(content, report, dict(size_lines(numbers.get("mesh", {}))))]

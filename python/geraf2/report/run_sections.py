@@ -24,6 +24,7 @@ from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
     run_folder.CONTENT_NAME: "surface of the content, with expected errors, metres",
+    run_folder.GHOSTS_NAME: "pieces that likely do not exist, with probabilities, metres",
     "mesh_content.glb": "the same for 3D programs",
     run_folder.BOX_NAME: "the box around it",
     run_folder.MESH_NAME: "both together",

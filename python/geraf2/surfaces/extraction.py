@@ -1,6 +1,5 @@
 """Meshes of a run from a signed distance field: content, box, and both together."""
 
-import logging
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,19 +14,17 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.isosurface import (
-    ComponentReport,
     drop_components,
     extract_surface,
     largest_components,
     signed_distances,
 )
-from geraf2.surfaces.pieces import piece_probability, with_probability
+from geraf2.surfaces.pieces import separate_pieces
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 7
+MESH_VERSION = 8
 """Increase when the same field gives another mesh or another expected error."""
-_log = logging.getLogger(__name__)
 
 
 class ExtractedMeshes(NamedTuple):
@@ -41,6 +38,8 @@ class ExtractedMeshes(NamedTuple):
     """The content, with expected error, evidence and confidence of each vertex."""
     samples: SurfaceSamples | None = None
     """Posterior samples of the content's surface; None for a field without glints."""
+    ghosts: TriangleMesh | None = None
+    """Pieces that likely do not exist; None for a field without glints."""
 
 
 def extract_meshes(
@@ -62,40 +61,36 @@ def extract_meshes(
     """
     if isinstance(evidence, Glints):
         evidence = Evidence(glints=evidence)
-    content, report = content_surface(sdf, evidence.seen, prior, num_threads=num_threads)
-    if report.n_fragments or report.n_unsupported or report.n_voids:
-        _log.info(
-            "dropped %d fragments, %d pieces without any glint and %d voids, %.1f cm^2 in all",
-            report.n_fragments,
-            report.n_unsupported,
-            report.n_voids,
-            1e4 * report.dropped_area_m2,
-        )
+    surface = content_surface(sdf, prior, num_threads=num_threads)
+    content, ghosts = separate_pieces(surface, evidence.seen)
     samples = sample_surface(content, sdf, evidence, prior, fit, num_threads=num_threads)
-    content = with_probability(samples.mesh, piece_probability(content, evidence.seen))
-    box, samples = box_surface(prior), replace(samples, mesh=content)
+    samples = replace(samples, mesh=replace(samples.mesh, confidence=content.confidence))
+    box = box_surface(prior)
     return ExtractedMeshes(
-        mesh=join_meshes(box, content), mesh_box=box, mesh_content=content, samples=samples
+        mesh=join_meshes(box, samples.mesh),
+        mesh_box=box,
+        mesh_content=samples.mesh,
+        samples=samples,
+        ghosts=ghosts,
     )
 
 
 def content_surface(
-    sdf: SdfGrid, glints: Glints, prior: LosPrior, *, num_threads: int | None = None
-) -> tuple[TriangleMesh, ComponentReport]:
-    """Zero level of max(f, b), where b < 0 inside the box, without voids and fragments.
+    sdf: SdfGrid, prior: LosPrior, *, num_threads: int | None = None
+) -> TriangleMesh:
+    """Zero level of max(f, b), where b < 0 inside the box.
 
     b is the signed distance to the prior's surface plus the thickness of the outermost known
     wall. An intersection of sets, unlike a cut of triangles, keeps the surface closed where the
     fitted field meets the wall.
     """
     thickness = prior.walls[0].thickness_m if prior.walls else 0.0
-    surface = extract_surface(_inside(sdf, prior, thickness, num_threads))
-    return largest_components(surface, support=glints.positions)
+    return extract_surface(_inside(sdf, prior, thickness, num_threads))
 
 
 def cropped_content(
     sdf: SdfGrid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
-) -> tuple[TriangleMesh, ComponentReport]:
+) -> TriangleMesh:
     """Content of a field without glints that includes the box's walls.
 
     Everything nearer to the prior's surface than `crop_m` [m] is cut off. Residual pieces of a
@@ -125,7 +120,7 @@ def extract_cropped_meshes(
     sdf: SdfGrid, prior: LosPrior, crop_m: float, *, num_threads: int | None = None
 ) -> ExtractedMeshes:
     """Meshes of a run without glints: content by :func:`cropped_content`, box from the prior."""
-    content, _ = cropped_content(sdf, prior, crop_m, num_threads=num_threads)
+    content = cropped_content(sdf, prior, crop_m, num_threads=num_threads)
     box = box_surface(prior)
     return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
 

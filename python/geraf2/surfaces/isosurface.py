@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import KDTree
 
-from geraf2._types import Bools, Floats, Ints
+from geraf2._types import Bools, Floats
 from geraf2.fields import SdfGrid
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import (
@@ -19,21 +18,6 @@ from geraf2.ops.visibility import MeshScene
 
 MIN_AREA_FRACTION = 0.02
 """Least area of a kept component relative to the main one; noise blobs have less than 0.01."""
-
-MIN_SUPPORT = 10
-"""Least glints on a small kept component: several sub-apertures see a true facet."""
-
-MIN_SUPPORT_SHARE = 0.02
-"""Least glints on a small kept component, as a share of the main component's glints."""
-
-MIN_SUPPORTED_AREA_FRACTION = 0.001
-"""Least area of a component with enough glints, relative to the main one."""
-
-MIN_SUPPORT_DENSITY = 0.1
-"""Least glints per area of a kept component, relative to the main one."""
-
-SUPPORT_REACH_M = 0.005
-"""Largest distance of a glint from its component [m]; 98 % of correct glints lie within it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,22 +38,6 @@ class SurfaceReport:
     """Enclosed volume, None unless watertight [m^3]."""
     n_holes: int | None = None
     """Number of holes, the sum of the components' genera; None unless watertight."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComponentReport:
-    """Numbers of kept and of dropped connected components."""
-
-    n_kept: int
-    """Components kept."""
-    n_fragments: int
-    """Dropped: small with few glints, or with few glints per area."""
-    n_unsupported: int
-    """Dropped: no glint within reach."""
-    n_voids: int
-    """Dropped: closed surfaces that face inwards; a radar cannot see into a reflector."""
-    dropped_area_m2: float
-    """Total area dropped [m^2]."""
 
 
 def extract_surface(sdf: SdfGrid, level: float = 0.0) -> TriangleMesh:
@@ -106,7 +74,6 @@ def redistance(
     sdf: field with the zero level.
     surface: closed zero level to use instead, when parts of the field's own were dropped; it then
         determines distance and sign. By default `extract_surface(sdf)`, with the field's sign.
-        and sign are then the surface's. By default `extract_surface(sdf)`, with the field's sign.
     num_threads: threads of the distance queries; all cores when None.
 
     Returns same grid, values [m]. Not differentiable.
@@ -184,59 +151,23 @@ def _n_holes(mesh: TriangleMesh, n_components: int) -> int:
 
 
 def largest_components(
-    mesh: TriangleMesh,
-    *,
-    support: Floats | None = None,
-    min_area_fraction: float = MIN_AREA_FRACTION,
-    min_support: int = MIN_SUPPORT,
-    support_reach_m: float = SUPPORT_REACH_M,
-) -> tuple[TriangleMesh, ComponentReport]:
-    """Drop components that no radar saw as a surface: voids, unsupported pieces, fragments.
+    mesh: TriangleMesh, *, min_area_fraction: float = MIN_AREA_FRACTION
+) -> TriangleMesh:
+    """Drop small components and voids: closed surfaces that face inwards.
 
-    The main component is the one with most points of `support` within `support_reach_m`. `support`
-    holds the glints' positions, (n, 3) [m]; without it the largest component is the main one.
-    Another component stays if it faces outwards and has at least `min_area_fraction` of the main
-    one's area. With `support` it also needs MIN_SUPPORT_DENSITY of the main one's points per area.
-    A smaller one stays if it has `min_support` points and MIN_SUPPORT_SHARE of the main one's. The
-    main component always stays, so that the result is not empty.
+    min_area_fraction: least area of a kept component relative to the largest one.
     """
     labels, n_components = face_labels(mesh.faces)
     if n_components == 0:
-        report = ComponentReport(
-            n_kept=0, n_fragments=0, n_unsupported=0, n_voids=0, dropped_area_m2=0.0
-        )
-        return mesh, report
+        return mesh
     areas = np.bincount(labels, face_areas(mesh.corners), minlength=n_components)
     six_fold = six_fold_volumes(mesh.vertices, mesh.faces)
     volumes = np.bincount(labels, six_fold, minlength=n_components)
     is_open = ~closed_edges(mesh.faces)
     n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
-    voids = (volumes < 0) & (n_open == 0)
-    if support is None:
-        main = int(np.argmax(np.where(voids, -1.0, areas)))
-        fragments = areas < min_area_fraction * areas[main]
-        unsupported = np.zeros(n_components, dtype=bool)
-    else:
-        counts = _support_counts(mesh, labels, n_components, support, support_reach_m)
-        main = int(np.lexsort((areas, counts, ~voids))[-1])
-        small = areas < min_area_fraction * areas[main]
-        few = np.maximum(min_support, MIN_SUPPORT_SHARE * counts[main])
-        small &= (counts < few) | (areas < MIN_SUPPORTED_AREA_FRACTION * areas[main])
-        thin = counts * areas[main] < MIN_SUPPORT_DENSITY * counts[main] * areas
-        fragments = small | thin
-        unsupported = counts == 0
-    voids[main] = unsupported[main] = False
-    unsupported &= ~voids
-    fragments &= ~voids & ~unsupported
-    keep = ~(voids | unsupported | fragments)
-    report = ComponentReport(
-        n_kept=int(keep.sum()),
-        n_fragments=int(fragments.sum()),
-        n_unsupported=int(unsupported.sum()),
-        n_voids=int(voids.sum()),
-        dropped_area_m2=float(areas[~keep].sum()),
-    )
-    return mesh.with_faces(mesh.faces[keep[labels]]), report
+    areas[(volumes < 0) & (n_open == 0)] = 0.0  # a radar does not see the inside of a reflector
+    keep = areas >= min_area_fraction * max(areas.max(), 1e-300)
+    return mesh.with_faces(mesh.faces[keep[labels]])
 
 
 def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
@@ -246,17 +177,3 @@ def drop_components(mesh: TriangleMesh, marked: Bools) -> TriangleMesh:
     total = np.bincount(labels, areas, minlength=n_components)
     share = np.bincount(labels, areas * marked, minlength=n_components)
     return mesh.with_faces(mesh.faces[(share <= 0.5 * total)[labels]])
-
-
-def _support_counts(
-    mesh: TriangleMesh, labels: Ints, n_components: int, support: Floats, reach_m: float
-) -> Ints:
-    """Count the points within reach of each component; each counts for its nearest vertex."""
-    if support.shape[0] == 0:
-        return np.zeros(n_components, dtype=np.int64)
-    vertex_labels = np.full(mesh.vertices.shape[0], -1, dtype=np.int64)
-    vertex_labels[mesh.faces.reshape(-1)] = np.repeat(labels, 3)
-    used = np.flatnonzero(vertex_labels >= 0)
-    distances, nearest = KDTree(mesh.vertices[used]).query(support)
-    within = vertex_labels[used][nearest[distances <= reach_m]]
-    return np.bincount(within, minlength=n_components)

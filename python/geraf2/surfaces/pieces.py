@@ -2,16 +2,22 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import face_labels
-from geraf2.geometry.triangles import enclosed_volume_m3, used_vertices
+from geraf2.geometry.triangles import (
+    closed_edges,
+    enclosed_volume_m3,
+    face_areas,
+    six_fold_volumes,
+    used_vertices,
+)
 from geraf2.io.mesh import TriangleMesh
 
 LIKELY = 0.5
@@ -38,9 +44,22 @@ class PieceModel:
     """Least probability of the main piece."""
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
+    least_density: float = 0.1
+    """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)
+
+    def probability(self, n_pieces: int, pieces: Ints, planes: Ints, probability: Floats) -> Floats:
+        """Probability of each piece, (n_pieces,).
+
+        pieces, planes, probability: of each glint on a piece, (n_glints,).
+        """
+        none = np.zeros((n_pieces, int(planes.max(initial=-1)) + 1))
+        # log P(no glint of the plane is a direct return)
+        np.add.at(none, (pieces, planes), np.log1p(-np.minimum(probability, 1.0 - 1e-6)))
+        odds = ((1.0 - np.exp(none)).sum(axis=1) / self.even) ** self.gain
+        return np.asarray(odds / (1.0 + odds))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,68 +85,60 @@ class Piece:
         }
 
 
-def piece_probability(
-    mesh: TriangleMesh, glints: Glints, model: PieceModel | None = None
-) -> Floats:
-    """Probability that the piece of each vertex exists, (n_vertices,).
+class Separated(NamedTuple):
+    """Pieces of a surface that likely exist, and the others."""
 
-    glints: all that the surface was fitted to, rim glints too.
+    content: TriangleMesh
+    """Pieces that likely exist; `confidence` is the probability of each vertex's piece."""
+    ghosts: TriangleMesh
+    """Pieces that likely do not exist, with theirs."""
+
+
+def separate_pieces(
+    mesh: TriangleMesh, glints: Glints, model: PieceModel | None = None
+) -> Separated:
+    """Separate the pieces that likely exist from likely ghosts.
+
+    Pieces without glints, pieces that bridge air (`PieceModel.least_density`) and closed surfaces
+    that face inwards are in neither: a radar does not see the inside of a reflector. The main
+    piece, with most glints, always remains.
+
+    mesh: surface that was fitted to the glints.
+    glints: all of them, rim glints too.
     """
     model = model or PieceModel()
     labels, n_pieces = face_labels(mesh.faces)
+    if n_pieces == 0:
+        return Separated(mesh, mesh)
+    outward = np.bincount(labels, six_fold_volumes(mesh.vertices, mesh.faces), n_pieces) > 0.0
+    is_open = np.bincount(np.tile(labels, 3), ~closed_edges(mesh.faces), n_pieces) > 0
+    areas = np.bincount(labels, face_areas(mesh.corners), n_pieces)
     of_vertex = np.zeros(len(mesh.vertices), dtype=np.int64)
     of_vertex[mesh.faces] = labels[:, None]
-    if n_pieces < 2 or not len(glints):
-        return np.ones(len(mesh.vertices))
-    distance, nearest = KDTree(mesh.vertices).query(glints.positions)
+    used = np.unique(mesh.faces)
+    distance, nearest = KDTree(mesh.vertices[used]).query(glints.positions)
     near = distance <= model.reach_m
-    piece, plane = of_vertex[nearest[near]], np.unique(glints.poses, return_inverse=True)[1][near]
-    none = np.zeros((n_pieces, int(glints.poses.max()) + 1))  # log P(no glint is a direct return)
-    np.add.at(none, (piece, plane), np.log1p(-np.minimum(glints.probability[near], 1.0 - 1e-6)))
-    planes = (1.0 - np.exp(none)).sum(axis=1)
-    odds = (planes / model.even) ** model.gain
-    probability = odds / (1.0 + odds)
-    main = np.bincount(piece, minlength=n_pieces).argmax()
+    piece = of_vertex[used[nearest[near]]]
+    counts = np.bincount(piece, minlength=n_pieces)
+    probability = model.probability(n_pieces, piece, glints.poses[near], glints.probability[near])
+    main = int(np.lexsort((areas, counts, outward | is_open))[-1])
     probability[main] = max(probability[main], model.main)
-    return np.asarray(probability[of_vertex])
+    dense = counts * areas[main] >= model.least_density * counts[main] * areas
+    shown = (outward | is_open) & dense & (counts > 0)
+    shown[main] = True
+    marked = replace(mesh, confidence=probability[of_vertex])
+    content, ghosts = (
+        marked.with_faces(mesh.faces[(shown & likely)[labels]])
+        for likely in (probability >= LIKELY, probability < LIKELY)
+    )
+    return Separated(content, ghosts)
 
 
-def with_probability(mesh: TriangleMesh, probability: Floats) -> TriangleMesh:
-    """Mesh whose expected error includes the probability that a piece does not exist.
-
-        sigma'^2 = p sigma^2 + (1 - p) d^2
-
-    d is the distance to the pieces that likely exist. These keep their expected error, which was
-    measured on existing pieces.
-    """
-    assert mesh.expected_error_m is not None
-    likely, error = probability >= LIKELY, mesh.expected_error_m.copy()
-    if likely.any() and not likely.all():
-        away = KDTree(mesh.vertices[likely]).query(mesh.vertices[~likely])[0]
-        p = probability[~likely]
-        error[~likely] = np.sqrt(p * error[~likely] ** 2 + (1.0 - p) * away**2)
-    return replace(mesh, expected_error_m=error, confidence=probability)
-
-
-def likely_faces(mesh: TriangleMesh) -> Bools:
-    """Faces of the pieces that likely exist, (n_faces,); all of a mesh without probabilities."""
-    if mesh.confidence is None:
-        return np.ones(len(mesh.faces), dtype=bool)
-    return np.asarray(mesh.confidence[mesh.faces[:, 0]] >= LIKELY)
-
-
-def likely_part(mesh: TriangleMesh) -> TriangleMesh:
-    """Mesh without its likely ghosts."""
-    likely = likely_faces(mesh)
-    return mesh if likely.all() else mesh.with_faces(mesh.faces[likely])
-
-
-def likely_ghosts(mesh: TriangleMesh) -> list[Piece]:
-    """Pieces that likely do not exist, the most probable first."""
-    ghosts = mesh.faces[~likely_faces(mesh)]
-    labels, n_pieces = face_labels(ghosts)
+def pieces_of(mesh: TriangleMesh) -> list[Piece]:
+    """Numbers of the connected pieces of a mesh with probabilities, the most probable first."""
+    labels, n_pieces = face_labels(mesh.faces)
     return sorted(
-        (_piece(mesh, ghosts[labels == k]) for k in range(n_pieces)),
+        (_piece(mesh, mesh.faces[labels == k]) for k in range(n_pieces)),
         key=lambda piece: -piece.probability,
     )
 

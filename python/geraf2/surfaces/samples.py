@@ -11,7 +11,6 @@ from geraf2._types import AnyPath, Floats
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_normals
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import TriangleMesh
-from geraf2.surfaces.pieces import likely_faces, likely_part
 
 NORMAL_95 = 1.96
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -69,27 +68,19 @@ class SurfaceSamples(Short):
         }
         write_npz_atomic(path, arrays)
 
-    def likely(self) -> "SurfaceSamples":
-        """Return the samples without likely ghosts."""
-        used = np.unique(self.mesh.faces[likely_faces(self.mesh)])
-        return replace(
-            self, mesh=likely_part(self.mesh), displacements_m=self.displacements_m[:, used]
-        )
-
     def size_numbers(self) -> dict[str, Any]:
-        """Volume [cm^3] and extents [mm] with their 95 % intervals, without likely ghosts.
+        """Volume [cm^3] and extents [mm] with their 95 % intervals.
 
         {} of an empty surface.
         """
         if not len(self.mesh.faces) or len(self) < 2:
             return {}
-        likely = self.likely()
 
         def sizes(mesh: TriangleMesh) -> Floats:
             volume = 1e6 * enclosed_volume_m3(mesh.vertices, mesh.faces)
             return np.array([volume, *(1e3 * np.ptp(mesh.vertices, axis=0))])
 
-        middle, (low, high) = sizes(likely.mesh), likely.interval(sizes)
+        middle, (low, high) = sizes(self.mesh), self.interval(sizes)
         ends = [[round(float(a), 2), round(float(b), 2)] for a, b in zip(low, high, strict=True)]
         return {
             "volume_cm3": round(float(middle[0]), 2),

@@ -138,7 +138,7 @@ def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowRes
     hottest = float(total.heat[counted].max())
     for threshold in (scale * otsu for scale in _ORACLE_SCALES if scale * otsu < hottest):
         sdf = surface_above(capture, total, counted, threshold, config.normal_reach_m)
-        mesh, _ = cropped_content(sdf, prior, config.crop_m, num_threads=num_threads)
+        mesh = cropped_content(sdf, prior, config.crop_m, num_threads=num_threads)
         if mesh.faces.shape[0]:
             score = partial(evaluate_mesh, mesh, truth, seed=seed, num_threads=num_threads)
             metrics = score(thresholds_m=COARSE_M)

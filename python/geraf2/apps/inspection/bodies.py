@@ -21,7 +21,6 @@ from geraf2.geometry.triangles import (
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import nearness
-from geraf2.surfaces.pieces import likely_faces
 
 PATCH_M = 0.010
 """Distance beyond which errors of the surface are independent [m]: about the footprint of a
@@ -122,11 +121,10 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
 def split_bodies(body: Body) -> list[Body]:
     """Split into connected parts, the largest first.
 
-    Likely ghosts, and parts below MIN_PART_SHARE of the largest, are left out.
+    Parts below MIN_PART_SHARE of the largest are left out.
     """
     labels, n_parts = face_labels(body.mesh.faces)
     areas = np.bincount(labels, face_areas(body.mesh.corners), minlength=n_parts)
-    areas[labels[~likely_faces(body.mesh)]] = 0.0
     order = [
         p for p in np.argsort(-areas, kind="stable") if areas[p] >= MIN_PART_SHARE * max(areas)
     ]

@@ -17,6 +17,7 @@ from geraf2.io.run_folder import (
     BOX_NAME,
     CONTENT_NAME,
     FIT_NAME,
+    GHOSTS_NAME,
     GLINTS_NAME,
     MESH_NAME,
     PEAKS_NAME,
@@ -41,7 +42,7 @@ from geraf2.surfaces.fit import (
     zero_level,
 )
 from geraf2.surfaces.isosurface import redistance
-from geraf2.surfaces.pieces import likely_ghosts, likely_part, piece_numbers
+from geraf2.surfaces.pieces import piece_numbers, pieces_of
 from geraf2.surfaces.refinement import (
     SELECTION_VERSION,
     SelectedGlints,
@@ -248,13 +249,13 @@ def mesh_stage(
 
 
 def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
-    """Size of the content's mesh; evidence, expected error and sizes without likely ghosts."""
+    """Size, evidence and expected error of the content's mesh, and its likely ghosts."""
     content = meshes.mesh_content
     numbers: dict[str, Any] = {"n_vertices": len(content.vertices), "n_faces": len(content.faces)}
     sizes = meshes.samples.size_numbers() if meshes.samples is not None else {}
-    numbers["likely_ghosts"] = [piece.numbers() for piece in likely_ghosts(content)]
-    likely = likely_part(content)
-    return numbers | piece_numbers(likely) | quality_numbers(likely) | sizes
+    if meshes.ghosts is not None:
+        numbers["likely_ghosts"] = [piece.numbers() for piece in pieces_of(meshes.ghosts)]
+    return numbers | piece_numbers(content) | quality_numbers(content) | sizes
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
@@ -278,6 +279,9 @@ def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
         for file in (name, name.removesuffix(".ply") + ".glb"):
             write_mesh(mesh, run.path / file, frame=frame, made_from=job.made_from)
             names += [file, file + ".json"]
+    if meshes.ghosts is not None and len(meshes.ghosts.faces):
+        write_mesh(meshes.ghosts, run.path / GHOSTS_NAME, frame=frame, made_from=job.made_from)
+        names += [GHOSTS_NAME, GHOSTS_NAME + ".json"]
     return names
 
 
