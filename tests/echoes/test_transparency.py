@@ -75,4 +75,4 @@ def test_an_unknown_permittivity_is_reported():
     assert describe({"n_glints": 3}) == ""
     said = describe({"n_back_faces": 5, "back_face_share": 0.25})
     assert "25 %" in said
-    assert "does not show" in said
+    assert "permittivity is unknown" in said

@@ -1,8 +1,7 @@
-"""Glints behind others in their own line of sight: back faces of what waves pass through.
+"""Glints behind others on their own line of sight: back faces of dielectric bodies.
 
-A specular echo returns along the line of sight from which it is seen. Metal stops that line at the
-first surface, so whatever seems to lie behind another glint's surface there was reached through it
-(docs/math/echoes.md#back-faces).
+A specular return comes back along its line of sight. Metal blocks that line at the first surface,
+so a return from behind another glint's surface passed through it (docs/math/echoes.md#back-faces).
 """
 
 from dataclasses import dataclass
@@ -12,46 +11,46 @@ import numpy as np
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 
-# A glint stands for the surface this far around it; neighbours that agree lie within 8 mm.
 _REACH_M = 0.005
-# Surfaces met at a flatter angle than this are not judged: at 17 degrees 0.5 mm of error moves the
-# crossing by 1.7 mm.
+"""Radius of the disc of surface that a glint represents [m]."""
 _MIN_COSINE = 0.3
-# Crossings nearer to the glint than this may be of its own surface.
+"""Least cosine between a line of sight and the normal of a disc that it crosses; at flatter angles
+0.5 mm of error moves the crossing by 1.7 mm."""
 _OWN_M = 0.004
-# A glint this far behind others is accused: those of metal are up to 5 mm, rounded edges and errors
-# of 1 mm both ways.
+"""Nearer crossings may be of the glint's own surface [m]."""
 BEHIND_M = 0.006
-# So many that face its antenna are enough, or twice as many that face away: no line of sight comes
-# to these from within before it has met a front, which may not be seen squarely by any antenna.
+"""Least depth behind a surface [m]; errors and rounded edges of metal reach 5 mm."""
 _N_FRONTS = 2
+"""Front faces ahead of a glint that show that it was seen through a body."""
 _N_BACKS = 4
-# The same to show that waves pass through at all, of so many lines at most.
+"""Back faces ahead of it that show the same. They weigh half as much as front faces: a line of
+sight leaves a body only after a front face, which may have no glint of its own."""
 _FAR_BEHIND_M = 0.015
+"""Least depth behind a body that decides whether the content is a dielectric [m]."""
 _N_LINES = 2000
+"""Most lines of sight that decide this."""
 _CHUNK = 256
 _MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Crossings:
-    """Where lines of sight of glints cross the surfaces that other glints stand for."""
+    """Where lines of sight of glints cross the discs of other glints."""
 
     lines: Ints
-    """Glint whose line of sight it is, (n,)."""
+    """Glint at the end of the line of sight, (n,)."""
     surfaces: Ints
-    """Glint whose surface is crossed, (n,)."""
+    """Glint whose disc is crossed, (n,)."""
     depth_m: Floats
-    """How far before the line's own glint, (n,) [m]."""
+    """Distance in front of the line's own glint, (n,) [m]."""
     is_front: Bools
-    """Whether the surface faces the antenna, (n,)."""
+    """Whether the disc faces the antenna, (n,)."""
 
 
 def find_crossings(glints: Glints, lines: Ints | None = None) -> Crossings:
-    """Crossings of lines of sight, from glint to antenna, with discs about other glints.
+    """Crossings of lines of sight, from glint to antenna, with the discs of other glints.
 
-    glints: all.
-    lines: those whose lines are followed, (n_lines,); all when None.
+    lines: glints whose lines of sight are followed, (n_lines,); all when None.
     """
     chosen = np.arange(len(glints)) if lines is None else lines
     points = (glints.positions - glints.positions.mean(axis=0)).astype(np.float32)
@@ -79,10 +78,10 @@ def find_crossings(glints: Glints, lines: Ints | None = None) -> Crossings:
 
 
 def seen_through_share(glints: Glints) -> float:
-    """Share of the strength of glints behind a body that others show from both sides.
+    """Share of the strength of glints behind a body of which others show both sides.
 
-    Such a glint lies at least 1.5 cm behind two that face its antenna, and behind one that faces
-    away. Metal has next to none. What stands in a shell is not meant: its far side is behind it.
+    Such a glint lies at least 1.5 cm behind two front faces and behind a back face. Metal has
+    nearly none. An object inside a shell does not count: the far side of the shell is behind it.
     """
     n = len(glints)
     if n == 0:
@@ -97,30 +96,32 @@ def seen_through_share(glints: Glints) -> float:
 
 
 def seen_first(glints: Glints) -> tuple[Bools, Bools]:
-    """Glints that are not behind others in their line of sight: surely; perhaps, (n_glints,) each.
+    """Glints with no other in front of them: certainly, and possibly, (n_glints,) each.
 
-    Others count that are themselves seen first: those that nobody accuses are, whom enough of them
-    accuse is not, and so on with what is left. Fronts accuse first, then, among what is left,
-    backs, too. Who accuse each other stay in doubt: perhaps.
+    Only glints that are themselves first count as being in front. The first round starts from the
+    glints with nothing in front; what enough of them cover is behind; and so on. Front faces are
+    evaluated first, then back faces among the remainder. Glints that cover each other are possible.
     """
     found = find_crossings(glints)
-    accuses = found.depth_m > BEHIND_M
-    accused, accuser = found.lines[accuses], found.surfaces[accuses]
-    is_front = found.is_front[accuses]
-    nobody = np.zeros(len(glints), dtype=bool)
-    weight = np.where(is_front, _N_BACKS, 0)  # in whole numbers, a front worth two backs
-    behind = ~_sift(accused, accuser, weight, nobody)[1]
-    return _sift(accused, accuser, np.where(is_front, _N_BACKS, _N_FRONTS), behind)
+    far = found.depth_m > BEHIND_M
+    behind, front, is_front = found.lines[far], found.surfaces[far], found.is_front[far]
+    nothing = np.zeros(len(glints), dtype=bool)
+    weight = np.where(is_front, _N_BACKS, 0)  # whole numbers: a front face counts as two back faces
+    covered = ~_uncovered(behind, front, weight, nothing)[1]
+    return _uncovered(behind, front, np.where(is_front, _N_BACKS, _N_FRONTS), covered)
 
 
-def _sift(accused: Ints, accuser: Ints, weight: Ints, known: Bools) -> tuple[Bools, Bools]:
-    """Who is seen first for sure, and who perhaps, where some are known to be behind."""
+def _uncovered(behind: Ints, front: Ints, weight: Ints, known: Bools) -> tuple[Bools, Bools]:
+    """Glints that are first, certainly and possibly; `known` ones are behind.
+
+    behind, front, weight: of each crossing.
+    """
     n, enough = len(known), _N_FRONTS * _N_BACKS
-    behind, first = known, ~known
+    covered, first = known, ~known
     for _ in range(_MAX_ROUNDS):
-        first = ~known & (np.bincount(accused, weight * ~behind[accuser], n) < enough)
-        more = known | (np.bincount(accused, weight * first[accuser], n) >= enough)
-        if (more == behind).all():
+        first = ~known & (np.bincount(behind, weight * ~covered[front], n) < enough)
+        more = known | (np.bincount(behind, weight * first[front], n) >= enough)
+        if (more == covered).all():
             break
-        behind = more
-    return first, ~behind
+        covered = more
+    return first, ~covered

@@ -1,6 +1,6 @@
-"""Glints of a body that waves pass through, freed of its back faces, and what it is made of.
+"""Glints of a dielectric body without those of its back faces, and its permittivity.
 
-Only where glints show such a body at all; those of metal stay as they are.
+Glints of metal remain unchanged.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,46 +16,50 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.ops.visibility import MeshScene
 
-# Metal objects have up to 0.02 of the strength behind other glints, plastic ones 0.24 and more.
 _MIN_SHARE = 0.1
+"""Least share of the strength behind other glints; metal has up to 0.02, plastic 0.24 and more."""
 _ROUNDS = 2
-# Lines of sight begin so far before their glint [m]: before any content.
+"""Fits of a surface that covers the glints behind it."""
 _AHEAD_M = 0.4
-# Of what permittivity is read off: faces met within 18 degrees of their normals, bodies thick
-# enough to be resolved, glints of both faces this near.
+"""Start of a line of sight in front of its glint, outside of any content [m]."""
 _MIN_COSINE = 0.95
+"""Least cosine of a line of sight with the normals of both faces."""
 _MIN_THICKNESS_M = 0.012
+"""Least thickness at which both faces are resolved [m]."""
 _NEAR_M = 0.006
-# Each place of this size has one vote, of three pairs at least; as many places at least must agree
-# to within this share: air that the surface does not show, as between two legs, lowers the ratio
-# here and there, so that a tenth well above the median refute it.
-_PLACE_M = 0.01
-_PAIRS_PER_PLACE = 3
-_MIN_PLACES = 5
+"""Largest distance of the glints of both faces from the line of sight [m]."""
+_CELL_M = 0.01
+"""Cell of the surface whose pairs give one ratio, their median [m]."""
+_PAIRS_PER_CELL = 3
+"""Least number of pairs of such a cell."""
+_MIN_CELLS = 5
+"""Least number of cells."""
 _MAX_SPREAD = 0.06
-# Ratios are off by as much where a round body focuses on its back face (a jug: 4 %, a dog: 1 %).
+"""Largest relative deviation of the cells' ratios. Air gaps that the surface does not show, as
+between two legs, lower some of them."""
 _RATIO_SIGMA = 0.03
+"""Relative standard deviation of a ratio: a round body focuses on its back face."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SeenThrough:
-    """What glints say of a body that waves pass through."""
+    """Properties of a dielectric body from its glints."""
 
     n_dropped: int
-    """Glints of its back faces, and of what else was seen through it."""
+    """Number of glints of back faces and of other returns from behind the front."""
     strength_share: float
-    """Their share of the strength of all glints that were looked at."""
+    """Their share of the strength of all glints."""
     permittivity: float | None = None
-    """Relative; None where no back face has its true place from another plane."""
+    """Relative permittivity; None where no other plane sees a back face from outside."""
     permittivity_sigma: float | None = None
-    """Its standard uncertainty."""
+    """Its standard deviation."""
     n_pairs: int = 0
-    """Pairs of front and back face that it was read off."""
+    """Number of pairs of front and back face that give it."""
     thickness_m: tuple[float, float] | None = None
-    """Of the body between such pairs, 10 % and 90 % quantile [m]."""
+    """Thickness of the body at such pairs, 10 % and 90 % quantile [m]."""
 
     def numbers(self) -> dict[str, Any]:
-        """For run.json."""
+        """Entry of run.json."""
         found: dict[str, Any] = {
             "n_back_faces": self.n_dropped,
             "back_face_share": round(self.strength_share, 3),
@@ -72,15 +76,15 @@ class SeenThrough:
 
 
 def describe(numbers: Mapping[str, Any]) -> str:
-    """Sentence about what `SeenThrough.numbers` holds; empty where nothing was seen through."""
+    """Sentence about `SeenThrough.numbers`; empty for metal."""
     if "n_back_faces" not in numbers:
         return ""
     text = (
-        f"the content lets waves through: {numbers['n_back_faces']} glints seen through it, "
+        f"the content is a dielectric: {numbers['n_back_faces']} glints seen through it, "
         f"{100.0 * numbers['back_face_share']:.0f} % of the strength, were left out"
     )
     if "permittivity" not in numbers:
-        return f"{text}; its permittivity does not show"
+        return f"{text}; its permittivity is unknown"
     low, high = (1e3 * value for value in numbers["thickness_m"])
     return (
         f"{text}; permittivity {numbers['permittivity']:.2f} +- "
@@ -95,21 +99,19 @@ def first_surfaces(
     *,
     num_threads: int | None = None,
 ) -> tuple[Bools, SeenThrough | None]:
-    """Glints of first surfaces, (n_glints,), and what was seen through them; all, None for metal.
+    """Mask of the glints of first surfaces, (n_glints,), and the body; all and None for metal.
 
-    The share of glints behind others shows whether there is such a body. If so, glints behind
-    others in their own line of sight are dropped. Then, twice, a surface is fitted through the
-    remainder, and glints behind it are dropped: the fit closes entries that no antenna sees
-    squarely.
+    The share of the strength behind other glints shows whether the content is a dielectric. If so,
+    glints behind others on their own line of sight are dropped. Then, twice, a surface is fitted
+    through the remainder, and glints behind it are dropped: it closes front faces without glints.
 
-    glints: of `find_glints`.
-    surface_through: vertices [m] and faces of a closed surface through glints; raises UserError
-        where they enclose nothing. It only stops lines of sight.
+    surface_through: vertices [m] and faces of a closed surface through glints, which blocks lines
+        of sight; raises UserError where they enclose nothing.
     num_threads: all when None.
     """
     if seen_through_share(glints) < _MIN_SHARE:
         return np.ones(len(glints), dtype=bool), None
-    first, perhaps = seen_first(glints)
+    first, possibly = seen_first(glints)
     keep = first
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
@@ -117,10 +119,10 @@ def first_surfaces(
             return np.ones(len(glints), dtype=bool), None
         try:
             vertices, faces = surface_through(glints.select(keep))
-        except UserError:  # too few to enclose anything
+        except UserError:  # too few glints to enclose a volume
             return np.ones(len(glints), dtype=bool), None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = perhaps & (_behind(glints, scene) < BEHIND_M)
+        keep = possibly & (_behind(glints, scene) < BEHIND_M)
     if not keep.any():
         return np.ones(len(glints), dtype=bool), None
     assert scene is not None
@@ -130,61 +132,61 @@ def first_surfaces(
 
 
 def _behind(glints: Glints, scene: MeshScene) -> Floats:
-    """How far each glint lies behind the first surface in its line of sight, (n,) [m]; -inf."""
+    """Depth of each glint behind the first surface on its line of sight, (n,) [m]; or -inf."""
     start = glints.positions + _AHEAD_M * glints.normals
     return np.asarray(_AHEAD_M - scene.closest_hit(start, -glints.normals)[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FacePairs:
-    """Back faces seen through a body whose other side is seen from another plane."""
+    """Back faces seen through a body, whose true position another plane shows."""
 
     entries: Floats
-    """Where the line of sight enters the body, (n, 3) [m]."""
+    """Points where the line of sight enters the body, (n, 3) [m]."""
     thickness_m: Floats
-    """From there to where it leaves it, (n,) [m]."""
+    """Distance from there to the exit, (n,) [m]."""
     optical_m: Floats
-    """From there to where the back face seems to be, (n,) [m]: sqrt(permittivity) as much."""
+    """Distance from there to the apparent back face, (n,) [m]: sqrt(permittivity) as much."""
 
 
 def face_pairs(back: Glints, front: Glints, scene: MeshScene) -> FacePairs:
-    """Pairs whose faces both lie across the line of sight, with a glint of the front on each.
+    """Pairs of faces across the line of sight, each with a glint of a first surface on it.
 
     back: glints of back faces.
-    front: of first surfaces.
-    scene: the surface through these, closed.
+    front: glints of first surfaces.
+    scene: closed surface through these.
     """
-    start, ways = back.positions + _AHEAD_M * back.normals, -back.normals
-    stretches = scene.entry_exit(start, ways)
-    if stretches.t_entry.shape[1] == 0:
+    start, directions = back.positions + _AHEAD_M * back.normals, -back.normals
+    inside = scene.entry_exit(start, directions)
+    if inside.t_entry.shape[1] == 0:
         return FacePairs(entries=start[:0], thickness_m=np.zeros(0), optical_m=np.zeros(0))
-    entry, leave = stretches.t_entry[:, 0], stretches.t_exit[:, 0]
+    entry, leave = inside.t_entry[:, 0], inside.t_exit[:, 0]
     good = np.isfinite(leave) & (leave < _AHEAD_M)
-    good &= (stretches.t_entry[:, 1:] > _AHEAD_M).all(axis=1)
+    good &= (inside.t_entry[:, 1:] > _AHEAD_M).all(axis=1)
     entry, leave = np.where(good, entry, 0.0), np.where(good, leave, 0.0)
     good &= leave - entry > _MIN_THICKNESS_M
     tree = KDTree(front.positions)
     for path_m, sign in ((entry, 1.0), (leave, -1.0)):
-        distance, nearest = tree.query(start + path_m[:, None] * ways)
+        distance, nearest = tree.query(start + path_m[:, None] * directions)
         facing = sign * np.einsum("ij,ij->i", front.normals[nearest], back.normals)
         good &= (distance < _NEAR_M) & (facing > _MIN_COSINE)
-    entries = start + entry[:, None] * ways
+    entries = start + entry[:, None] * directions
     thickness, optical = leave - entry, _AHEAD_M - entry
     return FacePairs(entries=entries[good], thickness_m=thickness[good], optical_m=optical[good])
 
 
 def _material(n_dropped: int, strength_share: float, pairs: FacePairs) -> SeenThrough:
-    """Permittivity from the pairs, where those of different places agree."""
+    """Permittivity from the pairs, if the cells of the surface agree."""
     seen = SeenThrough(n_dropped=n_dropped, strength_share=strength_share)
     ratio = pairs.optical_m / pairs.thickness_m
-    places = np.unique(np.floor(pairs.entries / _PLACE_M), axis=0, return_inverse=True)[1].ravel()
-    n_pairs = np.bincount(places)
-    votes = [np.median(ratio[places == k]) for k in np.flatnonzero(n_pairs >= _PAIRS_PER_PLACE)]
-    if len(votes) < _MIN_PLACES:
+    cells = np.unique(np.floor(pairs.entries / _CELL_M), axis=0, return_inverse=True)[1].ravel()
+    n_pairs = np.bincount(cells)
+    ratios = [np.median(ratio[cells == k]) for k in np.flatnonzero(n_pairs >= _PAIRS_PER_CELL)]
+    if len(ratios) < _MIN_CELLS:
         return seen
-    index = float(np.median(votes))
-    spread = 1.4826 * float(np.median(np.abs(np.array(votes) - index))) / index
-    if spread > _MAX_SPREAD or np.quantile(votes, 0.9) > (1.0 + 2.0 * _MAX_SPREAD) * index:
+    index = float(np.median(ratios))
+    spread = 1.4826 * float(np.median(np.abs(np.array(ratios) - index))) / index
+    if spread > _MAX_SPREAD or np.quantile(ratios, 0.9) > (1.0 + 2.0 * _MAX_SPREAD) * index:
         return seen
     low, high = np.quantile(pairs.thickness_m, [0.1, 0.9])
     return replace(
@@ -192,7 +194,7 @@ def _material(n_dropped: int, strength_share: float, pairs: FacePairs) -> SeenTh
         permittivity=index**2,
         permittivity_sigma=2.0
         * index**2
-        * float(np.hypot(spread / len(votes) ** 0.5, _RATIO_SIGMA)),
+        * float(np.hypot(spread / len(ratios) ** 0.5, _RATIO_SIGMA)),
         n_pairs=len(ratio),
         thickness_m=(float(low), float(high)),
     )
