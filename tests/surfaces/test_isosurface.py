@@ -89,7 +89,10 @@ def test_redistancing_gives_unit_gradient_and_leaves_the_zero_level():
     fixed = redistance(warped)
     # Interpolation errs by h^2 / 8 times the second derivative over the first: 1 / r = 33 per
     # metre for the sphere, 2 * 10 / 0.45 = 44 for the warp; facets cut h^2 / (8 r) more.
-    assert np.abs(fixed.values - true).max() < 0.004**2 / 8 * (33 + 44 + 33)
+    error, exact = np.abs(fixed.values - true), np.abs(true) < 3.0 * GRID.spacing_m
+    assert error[exact].max() < 0.004**2 / 8 * (33 + 44 + 33)
+    assert error.max() < 2.0 * GRID.spacing_m  # at the middle of the ball
+    assert np.quantile(error, 0.95) < 0.15 * GRID.spacing_m
     before, after = extract_surface(warped), extract_surface(fixed)
     shift = signed_distances(before, after.vertices)
     assert np.abs(shift).max() < 4e-5

@@ -146,9 +146,9 @@ def upward(capture: Capture) -> Floats:
 def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
     """Density of planes over their offset, and its positions [m]."""
     reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
-    edges = np.arange(-reach, reach + _OFFSET_STEP_M, _OFFSET_STEP_M)
-    counts, _ = np.histogram(offsets_m, edges, weights=weights)
-    middles = 0.5 * (edges[1:] + edges[:-1])
+    cells = ((offsets_m + reach) / _OFFSET_STEP_M).astype(np.int64)
+    counts = np.bincount(cells, weights, int(2.0 * reach / _OFFSET_STEP_M) + 1)
+    middles = _OFFSET_STEP_M * (np.arange(len(counts)) + 0.5) - reach
     return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 
 from geraf2._types import Bools, Floats
 from geraf2.fields import SdfGrid
@@ -72,8 +73,8 @@ def redistance(
     crosses the grid's edges where it did before.
 
     sdf: field with the zero level.
-    surface: closed zero level to use instead, when parts of the field's own were dropped; it then
-        determines distance and sign. By default `extract_surface(sdf)`, with the field's sign.
+    surface: closed part of the zero level to use instead, when pieces were dropped; what lies
+        outside of it is positive. By default `extract_surface(sdf)`.
     num_threads: threads of the distance queries; all cores when None.
 
     Returns same grid, values [m]. Not differentiable.
@@ -82,12 +83,30 @@ def redistance(
     if target.faces.shape[0] == 0:
         msg = "sdf must have a zero level to measure distances to, got none"
         raise ValueError(msg)
-    points = sdf.grid.points()
-    distances = signed_distances(target, points, num_threads=num_threads).reshape(sdf.grid.shape)
-    if surface is None:
-        distances = np.where(sdf.values < 0, -np.abs(distances), np.abs(distances))
+    points, inside = sdf.grid.points(), sdf.values < 0
+    scene = MeshScene(target.vertices, target.faces, num_threads=num_threads)
+    distances = _distances(scene, points.reshape(*sdf.grid.shape, 3), sdf.grid.spacing_m)
+    if surface is not None:
+        inside[inside] = scene.contains(points[inside.ravel()])
+    distances = np.where(inside, -distances, distances)
     distances = _restore_crossings(distances, sdf.values.astype(np.float64))
     return SdfGrid(grid=sdf.grid, values=distances.astype(np.float32))
+
+
+def _distances(scene: MeshScene, points: Floats, spacing_m: float) -> Floats:
+    """Distance of each sample to the triangles, points.shape[:3] [m].
+
+    Exact within three spacings. Farther samples are interpolated linearly from every second one,
+    which takes a third of the time. Their error is below two spacings, and largest at ridges.
+    """
+    chosen = [np.unique(np.append(np.arange(0, n, 2), n - 1)) for n in points.shape[:3]]
+    few = points[np.ix_(*chosen)]
+    distances = scene.distance(few.reshape(-1, 3)).reshape(few.shape[:3])
+    for axis, (n, at) in enumerate(zip(points.shape[:3], chosen, strict=True)):
+        distances = make_interp_spline(at, distances, k=1, axis=axis)(np.arange(n))
+    near = distances < 4.0 * spacing_m
+    distances[near] = scene.distance(points[near])
+    return np.asarray(distances)
 
 
 def _restore_crossings(distances: Floats, values: Floats) -> Floats:
