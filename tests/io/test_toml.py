@@ -126,7 +126,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"]))
     | st.builds(Coarse, preset=st.sampled_from(["coarse", "coarser"]), text=texts)
 )
 def test_a_table_tells_of_which_type_it_is(record):
-    assert from_table(to_table(record), (Fine, Coarse), "x", told_by="preset") == record
+    assert from_table(to_table(record), (Fine, Coarse), "x") == record
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_a_wrong_table_is_one_line_that_names_the_key(table, line):
     table = {"preset": "fine", **table}
     table = {key: value for key, value in table.items() if value is not None}
     with pytest.raises(UserError) as error:
-        from_table(table, (Fine, Coarse), "config.toml", told_by="preset")
+        from_table(table, (Fine, Coarse), "config.toml")
     assert line in str(error.value)
     assert str(error.value).startswith("config.toml: ")
 

@@ -63,22 +63,15 @@ _KINDS: tuple[tuple[str, bytes, str, str], ...] = (
     ("pdf", rb"%PDF-", "a PDF document", ""),
     ("image", rb"(\x89PNG\r\n|\xff\xd8\xff[\xdb\xe0-\xef]|GIF8[79]a)", "a picture", ""),
 )
-_PATTERNS = tuple(
-    (kind, re.compile(pattern, re.DOTALL | re.IGNORECASE), text, hint)
-    for kind, pattern, text, hint in _KINDS
-)
 # The demos of TI send frames of detected points on the serial port; each begins with these bytes.
 _UART_MAGIC = b"\x02\x01\x04\x03\x06\x05\x08\x07"
 
 
-def refuse_other_kind(
-    path: Path, own: Collection[str] = (), *, is_raw: bool = False, where: object = None
-) -> None:
+def refuse_other_kind(path: Path, own: Collection[str] = (), *, is_raw: bool = False) -> None:
     """Raise UserError for a file that is plainly of another kind than a reader expects.
 
     own: kinds that this reader reads, as "zip" or "hdf5".
     is_raw: raw samples are expected: text and output of the serial port are refused as well.
-    where: named in the error in place of the path.
 
     A missing or unreadable file is left to the reader.
     """
@@ -89,31 +82,17 @@ def refuse_other_kind(
             head = file.read(_UART_HEAD_BYTES if is_raw else _HEAD_BYTES)
     except (OSError, ValueError):
         return
-    for kind, pattern, text, hint in _PATTERNS:
-        if kind not in own and pattern.match(head):
-            raise UserError(what=f"is {text}", where=where or path, hint=hint or None)
+    for kind, pattern, text, hint in _KINDS:
+        if kind not in own and re.match(pattern, head, re.DOTALL | re.IGNORECASE):
+            raise UserError(what=f"is {text}", where=path, hint=hint or None)
     if is_raw and _UART_MAGIC in head:
         raise UserError(
             what="is a recording of the serial port of TI's demo (detected points), without raw "
             "samples",
-            where=where or path,
+            where=path,
             expected="what the DCA1000 recorded",
         )
-    if is_raw and head and _is_text(head[:_HEAD_BYTES]):
-        raise UserError(
-            what=f"is text, beginning with {_excerpt(head)}",
-            where=where or path,
-            expected="raw samples of 16 bits",
-        )
-
-
-def _is_text(head: bytes) -> bool:
-    try:
-        text = head.decode("ascii")
-    except UnicodeDecodeError:
-        return False
-    return all(letter.isprintable() or letter in "\r\n\t" for letter in text)
-
-
-def _excerpt(head: bytes) -> str:
-    return repr(head[:40].decode("ascii").splitlines()[0])
+    head = head[:_HEAD_BYTES]
+    if is_raw and head and re.fullmatch(rb"[\t\n\r -~]+", head):
+        what = f"is text, beginning with {head[:40].decode('ascii').splitlines()[0]!r}"
+        raise UserError(what=what, where=path, expected="raw samples of 16 bits")

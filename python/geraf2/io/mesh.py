@@ -23,6 +23,7 @@ from geraf2.io.mesh_colours import error_colours
 from geraf2.io.mesh_formats import RawMesh, parse_obj, parse_ply, parse_stl
 from geraf2.io.mesh_limits import require_gltf_size, require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
+from geraf2.io.points import ply_file
 from geraf2.io.regular import (
     BINARY_BYTES,
     RECORD_BYTES,
@@ -365,37 +366,10 @@ def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
 
 def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> bytes:
     """Bytes of the PLY that `write_mesh` writes."""
-    n_vertices, n_faces = mesh.vertices.shape[0], mesh.faces.shape[0]
-    fields: list[tuple[str, str]] = [("x", "<f4"), ("y", "<f4"), ("z", "<f4")]
-    fields += [("red", "u1"), ("green", "u1"), ("blue", "u1")]
-    known = _ply_columns(mesh)
-    fields += [(name, kind) for name, _, kind in known]
-    rows = np.zeros(n_vertices, dtype=fields)
-    for axis, name in enumerate("xyz"):
-        rows[name] = mesh.vertices[:, axis]
-    colours = error_colours(mesh.expected_error_m, n_vertices)
-    for channel, name in enumerate(("red", "green", "blue")):
-        rows[name] = colours[:, channel]
-    for name, values, _ in known:
-        rows[name] = values
-    triangles = np.zeros(n_faces, dtype=[("n", "u1"), ("v", "<i4", (3,))])
-    triangles["n"] = 3
-    triangles["v"] = mesh.faces
-    one_line_frame = " ".join(frame.split())
-    comments = [f"comment geraf2 {' '.join(f'{k} {v}'.split())}" for k, v in made_from.items()]
-    ply_types = {"<f4": "float", "u1": "uchar"}
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment geraf2 {__version__}",
-        *comments,
-        "comment unit metre",
-        f"comment frame {one_line_frame}",
-        f"element vertex {n_vertices}",
-        *(f"property {ply_types[kind]} {name}" for name, kind in fields),
-        f"element face {n_faces}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    text = ("\n".join(header) + "\n").encode("ascii", "replace")
-    return text + rows.tobytes() + triangles.tobytes()
+    colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
+    columns: dict[str, Array] = {axis: mesh.vertices[:, k] for k, axis in enumerate("xyz")}
+    columns |= {name: colours[:, k] for k, name in enumerate(("red", "green", "blue"))}
+    columns |= {name: values.astype(kind) for name, values, kind in _ply_columns(mesh)}
+    made = (f"geraf2 {' '.join(f'{name} {of}'.split())}" for name, of in made_from.items())
+    comments = (f"geraf2 {__version__}", *made, "unit metre", f"frame {' '.join(frame.split())}")
+    return ply_file(columns, comments, mesh.faces)

@@ -10,9 +10,8 @@ answer. obstore serves the three clouds with one package; fsspec needs a package
 import errno
 import os
 import re
-import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
@@ -107,9 +106,11 @@ def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
     return dict(sorted(found.items()))
 
 
-def fetch(source: Path, folder: Path) -> None:
-    """Copy all files below a remote folder to one on the disk."""
+def fetch(source: Path, folder: Path, only: Collection[str] | None = None) -> None:
+    """Copy all files below a remote folder to one on the disk, or `only` some."""
     for name in listed(source):
+        if only is not None and name not in only:
+            continue
         if ".." in PurePosixPath(name).parts or name.startswith("/"):
             raise UserError(what="holds a name that leads out of it", where=source, got=repr(name))
         target = folder / name
@@ -137,20 +138,20 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def local_folder(path: Path) -> Iterator[Path]:
-    """Lend a folder to work in: itself, or a copy on the disk that is sent when the body ends."""
+def local_folder(path: Path, only: Collection[str] | None = None) -> Iterator[Path]:
+    """Lend a folder to work in: itself, or a copy on the disk that is sent when the body ends.
+
+    only: files that the copy has; all when None. Others stay in the store.
+    """
     if not is_remote(path):
         yield path
         return
-    name = tempfile.mkdtemp(prefix="geraf2-")
-    try:
+    with tempfile.TemporaryDirectory(prefix="geraf2-", ignore_cleanup_errors=True) as name:
         folder = Path(name) / path.name
         folder.mkdir()
-        fetch(path, folder)
+        fetch(path, folder, only)
         yield folder
         push(folder, path)
-    finally:
-        shutil.rmtree(name, ignore_errors=True)
 
 
 def zarr_store(path: Path) -> tuple[Any, str]:

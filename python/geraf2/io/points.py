@@ -1,11 +1,11 @@
-"""Oriented points as PLY files."""
+"""Vertices, oriented points and triangles as PLY files."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 
 
 def cloud_bytes(
@@ -20,22 +20,29 @@ def cloud_bytes(
     """
     values: dict[str, Any] = {name: positions[:, axis] for axis, name in enumerate("xyz")}
     values |= {"n" + name: normals[:, axis] for axis, name in enumerate("xyz")}
-    values |= columns
-    kinds = {name: "u1" if _is_bytes(of) else "<f4" for name, of in values.items()}
-    rows = np.zeros(len(positions), dtype=list(kinds.items()))
+    return ply_file({**values, **columns}, ("unit metre", *comments))
+
+
+def ply_file(
+    columns: Mapping[str, Any], comments: Sequence[str], faces: Ints | None = None
+) -> bytes:
+    """Binary PLY of named columns of vertices, (n,) each, and triangles (n_faces, 3)."""
+    values = {name: np.asarray(of) for name, of in columns.items()}
+    kinds = {name: "u1" if of.dtype == np.uint8 else "<f4" for name, of in values.items()}
+    rows = np.zeros(len(values["x"]), dtype=list(kinds.items()))
     for name, of in values.items():
         rows[name] = of
     header = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment unit metre",
         *(f"comment {text}" for text in comments),
         f"element vertex {len(rows)}",
         *(f"property {'uchar' if kind == 'u1' else 'float'} {n}" for n, kind in kinds.items()),
-        "end_header",
     ]
-    return ("\n".join(header) + "\n").encode("ascii") + rows.tobytes()
-
-
-def _is_bytes(values: Any) -> bool:
-    return np.asarray(values).dtype == np.uint8
+    data = rows.tobytes()
+    if faces is not None:
+        triangles = np.zeros(len(faces), dtype=[("n", "u1"), ("v", "<i4", (3,))])
+        triangles["n"], triangles["v"] = 3, faces
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        data += triangles.tobytes()
+    return "\n".join([*header, "end_header", ""]).encode("ascii", "replace") + data

@@ -1,6 +1,7 @@
 """Writer of scene folders (geraf2.io.container): pose by pose, whole or not at all."""
 
-from contextlib import AbstractContextManager
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -30,6 +31,7 @@ from geraf2.records import RawPose
 
 # Bytes of signal in a chunk: what a part of a pose costs to read.
 _CHUNK_BYTES = 1 << 24
+_AXES = "rows: looking direction, horizontal, vertical"
 
 
 class SceneWriter(AbstractContextManager["SceneWriter"]):
@@ -57,11 +59,12 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._integers = integers
         self._shape = (n_poses, n_antennas_max, manifest.waveform.n_samples)
         self._names: list[str] = []
-        self._n_chunk = _antennas_per_chunk(self._shape, 4 if integers else 8)
+        antenna_bytes = (4 if integers else 8) * max(1, self._shape[2])
+        self._n_chunk = max(1, min(n_antennas_max, _CHUNK_BYTES // antenna_bytes))
         self._begun: RawPose | None = None
         self._n_begun = 0
-        self._target: AbstractContextManager[Path] | None = None
-        self._folder = self.path
+        self.folder = self.path
+        """Where to put optional files (truth.ply, los.ply) before the block ends."""
         self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
@@ -69,20 +72,31 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._angles: list[float] = []
         require_folder(self.path, "scene", own=is_scene(self.path))
 
-    @property
-    def folder(self) -> Path:
-        """Where to put optional files (truth.ply, los.ply) before the block ends."""
-        return self._folder
-
     def __enter__(self) -> Self:
-        self._target = atomic_folder(self.path)
-        self._folder = self._target.__enter__()
-        try:
-            self._create_arrays()
-        except BaseException as error:
-            self._target.__exit__(type(error), error, error.__traceback__)
-            raise
+        self._block = self._writing()
+        self._block.__enter__()
         return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> bool | None:
+        return self._block.__exit__(kind, error, trace)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            with atomic_folder(self.path) as self.folder:
+                (self.folder / RADAR_NAME).mkdir()
+                self._write_group()
+                for array in self._arrays.values():
+                    array.write_metadata(self.folder / RADAR_NAME)
+                yield
+                self._finish()
+        except _Unchanged:
+            self.unchanged = True
 
     def append(self, pose: RawPose, *, n_antennas: int | None = None) -> None:
         """Write the next pose, or a part of it.
@@ -128,11 +142,11 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             number, inside = divmod(first + done, self._n_chunk)
             some = array[done : done + self._n_chunk - inside]
             after = (0,) * (array.ndim - 1)
-            self._arrays[name].append(self._folder / RADAR_NAME, (index, number, *after), some)
+            self._arrays[name].append(self.folder / RADAR_NAME, (index, number, *after), some)
             done += len(some)
 
     def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
-        group, index = self._folder / RADAR_NAME, len(self._names)
+        group, index = self.folder / RADAR_NAME, len(self._names)
         self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
         angle = np.nan if pose.angle_deg is None else pose.angle_deg
         self._counts.append(n_antennas)
@@ -149,35 +163,16 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             self._checksums[name].append(f"{value:08x}")
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        assert self._target is not None  # set by __enter__
-        try:
-            if error is None:
-                self._finish()
-        except _Unchanged as unchanged:
-            self._target.__exit__(_Unchanged, unchanged, None)
-            self.unchanged = True
-            return
-        except BaseException as late:
-            self._target.__exit__(type(late), late, late.__traceback__)
-            raise
-        self._target.__exit__(kind, error, trace)
-
     def _finish(self) -> None:
         if len(self._names) != self._shape[0] or self._begun is not None:
             msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
             raise ValueError(msg)
         self._write_group()
-        group = self._folder / RADAR_NAME
+        group = self.folder / RADAR_NAME
         if self._names:
             self._arrays["antenna_count"].append(group, (0,), np.array(self._counts))
             self._arrays["angle"].append(group, (0,), np.array(self._angles))
-        write_toml(self._folder / MANIFEST_NAME, self.manifest)
+        write_toml(self.folder / MANIFEST_NAME, self.manifest)
         if is_scene(self.path) and not self._overwrite:
             self._compare_with_existing()
 
@@ -188,19 +183,13 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
                 old.manifest.waveform == self.manifest.waveform
                 and old.manifest.walls == self.manifest.walls
                 and old.manifest.frame == self.manifest.frame
-                and old.holds_same_poses(SceneReader(self._folder))
+                and old.holds_same_poses(SceneReader(self.folder))
             )
         except UserError:
             same = False
         if same:
             raise _Unchanged
         require_consent(self.path, "another scene", overwrite=False)
-
-    def _create_arrays(self) -> None:
-        (self._folder / RADAR_NAME).mkdir()
-        self._write_group()
-        for array in self._arrays.values():
-            array.write_metadata(self._folder / RADAR_NAME)
 
     def _write_group(self) -> None:
         attributes = {
@@ -209,7 +198,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
             "pose_names": self._names,
             CHECKSUMS: self._checksums,
         }
-        write_group(self._folder / RADAR_NAME, attributes)
+        write_group(self.folder / RADAR_NAME, attributes)
 
 
 def _arrays_of(
@@ -221,50 +210,32 @@ def _arrays_of(
     20 dB SNR.
     """
     n_poses, n_antennas, n_samples = shape
-
-    def array(
-        name: str, dtype: str, dimensions: str, *sides: int, fill: complex, about: str = "1"
-    ) -> ZarrArray:
+    nan, places = float("nan"), ("<f8", "pose antenna xyz", (n_antennas, 3))
+    kind, fill = ("<i2", int(NO_SAMPLE)) if integers else ("<c8", COMPLEX_NAN)
+    samples = (n_antennas, n_samples, 2) if integers else (n_antennas, n_samples)
+    sampled = "pose antenna sample" + " part" * integers
+    table: dict[str, tuple[str, str, tuple[int, ...], complex, str, str]] = {
+        "signal": (kind, sampled, samples, fill, "1", "raw ADC samples" + ", I and Q" * integers),
+        "tx_positions": (*places, nan, "m", ""),
+        "rx_positions": (*places, nan, "m", ""),
+        "axes": ("<f8", "pose axis xyz", (3, 3), nan, "1", _AXES),
+        "antenna_count": ("<i8", "pose", (), 0, "1", ""),
+        "angle": ("<f8", "pose", (), nan, "deg", ""),
+    }
+    arrays = {}
+    for name, (dtype, dimensions, sides, missing, unit, about) in table.items():
         # A chunk side of 0 is not allowed, an empty pose is.
         chunks = (1, *(max(1, n) for n in sides)) if sides else (max(1, n_poses),)
-        if name in ANTENNA_ARRAYS:
-            chunks = (1, n_chunk, *chunks[2:])
-        unit, _, long_name = about.partition(": ")
-        return ZarrArray(
+        arrays[name] = ZarrArray(
             name=name,
             dtype=dtype,
-            fill=fill,
+            fill=missing,
             dimensions=tuple(dimensions.split()),
             shape=(n_poses, *sides),
-            chunks=chunks,
-            attributes={"unit": unit, **({"long_name": long_name} if long_name else {})},
+            chunks=(1, n_chunk, *chunks[2:]) if name in ANTENNA_ARRAYS else chunks,
+            attributes={"unit": unit, **({"long_name": about} if about else {})},
         )
-
-    about, dimensions, nan = "1: raw ADC samples", "pose antenna sample", float("nan")
-    fill: complex
-    parts: tuple[int, ...] = ()
-    if integers:
-        kind, fill = "<i2", int(NO_SAMPLE)
-        about, dimensions, parts = f"{about}, I and Q", f"{dimensions} part", (2,)
-    else:
-        kind, fill = "<c8", COMPLEX_NAN
-    sides = (n_antennas, n_samples, *parts)
-    signal = array("signal", kind, dimensions, *sides, fill=fill, about=about)
-    directions = "1: rows: looking direction, horizontal, vertical"
-    arrays = [
-        signal,
-        array("tx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
-        array("rx_positions", "<f8", "pose antenna xyz", n_antennas, 3, fill=nan, about="m"),
-        array("axes", "<f8", "pose axis xyz", 3, 3, fill=nan, about=directions),
-        array("antenna_count", "<i8", "pose", fill=0),
-        array("angle", "<f8", "pose", fill=nan, about="deg"),
-    ]
-    return {array.name: array for array in arrays}
-
-
-def _antennas_per_chunk(shape: tuple[int, int, int], sample_bytes: int) -> int:
-    _, n_antennas, n_samples = shape
-    return max(1, min(n_antennas, _CHUNK_BYTES // (sample_bytes * max(1, n_samples))))
+    return arrays
 
 
 class _Unchanged(Exception):

@@ -10,17 +10,20 @@ from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, open_regular
+from geraf2.io.objects import read_bytes
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 
 
 def read_text(path: Path, most: int = TEXT_BYTES) -> str:
     """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
     refuse_other_kind(path)
     try:
-        with io.TextIOWrapper(open_regular(path, most), encoding="utf-8-sig") as file:
-            return file.read()
+        text = read_bytes(path, most).decode("utf-8-sig")
+        return text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None
+    except IsADirectoryError:
+        raise UserError(what="is a folder", where=path, expected="a file") from None
     except UnicodeDecodeError as error:
         raise UserError(what=f"is not text in UTF-8 (byte {error.start})", where=path) from None
     except OSError as error:

@@ -20,10 +20,9 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.former_names import former_preset, former_setting
-from geraf2.io.objects import read_bytes
 from geraf2.io.regular import RECORD_BYTES
+from geraf2.io.text import read_text
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
@@ -34,14 +33,9 @@ _MOST_LEVELS = 32
 _DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{_MOST_LEVELS}}}")
 
 
-def read_toml(
-    path: Path | Traversable,
-    kind: type[_Record] | tuple[type[_Record], ...],
-    *,
-    told_by: str = "kind",
-) -> _Record:
-    """Read a record from a TOML file; arguments and errors as those of :func:`from_table`."""
-    return from_table(read_table(path), kind, path, told_by=told_by)
+def read_toml(path: Path | Traversable, kind: type[_Record]) -> _Record:
+    """Read a record from a TOML file; errors as those of :func:`from_table`."""
+    return from_table(read_table(path), kind, path)
 
 
 def write_toml(path: Path, value: Any) -> None:
@@ -51,21 +45,9 @@ def write_toml(path: Path, value: Any) -> None:
 
 def read_table(path: Path | Traversable) -> dict[str, Any]:
     """Parse a TOML file; a UserError names the line that cannot be read."""
-    if isinstance(path, Path):
-        refuse_other_kind(path)
+    text = read_text(path, RECORD_BYTES) if isinstance(path, Path) else path.read_text("utf-8")
     try:
-        content = read_bytes(path, RECORD_BYTES) if isinstance(path, Path) else path.read_bytes()
-        return parse_toml(content.decode("utf-8"))
-    except FileNotFoundError:
-        raise UserError(what="no such file", where=path) from None
-    except IsADirectoryError:
-        raise UserError(what="is a folder", where=path, expected="a TOML file") from None
-    except OSError as error:
-        raise UserError(what=f"cannot be read: {error.strerror}", where=path) from None
-    except UnicodeDecodeError as error:
-        raise UserError(
-            what=f"is not text in UTF-8 (byte {error.start})", where=path, expected="a TOML file"
-        ) from None
+        return parse_toml(text)
     except ValueError as error:
         raise UserError(what=f"is not valid TOML: {error}", where=path) from None
 
@@ -96,18 +78,16 @@ def from_table(
     table: Any,
     kind: type[_Record] | tuple[type[_Record], ...],
     where: object,
-    *,
-    told_by: str = "kind",
 ) -> _Record:
     """Check a table and make a record of it; a UserError has every complaint on one line.
 
     table: nested tables, as TOML gives them.
-    kind: type of the record, or several, a `tuple[type[A | B], ...]`, of which the table names one.
-    told_by: key that chooses between several types: in each a field whose type is a Literal.
+    kind: type of the record, or several, a `tuple[type[A | B], ...]`, between which the key
+        `preset` chooses: in each a field whose type is a Literal.
     """
     from pydantic import ValidationError  # noqa: PLC0415 - 0.2 s to import
 
-    one: Any = _told(table, kind, where, told_by) if isinstance(kind, tuple) else kind
+    one: Any = _preset_type(table, kind, where) if isinstance(kind, tuple) else kind
     try:
         # As JSON, because pydantic is strict there with lists for tuples and text for paths.
         record: _Record = _adapter(one).validate_json(json.dumps([table], default=str))[0]
@@ -169,21 +149,19 @@ def _adapter(kind: Any) -> Any:
     return TypeAdapter(tuple[kind], config=ConfigDict(extra="forbid", strict=True))
 
 
-def _told(
-    table: Mapping[str, Any], kinds: tuple[type[_Record], ...], where: object, told_by: str
+def _preset_type(
+    table: Mapping[str, Any], kinds: tuple[type[_Record], ...], where: object
 ) -> type[_Record]:
     """Which of several types a table is of."""
-    by_name = {name: k for k in kinds for name in get_args(get_type_hints(k)[told_by])}
-    got = table.get(told_by)
+    by_name = {name: k for k in kinds for name in get_args(get_type_hints(k)["preset"])}
+    got = table.get("preset")
     if isinstance(got, str) and got in by_name:
         return by_name[got]
-    if told_by == "preset" and (former := former_preset(str(got))):
+    if former := former_preset(str(got)):
         raise UserError(what=former, where=where)
-    missing = told_by not in table
+    unknown = f"key 'preset': unknown name {got!r}{nearest(str(got), by_name)}"
     raise UserError(
-        f"key {told_by!r} is missing"
-        if missing
-        else f"key {told_by!r}: unknown name {got!r}" + nearest(str(got), by_name),
+        what=unknown if "preset" in table else "key 'preset' is missing",
         where=where,
         expected="one of " + ", ".join(by_name),
     )

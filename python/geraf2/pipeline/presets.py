@@ -175,7 +175,7 @@ def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
     name = table.get("preset")
     if isinstance(name, str) and name in PRESETS:
         table = merged(to_table(PRESETS[name]()), table)
-    return from_table(table, tuple(PRESETS.values()), where, told_by="preset")
+    return from_table(table, tuple(PRESETS.values()), where)
 
 
 def stages_of(config: PresetConfig) -> Stages:

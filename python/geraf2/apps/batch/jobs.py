@@ -17,9 +17,9 @@ from geraf2.io.container import (
     read_scene_manifest,
 )
 from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
-from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
+from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
-from geraf2.io.text import parse_json
+from geraf2.io.text import parse_json, read_lines
 from geraf2.io.toml import merged, nearest, parse_toml, to_table
 from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
@@ -190,13 +190,7 @@ def _own_truth(scene: Path) -> Path | None:
 
 
 def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
-    try:
-        text = read_bytes(table, TEXT_BYTES).decode("utf-8-sig")
-    except FileNotFoundError:
-        raise UserError(what="no such file", where=table) from None
-    except (OSError, ValueError) as error:
-        raise UserError(what=f"cannot be read: {error}", where=table) from None
-    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    reader = csv.DictReader(read_lines(table), skipinitialspace=True)
     try:
         rows = [(f"{table}, line {reader.line_num}", row) for row in reader]
     except csv.Error as error:

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ from geraf2.io.objects import (
     is_file,
     is_remote,
     listed,
-    push,
+    local_folder,
     read_bytes,
     remove,
 )
@@ -136,7 +135,7 @@ def image_tiles(
     job = slab_job(plan, Path(scene), out / TILES_NAME)
     if run_slabs is None:
         require_memory(job.memory_bytes, "lower --slab-gib", where="a slab")
-    with _run_folder(out) as folder:
+    with local_folder(out, only=[RUN_NAME]) as folder:
         run = RunFolder.open(
             folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
         )
@@ -202,20 +201,6 @@ def image_slab(job: SlabJob, number: int, num_threads: int | None = None) -> int
     return number
 
 
-@contextmanager
-def _run_folder(out: Path) -> Iterator[Path]:
-    """Lend the run folder; of an object store a copy without the volume, sent at the end."""
-    if not is_remote(out):
-        yield out
-        return
-    with TemporaryDirectory(prefix="geraf2-") as name:
-        folder = Path(name) / out.name
-        if is_file(out / RUN_NAME):
-            write_bytes_atomic(folder / RUN_NAME, read_bytes(out / RUN_NAME))
-        yield folder
-        push(folder, out)
-
-
 def _image(
     job: SlabJob, left: list[int], run_slabs: RunSlabs, label: str, listener: Listener
 ) -> None:
@@ -273,9 +258,8 @@ def _new_group(path: Path) -> Iterator[Path]:
         return
     for name in listed(path):
         remove(path / name)
-    with TemporaryDirectory(prefix="geraf2-") as name:
-        yield Path(name)
-        push(Path(name), path)
+    with local_folder(path) as folder:
+        yield folder
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
