@@ -38,8 +38,13 @@ CONTRADICTION = 3.0
 # at a lower rate. Fewer receivers are therefore preferred where they do nearly as well. Alternating
 # receivers read as a sequence are no signal at all.
 _FASTER_SHARE = 0.1
-_COUNTED_N_RX = (1, 2, 4)
-_USUAL_N_RX = 4
+# Numbers of receivers tried. That of receivers which follow each other chirp by chirp cannot be
+# estimated, and alternating real samples of a single receiver are sequential.
+_UNKNOWN_N_RX: dict[Layout, tuple[int, ...]] = {
+    **dict.fromkeys(LAYOUTS, (1, 2, 4)),
+    **dict.fromkeys(("2-lane-sequential", "real-sequential"), (4,)),
+    "real-alternating": (2, 4),
+}
 # Segments that need not begin with a chirp: short against it, long against the beat. Strong
 # coupling near DC leaks over their whole spectrum: on a real capture they give the right order
 # 1.9 : 1, whole chirps 24 : 1. So where segments decide nothing, whole chirps do.
@@ -122,44 +127,29 @@ def _one_sided(ratio: float) -> float:
     return max(ratio, 1 / ratio) if ratio > 0 else float("inf")
 
 
-def _real_orders(
-    layout: Layout | None, n_rx: int | None, offset_binary: bool | None
-) -> Iterator[WordOrder]:
-    """Orders of real samples, of which alternating ones of a single receiver are sequential."""
-    offsets = (False, True) if offset_binary is None else (offset_binary,)
-    for one, offset in product(REAL_LAYOUTS if layout is None else (layout,), offsets):
-        counts = (_USUAL_N_RX,) if one == "real-sequential" else _COUNTED_N_RX[1:]
-        for n in counts if n_rx is None else (n_rx,):
-            yield WordOrder(layout=one, n_rx=n, offset_binary=offset)
-
-
 def _orders(
-    layout: Layout | None, n_rx: int | None, offset_binary: bool | None
+    layouts: Sequence[Layout], n_rx: int | None = None, offset_binary: bool | None = None
 ) -> Iterator[WordOrder]:
     offsets = (False, True) if offset_binary is None else (offset_binary,)
-    layouts: Sequence[Layout] = LAYOUTS if layout is None else (layout,)
-    for one, offset in product(layouts, offsets):
-        # The number of receivers that follow each other chirp by chirp cannot be estimated.
-        unknown = (_USUAL_N_RX,) if one == "2-lane-sequential" else _COUNTED_N_RX
-        for n in unknown if n_rx is None else (n_rx,):
-            if one == "2-lane-pairs" and n % 2:
+    for layout, offset in product(layouts, offsets):
+        for n in _UNKNOWN_N_RX[layout] if n_rx is None else (n_rx,):
+            if layout == "2-lane-pairs" and n % 2:
                 continue
-            same_as_4_lane = (one == "iq" and n == 1) or (one == "2-lane-pairs" and n == 2)
-            if same_as_4_lane and layout is None:
-                continue
-            yield WordOrder(layout=one, n_rx=n, offset_binary=offset)
+            same_as_4_lane = (layout, n) in (("iq", 1), ("2-lane-pairs", 2))
+            if not same_as_4_lane or len(layouts) == 1:
+                yield WordOrder(layout=layout, n_rx=n, offset_binary=offset)
 
 
 def find_layout(
     words: NDArray[np.int16],
     *,
-    n_rx: int | None = None,
-    layout: Layout | None = None,
-    offset_binary: bool | None = None,
-    swap_iq: bool | None = None,
-    n_samples: int | None = None,
-    is_real: bool | None = None,
-    where: object = None,
+    n_rx: int | None,
+    layout: Layout | None,
+    offset_binary: bool | None,
+    swap_iq: bool | None,
+    n_samples: int | None,
+    is_real: bool | None,
+    where: object,
 ) -> LayoutEvidence:
     """Estimate the unknown parts of the layout; UserError where the given ones contradict the data.
 
@@ -173,7 +163,8 @@ def find_layout(
     # Stopped recordings and sparse files end in zeros, which are no evidence.
     n_used = len(words) - int(np.argmax(words[::-1] != 0)) if words.any() else 0
     words = words[: -(-n_used // 64) * 64]
-    candidates = list(_real_orders(None if layout in LAYOUTS else layout, n_rx, None))
+    known: tuple[Layout, ...] = () if layout is None else (layout,)
+    candidates = list(_orders(known if layout in REAL_LAYOUTS else REAL_LAYOUTS, n_rx))
     real = _real_order(words, layout, candidates, is_real, where)
     if real is not None:
         if offset_binary not in (None, real.offset_binary):
@@ -184,10 +175,10 @@ def find_layout(
         return _with_samples(words, real, {}, False, n_samples, where)
     length = min(_SEGMENT, n_samples) if n_samples else _SEGMENT
     beginning = words[:_LAYOUT_WORDS]
-    allowed = list(_orders(layout, n_rx, offset_binary))
+    allowed = list(_orders(known or LAYOUTS, n_rx, offset_binary))
     ratios = {
         order: _segment_ratio(beginning, order, length)
-        for order in (*_orders(None, n_rx, None), *_orders(None, None, None), *allowed)
+        for order in (*_orders(LAYOUTS, n_rx), *_orders(LAYOUTS), *allowed)
     }
     if max(map(_one_sided, ratios.values())) < MIN_RATIO:
         ratios = {
@@ -220,7 +211,7 @@ def _real_order(
     """Order of real samples; None where they are complex, or a complex layout is given."""
     if layout in LAYOUTS and is_real is None:
         return None
-    known = [*_orders(None, None, None), *_orders(None, candidates[0].n_rx, None)]
+    known = [*_orders(LAYOUTS), *_orders(LAYOUTS, candidates[0].n_rx)]
     order, advantage = real_advantage(words, known, candidates)
     if layout is not None and is_real is None:
         return order

@@ -88,26 +88,20 @@ class Recording:
         """Chirps of each transmitter in a frame."""
         return self.n_chirps_per_frame // self.n_tx
 
-    def read_frames(self, first: int, stop: int) -> NDArray[np.complex64]:
-        """Complex samples of frames, (n_frames, n_loops, n_tx, n_rx, n_samples)."""
-        raw = self._words(first, stop)
-        chirps = decode(raw, self.evidence.order, self.evidence.n_samples)
+    def read_frames(self, first: int, stop: int, *, integers: bool = False) -> Samples:
+        """Read frames, complex (n_frames, n_loops, n_tx, n_rx, n_samples).
+
+        With `integers` I and Q as they are stored, (..., n_samples, 2), of each chirp.
+        """
+        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
+        self.stream.read_into(first * self.frame_bytes, raw)
+        read: Callable[..., Samples] = decode_integers if integers else decode
+        chirps = read(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
         chirps = chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
-        if self.decoder is None:
+        if integers or self.decoder is None:
             return chirps
         separated = np.einsum("tc,flcrn->fltrn", self.decoder.astype(np.float32), chirps)
         return np.asarray(separated)
-
-    def read_integers(self, first: int, stop: int) -> NDArray[np.int16]:
-        """I and Q of the chirps of frames, (n_frames, n_loops, n_tx, n_rx, n_samples, 2)."""
-        raw = self._words(first, stop)
-        chirps = decode_integers(raw, self.evidence.order, self.evidence.n_samples)
-        return chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
-
-    def _words(self, first: int, stop: int) -> NDArray[np.int16]:
-        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
-        self.stream.read_into(first * self.frame_bytes, raw)
-        return raw.view("<i2")
 
     def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
         """Blocks of frames as (first, stop), multiples of `step` where memory allows."""
@@ -133,9 +127,8 @@ class _Files:
     def head(self) -> NDArray[np.int16]:
         """Words at the beginning; several files of the usual size where these are short."""
         size = usual_bytes(self.streams)
-        usual = [
-            pair for pair in zip(self.streams, self.zeros, strict=True) if pair[0].n_bytes == size
-        ]
+        pairs = zip(self.streams, self.zeros, strict=True)
+        usual = [pair for pair in pairs if pair[0].n_bytes == size]
         size -= max(zeros for _, zeros in usual)
         n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
         n_bytes = min(_HEAD_BYTES, size) // 2 * 2
@@ -182,7 +175,10 @@ def open_recording(
     if not files.per_place:
         _require_whole_chirp(head, evidence, source)
         n_empty = trailing_zeros(stream)
-        notes.extend(_empty_chirps(n_empty, n_bytes, chirp_bytes))
+    if n_empty >= chirp_bytes:
+        share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
+        text = f"the last {n_empty} bytes are zero ({share})"
+        notes.append(f"{text}: the recording stopped before its end")
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
     if files.per_place:
@@ -281,14 +277,6 @@ def _evidence(
         is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
-
-
-def _empty_chirps(n_empty: int, n_bytes: int, chirp_bytes: int) -> list[str]:
-    """Note on a recording that ends with zeros."""
-    if n_empty < chirp_bytes:
-        return []
-    share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
-    return [f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"]
 
 
 def _padding(stream: ByteStream, *, per_place: bool) -> int:
@@ -428,10 +416,8 @@ def read_places(
     """
 
     def loops_of(block: tuple[int, int]) -> Samples:
-        if is_kept(recording, per_place):
-            return recording.read_integers(*block)[:, 0]
-        frames = recording.read_frames(*block)
-        return frames[:, 0] if frames.shape[1] == 1 else frames.mean(axis=1)
+        frames = recording.read_frames(*block, integers=is_kept(recording, per_place))
+        return frames[:, 0] if frames.shape[1] == 1 else np.asarray(frames.mean(axis=1))
 
     pending: NDArray[np.complex128] | None = None
     blocks = recording.blocks(first * per_place, stop * per_place, step=per_place)

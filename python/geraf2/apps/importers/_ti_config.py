@@ -11,17 +11,18 @@ The names and units of the keys are those of TI's mmWave Studio and SDK user gui
 import math
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 from geraf2.apps.importers._ti_log import has_calls, read_log
 from geraf2.apps.importers._ti_values import (
+    TYPED,
     TiConfig,
     bpm_mask,
     is_real_16,
     ones,
+    profile_values,
     to_number,
 )
 from geraf2.apps.importers._transmitters import Transmitters, transmitters_of
@@ -34,13 +35,7 @@ _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
-_BPM = "constBpmVal"
 _GIVE = "give the parameters in --radar"
-_NO_CONFIG = "is no configuration of a TI radar"
-_KNOWN_CONFIGS = (
-    "mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, LogFile.txt, or a script with "
-    "its calls"
-)
 
 
 def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
@@ -48,25 +43,17 @@ def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
     known: dict[str, Any] = {}
     source_of: dict[str, Path] = {}
     for path in paths:
-        config = _read_one(path)
-        for field in fields(config):
-            value = getattr(config, field.name)
+        for name, value in vars(_read_one(path)).items():
             if value is None:
                 continue
-            before = known.get(field.name)
-            close = _CLOSE.get(field.name, 1e-6)
-            same = before in (None, value) or (
+            before, close = known.setdefault(name, value), _CLOSE.get(name, 1e-6)
+            source = source_of.setdefault(name, path)
+            same = before == value or (
                 isinstance(value, (int, float)) and math.isclose(before, value, rel_tol=close)
             )
             if not same:
-                raise UserError(
-                    what=f"contradicts {source_of[field.name]} on {field.name}",
-                    where=path,
-                    expected=before,
-                    got=value,
-                )
-            if before is None:
-                known[field.name], source_of[field.name] = value, path
+                what = f"contradicts {source} on {name}"
+                raise UserError(what=what, where=path, expected=before, got=value)
     return TiConfig(**known)
 
 
@@ -95,17 +82,16 @@ def _read_one(path: Path) -> TiConfig:
         return _from_profile(text, path)
     if has_calls(text) or path.suffix.lower() in (".txt", ".lua"):
         return read_log(text, path)
-    try:
-        values = parse_json(text)
-    except ValueError as error:
-        raise UserError(
-            what=f"is not valid JSON: {error}" if text.lstrip()[:1] in "{[" else _NO_CONFIG,
-            where=path,
-            expected=None if text.lstrip()[:1] in "{[" else _KNOWN_CONFIGS,
-        ) from None
-    if isinstance(values, dict) and "mmWaveDevices" in values:
+    values: Any = None
+    if text.lstrip()[:1] in ("{", "["):
+        try:
+            values = parse_json(text)
+        except ValueError as error:
+            raise UserError(what=f"is not valid JSON: {error}", where=path) from None
+    values = values if isinstance(values, dict) else {}
+    if "mmWaveDevices" in values:
         return _from_studio(values, path)
-    if isinstance(values, dict) and "configUsed" in values:  # its DCA1000Config is no profile
+    if "configUsed" in values:  # its DCA1000Config is no profile
         meant = re.split(r"[\\/]", str(values["configUsed"]))[-1] or "the *.mmwave.json"
         raise UserError(
             what="is the setup of a recording, without the radar's parameters",
@@ -113,9 +99,14 @@ def _read_one(path: Path) -> TiConfig:
             expected=f"{meant}, which it names",
             hint=f"give --config {meant}",
         )
-    if isinstance(values, dict) and "DCA1000Config" in values:
+    if "DCA1000Config" in values:
         return _from_capture_card(values["DCA1000Config"], path)
-    raise UserError(what=_NO_CONFIG, where=path, expected=_KNOWN_CONFIGS)
+    raise UserError(
+        what="is no configuration of a TI radar",
+        where=path,
+        expected="mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, LogFile.txt, or a "
+        "script with its calls",
+    )
 
 
 class _Table:
@@ -149,6 +140,10 @@ class _Table:
         value = self._values.get(key)
         return to_number(value, f"{self._name}.{key}", self._path)
 
+    def span(self) -> tuple[int, int]:
+        """First and last chirp."""
+        return int(self.number("chirpStartIdx")), int(self.number("chirpEndIdx"))
+
 
 def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     devices = values["mmWaveDevices"]
@@ -173,15 +168,10 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         (p for p in profiles if p.has("profileId") and int(p.number("profileId")) in used),
         profiles[0],
     )
-    table = [
-        (int(c.number("chirpStartIdx")), int(c.number("chirpEndIdx")), int(c.number("txEnable")))
-        for c in chirps
-    ]
-    first, last = int(frame.number("chirpStartIdx")), int(frame.number("chirpEndIdx"))
-    turned = [
-        (int(c.number("chirpStartIdx")), int(c.number("chirpEndIdx")), bpm_mask(c.number(_BPM)))
-        for c in (rf.tables("rlBpmChirps", "rlBpmChirpCfg_t") if rf.has("rlBpmChirps") else ())
-    ]
+    table = [(*c.span(), int(c.number("txEnable"))) for c in chirps]
+    first, last = frame.span()
+    codes = rf.tables("rlBpmChirps", "rlBpmChirpCfg_t") if rf.has("rlBpmChirps") else ()
+    turned = [(*c.span(), bpm_mask(c.number("constBpmVal"))) for c in codes]
     n_frames = int(frame.number("numFrames"))
     lanes, interleaved = None, None
     if device.has("rawDataCaptureConfig"):
@@ -293,11 +283,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 got=f"format {data_format:g}",
             )
     return TiConfig(
-        ramp_start_hz=1e9 * profile[1],
-        adc_start_s=1e-6 * profile[3],
-        chirp_slope_hz_per_s=1e12 * profile[7],
-        n_samples=int(profile[9]),
-        sample_rate_hz=1e3 * profile[10],
+        **profile_values(profile, (1, 3, 7, 9, 10), TYPED),
         n_rx=ones(channel[0]) if channel else None,
         is_real=is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,

@@ -15,7 +15,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._ti_values import TiConfig, bpm_mask, is_real_16, ones
+from geraf2.apps.importers._ti_values import (
+    TYPED,
+    TiConfig,
+    bpm_mask,
+    is_real_16,
+    ones,
+    profile_values,
+)
 from geraf2.apps.importers._transmitters import transmitters_of
 from geraf2.errors import UserError
 
@@ -93,9 +100,9 @@ def read_log(text: str, path: Path) -> TiConfig:
     if "FrameConfig" in last:
         frame = last["FrameConfig"]
         first, stop, n_frames, n_loops = (int(value) for value in frame.values[:4])
-        backwards = calls[::-1]
-        chirps = [_chirp(call) for call in backwards if call.name == "ChirpConfig"]
-        turned = [_turned(call) for call in backwards if call.name == "BpmChirpConfig"]
+        chirps = _chirps(calls, "ChirpConfig", slice(7, 10))
+        codes_of = _chirps(calls, "BpmChirpConfig", slice(2, 8))
+        turned = [(start, end, bpm_mask(code)) for start, end, code in codes_of]
         known |= {
             "transmitters": transmitters_of(chirps, first, stop, path, turned),
             "n_chirps_per_frame": (stop - first + 1) * n_loops,
@@ -190,39 +197,33 @@ def _number(word: str, where: str) -> float:
 
 def _profile(call: _Call, text: str) -> dict[str, Any]:
     """Values of a chirp, in SI units."""
-    values = call.values
     if not call.raw:
-        return {
-            "ramp_start_hz": 1e9 * values[1],
-            "adc_start_s": 1e-6 * values[3],
-            "chirp_slope_hz_per_s": 1e12 * values[11],
-            "n_samples": int(values[13]),
-            "sample_rate_hz": 1e3 * values[14],
-        }
-    of_60 = _DEVICE_60.search(text) is not None or values[1] * _STEP_77_HZ > _HIGHEST_HZ
+        return profile_values(call.values, (1, 3, 11, 13, 14), TYPED)
+    of_60 = _DEVICE_60.search(text) is not None or call.values[1] * _STEP_77_HZ > _HIGHEST_HZ
     step = _STEP_60_HZ if of_60 else _STEP_77_HZ
-    return {
-        "ramp_start_hz": step * values[1],
-        "adc_start_s": _TIME_STEP_S * values[3],
-        "chirp_slope_hz_per_s": step * _SLOPE_STEPS_HZ_PER_S * values[7],
-        "n_samples": int(values[9]),
-        "sample_rate_hz": 1e3 * values[10],
-    }
+    return profile_values(
+        call.values, (1, 3, 7, 9, 10), (step, _TIME_STEP_S, step * _SLOPE_STEPS_HZ_PER_S)
+    )
 
 
-def _chirp(call: _Call) -> tuple[int, int, int]:
-    first, last = (int(value) for value in call.values[:2])
-    if call.raw:
-        return first, last, int(call.values[7])
-    return first, last, sum(1 << bit for bit, flag in enumerate(call.values[7:10]) if flag)
+def _chirps(calls: list[_Call], name: str, at: slice) -> list[tuple[int, int, int]]:
+    """First and last chirp, and mask, of each call, the last one first.
+
+    at: places of the mask's bits in a script; a log has the mask at the first.
+    """
+    return [
+        (
+            int(call.values[0]),
+            int(call.values[1]),
+            int(call.values[at.start]) if call.raw else _mask(call.values[at]),
+        )
+        for call in reversed(calls)
+        if call.name == name
+    ]
 
 
-def _turned(call: _Call) -> tuple[int, int, int]:
-    """Chirps and the transmitters that are turned by 180 degrees in them."""
-    first, last = (int(value) for value in call.values[:2])
-    if call.raw:
-        return first, last, bpm_mask(call.values[2])
-    return first, last, bpm_mask(sum(1 << k for k, on in enumerate(call.values[2:8]) if on))
+def _mask(flags: list[float]) -> int:
+    return sum(1 << bit for bit, flag in enumerate(flags) if flag)
 
 
 def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
@@ -236,8 +237,7 @@ def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
 def _rx_mask(last: dict[str, _Call]) -> int | None:
     """Mask of the active receivers; the transmitters' mask precedes it in a call."""
     if "ChanNAdcConfig" in last:
-        flags = last["ChanNAdcConfig"].values[3:7]
-        return sum(1 << bit for bit, flag in enumerate(flags) if flag)
+        return _mask(last["ChanNAdcConfig"].values[3:7])
     if "ChannelConfig" in last:
         return int(last["ChannelConfig"].values[1])
     return None

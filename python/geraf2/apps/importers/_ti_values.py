@@ -1,12 +1,16 @@
 """Values of a radar configuration of TI's software, and their checks."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from geraf2.apps.importers._transmitters import Transmitters
 from geraf2.errors import UserError
+
+TYPED = (1e9, 1e-6, 1e12)
+"""Units of typed values: start [GHz], ADC start [us] and slope [MHz/us]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +54,23 @@ def to_number(value: Any, name: str, path: Path) -> float:
     except (ValueError, OverflowError):
         pass
     raise UserError(what=f"{name!r} must be a number", where=path, got=repr(value)[:60])
+
+
+def profile_values(
+    values: Sequence[float], at: Sequence[int], units: tuple[float, float, float]
+) -> dict[str, Any]:
+    """Chirp of a profile in SI units; places of start, ADC start, slope, samples, rate [kHz].
+
+    units: of start [Hz], ADC start [s] and slope [Hz/s].
+    """
+    start, adc_start, slope, n_samples, rate_khz = (values[index] for index in at)
+    return {
+        "ramp_start_hz": units[0] * start,
+        "adc_start_s": units[1] * adc_start,
+        "chirp_slope_hz_per_s": units[2] * slope,
+        "n_samples": int(n_samples),
+        "sample_rate_hz": 1e3 * rate_khz,
+    }
 
 
 def ones(mask: float) -> int:

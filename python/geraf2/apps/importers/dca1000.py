@@ -205,6 +205,6 @@ def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int
     for place in np.sort(np.random.default_rng(0).choice(places, n_places, replace=False)):
         first = int(place) * track.frames_per_place
         frames = recording.read_frames(first, first + n_frames)
-        signal = frames.mean(axis=(0, 1))[None]
+        signal = np.asarray(frames.mean(axis=(0, 1)))[None]
         parts.append(_part(recording, track, board, axes, int(place), signal))
     return joined(parts)
