@@ -67,6 +67,8 @@ CHECKSUMS = "checksums"
 
 def joined(parts: Sequence[RawPose]) -> RawPose:
     """Antennas of all parts as one pose; its axes, name and angle are those of the first."""
+    if len(parts) == 1:
+        return parts[0]
     arrays: dict[str, Any] = {
         name: np.concatenate([getattr(part, name) for part in parts]) for name in ANTENNA_ARRAYS
     }

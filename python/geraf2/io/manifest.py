@@ -95,20 +95,15 @@ class SceneManifest(_Strict):
     provenance: dict[str, str] = {}
 
 
+ComplexLayout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
+RealLayout = Literal["real-sequential", "real-alternating"]
+"""Orders of the 16-bit words of complex and of real samples."""
+
+
 class RawManifest(_Strict):
     """How a raw capture of a TI board is stored; what is missing is determined."""
 
-    layout: (
-        Literal[
-            "4-lane",
-            "2-lane-pairs",
-            "2-lane-sequential",
-            "iq",
-            "real-sequential",
-            "real-alternating",
-        ]
-        | None
-    ) = None
+    layout: ComplexLayout | RealLayout | None = None
     """Order of the 16-bit words, see docs/bring-your-own-scan.md."""
     offset_binary: bool | None = None
     swap_iq: bool | None = None

@@ -59,10 +59,7 @@ class Board:
 
 
 def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: float) -> Board:
-    """Board with the given antenna offsets, or with those of TI's evaluation boards.
-
-    On these boards receiver k lies 5 mm + (3 - k) lambda / 2 beside the first transmitter.
-    """
+    """Board with the given antenna offsets, or with those of TI's evaluation boards."""
     axes = np.eye(3) if antennas.axes is None else np.asarray(antennas.axes, dtype=np.float64)
     if float(np.abs(axes @ axes.T - np.eye(3)).max()) > 1e-3:
         raise UserError(what="antennas.axes must be orthonormal rows", got=antennas.axes)
@@ -79,8 +76,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
     if antennas.rx_offsets_m is not None:
         rx = np.asarray(antennas.rx_offsets_m, dtype=np.float64)
     else:
-        half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
-        rx = -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axes[1]
+        rx = ti_receivers(n_rx, center_hz, axes[1])
         notes.append(
             "the receivers' positions are not known and assumed as on TI's evaluation boards: 5 mm "
             "+ (3 - k) half wavelengths beside the transmitter; give rx_offsets_m under [antennas]"
@@ -88,6 +84,15 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
     for name, offsets, n in (("tx_offsets_m", tx, n_tx), ("rx_offsets_m", rx, n_rx)):
         require_equal(f"antennas.{name} has the wrong length", None, n, len(offsets))
     return Board(tx_offsets=tx, rx_offsets=rx, axes=axes, notes=tuple(notes))
+
+
+def ti_receivers(n_rx: int, center_hz: float, axis: Floats) -> Floats:
+    """Receivers of TI's evaluation boards from the first transmitter, (n_rx, 3) [m].
+
+    Receiver k lies 5 mm + (3 - k) lambda / 2 beside it, against the axis.
+    """
+    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
+    return -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
 
 
 def plane_axes(positions: Floats, *, towards: Floats | None, where: object) -> Floats:

@@ -122,8 +122,7 @@ def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, i
 
 def words_per_sample(order: WordOrder) -> int:
     """Words of one sample as stored, of the receivers that alternate."""
-    n_alternating = 1 if order.is_sequential else order.n_rx
-    return n_alternating * 2 // order.per_complex
+    return order.n_alternating * 2 // order.per_complex
 
 
 def _jump_score(jumps: Floats, period: int) -> float:
@@ -140,9 +139,7 @@ def _jump_score(jumps: Floats, period: int) -> float:
     return float(np.median(at[1:], axis=0).min()) if n_rounds > 1 else float(at[0, 1:].min())
 
 
-def prediction_error(
-    streams: NDArray[np.complex64], n_lags: int = _N_LAGS
-) -> NDArray[np.complex64]:
+def prediction_error(streams: NDArray[np.complex64], n_lags: int) -> NDArray[np.complex64]:
     """Residual of a Yule-Walker linear prediction, (n_channels, n_samples)."""
     error = streams - streams.mean(axis=1, keepdims=True)
     n = streams.shape[1]

@@ -73,7 +73,8 @@ def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None, list[str
         rows = rows[1:]
     else:
         known = _commented_names(comments, delimiter, len(names), path)
-        names, notes = (known, []) if known else _default_names(_n_columns(rows), path)
+        n_columns = len(rows[0]) - all(not row[-1].strip() for row in rows)
+        names, notes = (known, []) if known else _default_names(n_columns, path)
     if len(names) > 1 and not names[-1]:  # a delimiter at the end of each line
         names = names[:-1]
     if not rows:
@@ -88,10 +89,6 @@ def _read_csv(path: Path) -> tuple[Floats, list[str], list[str] | None, list[str
     kept = [index for index in range(len(names)) if index != at]
     table = np.stack([columns[index] for index in kept], axis=1)
     return table, [names[index] for index in kept], files, notes
-
-
-def _n_columns(rows: Sequence[Sequence[str]]) -> int:
-    return len(rows[0]) - all(not row[-1].strip() for row in rows)
 
 
 def _cells(lines: Sequence[str], delimiter: str | None, path: Path) -> list[list[str]]:

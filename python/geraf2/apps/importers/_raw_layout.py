@@ -333,17 +333,12 @@ def _require_pairs(layout: Layout | None, n_samples: int | None, where: object) 
 def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
     best = max(one_sided, key=lambda order: one_sided[order])
     enough = max(MIN_RATIO, _FASTER_SHARE * one_sided[best])
-    for order in sorted(one_sided, key=_n_alternating):
+    for order in sorted(one_sided, key=lambda order: order.n_alternating):
         is_kin = order.offset_binary == best.offset_binary
-        is_slower = _n_alternating(order) < _n_alternating(best)
+        is_slower = order.n_alternating < best.n_alternating
         if is_kin and is_slower and one_sided[order] >= enough:
             return order
     return best
-
-
-def _n_alternating(order: WordOrder) -> int:
-    """How many receivers alternate from sample to sample."""
-    return 1 if order.is_sequential else order.n_rx
 
 
 def _with_samples(
@@ -393,7 +388,7 @@ def _with_samples(
     others = {
         other: _one_sided(ratio)
         for other, ratio in ratios.items()
-        if other.layout != chosen.layout and _n_alternating(other) <= _n_alternating(chosen)
+        if other.layout != chosen.layout and other.n_alternating <= chosen.n_alternating
     }
     runner_up = max(others, key=lambda other: others[other], default=None)
     return LayoutEvidence(

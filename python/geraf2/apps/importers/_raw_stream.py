@@ -247,9 +247,8 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
         return files, []
     numbered = {path: re.fullmatch(r"(.*?)(\d+)", path.stem) for path in files}
     files = sorted(files, key=lambda path: (int(m[2]) if (m := numbered[path]) else 0, path.name))
-    names = f"{', '.join(path.name for path in files[:_MAX_NAMED])}" + (
-        ", ..." if len(files) > _MAX_NAMED else ""
-    )
+    more = ["..."] if len(files) > _MAX_NAMED else []
+    names = ", ".join([*(path.name for path in files[:_MAX_NAMED]), *more])
     reason = _why_separate(files, numbered)
     if reason:
         raise UserError(

@@ -287,7 +287,6 @@ def _padding(stream: ByteStream, *, per_place: bool) -> int:
 
 
 def _require_whole_chirp(head: NDArray[np.int16], evidence: LayoutEvidence, source: Path) -> None:
-    """Raise UserError where the recording begins in mid-chirp."""
     late = late_samples(head, evidence.order, evidence.n_samples)
     if late:
         stored = evidence.order.per_complex * evidence.n_samples
@@ -357,7 +356,6 @@ def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> No
 
 
 def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
-    """Numbers of transmitters and of chirps of a frame."""
     n_tx = radar.raw.n_tx or (config.transmitters.n_chirps if config.transmitters else 1)
     n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
     if n_chirps % n_tx:

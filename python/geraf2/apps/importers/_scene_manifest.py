@@ -97,7 +97,6 @@ def _delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
 
 
 def _waveform(radar: RadarManifest, known: Mapping[str, float | int | None]) -> dict[str, Any]:
-    """Values of the source, replaced by those of the user."""
     slope = radar.chirp_slope_hz_per_s or known.get("chirp_slope_hz_per_s")
     start = radar.model_copy(update={"chirp_slope_hz_per_s": slope}).first_sample_hz()
     waveform: dict[str, Any] = {

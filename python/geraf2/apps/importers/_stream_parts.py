@@ -129,7 +129,6 @@ def without_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
 
 
 def _sync_starts(words: NDArray[np.uint16]) -> Ints:
-    """Words at which a header begins."""
     is_word = np.isin(words, _SYNC_WORDS)
     runs = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(is_word, _N_SYNC).all(axis=1))
     rows = words[runs[:, None] + np.arange(_N_SYNC)]

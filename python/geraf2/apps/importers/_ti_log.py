@@ -11,9 +11,10 @@ of repeated calls is valid; in a script with branches, calls of different values
 """
 
 import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from geraf2.apps.importers._ti_values import (
     TYPED,
@@ -63,6 +64,9 @@ _MOST = {"ProfileConfig": 18, "ChirpConfig": 10}
 _N_KEYS = {"ProfileConfig": 1, "ChirpConfig": 2, "BpmChirpConfig": 2}
 
 
+_T = TypeVar("_T")
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Call:
     name: str
@@ -88,11 +92,25 @@ def read_log(text: str, path: Path) -> TiConfig:
             where=path,
             expected="a line with API:ProfileConfig, or ar1.ProfileConfig(...)",
         )
-    codes, rx_mask = _adc_format(last), _rx_mask(last)
+    codes = _first_of(
+        last,
+        {"ChanNAdcConfig": lambda v: (v[7], v[8]), "AdcOutConfig": lambda v: (v[0], v[1])},
+    )
+    # In a call the transmitters' mask precedes that of the receivers.
+    rx_mask = _first_of(
+        last, {"ChanNAdcConfig": lambda v: _mask(v[3:7]), "ChannelConfig": lambda v: int(v[1])}
+    )
+    n_lanes = _first_of(
+        last,
+        {
+            "LVDSLaneConfig": lambda v: _mask(v[1:5]).bit_count(),
+            "LaneConfig": lambda v: n if (n := int(v[0]).bit_count()) in (2, 4) else 0,
+        },
+    )
     known: dict[str, Any] = {
         **_profile(_used_profile(calls, last, path), text),
         "n_rx": ones(rx_mask) if rx_mask else None,
-        "n_lanes": _n_lanes(last),
+        "n_lanes": n_lanes or None,
         "is_real": is_real_16(*codes, path) if codes else None,
     }
     if "DataFmtConfig" in last:
@@ -196,7 +214,6 @@ def _number(word: str, where: str) -> float:
 
 
 def _profile(call: _Call, text: str) -> dict[str, Any]:
-    """Values of a chirp, in SI units."""
     if not call.raw:
         return profile_values(call.values, (1, 3, 11, 13, 14), TYPED)
     of_60 = _DEVICE_60.search(text) is not None or call.values[1] * _STEP_77_HZ > _HIGHEST_HZ
@@ -209,7 +226,7 @@ def _profile(call: _Call, text: str) -> dict[str, Any]:
 def _chirps(calls: list[_Call], name: str, at: slice) -> list[tuple[int, int, int]]:
     """First and last chirp, and mask, of each call, the last one first.
 
-    at: places of the mask's bits in a script; a log has the mask at the first.
+    at: indices of the mask's bits in a script; a log has the mask at the first.
     """
     return [
         (
@@ -226,27 +243,8 @@ def _mask(flags: list[float]) -> int:
     return sum(1 << bit for bit, flag in enumerate(flags) if flag)
 
 
-def _adc_format(last: dict[str, _Call]) -> tuple[float, float] | None:
-    if "ChanNAdcConfig" in last:
-        return last["ChanNAdcConfig"].values[7], last["ChanNAdcConfig"].values[8]
-    if "AdcOutConfig" in last:
-        return last["AdcOutConfig"].values[0], last["AdcOutConfig"].values[1]
-    return None
-
-
-def _rx_mask(last: dict[str, _Call]) -> int | None:
-    """Mask of the active receivers; the transmitters' mask precedes it in a call."""
-    if "ChanNAdcConfig" in last:
-        return _mask(last["ChanNAdcConfig"].values[3:7])
-    if "ChannelConfig" in last:
-        return int(last["ChannelConfig"].values[1])
-    return None
-
-
-def _n_lanes(last: dict[str, _Call]) -> int | None:
-    if "LVDSLaneConfig" in last:
-        return int(sum(flag != 0 for flag in last["LVDSLaneConfig"].values[1:5])) or None
-    if "LaneConfig" in last:
-        lanes = int(last["LaneConfig"].values[0]).bit_count()
-        return lanes if lanes in (2, 4) else None
-    return None
+def _first_of(
+    last: Mapping[str, _Call], read: Mapping[str, Callable[[list[float]], _T]]
+) -> _T | None:
+    """Read the first of some calls that is there; they state the same."""
+    return next((of(last[name].values) for name, of in read.items() if name in last), None)

@@ -59,7 +59,7 @@ def to_number(value: Any, name: str, path: Path) -> float:
 def profile_values(
     values: Sequence[float], at: Sequence[int], units: tuple[float, float, float]
 ) -> dict[str, Any]:
-    """Chirp of a profile in SI units; places of start, ADC start, slope, samples, rate [kHz].
+    """Chirp in SI units; `at` are indices of start, ADC start, slope, samples and rate [kHz].
 
     units: of start [Hz], ADC start [s] and slope [Hz/s].
     """

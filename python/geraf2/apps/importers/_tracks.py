@@ -79,46 +79,45 @@ class LogTrack(Track):
 
     def at(self, first: int, stop: int) -> tuple[Floats, Floats]:
         """Positions and rotations of the rows, or between them at the times of the frames."""
-        log = self.log
+        log, times = self.log, self._times_s(first, stop)
         if log.times_s is None:
             positions = log.positions[first:stop]
-            if log.quaternions is None:
-                return positions, _identity(len(positions))
-            return positions, log.rotations[first:stop].as_matrix()
-        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
-        # Rounding may put the last frame after the last row.
-        times = np.clip(times, log.times_s[0], log.times_s[-1])
-        positions = self._interpolated(times)
+        else:
+            # Rounding may put the last frame after the last row.
+            times = np.clip(times, log.times_s[0], log.times_s[-1])
+            positions = self._interpolated(times)
         if log.quaternions is None:
-            return positions, _identity(len(times))
-        return positions, np.asarray(log.turns(times).as_matrix())
+            return positions, _identity(len(positions))
+        turns = log.rotations[first:stop] if log.times_s is None else log.turns(times)
+        return positions, np.asarray(turns.as_matrix())
 
     def each_tx(self, first: int, stop: int) -> Floats | None:
         """Position at each transmitter's chirp, (n, n_tx, 3) [m].
 
         None for simultaneous chirps and without chirp times (no scan file, no time between chirps).
         """
-        scan, log_s = self.log.scan, self.log.times_s
-        if log_s is None:
+        scan = self.log.scan
+        if self.log.times_s is None:
             return None
-        times = self.start_time_s + self.frame_period_s * np.arange(first, stop)
+        times = self._times_s(first, stop)
         if scan is None and self.tx_delays_s:
-            sent_s = times[:, None] + np.array(self.tx_delays_s)
-            return self._interpolated(np.clip(sent_s, log_s[0], log_s[-1]))
-        if scan is None or scan.motion != "continuous":
+            return self._interpolated(times[:, None] + np.array(self.tx_delays_s))
+        if scan is None or scan.motion != "continuous" or not scan.array.tx_delays_s.any():
             return None
         delays_s = scan.array.tx_delays_s
-        if not delays_s.any():
-            return None
         slack = 0.01 * self.frame_period_s  # clocks are rounded
         velocity = np.zeros((len(times), 3))
         for line in (line for plane in scan.planes for line in plane.lines):
             on = (times >= line.start_s - slack) & (times <= line.end_s + slack)
             velocity[on] = line.velocity_m_per_s
-        positions = self._interpolated(np.clip(times, log_s[0], log_s[-1]))
+        positions = self._interpolated(times)
         return np.asarray(positions[:, None] + delays_s[:, None] * velocity[:, None])
 
+    def _times_s(self, first: int, stop: int) -> Floats:
+        return np.asarray(self.start_time_s + self.frame_period_s * np.arange(first, stop))
+
     def _interpolated(self, times_s: Floats) -> Floats:
+        """Positions at any times, (..., 3); before and after the log those at its ends."""
         log = self.log
         assert log.times_s is not None
         axes = [np.interp(times_s, log.times_s, log.positions[:, axis]) for axis in range(3)]

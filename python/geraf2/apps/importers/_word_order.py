@@ -1,16 +1,15 @@
 """Orders of the 16-bit words in a raw capture of a TI board, and their decoding."""
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, rfft
 
+from geraf2.io.manifest import ComplexLayout, RealLayout
 from geraf2.io.samples import complex_samples
 
-ComplexLayout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
-RealLayout = Literal["real-sequential", "real-alternating"]
 Layout = ComplexLayout | RealLayout
 LAYOUTS: tuple[ComplexLayout, ...] = get_args(ComplexLayout)
 REAL_LAYOUTS: tuple[RealLayout, ...] = get_args(RealLayout)
@@ -43,6 +42,11 @@ class WordOrder:
     def is_sequential(self) -> bool:
         """Whether receivers follow each other chirp by chirp."""
         return self.layout in ("2-lane-sequential", "real-sequential")
+
+    @property
+    def n_alternating(self) -> int:
+        """Receivers that alternate from sample to sample."""
+        return 1 if self.is_sequential else self.n_rx
 
     @property
     def per_complex(self) -> int:

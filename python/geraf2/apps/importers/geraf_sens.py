@@ -80,7 +80,8 @@ class GerafSensImporter:
 
         def poses() -> Iterator[RawPose]:
             for group in groups:
-                yield _read_group(group)
+                parts = [_read_frame(frame) for frame in group]
+                yield replace(joined(parts), name="+".join(part.name for part in parts))
 
         return Scan(
             manifest=manifest,
@@ -262,13 +263,6 @@ def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
     return len(np.unique(joined, axis=0)) == len(joined)
 
 
-def _read_group(group: Sequence[_Frame]) -> RawPose:
-    parts = [_read_frame(frame) for frame in group]
-    if len(parts) == 1:
-        return parts[0]
-    return replace(joined(parts), name="+".join(part.name for part in parts))
-
-
 def _read_capture_json(source: Path) -> dict[str, Any]:
     candidates = [source / "capture.json"]
     if source.name == "mf":  # the user named the inner folder
@@ -277,16 +271,11 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
         if not path.is_file():
             continue
         values = read_object(path)
-        _require_known(values, path)
+        for key in values:  # misspelt ones; others belong to other programs
+            if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
+                raise UserError(what=f"unknown key {key!r}{meant}", where=path)
         return values
     return {}
-
-
-def _require_known(values: Mapping[str, Any], path: Path) -> None:
-    """Raise UserError for a misspelt key; other keys belong to other programs."""
-    for key in values:
-        if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
-            raise UserError(what=f"unknown key {key!r}{meant}", where=path)
 
 
 def _manifest(
@@ -298,15 +287,8 @@ def _manifest(
         for theirs, ours in _CAPTURE_KEYS.items()
         if capture.get(theirs) is not None
     }
-    stated = (radar.n_samples, capture.get("n_adc_samples"), n_samples)
-    claimed = next(number for number in stated if number is not None)
-    if claimed != n_samples:
-        raise UserError(
-            what="number of ADC samples disagrees with the parameters",
-            where=source,
-            expected=f"n_samples = {claimed}",
-            got=f"{n_samples} in adcr.npy",
-        )
+    if radar.n_samples is None:
+        radar = radar.model_copy(update={"n_samples": capture.get("n_adc_samples")})
     return scene_manifest(
         "geraf-sens",
         source,

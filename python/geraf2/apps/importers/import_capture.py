@@ -1,7 +1,7 @@
 """Import of a capture of another format into a scene folder."""
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +16,7 @@ from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
 from geraf2.io.scene_writer import SceneWriter
 from geraf2.pipeline.events import Listener
-from geraf2.records import Pose, RawPose
+from geraf2.records import RawPose
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, summarize_in_parts
@@ -88,7 +88,14 @@ def import_capture(
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
-    _require_folder(Path(scene), scan, overwrite=overwrite)
+    require_scene_folder(
+        Path(scene),
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == scan.manifest.waveform
+            and tuple(old.n_antennas) == tuple(scan.n_antennas)
+        ),
+    )
     summarize = partial(
         summarize_in_parts,
         n_antennas=scan.n_antennas,
@@ -106,7 +113,9 @@ def import_capture(
     else:
         some = [complex_pose(pose) for pose in scan.thinned(_N_SCATTERED_ANTENNAS)]
     with listener.step("finding the sign of the phase"):
-        sign = _phase_sign(some, scan, options)
+        stated = options.phase_sign or scan.phase_sign
+        sign = find_phase_sign(some, base.waveform, stated=stated, num_threads=options.num_threads)
+        sign = replace(sign, is_forced=options.phase_sign is not None)
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _written(scan, writer, sign, report)
@@ -127,26 +136,6 @@ def import_capture(
         notes=notes,
         unchanged=writer.unchanged,
     )
-
-
-def _require_folder(scene: Path, scan: Scan, *, overwrite: bool) -> None:
-    """Raise UserError unless the folder is empty or may hold the same scene."""
-    waveform, n_antennas = scan.manifest.waveform, list(scan.n_antennas)
-    require_scene_folder(
-        scene,
-        overwrite=overwrite,
-        may_be_same=lambda old: (
-            old.manifest.waveform == waveform and list(old.n_antennas) == n_antennas
-        ),
-    )
-
-
-def _phase_sign(some: Sequence[Pose], scan: Scan, options: ImportOptions) -> PhaseSign:
-    """Sign of the phase from some antennas, or as given."""
-    stated = options.phase_sign or scan.phase_sign
-    waveform, num_threads = scan.manifest.waveform, options.num_threads
-    sign = find_phase_sign(some, waveform, stated=stated, num_threads=num_threads)
-    return replace(sign, is_forced=options.phase_sign is not None)
 
 
 def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:

@@ -58,6 +58,9 @@ class _Array:
     kind: str
     read: Callable[[tuple[Any, ...]], Array]
 
+    def numbers(self) -> Floats:
+        return np.asarray(self.read((slice(None),) * len(self.shape)), dtype=np.float64)
+
 
 class MatImporter:
     """Reads named arrays of a MATLAB file."""
@@ -74,8 +77,7 @@ class MatImporter:
             )
         _require_arrays(arrays, source, there)
         signal = _signal(arrays, source)
-        shape = signal.shape if len(signal.shape) == 3 else (1, *signal.shape)
-        n_poses, n_antennas, n_samples = shape
+        n_poses, n_antennas, n_samples = (1, *signal.shape)[-3:]
         tx, rx = _positions(arrays, source, n_poses, n_antennas)
         axes = _axes(arrays, source, tx)
         places = np.concatenate([tx, rx], axis=2).reshape(-1, 6)
@@ -148,8 +150,8 @@ def _require_arrays(arrays: Mapping[str, _Array], path: Path, there: str) -> Non
             got=there,
             hint=hint,
         )
-    for name in ("tx_positions", "rx_positions") if "positions" not in arrays else ():
-        if name not in arrays:
+    for name in ("tx_positions", "rx_positions"):
+        if not {name, "positions"} & set(arrays):
             raise UserError(
                 what=f"the file lacks {name}",
                 where=path,
@@ -311,8 +313,7 @@ def _positions(
         if array.shape not in shapes or array.kind not in "fiu":
             expected = f"real {shapes[-1]}, as signal has {n_antennas} antennas"
             raise wrong_shape(path, name, expected, f"{array.kind} {array.shape}")
-        values = array.read((slice(None),) * len(array.shape))
-        found.append(np.asarray(values, dtype=np.float64).reshape(n_poses, n_antennas, 3))
+        found.append(array.numbers().reshape(n_poses, n_antennas, 3))
     return found[0], found[1]
 
 
@@ -323,8 +324,7 @@ def _axes(arrays: Mapping[str, _Array], path: Path, tx: Floats) -> Floats:
     array = arrays["axes"]
     if array.shape not in ((n_poses, 3, 3), (3, 3)) or array.kind not in "fiu":
         raise wrong_shape(path, "axes", f"({n_poses}, 3, 3)", array.shape)
-    values = np.asarray(array.read((slice(None),) * len(array.shape)), dtype=np.float64)
-    axes = np.broadcast_to(values, (n_poses, 3, 3))
+    axes = np.broadcast_to(array.numbers(), (n_poses, 3, 3))
     if not np.abs(axes @ axes.transpose(0, 2, 1) - np.eye(3)).max() < 1e-3:
         raise UserError(what="rows of axes are not orthonormal", where=path)
     return axes
@@ -336,4 +336,4 @@ def _number(arrays: Mapping[str, _Array], name: str, path: Path) -> float | None
     array = arrays[name]
     if int(np.prod(array.shape)) != 1 or array.kind not in "fiu":
         raise UserError(what=f"{name} must be a number", where=path, got=f"{array.shape}")
-    return float(np.asarray(array.read((slice(None),) * len(array.shape))).reshape(-1)[0])
+    return float(array.numbers().reshape(-1)[0])

@@ -24,7 +24,7 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._board import Board, board_of, plane_axes
+from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
 from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
@@ -37,7 +37,6 @@ from geraf2.apps.importers._rows import (
     wrong_shape,
 )
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.manifest import RadarManifest
@@ -50,7 +49,6 @@ FRAME_PERIOD_S, PATH_BIAS_M = 3e-3, 0.15
 N_SAMPLES, N_FRAMES = 512, 4000
 # Only slope / sample rate matters: the bandwidth over the number of samples.
 _NOMINAL_RATE_HZ = 1e7
-_FIRST_RX_M = 0.005
 
 
 class MmnormImporter:
@@ -61,11 +59,7 @@ class MmnormImporter:
         source = Path(source)
         if not source.exists():
             raise UserError(what="no such file or folder", where=source)
-        return (
-            _open_npz(source, radar, options)
-            if source.is_file()
-            else _open_folder(source, radar, options)
-        )
+        return (_open_npz if source.is_file() else _open_folder)(source, radar, options)
 
 
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
@@ -121,14 +115,9 @@ def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
 def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
     files = _recordings(source)
     n_samples = radar.n_samples or N_SAMPLES
-    known = radar.model_copy(
-        update={
-            "n_samples": n_samples,
-            "raw": radar.raw.model_copy(
-                update={"layout": radar.raw.layout or "4-lane", "n_rx": radar.raw.n_rx or 4}
-            ),
-        }
-    )
+    of_board = {"layout": radar.raw.layout or "4-lane", "n_rx": radar.raw.n_rx or 4}
+    raw = radar.raw.model_copy(update=of_board)
+    known = radar.model_copy(update={"n_samples": n_samples, "raw": raw})
     log = _robot_log(files[0], source, options)
     notes: list[str] = list(log.notes)
     passes = []
@@ -293,8 +282,6 @@ def _board(
                 "along -x; give rx_offsets_m under [antennas]"
             )
     center_hz = START_HZ + 0.5 * BANDWIDTH_HZ
-    half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
-    offsets = -(_FIRST_RX_M + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
     axes = radar.antennas.axes
     if axes is None:
         axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
@@ -303,9 +290,8 @@ def _board(
             f"the viewing direction was assumed to be ({viewing}), along the normal of the "
             "positions; give axes under [antennas] if it is the other one"
         )
-    known = {"tx_offsets_m": [[0.0] * 3], "rx_offsets_m": offsets.tolist(), "axes": axes}
-    if radar.antennas.rx_offsets_m is not None:
-        known["rx_offsets_m"] = radar.antennas.rx_offsets_m
+    offsets = radar.antennas.rx_offsets_m or ti_receivers(n_rx, center_hz, axis).tolist()
+    known = {"tx_offsets_m": [[0.0] * 3], "rx_offsets_m": offsets, "axes": axes}
     antennas = radar.antennas.model_copy(update=known)
     board = board_of(antennas, n_tx=1, n_rx=n_rx, center_hz=center_hz)
     return replace(board, notes=tuple(notes))
@@ -315,8 +301,7 @@ def _axis(value: Any, where: Path) -> Floats | None:
     """Return the unit vector of 'x', '-y', 2, or three numbers; None without a value."""
     if value is None:
         return None
-    match = re.fullmatch(r"([+-]?)([xyz012])", str(value).strip().lower())
-    if match:
+    if match := re.fullmatch(r"([+-]?)([xyz012])", str(value).strip().lower()):
         axis: Floats = np.eye(3)["xyz012".index(match[2]) % 3]
         return -axis if match[1] == "-" else axis
     try:

@@ -69,19 +69,11 @@ class PlanarImporter:
             spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
             waveform["chirp_slope_hz_per_s"] = spacing_hz * _NOMINAL_RATE_HZ
             waveform["sample_rate_hz"] = _NOMINAL_RATE_HZ
+        waveform["start_frequency_hz"] = float(scan.frequencies_hz[0])
         # The phase of the antenna was measured with its delay.
-        known_bias = 0.0 if phases is not None else None
-        manifest, more_notes = scene_manifest(
-            "planar",
-            source,
-            radar,
-            {
-                **waveform,
-                "start_frequency_hz": float(scan.frequencies_hz[0]),
-                "path_bias_m": known_bias,
-            },
-        )
-        n_x, n_y = scan.data.shape[-2:]
+        waveform["path_bias_m"] = None if phases is None else 0.0
+        manifest, more_notes = scene_manifest("planar", source, radar, waveform)
+        (n_x, n_y), (step_x, step_y) = scan.data.shape[-2:], scan.step_m
 
         def poses() -> Iterator[RawPose]:
             yield _read_pose(scan, None if phases is None else sign * phases)
@@ -92,11 +84,7 @@ class PlanarImporter:
             poses=poses,
             notes=(*notes, *more_notes),
             facts=(
-                (
-                    "plane",
-                    f"{n_x} x {n_y} positions, "
-                    f"{1e3 * scan.step_m[0]:g} x {1e3 * scan.step_m[1]:g} mm",
-                ),
+                ("plane", f"{n_x} x {n_y} positions, {1e3 * step_x:g} x {1e3 * step_y:g} mm"),
                 ("nominal depth", f"{scan.depth_m:g} m"),
             ),
             phase_sign=scan.sign,
