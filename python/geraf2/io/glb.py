@@ -92,10 +92,7 @@ def _document(
         "bufferViews": views,
         "accessors": accessors,
     }
-    return _container(document, b"".join(array.tobytes() for _, array, _, _, _ in buffers))
-
-
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
+    binary = b"".join(array.tobytes() for _, array, _, _, _ in buffers)
     text = json.dumps(document, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)  # chunks are aligned to four bytes
     total = 12 + 8 + len(text) + 8 + len(binary)

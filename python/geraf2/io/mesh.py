@@ -24,18 +24,12 @@ from geraf2.io.mesh_formats import RawMesh, parse_obj, parse_ply, parse_stl
 from geraf2.io.mesh_limits import require_gltf_size, require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.points import ply_file
-from geraf2.io.regular import (
-    BINARY_BYTES,
-    RECORD_BYTES,
-    read_regular,
-    require_regular,
-)
+from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, read_regular, require_regular
 from geraf2.io.text import parse_json
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
 
-_METRES = ("metre", "metres", "meter", "meters")
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_PLACE_M = 1e6
 
@@ -226,7 +220,9 @@ def write_mesh(
         "frame_from_file": frame_from_file.tolist(),
         "n_vertices": int(mesh.vertices.shape[0]),
         "n_faces": int(mesh.faces.shape[0]),
-        "bounds_m": _bounds(mesh),
+        "bounds_m": [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()]
+        if len(mesh.vertices)
+        else None,
         "vertex_columns": columns,
         "winding": "counter-clockwise seen from outside",
         **({"made_from": dict(made_from)} if made_from else {}),
@@ -280,7 +276,7 @@ def _require_metres(source: Path) -> None:
     except (OSError, ValueError):  # none, or not ours
         return
     unit = about.get("unit") if isinstance(about, dict) else None
-    if unit not in (None, "m", *_METRES):
+    if unit not in (None, "m", "metre", "metres", "meter", "meters"):
         raise UserError(
             what=f"is in another unit, as {source.name}.json states",
             where=source,
@@ -356,12 +352,6 @@ def _stored(columns: Mapping[str, Array]) -> dict[str, Array]:
         if confidence is not None and ((confidence >= 0) & (confidence <= 1)).all():
             found["confidence"] = np.asarray(confidence, dtype=np.float64)
     return found
-
-
-def _bounds(mesh: TriangleMesh) -> list[list[float]] | None:
-    if mesh.vertices.shape[0] == 0:
-        return None
-    return [mesh.vertices.min(axis=0).tolist(), mesh.vertices.max(axis=0).tolist()]
 
 
 def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> bytes:

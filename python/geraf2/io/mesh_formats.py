@@ -5,7 +5,7 @@ ValueError states what is wrong with the bytes.
 
 import re
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -155,13 +155,11 @@ def _ply_header(data: bytes) -> tuple[list[_Element], str, int]:
         elif words[:1] in (["element"], ["property"]):
             *types, name = words[1:] or [""]
             known = [_PLY_TYPES.get(kind) for kind in types if kind != "list"]
-            if not elements or words[0] == "element" or not known or None in known:
+            is_list = types[:1] == ["list"]
+            if not elements or words[0] == "element" or None in known or len(known) != 1 + is_list:
                 msg = f"line {line.strip()[:40]!r} of its header cannot be read"
                 raise ValueError(msg)
-            if len(known) != (2 if types[0] == "list" else 1):
-                msg = f"line {line.strip()[:40]!r} of its header cannot be read"
-                raise ValueError(msg)
-            length = known[0] if types[0] == "list" else None
+            length = known[0] if is_list else None
             elements[-1][2].append((name, str(known[-1]), length))
     if order is None or not all(properties for _, _, properties in elements):
         msg = "its header has no format, or an element without properties"
@@ -182,31 +180,28 @@ def _text_rows(words: list[bytes], at: int, element: _Element) -> tuple[dict[str
             raise _too_short(name, count, (len(words) - at) // len(properties))
         table = np.array(words[at:stop], dtype=np.float64).reshape(count, len(properties))
         return {one: table[:, k] for k, (one, *_) in enumerate(properties)}, stop
-    lists = _Lists(properties)
-    for row in range(count):
-        for one, _, length in properties:
-            n, at = (1, at) if length is None else (int((words[at : at + 1] or [b"0"])[0]), at + 1)
-            if n < 0 or at + n > len(words):
-                raise _too_short(name, count, row)
-            lists.add(one, [float(word) for word in words[at : at + n]])
-            at += n
-    return lists.values(), at
+
+    def take(_: str, n: int, row: int) -> list[float]:
+        nonlocal at
+        if n < 0 or at + n > len(words):
+            raise _too_short(name, count, row)
+        at += n
+        return [float(word) for word in words[at - n : at]]
+
+    return _row_by_row(element, take), at
 
 
-class _Lists:
-    """Values of properties of varying lengths."""
-
-    def __init__(self, properties: list[_Property]) -> None:
-        self._parts: dict[str, tuple[list[float], list[int]]] = {
-            one: ([], []) for one, *_ in properties
-        }
-
-    def add(self, name: str, values: list[float]) -> None:
-        self._parts[name][0].extend(values)
-        self._parts[name][1].append(len(values))
-
-    def values(self) -> dict[str, Any]:
-        return {name: _indices(*parts) for name, parts in self._parts.items()}
+def _row_by_row(
+    element: _Element, take: Callable[[str, int, int], Sequence[float]]
+) -> dict[str, Any]:
+    """Rows with lists of any lengths; take(kind, n, row) gives the next n numbers."""
+    parts: dict[str, tuple[list[float], list[int]]] = {one: ([], []) for one, *_ in element[2]}
+    for row in range(element[1]):
+        for one, kind, length in element[2]:
+            n = 1 if length is None else int(take(length, 1, row)[0])
+            parts[one][0].extend(take(kind, n, row))
+            parts[one][1].append(n)
+    return {name: _indices(*of) for name, of in parts.items()}
 
 
 def _indices(values: Any, counts: Any) -> tuple[Ints, Ints]:
@@ -240,16 +235,14 @@ def _binary_rows(data: bytes, order: str, at: int, element: _Element) -> tuple[d
                 counts = np.full(count, rows[one].shape[1])
                 found[one] = flat if length is None else _indices(flat, counts)
             return found, at + count * size
-    lists = _Lists(properties)
-    for row in range(count):
-        for one, kind, length in properties:
-            n = 1
-            if length is not None:
-                n = int(_values(data, at, order + length, 1, element, row)[0])
-                at += np.dtype(length).itemsize
-            lists.add(one, _values(data, at, order + kind, n, element, row))
-            at += n * np.dtype(kind).itemsize
-    return lists.values(), at
+
+    def take(kind: str, n: int, row: int) -> list[float]:
+        nonlocal at
+        values = _values(data, at, order + kind, n, element, row)
+        at += n * np.dtype(kind).itemsize
+        return values
+
+    return _row_by_row(element, take), at
 
 
 def _values(data: bytes, at: int, kind: str, n: int, element: _Element, row: int) -> list[float]:
