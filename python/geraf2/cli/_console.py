@@ -4,7 +4,7 @@ import json
 import logging
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import timedelta
 from typing import Annotated, Any
@@ -26,20 +26,6 @@ from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
 
 Threads = Annotated[ThreadCount | None, Arg(metavar="N")]
-
-__all__ = [
-    "CONSOLE",
-    "Threads",
-    "err",
-    "keep",
-    "out",
-    "print_findings",
-    "printing",
-    "progress_bar",
-    "rows",
-    "say",
-    "warn",
-]
 
 # Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
 out = Console(highlight=False, soft_wrap=True, markup=False)
@@ -104,8 +90,6 @@ def keep(found: Mapping[str, Any]) -> None:
 
 
 class _LogHandler(logging.Handler):
-    """Prints what modules log, and warnings of Python."""
-
     def emit(self, record: logging.LogRecord) -> None:
         text = printable(" ".join(record.getMessage().split()))
         style = "yellow" if record.levelno >= logging.WARNING else None
@@ -229,15 +213,9 @@ class _ConsoleListener(Listener):
     @contextmanager
     def whole(self, steps: Mapping[str, tuple[str, float]]) -> Iterator[None]:
         """Show the steps inside the block as one; see `_Steps`."""
-        if _output.quiet or not err.is_terminal:
-            self._whole = None if _output.quiet else _Steps(steps, None)
-            try:
-                yield
-            finally:
-                self._whole = None
-            return
-        with _bar() as bar:
-            self._whole = _Steps(steps, bar)
+        shown = err.is_terminal and not _output.quiet
+        with _bar() if shown else nullcontext() as bar:
+            self._whole = None if _output.quiet else _Steps(steps, bar)
             try:
                 yield
             finally:

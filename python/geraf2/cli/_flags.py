@@ -118,7 +118,6 @@ def _shown(default: Any) -> str:
 
 
 def _text(owner: type[Any], name: str) -> str:
-    """Docstring of a field."""
     return next((texts[name] for texts in map(_texts, owner.__mro__) if name in texts), "")
 
 

@@ -124,17 +124,14 @@ def main(config: Config) -> int:
 
 
 def _open_folder(config: Config) -> None:
-    """Make the folder of the benchmark; UserError where something else is there."""
     if config.jobs > 1 and config.scheduler is not None:
         raise UserError(what="give either --jobs or --scheduler", got="both")
     require_folder(config.out, "benchmark", own=(config.out / _MARKER_NAME).is_file())
-    write_json_atomic(
-        config.out / _MARKER_NAME, {"format": "geraf2-benchmark", "format_version": 1}
-    )
+    marker = {"format": "geraf2-benchmark", "format_version": 1}
+    write_json_atomic(config.out / _MARKER_NAME, marker)
 
 
 def _require_unset(config: Config, why: str, names: tuple[str, ...]) -> None:
-    """UserError where one of these options is given."""
     for name in names:
         if getattr(config, name) != getattr(type(config), name):
             raise UserError(what=f"--{name} {why}", where="benchmark")
@@ -149,8 +146,8 @@ def _population(config: Config) -> int:
     _require_unset(config, "does not go with --only population", _OF_SUITE)
     if config.seeds is None:
         raise UserError(what="--only population needs --seeds A:B", hint="--seeds 1000:1040")
-    seeds, presets = population.parse_seeds(config.seeds), config.presets or ("fast",)
-    presets = tuple(dict.fromkeys(presets))
+    seeds = population.parse_seeds(config.seeds)
+    presets = tuple(dict.fromkeys(config.presets or ("fast",)))
     for preset in presets:
         preset_type(preset)
     others = population.results_against(config.against) if config.against else []

@@ -61,7 +61,6 @@ class Config(PriorSource):
 
 def main(config: Config) -> int:
     """Run the command."""
-    num_threads = config.threads
     settings = _settings(config)
     if config.write and config.out is not None:
         raise UserError(what="give either OUT or --write", got="both")
@@ -77,7 +76,7 @@ def main(config: Config) -> int:
         prior,
         settings,
         prior_name=str(name) if los is None else los.name,
-        num_threads=num_threads,
+        num_threads=config.threads,
         listener=CONSOLE,
     )
     rows(calibrated.rows())

@@ -39,12 +39,11 @@ class Config(ImportOptions):
 
 def main(config: Config) -> int:
     """Run the command."""
-    radar = _radar(config)
     imported = import_capture(
         config.format,
         config.source,
         config.scene,
-        radar=radar,
+        radar=_radar(config),
         options=config,
         overwrite=config.overwrite,
         listener=CONSOLE,

@@ -12,14 +12,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.planning.planning import require_picture
-from geraf2.cli._console import (
-    Threads,
-    print_findings,
-    progress_bar,
-    rows,
-    say,
-    warn,
-)
+from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found
 from geraf2.errors import UserError
@@ -68,7 +61,6 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    num_threads = config.threads
     if config.figure is not None:
         require_picture(config.figure)
     if (config.scene / RUN_NAME).is_file():
@@ -79,28 +71,21 @@ def main(config: Config) -> int:
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return _show_recording(config)
     reader = SceneReader(config.scene)
-    known = reader.has_checksums
+    n_checked = reader.n_poses if reader.has_checksums else "no"
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
     command = "image" if summary.is_plane else "reconstruct"
+    takes = "" if summary.is_plane else str(reconstruct_estimate(summary))
     rows(
         [
             ("scene", str(config.scene)),
-            *(
-                []
-                if not config.verify
-                else [("checksums", f"hold for {reader.n_poses if known else 'no'} planes")]
-            ),
+            *([("checksums", f"hold for {n_checked} planes")] if config.verify else []),
             ("frame", f"{reader.manifest.frame} (metres)"),
-            *((name, text) for name, text in sorted(reader.manifest.provenance.items())),
+            *sorted(reader.manifest.provenance.items()),
             *(_calibration_row(found) for found in reader.manifest.calibration),
             *describe(summary),
-            *(
-                []
-                if summary.is_plane
-                else [("reconstruct takes about", str(reconstruct_estimate(summary)))]
-            ),
+            *([("reconstruct takes about", takes)] if takes else []),
             ("image takes about", str(image_estimate(summary))),
             ("a fine image", _fine_image(summary)),
             ("next", f"geraf2 {command} {quote(str(config.scene))} out"),
@@ -110,7 +95,7 @@ def main(config: Config) -> int:
     print_findings(found for found in findings if found.severity != "error")
     without_errors(findings, config.scene)
     if config.figure is not None:
-        _draw(config.figure, reader, summary, num_threads)
+        _draw(config.figure, reader, summary, config.threads)
         say(f"picture  {config.figure}")
     return 0
 
@@ -148,7 +133,6 @@ def _is_recording(path: Path) -> bool:
 
 
 def _show_run(path: Path) -> int:
-    """Show what a run found, and what may come next."""
     result, shown = load_run(path), quote(str(path))
     rows([("run of scene", result.run.scene_name), ("stages", ", ".join(result.run.stages))])
     is_done = "mesh" in result.run.stages
@@ -165,10 +149,8 @@ def _show_run(path: Path) -> int:
 
 def _show_recording(config: Config) -> int:
     radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
-    options = ImportOptions(
-        config=config.config, keep_good=True, file_per_place=config.file_per_place
-    )
-    recording = open_recording(config.scene, radar, options)
+    how = ImportOptions(config=config.config, keep_good=True, file_per_place=config.file_per_place)
+    recording = open_recording(config.scene, radar, how)
     rows([("recording of", str(config.scene)), *recording.facts])
     line = f"geraf2 import dca1000 {quote(str(config.scene))} scene --positions LOG --config FILES"
     rows([("to import it", line)])
@@ -241,8 +223,8 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
         f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0] if counts else 0}"
     )
     verdict = "finer" if summary.spacing_m <= summary.nyquist_spacing_m else "coarser"
-    width_text = summary.scene_width_m
-    scene = f"a scene {width_text:g} m wide" if width_text else "any scene"
+    wide = summary.scene_width_m
+    scene = f"a scene {wide:g} m wide" if wide else "any scene"
     return [
         ("planes", str(len(summary.poses))),
         ("antennas", f"{summary.n_antennas} ({per_pose} per plane)"),

@@ -113,7 +113,6 @@ def _write_page(config: Config, path: Path) -> int:
 
 
 def _show_lines(config: Config) -> int:
-    """Show plans that have lines, which can be written."""
     if config.out is not None and config.out.suffix not in (".json", ".csv"):
         raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
     if config.figure is not None:

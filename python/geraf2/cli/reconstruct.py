@@ -100,12 +100,9 @@ def main(config: Config) -> int:
             listener=CONSOLE,
         )
     _print_outcome(result)
-    if (
-        config.open
-        and result.report is not None
-        and not webbrowser.open(result.report.resolve().as_uri())
-    ):
-        warn(f"no browser opened; the report is {result.report}")
+    page = result.report if config.open else None
+    if page is not None and not webbrowser.open(page.resolve().as_uri()):
+        warn(f"no browser opened; the report is {page}")
     return 0
 
 
@@ -126,7 +123,6 @@ _STEPS = {
 
 
 def _steps(config: Config) -> dict[str, tuple[str, float]]:
-    """Return the steps of a run, in users' words."""
     names = {BOX_STAGE, "prior", *(stage.name for stage in stages_of(config.settings))}
     names |= {"calibration"} if config.calibrate == "auto" else set()
     names |= set() if config.no_report else {"report"}

@@ -33,7 +33,6 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    num_threads = config.threads
     spec = load_spec(config.spec)
     if config.scan is not None:
         spec = with_scan_file(spec, config.scan)
@@ -42,7 +41,7 @@ def main(config: Config) -> int:
         config.out,
         seed=config.seed,
         overwrite=config.overwrite,
-        num_threads=num_threads,
+        num_threads=config.threads,
         listener=CONSOLE,
     )
     written = [("scene", config.out), ("truth", config.out / TRUTH_NAME)]
