@@ -385,7 +385,7 @@ def test_slabs_of_an_image_are_the_same_from_workers_that_are_killed(
         assert file_digest(tmp_path / "there" / name) == file_digest(tmp_path / "here" / name)
     huge = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=2e-4, slab_gib=6.0)
     monkeypatch.undo()
-    too_large = r"no worker has enough memory for a slab, expected about 6"
+    too_large = "a slab: no worker has enough memory, expected about 6"
     with pytest.raises(geraf2.UserError, match=too_large):
         image_tiles(
             tmp_path / "scene",

@@ -159,6 +159,19 @@ def tend(client: "Client") -> None:
         cluster.scale(len(cluster.worker_spec))
 
 
+def require_memory(client: "Client", n_bytes: float, *, where: object, hint: str) -> None:
+    """Raise UserError for a task that exceeds the memory of every worker."""
+    most, _ = worker_memory(client)
+    if most is not None and n_bytes > most:
+        raise UserError(
+            what="no worker has enough memory",
+            where=where,
+            expected=f"about {n_bytes / 2**30:.1f} GiB",
+            got=f"{most / 2**30:.1f} GiB on the largest worker",
+            hint=hint,
+        )
+
+
 def worker_memory(client: "Client") -> tuple[float | None, bool]:
     """Memory of the largest worker [bytes] or None, and whether it is declared as a resource."""
     # client.scheduler_info() may hold no workers: the client updates it without them.

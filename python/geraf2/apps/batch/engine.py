@@ -75,11 +75,6 @@ def drive(
     done, room, checked_s, has_more = as_completed(), per_thread, -_CHECK_S, True
     poll_s = _POLL_S[0]
 
-    def next_task() -> Task | None:
-        if resting and resting[0][0] <= time.monotonic():
-            return resting.popleft()[1]
-        return next(waiting, None)
-
     try:
         while has_more or running or resting:
             if time.monotonic() - checked_s > _CHECK_S:
@@ -87,7 +82,8 @@ def drive(
                 n_threads = max(1, sum(client.nthreads().values()))
                 room, checked_s = per_thread * n_threads, time.monotonic()
             while len(running) < room:
-                task = next_task()
+                is_rested = resting and resting[0][0] <= time.monotonic()
+                task = resting.popleft()[1] if is_rested else next(waiting, None)
                 has_more = task is not None
                 if task is None:
                     break

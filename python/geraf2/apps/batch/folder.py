@@ -178,11 +178,7 @@ class BatchFolder:
                 raise
             require_folder(self.out, "batch", own=True)
         names = {_name(job): key for key, job in jobs.items()}
-        if (
-            known is not None
-            and known
-            and not (set(known) <= set(names) or set(names) <= set(known))
-        ):
+        if known and not (set(known) <= set(names) or set(names) <= set(known)):
             other = next(name for name in known if name not in names)
             raise UserError(
                 what="holds another batch",

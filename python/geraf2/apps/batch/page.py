@@ -51,8 +51,6 @@ def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Row:
-    """What is known of one job."""
-
     paths: JobPaths
     result: JobResult | None
     verdict: str = ""

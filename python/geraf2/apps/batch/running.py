@@ -1,13 +1,19 @@
 """Run of a batch: remaining jobs go to the workers, which write the results."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from geraf2 import __version__
-from geraf2.apps.batch.cluster import connected, require_workers, tend, worker_memory
+from geraf2.apps.batch.cluster import (
+    connected,
+    require_memory,
+    require_workers,
+    tend,
+    worker_memory,
+)
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.folder import (
     BUSY,
@@ -67,7 +73,9 @@ def run(
         results: Iterator[JobResult] = iter(())
         if remaining and one is not None:
             require_workers(one)
-            _require_memory(one, remaining)
+            largest = max(remaining.values(), key=_memory_bytes)
+            hint = "take fewer --workers, or larger ones"
+            require_memory(one, _memory_bytes(largest), where=largest.scene, hint=hint)
             results = _results(one, plan, options, is_local=client is None)
         plan.folder.keep(entries)
         for result in plan.known.values():
@@ -186,17 +194,3 @@ def if_lost(task: Task, answer: Answer) -> Task | None:
 def _memory_bytes(job: BatchJob) -> float:
     estimate = job.estimate
     return estimate.memory_bytes if estimate else 0.0
-
-
-def _require_memory(client: "Client", jobs: Mapping[str, BatchJob]) -> None:
-    """Raise UserError for a job that exceeds the memory of every worker."""
-    most, _ = worker_memory(client)
-    for job in jobs.values():
-        if most is not None and _memory_bytes(job) > most:
-            raise UserError(
-                what="no worker has enough memory",
-                where=job.scene,
-                expected=f"about {_memory_bytes(job) / 2**30:.1f} GiB",
-                got=f"{most / 2**30:.1f} GiB on the largest worker",
-                hint="take fewer --workers, or larger ones",
-            )

@@ -5,7 +5,13 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from geraf2.apps.batch.cluster import connected, require_workers, tend, worker_memory
+from geraf2.apps.batch.cluster import (
+    connected,
+    require_memory,
+    require_workers,
+    tend,
+    worker_memory,
+)
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.folder import TRIED_AGAIN
 from geraf2.apps.batch.options import BatchOptions
@@ -37,14 +43,8 @@ def run_slabs(
     Slabs with lost files or workers are repeated. Raises UserError for other failures, and before
     the work where no worker has enough memory.
     """
-    most, is_declared = worker_memory(client)
-    if most is not None and job.memory_bytes > most:
-        raise UserError(
-            what="no worker has enough memory for a slab",
-            expected=f"about {job.memory_bytes / 2**30:.2g} GiB",
-            got=f"{most / 2**30:.2g} GiB on the largest worker",
-            hint="lower --slab-gib, or take larger workers",
-        )
+    hint = "lower --slab-gib, or take larger workers"
+    require_memory(client, job.memory_bytes, where="a slab", hint=hint)
     tasks = (
         Task(name=f"slab-{n}", arguments=(job, n, num_threads), memory_bytes=job.memory_bytes)
         for n in slabs
@@ -57,7 +57,12 @@ def run_slabs(
         return if_lost(task, answer)
 
     answers = drive(
-        client, image_slab, tasks, again, declare_memory=is_declared, tend=lambda: tend(client)
+        client,
+        image_slab,
+        tasks,
+        again,
+        declare_memory=worker_memory(client)[1],
+        tend=lambda: tend(client),
     )
     for task, answer in answers:
         if isinstance(answer, UserError):

@@ -138,7 +138,6 @@ def _written(paths: JobPaths, record: dict[str, Any]) -> dict[str, str]:
 
 
 def _worker() -> str:
-    """Address of the present worker."""
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
     try:

@@ -79,9 +79,7 @@ def next_planes(
         )
     candidates, angles = [], []
     for elevation, azimuth in product(_ELEVATIONS_DEG, _AZIMUTHS_DEG):
-        if elevation > max_elevation_deg:
-            continue
-        if elevation == 90.0 and azimuth > 0.0:
+        if elevation > max_elevation_deg or (elevation == 90.0 and azimuth > 0.0):
             continue
         for wide, high in _EXTENTS:
             half = 0.5 * np.asarray(aperture_m) * (wide, high)

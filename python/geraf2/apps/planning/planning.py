@@ -335,17 +335,15 @@ def make_plane(options: PlanOptions) -> PlanePlan:
 def _chosen_waveform(options: PlanOptions) -> Waveform:
     if options.radar is not None and options.preset is not None:
         raise UserError(what="give either --radar or --preset", got="both")
-    return _waveform(options.radar) if options.radar else _PRESETS[options.preset or "awr1843"]
-
-
-def _waveform(path: Path) -> Waveform:
-    radar = read_toml(path, RadarManifest)
+    if options.radar is None:
+        return _PRESETS[options.preset or "awr1843"]
+    radar = read_toml(options.radar, RadarManifest)
     start = radar.first_sample_hz()
     slope, rate, n_samples = radar.chirp_slope_hz_per_s, radar.sample_rate_hz, radar.n_samples
     if start is None or slope is None or rate is None or n_samples is None:
         raise UserError(
             what="does not describe the chirp",
-            where=path,
+            where=options.radar,
             expected="start_frequency_hz, chirp_slope_hz_per_s, sample_rate_hz and n_samples",
         )
     return Waveform(

@@ -211,10 +211,12 @@ def swept_planes(
                 angle_deg=angle,
             )
         )
-    motion: Literal["continuous", "stop-and-go"] = "continuous"
-    if scanner.stop_and_go:
-        motion = "stop-and-go"
-    scan = ScanFile(planes=tuple(swept), array=array, motion=motion, spacing_m=spacing_m)
+    scan = ScanFile(
+        planes=tuple(swept),
+        array=array,
+        motion="stop-and-go" if scanner.stop_and_go else "continuous",
+        spacing_m=spacing_m,
+    )
     return scan, clock_s
 
 
@@ -268,7 +270,13 @@ def best_in_time(
                 if best is None or (weight * share, -total_s) > (best[0], -best[1]):
                     best = (weight * share, total_s, design, share)
     if best is None:
-        raise _nothing_fits(fastest, seconds)
+        raise UserError(
+            what="no plan can be reached in the time",
+            where="--minutes",
+            expected=f"at least {np.ceil(fastest / 0.6) / 100.0:g} for {_RINGS[0]} planes",
+            got=f"{seconds / 60.0:g}",
+            hint="more channels, a faster arm or a smaller --aperture",
+        )
     _, total_s, design, share = best
     planes = design.planes(standoff_m)
     scan, _ = swept_planes(planes, design.spacing_m, scanner)
@@ -296,16 +304,6 @@ def _heights(
         yield (width, lower), 1.0 / _LOWER_GAIN
 
 
-def _nothing_fits(fastest_s: float, seconds: float) -> UserError:
-    return UserError(
-        what="no plan can be reached in the time",
-        where="--minutes",
-        expected=f"at least {np.ceil(fastest_s / 0.6) / 100.0:g} for {_RINGS[0]} planes",
-        got=f"{seconds / 60.0:g}",
-        hint="more channels, a faster arm or a smaller --aperture",
-    )
-
-
 def _designs(
     spacing_m: float, aperture_m: tuple[float, float], max_elevation_deg: float
 ) -> Iterator[Design]:
@@ -324,14 +322,6 @@ def _designs(
                 spacing_m=spacing_m,
                 aperture_m=aperture_m,
             )
-
-
-@lru_cache(maxsize=128)
-def _sight(
-    box_m: tuple[float, float, float], standoff_m: float, aperture_m: tuple[float, float]
-) -> "_Sight":
-    """One for all spacings, times and channels with planes of these sides."""
-    return _Sight(box_m, standoff_m, aperture_m)
 
 
 class _Sight:
@@ -365,6 +355,10 @@ class _Sight:
                 [received_normals(planes, self._normals, p).any(axis=1) for p in self._points]
             )
         return self._seen[key]
+
+
+_sight = lru_cache(maxsize=128)(_Sight)
+"""One for all spacings, times and channels with planes of the same sides."""
 
 
 def ring_of(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Aperture]:

@@ -297,7 +297,6 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
 
 
 def _take(job: SlabJob, index: int, axis: int) -> NDArray[np.float32]:
-    """Read a slice of the volume across an axis."""
     slabs = job.slabs
     if axis == slabs.axis:
         number, inside = divmod(index, slabs.n_layers)

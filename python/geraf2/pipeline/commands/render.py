@@ -2,9 +2,10 @@
 
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -147,6 +148,8 @@ def render(
     asked = options.angles or hold_out
     planes = planes_at(capture, asked, name) if asked else quarter_planes(capture, name)
     _require_room(result, capture, options)
+    held_out = set(planes_at(capture, hold_out, name))
+    chosen = [(capture.poses[plane], plane in held_out) for plane in planes]
     half = 0.5 * max(result.prior.size_m)
     views = _Views(
         run=result.run,
@@ -160,7 +163,7 @@ def render(
     with result.run.locked():
         # `result` may have been read before another run replaced the mesh
         view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
-        found_views = _render(views, [capture.poses[plane] for plane in planes], view)
+        rendered = _render(views, chosen, view)
         if result.report is not None:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
@@ -168,16 +171,7 @@ def render(
             with views.listener.step("drawing the report"):
                 write_report(result.path, num_threads=num_threads)
             result.run.keep(*REPORT_FILES)
-    held_out = set(planes_at(capture, hold_out, name))
-    return tuple(
-        RenderedPlane(
-            angle_deg=float(capture.poses[plane].angle_deg or 0.0),
-            psnr_db=found.psnr_db,
-            held_out=plane in held_out,
-            surface_psnr_db=found.surface_psnr_db,
-        )
-        for plane, found in zip(planes, found_views, strict=True)
-    )
+    return tuple(rendered)
 
 
 def _require_rendered(result: Reconstruction, options: RenderOptions, *, is_paper: bool) -> None:
@@ -215,21 +209,25 @@ def _require_room(result: Reconstruction, capture: Capture, options: RenderOptio
         require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
 
 
-class _Psnr(NamedTuple):
-    psnr_db: float
-    surface_psnr_db: float | None
-
-
-def _render(views: _Views, poses: list[Pose], view_of: View) -> list[_Psnr]:
+def _render(
+    views: _Views, chosen: Sequence[tuple[Pose, bool]], view_of: View
+) -> list[RenderedPlane]:
+    """Write views of planes; chosen: each, and whether the run left it out."""
     from geraf2.report.figures import projections  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[_Psnr]()
+    folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[RenderedPlane]()
     folder.mkdir(exist_ok=True)
     views.run.release(f"{VIEWS_FOLDER}/*")
     with views.listener.step("rendering") as progress:
-        for number, pose in enumerate(poses, start=1):
+        for number, (pose, held_out) in enumerate(chosen, start=1):
             view, angle = view_of(pose), f"{pose.angle_deg:g}"
-            values.append(_Psnr(view.psnr_db, view.surface_psnr_db))
+            plane = RenderedPlane(
+                angle_deg=float(pose.angle_deg or 0.0),
+                psnr_db=view.psnr_db,
+                held_out=held_out,
+                surface_psnr_db=view.surface_psnr_db,
+            )
+            values.append(plane)
             name = f"angle_{pose.angle_deg:05.1f}"
             arrays: dict[str, Any] = {
                 "rendered": view.rendered,
@@ -241,14 +239,13 @@ def _render(views: _Views, poses: list[Pose], view_of: View) -> list[_Psnr]:
             for kind in ("measured", "rendered"):
                 title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
                 projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
-            progress(number / len(poses))
+            progress(number / len(chosen))
     record: dict[str, Any] = {}
-    for name in _Psnr._fields:
-        found = [getattr(value, name) for value in values]
-        if None not in found:
-            by_angle = zip(poses, found, strict=True)
-            record[name] = {f"{pose.angle_deg:g}": value for pose, value in by_angle}
-            record[f"mean_{name}"] = float(np.mean(found))
+    for name in ("psnr_db", "surface_psnr_db"):
+        found = {f"{plane.angle_deg:g}": getattr(plane, name) for plane in values}
+        if None not in found.values():
+            record[name] = found
+            record[f"mean_{name}"] = float(np.mean([*found.values()]))
     text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
     write_text_atomic(folder / PSNR_NAME, text)
     views.run.keep(f"{VIEWS_FOLDER}/*")
@@ -328,48 +325,34 @@ def _echo_key(views: _Views) -> str:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _KeptFit:
-    """A fit for views that a run keeps: its record, its file, and kind and version in it."""
-
-    name: str
-    file: str
-    kind: str
-    version: int
-
-    def known(self, views: _Views, key: str) -> dict[str, Array] | None:
-        """Arrays of an earlier fit of this key; None where there is none, and no record stays."""
-        run = views.run
-        if run.is_done(self.name, key):
-            path = run.path / self.file
-            return load_checkpoint(path, kind=self.kind, version=self.version).arrays
-        run.forget([self.name])
-        return None
-
-    def keep(
-        self,
-        views: _Views,
-        key: str,
-        arrays: dict[str, Array],
-        config: SurfaceFitConfig | ResidualFieldConfig,
-        numbers: dict[str, Any],
-        start: float,
-    ) -> None:
-        """Write the arrays, and the record of a fit that began at `start`."""
-        run = views.run
-        found = Checkpoint(
-            kind=self.kind, version=self.version, arrays=arrays, header={"config": asdict(config)}
-        )
-        save_checkpoint(run.path / self.file, found)
-        seconds = time.perf_counter() - start
-        run.mark_done(self.name, key, [self.file], seconds, numbers=numbers)
-        run.log(self.name, level="info", **numbers)
+_ECHO = ("echo", ECHO_NAME, "surface-echo", ECHO_VERSION)
+_RESIDUAL = ("residual", RESIDUAL_NAME, "residual-field", RESIDUAL_VERSION)
 
 
-_ECHO = _KeptFit(name="echo", file=ECHO_NAME, kind="surface-echo", version=ECHO_VERSION)
-_RESIDUAL = _KeptFit(
-    name="residual", file=RESIDUAL_NAME, kind="residual-field", version=RESIDUAL_VERSION
-)
+def _kept_fit(
+    views: _Views,
+    record: tuple[str, str, str, int],
+    key: str,
+    config: SurfaceFitConfig | ResidualFieldConfig,
+    fit: "Callable[[], tuple[dict[str, Array], dict[str, Any]]]",
+) -> dict[str, Array]:
+    """Arrays of a fit that a run keeps: of an earlier one of this key, else of a new one.
+
+    record: its name and its file in the run, kind and version in the file.
+    fit: makes arrays and numbers.
+    """
+    name, file, kind, version = record
+    run, path = views.run, views.run.path / file
+    if run.is_done(name, key):
+        return load_checkpoint(path, kind=kind, version=version).arrays
+    run.forget([name])
+    start = time.perf_counter()
+    arrays, numbers = fit()
+    header = {"config": asdict(config)}
+    save_checkpoint(path, Checkpoint(kind=kind, version=version, arrays=arrays, header=header))
+    run.mark_done(name, key, [file], time.perf_counter() - start, numbers=numbers)
+    run.log(name, level="info", **numbers)
+    return arrays
 
 
 def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
@@ -379,28 +362,24 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
         fit_surface_echo,
     )
 
-    options, key = views.options, _echo_key(views)
-    arrays = _ECHO.known(views, key)
-    if arrays is not None:
-        return SurfaceEcho.of_arrays(arrays)
-    start = time.perf_counter()
-    with views.listener.step("fitting reflectivity") as progress:
-        echo = fit_surface_echo(
-            renderer,
-            views.capture.poses,
-            views.grid,
-            options.echo,
-            seed=options.seed,
-            num_threads=views.num_threads,
-            progress=progress,
-        )
-    numbers = {
-        "power": echo.power,
-        "walls": np.abs(echo.walls).tolist(),
-        "reflectivity": echo.reflectivity.tolist(),
-    }
-    _ECHO.keep(views, key, echo.arrays(), options.echo, numbers, start)
-    return echo
+    options = views.options
+
+    def fit() -> tuple[dict[str, Array], dict[str, Any]]:
+        with views.listener.step("fitting reflectivity") as progress:
+            echo = fit_surface_echo(
+                renderer,
+                views.capture.poses,
+                views.grid,
+                options.echo,
+                seed=options.seed,
+                num_threads=views.num_threads,
+                progress=progress,
+            )
+        walls, reflectivity = np.abs(echo.walls).tolist(), echo.reflectivity.tolist()
+        numbers = {"power": echo.power, "walls": walls, "reflectivity": reflectivity}
+        return dict(echo.arrays()), numbers
+
+    return SurfaceEcho.of_arrays(_kept_fit(views, _ECHO, _echo_key(views), options.echo, fit))
 
 
 def _residual(
@@ -413,10 +392,8 @@ def _residual(
     )
 
     options = views.options
-    key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
-    arrays = _RESIDUAL.known(views, key)
-    if arrays is None:
-        start = time.perf_counter()
+
+    def fit() -> tuple[dict[str, Array], dict[str, Any]]:
         with views.listener.step("fitting matter beside the surface") as progress:
             fitted = fit_residual_field(
                 renderer,
@@ -428,9 +405,12 @@ def _residual(
                 num_threads=views.num_threads,
                 progress=progress,
             )
-        found = fitted.field
-        numbers = {"n_voxels": int((found.power > 0.0).sum()), "left_out_gain_db": fitted.gain_db}
-        _RESIDUAL.keep(views, key, found.arrays(), options.matter, numbers, start)
-    else:
-        found = ResidualField.of_arrays(arrays)
+        n_voxels = int((fitted.field.power > 0.0).sum())
+        return dict(fitted.field.arrays()), {
+            "n_voxels": n_voxels,
+            "left_out_gain_db": fitted.gain_db,
+        }
+
+    key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
+    found = ResidualField.of_arrays(_kept_fit(views, _RESIDUAL, key, options.matter, fit))
     return found if len(found.points) else None
