@@ -18,6 +18,7 @@ from bad_inputs.table import (
     npy,
     npz,
     put,
+    rows,
     set_at,
     swap,
     toml,
@@ -54,58 +55,101 @@ MAT, NORM, PLANAR = (
     "import mmnorm norm.npz out",
     "import planar planar out",
 )
-FRAME, TWO = "frames/mf/1_120_0", "frames/mf/2_240_0"
+FRAME, TWO, CAPTURE = "frames/mf/1_120_0", "frames/mf/2_240_0", "frames/capture.json"
 ROBOT = "time_s,x_m,y_m,z_m\n"
 
+
+def edited(frame, name, how, change):
+    return npy(f"{frame}/{name}.npy", how, change)
+
+
+def mat(**arrays):
+    return put("scan.mat", mat_file(**arrays))
+
+
 ROWS = [
-    *(bad(IMPORT, drop(f"{FRAME}/{name}.npy")) for name in ("tpos", "adcr", "rotation")),
-    *(bad(IMPORT, put(f"{FRAME}/{name}.npy", b"")) for name in ("rpos", "adci")),
-    *(bad(IMPORT, cut(f"{FRAME}/{name}.npy")) for name in ("tpos", "adcr", "rotation")),
-    bad(IMPORT, npy(f"{FRAME}/tpos.npy", "in mm", lambda a: 1000 * a), says="transmitter"),
-    bad(
+    *rows(
         IMPORT,
-        *(npy(f"{FRAME}/{n}.npy", "in mm", lambda a: 1000 * a) for n in ("tpos", "rpos")),
-        says="metres",
-    ),
-    bad(IMPORT, npy(f"{FRAME}/rotation.npy", "x 2", lambda a: 2 * a)),
-    bad(IMPORT, npy(f"{FRAME}/rotation.npy", "0", lambda a: 0 * a)),
-    bad(IMPORT, npy(f"{FRAME}/rotation.npy", "NaN", lambda a: a * float("nan"))),
-    bad(IMPORT, npy(f"{FRAME}/adcr.npy", "one short", lambda a: a[:-1])),
-    bad(IMPORT, npy(f"{FRAME}/adcr.npy", "integers", lambda a: a.astype("i4"))),
-    bad(IMPORT, npy(f"{FRAME}/rpos.npy", "NaN", set_at((3, "nan")))),
-    bad(IMPORT, npy(f"{FRAME}/rpos.npy", "1e30", set_at((3, 1e30))), says="1e+30"),
-    bad(IMPORT, link(FRAME, "nowhere"), says="1_120_0"),
-    bad(IMPORT, link(FRAME, "1_120_0"), says="1_120_0"),
-    bad(IMPORT, put("frames/capture.json", "[]")),
-    bad(IMPORT, put("frames/capture.json", "{")),
-    bad(IMPORT, put("frames/capture.json", b"\xff")),
-    bad(IMPORT, put("frames/capture.json", "[" * 100000)),
-    bad(
-        IMPORT, values("frames/capture.json", path_bais_m=0.15, path_bias_m=...), says="path_bais_m"
-    ),
-    bad(IMPORT, values("frames/capture.json", box_size=0.22), says="box_size"),
-    bad(IMPORT, values("frames/capture.json", start_frequency_hz=77.0), says="start_frequency_hz"),
-    bad(IMPORT, values("frames/capture.json", start_frequency_hz="77e9"), says="frequency"),
-    bad(IMPORT, values("frames/capture.json", chirp_slope_hz_per_s=-7e13), says="slope"),
-    bad(IMPORT, values("frames/capture.json", adc_sample_rate_hz=...), says="sample_rate"),
-    bad(IMPORT, values("frames/capture.json", n_adc_samples=31), says="n_samples"),
-    bad(IMPORT, values("frames/capture.json", path_bias_m=1e9), says="path_bias_m"),
-    bad(IMPORT, values("frames/capture.json", wall_permittivity=0.1), says="permittivity"),
-    bad(
-        IMPORT,
-        values(
-            "frames/capture.json",
-            box_size_m=[0.2, 0.3],
-            wall_thickness_m=[0.004] * 2,
-            wall_permittivity=[1.6, 1.6],
+        *(drop(f"{FRAME}/{name}.npy") for name in ("tpos", "rpos", "adcr", "adci", "rotation")),
+        *(put(f"{FRAME}/{name}.npy", b"") for name in ("rpos", "adci")),
+        *(put(f"{TWO}/{name}.npy", b"\x93NUMPY") for name in ("tpos", "adcr", "rotation")),
+        *(cut(f"{FRAME}/{name}.npy") for name in ("tpos", "adcr", "rotation")),
+        *(flip(f"{TWO}/{name}.npy", 12) for name in ("tpos", "adcr", "adci", "rpos")),
+        (edited(FRAME, "tpos", "in mm", lambda a: 1000 * a), "transmitter"),
+        (edited(TWO, "rpos", "in mm", lambda a: 1000 * a), "transmitter"),
+        (*(edited(FRAME, n, "in mm", lambda a: 1000 * a) for n in ("tpos", "rpos")), "metres"),
+        edited(FRAME, "rpos", "NaN", set_at((3, "nan"))),
+        (edited(FRAME, "rpos", "1e30", set_at((3, 1e30))), "1e+30"),
+        edited(TWO, "tpos", "2 columns", lambda a: a[:, :2]),
+        edited(FRAME, "rotation", "x 2", lambda a: 2 * a),
+        edited(FRAME, "rotation", "0", lambda a: 0 * a),
+        edited(FRAME, "rotation", "NaN", lambda a: a * float("nan")),
+        edited(TWO, "rotation", "4 x 4", lambda a: np.eye(4)),
+        edited(TWO, "rotation", "inf", lambda a: a + float("inf")),
+        edited(FRAME, "adcr", "one short", lambda a: a[:-1]),
+        edited(FRAME, "adcr", "integers", lambda a: a.astype("i4")),
+        edited(TWO, "adcr", "no samples", lambda a: a[:, :0]),
+        edited(TWO, "adci", "text", lambda a: a.astype("U9")),
+        edited(TWO, "adci", "NaN", lambda a: a * float("nan")),
+        *((link(FRAME, target), "1_120_0") for target in ("nowhere", "1_120_0")),
+        (put("frames/mf/3_300_0", "a file"), "3_300_0"),
+        (link("frames/mf/3_300_0", "../../nowhere"), "3_300_0"),
+        (link("frames/mf", "nowhere"), "frames"),
+        link(f"{FRAME}/tpos.npy", "nowhere"),
+        folder(f"{FRAME}/tpos.npy"),
+        *(put(CAPTURE, text) for text in ("[]", "{", b"\xff", "[" * 100000)),
+        (values(CAPTURE, path_bais_m=0.15, path_bias_m=...), "path_bais_m"),
+        (
+            values(
+                CAPTURE,
+                box_size_m=[0.2, 0.3],
+                wall_thickness_m=[0.004] * 2,
+                wall_permittivity=[1.6, 1.6],
+            ),
+            "outermost first",
         ),
-        says="outermost first",
+        *(
+            (values(CAPTURE, **{key: value}), says)
+            for key, value, says in (
+                ("n_pose", 3, "n_pose"),
+                ("start_freqency_hz", 77e9, "start_freqency_hz"),
+                ("start_frequency_hz", 77.0, "start_frequency_hz"),
+                ("start_frequency_hz", "77e9", "frequency"),
+                ("chirp_slope_hz_per_s", -7e13, "slope"),
+                ("chirp_slope_hz_per_s", 70.15, "slope"),
+                ("adc_sample_rate_hz", ..., "sample_rate"),
+                ("adc_sample_rate_hz", [1], "sample_rate"),
+                ("n_adc_samples", 31, "n_samples"),
+                ("n_adc_samples", -1, "n_samples"),
+                ("path_bias_m", 1e9, "path_bias_m"),
+                ("path_bias_m", "long", "path_bias_m"),
+                ("path_bias_m", True, "path_bias_m"),
+                ("box_size", 0.22, "box_size"),
+                ("box_size_m", "big", "box_size_m"),
+                ("box_size_m", [-0.2], "size_m"),
+                ("box_size_m", [[0.2, 0.2]], "size_m"),
+                ("wall_thicknes_m", 0.004, "wall_thicknes_m"),
+                ("wall_thickness_m", [0.1, 0.2], "wall_thickness_m"),
+                ("wall_thickness_m", 0.2, "thickness_m"),
+                ("wall_permittivity", 0.1, "permittivity"),
+            )
+        ),
     ),
     bad(IMPORT + " --phase-sign 2", says="--phase-sign"),
     bad(IMPORT + " --threads 0", says="--threads"),
     bad(IMPORT + " --radar nowhere.toml", says="nowhere.toml"),
-    bad(
-        IMPORT + " --radar radar.toml", toml("radar.toml", "path_bais_m", "0.1"), says="path_bais_m"
+    *keys(
+        IMPORT + " --radar radar.toml",
+        "radar.toml",
+        """
+        path_bais_m 0.1
+        walls 3
+        antennas.axes [[1,0,0],[0,1,0]]|[[1,0,0]]
+        raw.n_tx 0 99
+        raw.offset_binary "yes" 1
+        raw.start_time_s "noon"
+        arrays 3
+        """,
     ),
     *keys(
         RAW,
@@ -122,115 +166,76 @@ ROWS = [
         antennas.rx_offsets_m []|[[1,2]]|[[0,0,nan]]
         """,
     ),
-    bad(RAW, toml("radar.toml", "raw.n_rx", "3"), says="receivers"),
-    bad(RAW, put("raw/adc.bin", b"")),
-    bad(RAW, put("raw/adc.bin", bytes(7))),
-    bad(RAW, put("raw/adc.bin", bytes(40000))),
-    bad(RAW, cut("raw/adc.bin", 0.97)),
-    bad(RAW, cut("raw/adc.bin", 0.5)),
-    bad("import dca1000 raw/adc.bin out --radar radar.toml", says="--raster"),
-    bad("import dca1000 raw/adc.bin out --radar radar.toml --raster 0 6 1 1", says="--raster"),
-    bad("import dca1000 raw/adc.bin out --radar radar.toml --raster 6 6 nan 1", says="--raster"),
-    bad("import dca1000 raw/adc.bin out --radar radar.toml --raster 5 5 0.004 0.004", says="36"),
-    bad("import dca1000 raw/adc.bin out --radar radar.toml --serpentine", says="--raster"),
-    bad(UNPLACED + " --positions nowhere.csv", says="nowhere.csv"),
+    *rows(
+        RAW,
+        (toml("radar.toml", "raw.n_rx", "3"), "receivers"),
+        *(put("raw/adc.bin", data) for data in (b"", bytes(7), bytes(40000))),
+        *(cut("raw/adc.bin", share) for share in (0.97, 0.5)),
+    ),
+    bad(UNPLACED, says="--raster"),
+    bad(UNPLACED + " --serpentine", says="--raster"),
     *(
-        bad(UNPLACED + " --positions robot.csv", change)
-        for change in (
-            put("robot.csv", ""),
-            put("robot.csv", "time_s,x_m,y_m,z_m\n"),
-            put("robot.csv", b"\x00\xff"),
-            put("robot.csv", "time_s,x_m,y_m,z_m\n0,0,0\n"),
-            put("robot.csv", "time_s,x_m,y_m\n0,0,0\n"),
-            put("robot.csv", "time_s,x_m,y_m,z_m\n1,0,0,0\n0,0,0,0\n"),
-            put("robot.csv", "time_s,x_m,y_m,z_m\n0,nan,0,0\n1,0,0,0\n"),
-            put("robot.csv", "time_s,x_m,y_m,z_m\n0,a,0,0\n1,0,0,0\n"),
+        bad(f"{UNPLACED} {flags}", says=says)
+        for flags, says in (
+            ("--raster 0 6 1 1", "--raster"),
+            ("--raster 6 6 nan 1", "--raster"),
+            ("--raster 5 5 0.004 0.004", "36"),
+            ("--raster 6 6 0.004", "--raster"),
+            ("--raster 1000000 1000000 0.004 0.004", "36"),
+            ("--raster 6 6 1e9 0.004", "step"),
+            ("--raster 6 6 4 4", "metres"),
+            ("--static --raster 6 6 1 1", "--static"),
+            ("--positions nowhere.csv", "nowhere.csv"),
         )
     ),
-    bad("import mat scan.mat out", put("scan.mat", b"")),
-    bad("import mat scan.mat out", put("scan.mat", b"MATLAB" * 40)),
-    bad("import mat scan.mat out", cut("scan.mat")),
-    bad("import mat scan.mat out", cut("scan.mat", 0.999)),
-    bad("import mat scan.mat out", flip("scan.mat", 128)),
-    bad("import mat scan.mat out", flip("scan.mat", 144)),
-    bad("import mmnorm norm.npz out", cut("norm.npz")),
-    bad("import mmnorm norm.npz out", put("norm.npz", b"PK\x03\x04" + bytes(50))),
-    bad("import mmnorm norm.npz out", npz("norm.npz", "no signals", received_signals=None)),
-    bad("import mmnorm norm.npz out", npz("norm.npz", "NaN", antenna_locations=set_at((0, "nan")))),
-    bad(
-        "import mmnorm norm.npz out",
-        npz("norm.npz", "in mm", antenna_locations=lambda a: 1000 * a),
-        says="metres",
+    *rows(
+        UNPLACED + " --positions robot.csv",
+        *(
+            put("robot.csv", text)
+            for text in (
+                "",
+                b"\x00\xff",
+                ROBOT,
+                ROBOT + "0,0,0\n",
+                "time_s,x_m,y_m\n0,0,0\n",
+                ROBOT + "1,0,0,0\n0,0,0,0\n",
+                ROBOT + "0,nan,0,0\n1,0,0,0\n",
+                ROBOT + "0,a,0,0\n1,0,0,0\n",
+                ROBOT + "0,0,0,0\n",
+                ROBOT + "0,0,0,0\n0,0,0,0\n",
+                ROBOT + "inf,0,0,0\n1,0,0,0\n",
+                ROBOT + "0;0;0;0\n1;0;0;0\n",
+                "t,a,b,c\n0,0,0,0\n1,0,0,0\n",
+                ROBOT.replace("_m", "_mm_") + "0,0,0,0\n",
+                "x_m,x_m,y_m,z_m\n0,0,0,0\n",
+                ROBOT + "0,1e30,0,0\n9,1e30,0,0\n",
+                ROBOT + "a" * 5000,
+                "t,x,y,z,qw,qx,qy,qz\n0,0,0,0,2,0,0,0\n",
+            )
+        ),
     ),
-    bad("import planar planar out", cut("planar/scan.npy"), says="scan.npy"),
-    bad("import planar planar out", put("planar/scan.npy", b""), says="scan.npy"),
-    bad("import planar planar out", put("planar/antenna_phase.txt", "a b"), says="antenna_phase"),
-    bad("import planar planar out", flip("planar/scan.npy", 20), says="scan.npy"),
-    *(bad(IMPORT, drop(f"{FRAME}/{name}.npy")) for name in ("rpos", "adci")),
-    *(bad(IMPORT, put(f"{TWO}/{name}.npy", b"\x93NUMPY")) for name in ("tpos", "adcr", "rotation")),
-    *(bad(IMPORT, flip(f"{TWO}/{name}.npy", 12)) for name in ("tpos", "adcr", "adci", "rpos")),
-    bad(IMPORT, npy(f"{TWO}/tpos.npy", "2 columns", lambda a: a[:, :2])),
-    bad(IMPORT, npy(f"{TWO}/adcr.npy", "no samples", lambda a: a[:, :0])),
-    bad(IMPORT, npy(f"{TWO}/adci.npy", "text", lambda a: a.astype("U9"))),
-    bad(IMPORT, npy(f"{TWO}/adci.npy", "NaN", lambda a: a * float("nan"))),
-    bad(IMPORT, npy(f"{TWO}/rotation.npy", "4 x 4", lambda a: np.eye(4))),
-    bad(IMPORT, npy(f"{TWO}/rotation.npy", "inf", lambda a: a + float("inf"))),
-    bad(IMPORT, npy(f"{TWO}/rpos.npy", "in mm", lambda a: 1000 * a), says="transmitter"),
-    bad(IMPORT, put("frames/mf/3_300_0", "a file"), says="3_300_0"),
-    bad(IMPORT, link("frames/mf/3_300_0", "../../nowhere"), says="3_300_0"),
-    bad(IMPORT, link("frames/mf", "nowhere"), says="frames"),
-    bad(IMPORT, link(f"{FRAME}/tpos.npy", "nowhere")),
-    bad(IMPORT, folder(f"{FRAME}/tpos.npy")),
-    *(
-        bad(IMPORT, values("frames/capture.json", **{key: value}), says=says)
-        for key, value, says in (
-            ("n_pose", 3, "n_pose"),
-            ("start_freqency_hz", 77e9, "start_freqency_hz"),
-            ("wall_thicknes_m", 0.004, "wall_thicknes_m"),
-            ("box_size_m", "big", "box_size_m"),
-            ("box_size_m", [-0.2], "size_m"),
-            ("box_size_m", [[0.2, 0.2]], "size_m"),
-            ("wall_thickness_m", [0.1, 0.2], "wall_thickness_m"),
-            ("wall_thickness_m", 0.2, "thickness_m"),
-            ("wall_permittivity", None, "permittivity"),
-            ("path_bias_m", "long", "path_bias_m"),
-            ("path_bias_m", True, "path_bias_m"),
-            ("n_adc_samples", -1, "n_samples"),
-            ("adc_sample_rate_hz", [1], "sample_rate"),
-            ("chirp_slope_hz_per_s", 70.15, "slope"),
-        )
-        if value is not None
-    ),
-    *keys(
-        IMPORT + " --radar radar.toml",
-        "radar.toml",
-        """
-        walls 3
-        antennas.axes [[1,0,0],[0,1,0]]|[[1,0,0]]
-        raw.n_tx 0 99
-        raw.offset_binary "yes" 1
-        raw.start_time_s "noon"
-        arrays 3
-        """,
+    *rows(
+        UNPLACED + " --positions robot.npy",
+        *(
+            put("robot.npy", data)
+            for data in (b"", b"\x93NUMPY\x01\x00", b"PK\x03\x04", b"\x80\x04K\x01.")
+        ),
     ),
     bad("info raw/adc.bin --radar radar.toml", toml("radar.toml", "raw.n_rx", "0"), says="n_rx"),
-    bad("info raw/adc.bin --config studio.mmwave.json", put("studio.mmwave.json", "{")),
-    bad("info raw/adc.bin --config studio.mmwave.json", put("studio.mmwave.json", "[]")),
     bad("info raw/adc.bin --config nowhere.json", says="nowhere.json"),
-    *(
-        bad(f"{RAW} --config studio.mmwave.json", swap("studio.mmwave.json", old, new))
-        for old, new in (
-            ('"numAdcSamples": 64', '"numAdcSamples": "many"'),
-            ('"numAdcSamples": 64', '"numAdcSamples": []'),
-            ('"startFreqConst_GHz": 77.0', '"startFreqConst_GHz": []'),
-            ('"rxChannelEn": "0xF"', '"rxChannelEn": "all"'),
-            ('"b2AdcBits": 2', '"b2AdcBits": 0'),
-            ('"mmWaveDevices"', '"devices"'),
-        )
+    *rows(
+        "info raw/adc.bin --config studio.mmwave.json",
+        *(put("studio.mmwave.json", text) for text in ("{", "[]")),
     ),
     *(
         bad(f"{RAW} --config studio.mmwave.json", swap("studio.mmwave.json", old, new), says=says)
         for old, new, says in (
+            ('"numAdcSamples": 64', '"numAdcSamples": "many"', None),
+            ('"numAdcSamples": 64', '"numAdcSamples": []', None),
+            ('"startFreqConst_GHz": 77.0', '"startFreqConst_GHz": []', None),
+            ('"rxChannelEn": "0xF"', '"rxChannelEn": "all"', None),
+            ('"b2AdcBits": 2', '"b2AdcBits": 0', None),
+            ('"mmWaveDevices"', '"devices"', None),
             ('"numAdcSamples": 64', '"numAdcSamples": 0', "samples per chirp"),
             ('"numAdcSamples": 64', '"numAdcSamples": 1e300', "samples per chirp"),
             ('"numFrames": 36', '"numFrames": 35', "35 frames"),
@@ -250,57 +255,41 @@ ROWS = [
             ("other.txt", "x"),
         )
     ),
-    bad(UNPLACED + " --static --raster 6 6 1 1", says="--static"),
-    bad(UNPLACED + " --raster 6 6 0.004", says="--raster"),
-    bad(UNPLACED + " --raster 1000000 1000000 0.004 0.004", says="36"),
-    bad(UNPLACED + " --raster 6 6 1e9 0.004", says="step"),
-    bad(UNPLACED + " --raster 6 6 4 4", says="metres"),
-    *(
-        bad(UNPLACED + " --positions robot.csv", put("robot.csv", text))
-        for text in (
-            ROBOT + "0,0,0,0\n",
-            ROBOT + "0,0,0,0\n0,0,0,0\n",
-            ROBOT + "inf,0,0,0\n1,0,0,0\n",
-            ROBOT + "0;0;0;0\n1;0;0;0\n",
-            "t,a,b,c\n0,0,0,0\n1,0,0,0\n",
-            ROBOT.replace("_m", "_mm_") + "0,0,0,0\n",
-            "x_m,x_m,y_m,z_m\n0,0,0,0\n",
-            ROBOT + "0,1e30,0,0\n9,1e30,0,0\n",
-            ROBOT + "a" * 5000,
-            "t,x,y,z,qw,qx,qy,qz\n0,0,0,0,2,0,0,0\n",
-        )
+    *rows(
+        MAT,
+        *(put("scan.mat", b) for b in (b"", b"MATLAB" * 40, b"\x89HDF\r\n\x1a\n" + bytes(200))),
+        *(cut("scan.mat", share) for share in (0.5, 0.999)),
+        *(flip("scan.mat", place) for place in (128, 132, 144, 160, 176)),
+        mat(signal=np.zeros((4, 8))),
+        mat(signal=np.array([["text"]], dtype=object)),
+        mat(signal=1j * np.ones((4, 8)), positions=np.ones((3, 3))),
+        mat(signal=1j * np.ones((4, 8)), positions=np.ones((4, 2))),
+        mat(x=1),
     ),
-    *(
-        bad(UNPLACED + " --positions robot.npy", put("robot.npy", data))
-        for data in (b"", b"\x93NUMPY\x01\x00", b"PK\x03\x04", b"\x80\x04K\x01.")
-    ),
-    bad(MAT, put("scan.mat", mat_file(signal=np.zeros((4, 8))))),
-    bad(MAT, put("scan.mat", mat_file(signal=np.array([["text"]], dtype=object)))),
-    bad(MAT, put("scan.mat", mat_file(signal=1j * np.ones((4, 8)), positions=np.ones((3, 3))))),
-    bad(MAT, put("scan.mat", mat_file(signal=1j * np.ones((4, 8)), positions=np.ones((4, 2))))),
-    bad(MAT, put("scan.mat", mat_file(x=1))),
-    bad(
-        MAT + " --max-memory 0.01",
-        put("scan.mat", mat_file(signal=np.zeros((3000, 3000)))),
-        says="--max-memory",
-    ),
-    bad(MAT, put("scan.mat", b"\x89HDF\r\n\x1a\n" + bytes(200))),
-    *(bad(MAT, flip("scan.mat", place)) for place in (132, 160, 176)),
-    bad(NORM, npz("norm.npz", "real", received_signals=lambda a: a.real)),
-    bad(NORM, npz("norm.npz", "flat", received_signals=lambda a: a[0])),
-    bad(NORM, npz("norm.npz", "one short", antenna_locations=lambda a: a[:-1])),
-    bad(NORM, npz("norm.npz", "in cm", antenna_locations=lambda a: 100 * a), says="metres"),
-    bad(
+    bad(MAT + " --max-memory 0.01", mat(signal=np.zeros((3000, 3000))), says="--max-memory"),
+    *rows(
         NORM,
-        npz("norm.npz", "1e30", antenna_locations=lambda a: 1e30 * a),
-        says="antenna coordinates",
+        cut("norm.npz"),
+        put("norm.npz", b"PK\x03\x04" + bytes(50)),
+        *(put("norm.npz", bomb(shape)) for shape in ((10**7, 10**5, 4), (1 << 62, 1 << 62, 4))),
+        npz("norm.npz", "no signals", received_signals=None),
+        npz("norm.npz", "real", received_signals=lambda a: a.real),
+        npz("norm.npz", "flat", received_signals=lambda a: a[0]),
+        npz("norm.npz", "NaN signals", received_signals=set_at((0, "nan"))),
+        npz("norm.npz", "NaN", antenna_locations=set_at((0, "nan"))),
+        npz("norm.npz", "one short", antenna_locations=lambda a: a[:-1]),
+        (npz("norm.npz", "in mm", antenna_locations=lambda a: 1000 * a), "metres"),
+        (npz("norm.npz", "in cm", antenna_locations=lambda a: 100 * a), "metres"),
+        (npz("norm.npz", "1e30", antenna_locations=lambda a: 1e30 * a), "antenna coordinates"),
     ),
-    bad(NORM, npz("norm.npz", "NaN signals", received_signals=set_at((0, "nan")))),
-    bad(NORM, put("norm.npz", bomb((10**7, 10**5, 4)))),
-    bad(NORM, put("norm.npz", bomb((1 << 62, 1 << 62, 4)))),
-    bad(PLANAR, put("planar/scan.npy", bytes(4000)), says="scan.npy"),
-    bad(PLANAR, cut("planar/scan.npy", 0.99), says="scan.npy"),
-    bad(PLANAR, cut("planar/antenna_phase.txt"), says="antenna_phase"),
-    bad(PLANAR, put("planar/antenna_phase.txt", "nan " * 81 + "\n" + "0 " * 81), says="antenna"),
-    bad(PLANAR, drop("planar/scan.npy"), says="planar"),
+    *rows(
+        PLANAR,
+        *(cut("planar/scan.npy", share) for share in (0.5, 0.99)),
+        *(put("planar/scan.npy", data) for data in (b"", bytes(4000))),
+        flip("planar/scan.npy", 20),
+        (drop("planar/scan.npy"), "planar"),
+        (put("planar/antenna_phase.txt", "a b"), "antenna_phase"),
+        (cut("planar/antenna_phase.txt"), "antenna_phase"),
+        (put("planar/antenna_phase.txt", "nan " * 81 + "\n" + "0 " * 81), "antenna"),
+    ),
 ]

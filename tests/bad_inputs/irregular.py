@@ -1,11 +1,10 @@
 """Files that are none: pipes, devices, files of holes, and links, wherever a file is read."""
 
-from bad_inputs.lines import IMPORT, RAW, RUN, RX, SIGNAL, UNPLACED
+from bad_inputs.lines import RAW, RUN, RX, SIGNAL
 from bad_inputs.table import bad, holes, link, pipe, put, values
 
 BOX = "--box 0.16 0.16 0.16"
 EVALUATE = "evaluate run --truth truth.ply"
-FRAME = "frames/mf/1_120_0"
 COARSE = "--every 4 --spacing-m 0.02"
 GLTF = """{"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
 "nodes": [{"mesh": 0}], "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 4}]}],
@@ -16,7 +15,9 @@ info scene|scene/scene.toml
 plan --like scene|scene/scene.toml
 plan --like scan.json|scan.json
 simulate spec.toml out|spec.toml
+import geraf-sens frames out|frames/capture.json
 import dca1000 raw/adc.bin out --radar radar.toml|radar.toml
+import dca1000 raw/adc.bin out --radar radar.toml --positions robot.csv|robot.csv
 info raw/adc.bin --radar radar.toml|radar.toml
 verify run|run/run.json
 inspect run|run/run.json
@@ -39,6 +40,7 @@ los colmap out|colmap/sparse/0/images.bin|no camera poses
 los llff out|llff/poses_bounds.npy
 los neus out|neus/cameras_sphere.npz
 los box.ply out --unit m|box.ply
+import geraf-sens frames out|frames/mf/1_120_0/adcr.npy
 import mat scan.mat out|scan.mat
 import mmnorm norm.npz out|norm.npz
 import planar planar out|planar/scan.npy
@@ -62,15 +64,9 @@ def zero(path):
 ROWS = [
     *_rows(READ, pipe, zero, holes),
     *_rows(STREAMED, pipe, zero),
-    *(bad(IMPORT, change(f"{FRAME}/adcr.npy")) for change in (pipe, zero)),
-    *(bad(IMPORT, change("frames/capture.json")) for change in (pipe, zero, holes)),
-    *(bad(UNPLACED + " --positions robot.csv", c("robot.csv")) for c in (pipe, zero, holes)),
     *(
-        bad(RAW + " --config studio.mmwave.json", change("studio.mmwave.json"))
-        for change in (pipe, zero, holes)
-    ),
-    *(
-        bad(RUN + " --config run/config.toml", change("run/config.toml"))
+        bad(f"{line} --config {path}", change(path))
+        for line, path in ((RAW, "studio.mmwave.json"), (RUN, "run/config.toml"))
         for change in (pipe, zero, holes)
     ),
     *(

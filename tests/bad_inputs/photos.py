@@ -4,6 +4,7 @@ import numpy as np
 
 from bad_inputs.table import bad, cut, drop, flip, link, npy, npz, put, swap, sweep, values
 
+NEUS = "neus/cameras_sphere.npz"
 ROWS = [
     *(
         bad(f"los {name} out --preset quick", change, says=says)
@@ -23,26 +24,12 @@ ROWS = [
             ("colmap_text", swap("colmap_text/sparse/0/cameras.txt", "OPENCV", "X"), "cameras.txt"),
             ("colmap_text", swap("colmap_text/sparse/0/cameras.txt", "64", "-6"), "cameras.txt"),
             ("neus", cut("neus/cameras_sphere.npz"), "cameras_sphere.npz"),
-            (
-                "neus",
-                npz("neus/cameras_sphere.npz", "NaN", world_mat_0=lambda a: a * float("nan")),
-                "world_mat_0",
-            ),
-            (
-                "neus",
-                npz("neus/cameras_sphere.npz", "flat", world_mat_0=lambda a: a[:3, :3]),
-                "world_mat_0",
-            ),
+            ("neus", npz(NEUS, "NaN", world_mat_0=lambda a: a * float("nan")), "world_mat_0"),
+            ("neus", npz(NEUS, "flat", world_mat_0=lambda a: a[:3, :3]), "world_mat_0"),
             ("llff", npy("llff/poses_bounds.npy", "16 columns", lambda a: a[:, :16]), "bounds.npy"),
             ("llff", npy("llff/poses_bounds.npy", "NaN", lambda a: a * float("nan")), "bounds.npy"),
             ("ring", swap("ring/ring_par.txt", "6\n", "7\n"), "ring_par.txt"),
             ("ring", put("ring/ring_par.txt", "1\nphoto0.png 1 2"), "ring_par.txt"),
-        )
-    ),
-    *sweep("los nerf out {}", "hold-out -1 1\nmask-threshold -1 255 nan\nseed -1\nmasks nowhere"),
-    *(
-        bad(f"los {name} out --preset quick", change, says=says)
-        for name, change, says in (
             ("nerf", values("nerf/transforms.json", frames=3), "transforms.json"),
             ("nerf", values("nerf/transforms.json", frames=[3]), "transforms.json"),
             ("nerf", values("nerf/transforms.json", frames=[{}]), "transforms.json"),
@@ -72,6 +59,7 @@ ROWS = [
             ("ring", put("ring/ring_par.txt", b"\xff\xff"), "ring_par"),
         )
     ),
+    *sweep("los nerf out {}", "hold-out -1 1\nmask-threshold -1 255 nan\nseed -1\nmasks nowhere"),
     bad("los nerf out --masks nerf --mask-threshold 20", says="both"),
     bad("los nerf out --unit -1", says="--unit"),
     bad("los nerf out --bounds 0 0 0 0 1 1", says="--bounds"),

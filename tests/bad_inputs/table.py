@@ -47,6 +47,14 @@ def bad(line, *changes, says=None):
     return Bad(line, changes, says)
 
 
+def rows(line, *changes):
+    """A row for each change; of some changes at once, or of one whose error says something else
+    than its file's name, a tuple that ends with what the error says."""
+    for change in changes:
+        *several, says = change if isinstance(change, tuple) else (change, None)
+        yield bad(line, *several, says=says)
+
+
 def sweep(line, table):
     """A row for each value in each line of a table: `name value value ...`; `|` ends values that
     are several words. The flag is put for {} in the line, and must be in the error."""
