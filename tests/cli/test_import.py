@@ -1,6 +1,5 @@
 """Import from the command line: signs, faults, nothing left behind."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +7,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.scene import load_capture
+from helpers.console import the_error
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
 
@@ -23,20 +23,6 @@ def source(tmp_path, capture):
 
 def run_import(source, *more):
     return main(["import", "geraf-sens", str(source), str(source.parent / "scene"), *more])
-
-
-def assert_refused(source, capsys, *words, code=2):
-    before = sorted(path.name for path in source.parent.iterdir())
-    assert run_import(source) == code
-    lines = [x for x in capsys.readouterr().err.splitlines() if x.startswith("geraf2:")]
-    assert len(lines) == 1
-    for word in words:
-        assert word in lines[0]
-    assert sorted(path.name for path in source.parent.iterdir()) == before
-
-
-def edit(path, change):
-    np.save(path, change(np.load(path)))
 
 
 def test_a_capture_becomes_a_scene(source, capture, capsys):
@@ -76,7 +62,11 @@ def test_importing_again_changes_nothing_and_another_capture_is_refused(source, 
 
 def test_parameters_may_come_from_a_toml_file(tmp_path, capture, capsys):
     source = write_geraf_sens(tmp_path / "capture", capture, parameters=None)
-    assert_refused(source, capsys, "start_frequency_hz, ", "are not known", "--radar")
+    assert run_import(source) == 2
+    error = the_error(capsys)
+    for word in ("start_frequency_hz, ", "are not known", "--radar"):
+        assert word in error
+    assert not (tmp_path / "scene").exists()
     radar = tmp_path / "radar.toml"
     radar.write_text(
         "start_frequency_hz = 77.3704e9\nchirp_slope_hz_per_s = 70.15e12\n"
@@ -89,35 +79,13 @@ def test_parameters_may_come_from_a_toml_file(tmp_path, capture, capsys):
     assert loaded.walls[0].size_m == (0.2, 0.2, 0.3)
 
 
-def test_a_constant_signal_is_refused(source, capsys):
-    for frame in (source / "mf").iterdir():
-        for name in ("adcr", "adci"):
-            edit(frame / f"{name}.npy", np.zeros_like)
-    assert_refused(source, capsys, "signal is constant")
-
-
 def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):
     rng = np.random.default_rng(0)
-    poses = tuple(
-        replace(
-            pose,
-            signal=(
-                rng.normal(size=pose.signal.shape) + 1j * rng.normal(size=pose.signal.shape)
-            ).astype(np.complex64),
-        )
-        for pose in capture.poses
-    )
+    noise = rng.normal(size=(2, *capture.poses[0].signal.shape)).astype(np.float32)
+    poses = tuple(replace(pose, signal=noise[0] + 1j * noise[1]) for pose in capture.poses)
     source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses))
     assert run_import(source) == 0
     assert "the sign of the phase is not clear" in capsys.readouterr().err
-
-
-def test_a_delay_that_is_not_known_is_mentioned(tmp_path, capture, capsys):
-    parameters = {k: v for k, v in CAPTURE_JSON.items() if k != "path_bias_m"}
-    source = write_geraf_sens(tmp_path / "capture", capture, parameters=parameters)
-    assert run_import(source) == 0
-    assert "path_bias_m" in capsys.readouterr().err
-    assert json.loads((source / "capture.json").read_text()) == parameters
 
 
 def test_a_delay_of_zero_that_is_given_is_not_warned_of(tmp_path, capture, capsys):

@@ -7,12 +7,16 @@ import pytest
 from geraf2.cli.main import main
 
 
+@pytest.fixture
+def source(shared_data):
+    if not (shared_data / "spot_carton").is_dir():
+        pytest.skip("spot_carton is absent from the shared captures")
+    return shared_data / "spot_carton"
+
+
 @pytest.mark.data
 @pytest.mark.slow
-def test_from_the_capture_to_its_scores(shared_data, tmp_path, capsys):
-    source = shared_data / "spot_carton"
-    if not source.is_dir():
-        pytest.skip("spot_carton is absent from the shared captures")
+def test_from_the_capture_to_its_scores(source, tmp_path, capsys):
     scene, out = str(tmp_path / "scene"), str(tmp_path / "out")
     assert main(["import", "geraf-sens", str(source), scene]) == 0
     assert main(["info", scene]) == 0
@@ -34,10 +38,7 @@ def test_from_the_capture_to_its_scores(shared_data, tmp_path, capsys):
 
 
 @pytest.mark.data
-def test_a_box_smaller_than_the_carton_is_refused(shared_data, tmp_path, capsys):
-    source = shared_data / "spot_carton"
-    if not source.is_dir():
-        pytest.skip("spot_carton is absent from the shared captures")
+def test_a_box_smaller_than_the_carton_is_refused(source, tmp_path, capsys):
     scene = str(tmp_path / "scene")
     assert main(["import", "geraf-sens", str(source), scene]) == 0
     box = ["--box", "0.16", "0.16", "0.16"]

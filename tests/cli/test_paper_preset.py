@@ -67,16 +67,14 @@ def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp
     assert told["inward_mm"] <= sum(told["outside_mm"]) + 1e-9
 
 
-@pytest.mark.parametrize("how", [("--paper.checkpoint-every", "3"), 0.0], ids=["steps", "time"])
+@pytest.mark.parametrize("how", [("3", 1e9), ("500", 0.0)], ids=["steps", "time"])
 def test_interrupted_and_resumed_is_bit_identical(
     how, built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):
     real = learned._Watcher.__call__
-    more = ["--paper.slice-every", "4"]
-    if isinstance(how, float):
-        monkeypatch.setattr(learned, "CHECKPOINT_S", how)
-        how = "--paper.checkpoint-every", "500"
-    more += how
+    steps, seconds = how
+    monkeypatch.setattr(learned, "CHECKPOINT_S", seconds)
+    more = ["--paper.slice-every", "4", "--paper.checkpoint-every", steps]
 
     def interrupted(watcher, step):
         real(watcher, step)

@@ -18,6 +18,13 @@ def imaged(source, tmp_path, *flags):
     return np.load(tmp_path / "out" / "image.npz"), about
 
 
+def sharpest(stored, about):
+    """Power of the sharpest slice, and its axes [m]."""
+    power = stored["volume"][int(np.argmax(about["sharpness"]))].astype(float) ** 2
+    axes = zip(stored["origin_m"][1:], power.shape, strict=True)
+    return power, *(start + stored["spacing_m"] * np.arange(n) for start, n in axes)
+
+
 def test_points_before_a_flat_sheet_are_sharp_at_their_depth(tmp_path, capsys):
     source = write_planar(tmp_path / "scan", flat=30.0)
     flags = ["--depth-m", "0.06", "0.12", "--extent-m", "0.05", "0.04", "--spacing-m", "0.002"]
@@ -66,11 +73,7 @@ def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
     assert about["sharpest_depth_m"] == pytest.approx(0.1, abs=0.007)
     assert load_capture(tmp_path / "scene").provenance["phase_sign"] == "+1"
     # What is bright is the letter, to the 6.8 mm that this plane resolves, and all of it.
-    power = stored["volume"][int(np.argmax(about["sharpness"]))].astype(float) ** 2
-    y, z = (
-        start + stored["spacing_m"] * np.arange(n)
-        for start, n in zip(stored["origin_m"][1:], power.shape, strict=True)
-    )
+    power, y, z = sharpest(stored, about)
     off = np.hypot(y[:, None, None] - LETTER[:, 0], z[:, None] - LETTER[:, 1])
     assert off.min(axis=-1)[power > 0.25 * power.max()].max() < 0.0085
     bright = [power[off[..., number] < 0.006].max() for number in range(len(LETTER))]
@@ -167,10 +170,7 @@ def test_the_real_square_is_sharp_at_its_depth(tmp_path, shared_data):
     )
     # Another program's back-projection of these samples is sharpest at 0.0925 m.
     assert 0.085 <= about["sharpest_depth_m"] <= 0.1
-    best = int(np.argmax(about["sharpness"]))
-    power = stored["volume"][best].astype(float) ** 2
-    y = stored["origin_m"][1] + 0.0025 * np.arange(power.shape[0])
-    z = stored["origin_m"][2] + 0.0025 * np.arange(power.shape[1])
+    power, y, z = sharpest(stored, about)
     # A frame of 80 x 85 mm: nearly all power lies in it, and little around it.
     inside = (np.abs(y[:, None] + 0.068) < 0.052) & (np.abs(z - 0.005) < 0.052)
     assert power[inside].sum() > 0.9 * power.sum()
@@ -183,11 +183,7 @@ def test_the_real_letter_is_seen_without_a_flag(tmp_path, shared_data, capsys):
     # Another program's propagation of these samples is sharpest at 0.208 to 0.212 m, 7.6.
     assert 0.205 <= about["sharpest_depth_m"] <= 0.215
     assert max(about["sharpness"]) > 7
-    power = stored["volume"][int(np.argmax(about["sharpness"]))].astype(float) ** 2
-    y, z = (
-        start + stored["spacing_m"] * np.arange(n)
-        for start, n in zip(stored["origin_m"][1:], power.shape, strict=True)
-    )
+    power, y, z = sharpest(stored, about)
     # The stem of the R, 100 mm long and 10 wide at -29 mm, against the strip beyond it.
     stem = power[(y > -0.06) & (y < 0.045)][:, np.abs(z + 0.029) < 0.005].mean(axis=1)
     beyond = power[(y > -0.06) & (y < 0.045)][:, (z > -0.075) & (z < -0.05)]

@@ -32,21 +32,15 @@ def fail_in(manager, error):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
-def test_a_file_stays_what_it_was(tmp_path, error):
+def test_a_file_and_a_folder_stay_what_they_were(tmp_path, error):
     write_text_atomic(tmp_path / "a.txt", "whole")
-    with pytest.raises((KeyboardInterrupt, UserError)):
-        fail_in(atomic_path(tmp_path / "a.txt"), error)
-    assert names(tmp_path) == ["a.txt"]
-    assert (tmp_path / "a.txt").read_text() == "whole"
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
-def test_a_folder_stays_what_it_was(tmp_path, error):
     with atomic_folder(tmp_path / "f") as folder:
         (folder / "old").write_text("old")
-    with pytest.raises((KeyboardInterrupt, UserError)):
-        fail_in(atomic_folder(tmp_path / "f"), error)
-    assert names(tmp_path) == ["f"]
+    for manager in (atomic_path(tmp_path / "a.txt"), atomic_folder(tmp_path / "f")):
+        with pytest.raises((KeyboardInterrupt, UserError)):
+            fail_in(manager, error)
+    assert names(tmp_path) == ["a.txt", "f"]
+    assert (tmp_path / "a.txt").read_text() == "whole"
     assert names(tmp_path / "f") == ["old"]
 
 

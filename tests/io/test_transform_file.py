@@ -16,24 +16,16 @@ RIGID[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.2, 1.1]).as_matrix()
 RIGID[:3, 3] = [0.1, -0.2, 0.3]
 
 
-def write_text(path, matrix):
-    path.write_text("\n".join(" ".join(f"{v:.17g}" for v in row) for row in matrix))
+WRITERS = {
+    "move.txt": np.savetxt,
+    "move.json": lambda path, matrix: path.write_text(json.dumps(matrix.tolist())),
+    "move.npy": np.save,
+}
 
 
-def write_json(path, matrix):
-    path.write_text(json.dumps(matrix.tolist()))
-
-
-def write_npy(path, matrix):
-    np.save(path, matrix)
-
-
-@pytest.mark.parametrize(
-    ("name", "write"),
-    [("move.txt", write_text), ("move.json", write_json), ("move.npy", write_npy)],
-)
-def test_files(tmp_path, name, write):
-    write(tmp_path / name, RIGID)
+@pytest.mark.parametrize("name", WRITERS)
+def test_files(tmp_path, name):
+    WRITERS[name](tmp_path / name, RIGID)
     rigid, scale = read_transform(tmp_path / name)
     np.testing.assert_allclose(rigid, RIGID, atol=1e-12)
     assert scale == 1.0
@@ -42,7 +34,7 @@ def test_files(tmp_path, name, write):
 def test_a_scale_is_told_apart(tmp_path):
     matrix = RIGID.copy()
     matrix[:3, :3] *= 0.02
-    write_text(tmp_path / "move.txt", matrix)
+    np.savetxt(tmp_path / "move.txt", matrix)
     rigid, scale = read_transform(tmp_path / "move.txt")
     np.testing.assert_allclose(rigid, RIGID, atol=1e-12)
     assert scale == pytest.approx(0.02, rel=1e-12)

@@ -94,20 +94,16 @@ def assert_same(run, other):
         assert (run / name).read_bytes() == (other / name).read_bytes()
 
 
-def test_files_that_may_not_grow_stop_a_run_which_then_goes_on(scene, whole, tmp_path):
+@pytest.mark.parametrize("reason", ["File too large", "Disk quota exceeded"])
+def test_files_that_cannot_be_written_stop_a_run_which_then_goes_on(
+    reason, scene, whole, tmp_path, request
+):
     out = tmp_path / "out"
-    error = one_line(reconstruct(scene, out, limits=[(resource.RLIMIT_FSIZE, 40_000)]))
-    assert "sdf_fit.npz: cannot write the file: File too large" in error
-    assert verify(out).notes[0] == "the run is not finished; done: box, glints"
-    assert not list(out.rglob(".*.tmp*"))
-    assert reconstruct(scene, out, "--resume").returncode == 0
-    assert_same(out, whole)
-
-
-def test_a_disk_quota_is_one_line_and_the_run_goes_on(scene, whole, faulty_libc, tmp_path):
-    out = tmp_path / "out"
-    error = one_line(reconstruct(scene, out, env=faulty_libc | {"FSYNCS": "24"}))
-    assert "cannot write the file: Disk quota exceeded" in error
+    if reason == "File too large":
+        faults = {"limits": [(resource.RLIMIT_FSIZE, 40_000)]}
+    else:
+        faults = {"env": request.getfixturevalue("faulty_libc") | {"FSYNCS": "24"}}
+    assert f"cannot write the file: {reason}" in one_line(reconstruct(scene, out, **faults))
     assert verify(out).notes[0].startswith("the run is not finished; done: box, glints")
     assert not list(out.rglob(".*.tmp*"))
     assert reconstruct(scene, out, "--resume").returncode == 0
@@ -213,15 +209,15 @@ def foreign(tmp_path_factory):
 
 
 @pytest.mark.parametrize("cut", [False, True])
-@pytest.mark.parametrize("name", ["frames", "mat", "mmnorm", "planar"])
-def test_files_that_vanish_or_shrink_while_they_are_imported(foreign, tmp_path, name, cut):
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [("geraf-sens", "frames"), ("mat", "scan.mat"), ("mmnorm", "norm.npz"), ("planar", "planar")],
+)
+def test_files_that_vanish_or_shrink_while_they_are_imported(foreign, tmp_path, name, part, cut):
     """After the importer has looked at all of them, before it reads the samples."""
-    part = {"frames": "frames", "mat": "scan.mat", "mmnorm": "norm.npz", "planar": "planar"}[name]
     source = tmp_path / part
     (shutil.copytree if (foreign / part).is_dir() else shutil.copy)(foreign / part, source)
-    importer = load_importer("geraf-sens" if name == "frames" else name)
-    scan = importer.open(source, RadarManifest(), ImportOptions())
-    poses = scan.poses()
+    poses = load_importer(name).open(source, RadarManifest(), ImportOptions()).poses()
     next(poses)
     for path in [source] if source.is_file() else [p for p in source.rglob("*") if p.is_file()]:
         if cut:

@@ -28,6 +28,7 @@ from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.scene import save_capture
 from geraf2.surfaces import FitConfig
 from helpers.console import the_error
+from helpers.small_scene import COARSE_RENDER
 
 COARSE = FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 
@@ -215,10 +216,6 @@ def test_at_every_moment_of_another_run_the_folder_is_what_it_says(folder, monke
     assert verify(run).notes == ()
 
 
-COARSE_RENDER = ["--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.01"]
-COARSE_RENDER += ["--echo.n-planes", "1", "--echo.n-targets", "100", "--angles", "60"]
-
-
 def test_a_folder_that_is_moved_with_its_scene_works_from_anywhere(
     made, folder, tmp_path, monkeypatch, capsys
 ):
@@ -231,20 +228,20 @@ def test_a_folder_that_is_moved_with_its_scene_works_from_anywhere(
     record = RunRecord.read(moved / "run" / "config.toml")
     assert record.scene == moved / "scene"
     assert record.prior.los == moved / "los" / "los.ply"
-    assert main(["render", str(moved / "run"), *COARSE_RENDER]) == 0
+    render = ["render", str(moved / "run"), *COARSE_RENDER, "--angles", "60"]
+    assert main(render) == 0
     (moved / "scene").rename(tmp_path / "far")  # the scene alone
-    assert main(["render", str(moved / "run"), *COARSE_RENDER]) == 2
+    assert main(render) == 2
     said = "the scene of the run is no longer there; name it with --scene; it was called 'scene'"
     assert said in the_error(capsys)
-    again = ["render", str(moved / "run"), *COARSE_RENDER, "--scene", str(tmp_path / "far")]
-    assert main(again) == 0
+    assert main([*render, "--scene", str(tmp_path / "far")]) == 0
 
 
 def test_every_path_of_a_config_is_found_again(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "masks").mkdir()
     (tmp_path / "turn.txt").write_text("1")
-    photos = LosOptions(to_radar=tmp_path.__class__("turn.txt"), masks=tmp_path.__class__("masks"))
+    photos = LosOptions(to_radar=Path("turn.txt"), masks=Path("masks"))
     record = RunRecord(options=RunOptions(photos=photos))
     (tmp_path / "run").mkdir()
     record.write(tmp_path / "run" / "config.toml")

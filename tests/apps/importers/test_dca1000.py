@@ -232,9 +232,7 @@ class TestConfigurations:
         [
             ("numAdcSamples", 128, "number of samples per chirp, expected 64"),
             ("laneEn", "0x3", "contradict the layout given"),
-            ("b2AdcBits", 0, "not of 16 bits"),
             ("b2AdcOutFmt", 0, "states real ones, .* got complex ones"),
-            ("startFreqConst_GHz", "fast", "must be a number, got 'fast'"),
         ],
     )
     def test_studio_json_that_contradicts_is_refused(self, tmp_path, key, value, text):
@@ -258,18 +256,11 @@ class TestConfigurations:
         assert recording.config.first_sample_hz() == pytest.approx(77.36e9)
         assert recording.config.sample_rate_hz == pytest.approx(1e6)
 
-    @pytest.mark.parametrize(
-        ("old", "new", "text"),
-        [
-            ("profileCfg 0 77", "profileCfg 0 fast", "line 4, profileCfg' must be a number"),
-            ("frameCfg 0 1 10 2 50 1 0", "frameCfg 0 1", "line 7: frameCfg has too few values"),
-            ("profileCfg", "profile", "must have one line profileCfg"),
-        ],
-    )
-    def test_a_profile_that_cannot_be_read_names_the_line(self, tmp_path, old, new, text):
-        (tmp_path / "radar.cfg").write_text(PROFILE.replace(old, new))
+    def test_a_profile_that_cannot_be_read_names_the_line(self, tmp_path):
+        text = PROFILE.replace("profileCfg 0 77", "profileCfg 0 fast")
+        (tmp_path / "radar.cfg").write_text(text)
         path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=text):
+        with pytest.raises(UserError, match="line 4, profileCfg' must be a number"):
             opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
 
     @pytest.mark.parametrize(("mode", "layout", "good"), [(1, "4-lane", 1), (2, "4-lane", 0)])
@@ -289,13 +280,6 @@ class TestConfigurations:
         write_words(tmp_path / "a.bin", beat())
         with pytest.raises(UserError, match=r"radar\.cfg: contradicts .* on ramp_start_hz"):
             opened(tmp_path)
-
-    @pytest.mark.parametrize("text", ["[]", "{", '{"a": 1}', "\xff"])
-    def test_what_is_no_configuration_is_named(self, tmp_path, text):
-        (tmp_path / "x.json").write_bytes(text.encode("latin-1"))
-        path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=r"x\.json"):
-            opened(path, ImportOptions(config=(tmp_path / "x.json",)))
 
 
 class TestPlaces:
@@ -356,7 +340,7 @@ class TestPlaces:
         assert np.array_equal(tx[rows], some.tx_positions)
         assert np.allclose(whole[rows], some.signal, rtol=1e-6)
 
-    def test_frames_that_do_not_fill_the_raster(self, tmp_path):
+    def test_frames_that_do_not_fill_the_raster_are_refused_or_kept(self, tmp_path):
         path = write_words(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01))[:-2])
         with pytest.raises(UserError, match="22 frames do not fill the raster, expected a mult"):
             self.scan(path, raster=self.raster)

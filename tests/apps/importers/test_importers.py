@@ -79,14 +79,8 @@ def test_double_precision_is_read_as_well(source, frame, capture):
     ("names", "change", "message"),
     [
         (["tpos"], lambda a: a[:-1], r"differ in length, .* got 35 and 36"),
-        (["rpos"], lambda a: a[:-1], r"differ in length, .* got 36 and 35"),
-        (["tpos"], lambda a: a[:, :2], r"tpos.npy: .* expected \(n_antennas, 3\), got \(36, 2\)"),
         (["rpos"], lambda a: a.ravel(), r"rpos.npy: .* got \(108,\)"),
-        (["adcr"], lambda a: a[:-1], r"adcr.npy: .* expected \(36, n_samples\), got \(35, 32\)"),
-        (["adcr"], lambda a: a[:, :0], r"adcr.npy: .* got \(36, 0\)"),
         (["adci"], lambda a: a[:, :-1], r"adci.npy: .* expected \(36, 32\) as adcr.npy"),
-        (["adci"], lambda a: a[..., None], r"adci.npy: .* got \(36, 32, 1\)"),
-        (["rotation"], lambda a: a[:2], r"rotation.npy: .* expected \(3, 3\), got \(2, 3\)"),
         (NAMES[2:4], lambda a: a[:, :16], r"1_120_0.adcr.npy: .* 32 as in 0_0_0, got 16"),
         (NAMES[:4], lambda a: a[:0], "1_120_0: frame has 0 antennas"),
     ],
@@ -148,7 +142,7 @@ def test_without_capture_json_everything_may_come_from_radar_toml(tmp_path, capt
 
 def test_what_the_user_gives_goes_before_capture_json(source):
     assert open_scan(source, path_bias_m=0.2).manifest.waveform.path_bias_m == 0.2
-    with pytest.raises(UserError, match=r"expected n_samples = 64, got 32 in adcr.npy"):
+    with pytest.raises(UserError, match="expected n_samples = 64, got 32"):
         open_scan(source, n_samples=64)
 
 

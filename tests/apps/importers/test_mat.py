@@ -1,5 +1,3 @@
-import contextlib
-
 import h5py
 import numpy as np
 import pytest
@@ -108,11 +106,7 @@ def test_nan_is_refused_or_left_out(save, arrays, name):
 @pytest.mark.parametrize(
     ("name", "value", "text"),
     [
-        ("signal", None, "the file lacks the signal"),
-        ("tx_positions", None, "the file lacks tx_positions"),
-        ("signal", np.zeros((4, 4)), "signal has the wrong shape or dtype"),
         ("signal", np.zeros((3, 36, 32, 2), complex), "signal has the wrong shape or dtype"),
-        ("tx_positions", np.zeros((3, 35, 3)), "tx_positions has the wrong shape"),
         ("axes", np.zeros((3, 3)), "rows of axes are not orthonormal"),
         ("axes", np.zeros((2, 3)), "axes has the wrong shape"),
         ("start_frequency_hz", np.zeros(3), "start_frequency_hz must be a number"),
@@ -132,14 +126,15 @@ def test_an_unknown_name_of_ours_is_named(save, arrays):
         opened(save(arrays), arrays={"signals": "adc"})
 
 
-def test_no_broken_byte_ends_the_process(tmp_path):
+@pytest.mark.parametrize("in_struct", [False, True])
+def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
     """SciPy alone crashes on some of these: it does not check number types."""
     path = tmp_path / "a.mat"
     values = {"signal": np.ones((4, 8), np.complex64), "positions": np.arange(12.0).reshape(4, 3)}
-    savemat(path, values)
+    savemat(path, {"s": values} if in_struct else values)
     whole, rng = path.read_bytes(), np.random.default_rng(0)
     n_refused = 0
-    for _ in range(1000):
+    for _ in range(600):
         broken = bytearray(whole)
         broken[rng.integers(124, len(whole))] = rng.integers(256)
         path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
@@ -250,15 +245,3 @@ def test_what_is_in_a_struct_and_what_cannot_be_read_is_listed(tmp_path, arrays)
     savemat(tmp_path / "a.mat", values)
     with pytest.raises(UserError, match=r"s 1 x 1 struct of adc 36 x 32 complex, cells 1 x 2 cell"):
         opened(tmp_path / "a.mat")
-
-
-def test_no_broken_byte_of_a_struct_ends_the_process(tmp_path):
-    path = tmp_path / "a.mat"
-    savemat(path, {"s": {"signal": np.ones((4, 8), complex), "positions": np.ones((4, 3))}})
-    whole, rng = path.read_bytes(), np.random.default_rng(0)
-    for _ in range(300):
-        broken = bytearray(whole)
-        broken[rng.integers(124, len(whole))] = rng.integers(256)
-        path.write_bytes(broken)
-        with contextlib.suppress(UserError):
-            mat.open_arrays(path, {"signal": "signal", "positions": "positions"})

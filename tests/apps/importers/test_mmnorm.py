@@ -1,5 +1,4 @@
 import json
-from contextlib import suppress
 
 import numpy as np
 import pytest
@@ -194,38 +193,12 @@ class TestNpz:
         assert np.isfinite(tx).all()
 
     @pytest.mark.parametrize(
-        ("name", "value", "text"),
+        ("places", "text"),
         [
-            ("received_signals", np.zeros((30, 64)), "received_signals has the wrong shape"),
-            ("received_signals", np.zeros((30, 64, 4)), "received_signals has the wrong shape"),
-            ("antenna_locations", np.zeros((29, 3)), "differ in length, expected 30, got 29"),
-            ("antenna_locations", np.zeros((30, 2)), "antenna_locations has the wrong shape"),
-            ("antenna_locations", np.zeros((30, 3)), "the viewing direction is not known"),
-            ("received_signals", None, "the file lacks the array"),
+            (np.zeros((30, 2)), "antenna_locations has the wrong shape"),
+            (np.zeros((30, 3)), "the viewing direction is not known"),
         ],
     )
-    def test_arrays_that_do_not_fit_are_named(self, tmp_path, arrays, name, value, text):
-        arrays[name] = value
-        kept = {key: array for key, array in arrays.items() if array is not None}
+    def test_places_that_do_not_fit_are_named(self, tmp_path, arrays, places, text):
         with pytest.raises(UserError, match=text):
-            opened(self.save(tmp_path / "a.npz", kept))
-
-    @pytest.mark.parametrize("compressed", [False, True])
-    def test_bytes_that_changed_are_read_or_refused(self, tmp_path, arrays, compressed):
-        path = self.save(tmp_path / "a.npz", arrays, compressed)
-        data = path.read_bytes()
-        rng = np.random.default_rng(0)
-        for _ in range(40):
-            changed = bytearray(data)
-            for place in rng.integers(0, 600, 4):
-                changed[place] ^= int(rng.integers(1, 256))
-            path.write_bytes(changed)
-            # Anything else that is raised fails the test.
-            with suppress(UserError):
-                whole_pose(opened(path, ImportOptions(keep_good=True)))
-
-    def test_a_file_cut_short_is_named(self, tmp_path, arrays):
-        path = self.save(tmp_path / "a.npz", arrays)
-        path.write_bytes(path.read_bytes()[:5000])
-        with pytest.raises(UserError, match=r"a\.npz"):
-            opened(path)
+            opened(self.save(tmp_path / "a.npz", {**arrays, "antenna_locations": places}))
