@@ -241,10 +241,9 @@ def single(options: argparse.Namespace) -> None:
 
 
 def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
-    from geraf2.apps.inspection.bodies import Body, measure  # noqa: PLC0415
+    from geraf2.apps.inspection.bodies import body_of, measure  # noqa: PLC0415
 
-    n = len(truth.vertices)
-    exact = measure(Body(mesh=truth, sigma_m=np.zeros(n), seen=np.ones(n, dtype=bool)))
+    exact = measure(body_of(truth))
     for value, sigma, true in zip(part.center_m, part.center_sigma_m, exact.center_m, strict=True):
         measured["middle"].append(abs(value - true) < 1.96 * sigma)
     for axis, length in zip(part.axes, part.dimensions_m, strict=True):

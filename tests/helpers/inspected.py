@@ -1,6 +1,7 @@
 """Parts with closed surfaces, as if they had been measured, for tests of inspections."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection import registration
-from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.bodies import body_of
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
@@ -67,8 +68,7 @@ def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
         seen = normals @ np.asarray(unseen) < 0.5
         off = np.where(seen, off, -0.004)
     vertices = (mesh.vertices + off[:, None] * normals) @ pose[:3, :3].T + pose[:3, 3]
-    return Body(
-        mesh=TriangleMesh(vertices=vertices, faces=mesh.faces),
-        sigma_m=np.where(seen, sigma_m, 0.004),
-        seen=seen,
+    mesh = TriangleMesh(
+        vertices=vertices, faces=mesh.faces, expected_error_m=np.where(seen, sigma_m, 0.004)
     )
+    return replace(body_of(mesh), seen=seen)

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
-from geraf2.apps.inspection.bodies import BodyReport, Measured
+from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
+from geraf2.apps.inspection.material import Measured, material_text
 from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotation_vector_deg
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
@@ -49,8 +50,9 @@ def main(config: Config) -> int:
         num_threads=config.threads,
         listener=CONSOLE,
     )
+    say(f"{len(found.parts)} in the box  (± holds 95 %)")
     for number, part in enumerate(found.parts, 1):
-        say(f"part {number}  (± holds 95 %)")
+        say(f"part {number}  {part.material.kind}")
         rows(_part(part))
     for report in found.models:
         say(f"model '{report.model.name}': {report.match.status}")
@@ -76,6 +78,8 @@ def _part(part: BodyReport) -> list[tuple[str, str]]:
         ("  along its own axes", f"{lengths} mm"),
         ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
         ("  area", f"{_pm(part.area_m2, 1e4)} cm^2"),
+        ("  exists", f"{100 * part.probability:.0f} %"),
+        ("  material", material_text(part.material)),
         ("  seen", f"{100 * part.seen_fraction:.0f} %"),
     ]
 

@@ -16,6 +16,7 @@ from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
+from geraf2.apps.inspection.materials import levels_of, materials_of
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.echoes import Glints
@@ -97,14 +98,16 @@ def inspect(
     bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
     cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
+    planes = _planes(result.path)
     with listener.step("measuring the parts"):
-        parts = tuple(measure(body) for body in bodies)
+        levels = levels_of(result, planes)
+        parts = tuple(map(measure, bodies, materials_of(bodies, levels)))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
             matches, patches, more = _compared(result, matches, models, options, num_threads)
             notes += more
-    basis = _DeviationBasis(tolerance_m, _planes(result.path), result.glints, num_threads)
+    basis = _DeviationBasis(tolerance_m, planes, result.glints, num_threads)
     reports: tuple[ModelReport, ...] = ()
     if matches:
         with listener.step("comparing surfaces") as progress:
@@ -143,7 +146,11 @@ def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
         raise UserError(
             what="nothing was found in the box: its surface is empty", where=result.path
         )
-    whole = body_of(content, result.glints)
+    try:
+        moved = result.samples().displacements_m
+    except UserError:  # a preset without a posterior, or a run without its files
+        moved = None
+    whole = body_of(content, result.glints, moved)
     return whole, split_bodies(whole)
 
 
