@@ -293,11 +293,10 @@ def trio(options: argparse.Namespace) -> None:
         for number in range(200, 200 + options.trios):
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
-            asked = geraf2.InspectOptions(expect=3)
             run = case.run(options)
             if run is None:
                 continue
-            found = geraf2.inspect(run, models, options=asked, write=False)
+            found = geraf2.inspect(run, models, expect=3, write=False)
             states = [report.match.status for report in found.models]
             missing = [status in ("missing", "wrong part") for status in states]
             said.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])

@@ -28,8 +28,8 @@ class Config:
     """Run folder of `geraf2 reconstruct`."""
     cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
     """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
-    against: Annotated[Path | None, Arg(metavar="OUT2")] = None
-    """Earlier run of the same box in the same frame: changes are reported."""
+    expect: Annotated[str | None, Arg(metavar="N|LIST")] = None
+    """Required number of parts, or a list of contents (contents.toml)."""
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""
@@ -41,11 +41,12 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
+    wanted = config.expect
     found = inspect(
         config.run,
         config.cad,
+        expect=int(wanted) if wanted is not None and wanted.isdecimal() else wanted,
         options=config.options,
-        against=config.against,
         out=config.out,
         num_threads=config.threads,
         listener=CONSOLE,
@@ -62,7 +63,7 @@ def main(config: Config) -> int:
         say(f"note: {text}")
     for text in found.failures:
         say(f"fails: {text}")
-    nothing = ": nothing was required; --cad, --expect and --against do"
+    nothing = ": nothing was required; --cad and --expect do"
     say(f"result   {found.verdict}{nothing if found.verdict == NOT_JUDGED else ''}")
     keep(found.to_dict())
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")

@@ -86,16 +86,6 @@ def test_a_scan_that_is_not_there_is_one_line(run, cad, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_what_changed_since_an_earlier_run(run, tmp_path):
-    assert geraf2.inspect(run, against=run, write=False).verdict == "pass"
-    before = run_of(tmp_path / "before", wedge())
-    found = geraf2.inspect(run, against=before, write=False)
-    assert found.verdict == "fail"
-    assert found.comparison.n_parts == (2, 1)
-    assert {region.what for region in found.comparison.regions} == {"too much"}
-    assert "2 parts, there were 1" in found.failures[0]
-
-
 def test_another_part_and_a_missing_one_fail(run):
     models = [wedge(), block((0.04, 0.04, 0.003)), block((0.01,) * 3)]
     with few_starts():

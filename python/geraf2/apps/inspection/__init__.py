@@ -1,7 +1,7 @@
 """Inspection of the content of a box: parts and their sizes, CAD models, changes."""
 
 from geraf2.apps.inspection.bodies import Body, BodyReport
-from geraf2.apps.inspection.comparison import Comparison
+from geraf2.apps.inspection.comparison import Change, Comparison
 from geraf2.apps.inspection.deviation import Deviation, Region
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.material import Material, Measured
@@ -13,6 +13,7 @@ __all__ = [
     "Body",
     "BodyReport",
     "CadModel",
+    "Change",
     "Comparison",
     "Deviation",
     "Inspection",

@@ -9,6 +9,7 @@ import numpy as np
 from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.material import UNKNOWN, Material, Measured
 from geraf2.echoes.glint_set import Glints
+from geraf2.errors import UserError
 from geraf2.geometry.components import connected_labels, face_labels
 from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import (
@@ -20,6 +21,7 @@ from geraf2.geometry.triangles import (
     vertex_normals,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.expected_error import nearness
 
 PATCH_M = 0.010
@@ -124,6 +126,21 @@ def _drawn(vertices: Floats, sigma_m: Floats) -> Floats:
     single = rng.normal(size=(_N_SAMPLES, patch.max(initial=0) + 1))[:, patch]
     share = np.sqrt(_COMMON_SHARE), np.sqrt(1.0 - _COMMON_SHARE)
     return np.asarray(sigma_m * (share[0] * common + share[1] * single))
+
+
+def content_of(result: Reconstruction) -> tuple[Body, list[Body]]:
+    """All of the content of a run, and its parts; UserError where there is none."""
+    content = result.content_mesh
+    if not len(content.faces):
+        raise UserError(
+            what="nothing was found in the box: its surface is empty", where=result.path
+        )
+    try:
+        moved = result.samples().displacements_m
+    except UserError:  # a preset without a posterior, or a run without its files
+        moved = None
+    whole = body_of(content, result.glints, moved)
+    return whole, split_bodies(whole)
 
 
 def split_bodies(body: Body) -> list[Body]:

@@ -27,7 +27,7 @@ class Material:
     metal_probability: float
     """That it is metal and not plastic, 0 to 1; 0.5 where nothing shows it."""
     reflectivity_db: Measured | None
-    """Median amplitude of its returns against metal [dB]; None without a scale or returns."""
+    """Amplitude of its strong returns against metal [dB]; None without a scale or returns."""
     permittivity: Measured | None
     """Relative, of plastic whose back face shows it; else None."""
     n_returns: int
