@@ -18,12 +18,7 @@ from geraf2.apps.inspection.comparison import (
 )
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
-from geraf2.io.mesh import write_mesh
-from geraf2.io.planes import ScannedPlanes, save_planes
-from geraf2.io.run_folder import CONTENT_NAME, PLANES_NAME, PRIOR_NAME, RunFolder
-from geraf2.pipeline.prior import save_prior
-from geraf2.scene import LosPrior
-from helpers.inspected import block, measured, wedge
+from helpers.inspected import block, measured, run_of, wedge
 from helpers.solids import joined
 
 HERE = np.eye(4)
@@ -106,26 +101,15 @@ def test_a_change_must_differ_from_every_reference():
     assert kinds(common_changes(twice)) == [("appeared", True)]
 
 
-def run_of(out, *meshes, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039):
-    out.mkdir()
-    write_mesh(measured(joined(*meshes), HERE, sigma_m=3e-4).mesh, out / CONTENT_NAME)
-    save_prior(LosPrior.from_box(box_m), out / PRIOR_NAME)
-    save_planes(
-        ScannedPlanes(corners_m=np.zeros((0, 4, 3)), wavelength_m=wavelength_m), out / PLANES_NAME
-    )
-    RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME], 1.0)
-    return out
-
-
 @pytest.fixture(scope="module")
 def packed(tmp_path_factory):
-    return run_of(tmp_path_factory.mktemp("packed") / "run", *CUBES)
+    return run_of(tmp_path_factory.mktemp("packed") / "run", *CUBES, pose=HERE)
 
 
 def test_exit_codes_and_json(packed, tmp_path, capsys):
     assert main(["compare", str(packed), str(packed)]) == 0
     assert "result   unchanged" in capsys.readouterr().out
-    robbed = run_of(tmp_path / "robbed", *CUBES[:2])
+    robbed = run_of(tmp_path / "robbed", *CUBES[:2], pose=HERE)
     assert main(["compare", str(robbed), str(packed), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
     assert found["changed"] is True
@@ -142,7 +126,7 @@ def test_exit_codes_and_json(packed, tmp_path, capsys):
     ],
 )
 def test_a_reference_of_something_else_is_one_line(packed, tmp_path, capsys, options, text):
-    other = run_of(tmp_path / "other", *CUBES, **options)
+    other = run_of(tmp_path / "other", *CUBES, pose=HERE, **options)
     assert main(["compare", str(packed), str(other)]) == 2
     error = capsys.readouterr().err.strip()
     assert text in error

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 from scipy.stats import norm
-from test_inspect import run_of
 
 from geraf2.apps.inspection.bodies import body_of, measure
 from geraf2.apps.inspection.expected import ExpectedItem, assigned, log_odds, read_expected
 from geraf2.apps.inspection.material import Material
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from helpers.inspected import block, wedge
+from helpers.inspected import block, run_of, wedge
 
 
 def material(metal):

@@ -13,20 +13,9 @@ import geraf2
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.commands.verify import verify
 from geraf2.pipeline.events import Listener
-from helpers.inspected import POSE, SMALL, block, few_starts, measured, wedge
-from helpers.solids import joined
-
-
-def run_of(out, *meshes):
-    """Folder of a run that found these parts, in the frame that they are moved into."""
-    out.mkdir()
-    write_mesh(measured(joined(*meshes), sigma_m=3e-4).mesh, out / CONTENT_NAME)
-    folder = RunFolder(out, "digest", "crate")
-    folder.mark_done("mesh", "key", [CONTENT_NAME], 1.0)
-    return out
+from helpers.inspected import POSE, SMALL, block, few_starts, run_of, wedge
 
 
 @pytest.fixture(scope="module")

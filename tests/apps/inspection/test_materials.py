@@ -73,7 +73,7 @@ def test_nothing_is_claimed_without_a_scale_with_few_returns_or_above_metal():
 def test_glints_seen_through_one_of_two_parts_make_only_that_one_plastic():
     mesh = ball(0.03, 3)
     other = ball(0.03, 3)
-    moved = type(mesh)(vertices=other.vertices + [0, 0.2, 0], faces=other.faces)
+    moved = type(mesh)(vertices=other.vertices + np.array([0, 0.2, 0]), faces=other.faces)
     unknown = levels(
         mesh,
         np.nan,
