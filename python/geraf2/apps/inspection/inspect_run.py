@@ -1,7 +1,7 @@
 """Inspection of a run: its parts, and comparison with CAD models."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import Bounded, Seed
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
@@ -17,13 +17,13 @@ from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.expected import ExpectedContents, list_failures, read_expected
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
-from geraf2.apps.inspection.materials import levels_of, materials_of
+from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
@@ -102,6 +102,7 @@ def inspect(
     planes = _planes(result.path)
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
+        whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
         parts = tuple(map(measure, bodies, materials_of(bodies, levels)))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
@@ -318,6 +319,7 @@ def _write(
             inspection,
             whole,
             _values(inspection, bodies, whole),
+            _part_numbers(bodies, whole),
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
         )
@@ -325,6 +327,8 @@ def _write(
     def write(folder: Path) -> None:
         inspection.write(folder / INSPECTION_NAME)
         write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+        if whole.mesh.reflectivity_db is not None:
+            write_mesh(whole.mesh, folder / f"{INSPECTION_NAME}.ply")
 
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)
@@ -341,11 +345,25 @@ def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floa
     if not found:
         return None
     values = np.full(len(whole.mesh.vertices), np.nan)
-    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
     for report in found:
         index = report.match.body
         body = whole if index is None or index < 0 else bodies[index]
         assert report.deviation is not None  # of `found`
-        at = np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
+        at = _places(body, whole)
         values[at[at >= 0]] = report.deviation.values_m[at >= 0]
     return values
+
+
+def _part_numbers(bodies: Sequence[Body], whole: Body) -> Ints:
+    """Return the number of each vertex' part, from 1; 0 of ghosts and crumbs."""
+    numbers = np.zeros(len(whole.mesh.vertices), dtype=np.int64)
+    for number, body in enumerate(bodies, 1):
+        at = _places(body, whole)
+        numbers[at[at >= 0]] = number
+    return numbers
+
+
+def _places(body: Body, whole: Body) -> Ints:
+    """Index of each vertex of a part in the content; -1 of those that a cut made."""
+    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
+    return np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])

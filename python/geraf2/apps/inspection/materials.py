@@ -5,6 +5,7 @@ The amplitude of a return of metal follows from the curvature of the measured su
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,6 +28,7 @@ from geraf2.echoes.reflectivity import (
 from geraf2.errors import UserError
 from geraf2.geometry.curvature import shape_operators
 from geraf2.geometry.triangles import vertex_normals
+from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
 from geraf2.io.run_folder import BACK_NAME
 from geraf2.pipeline.presets import BestPreset, FastPreset
@@ -177,6 +179,14 @@ def reflectivity_map(vertices: Floats, normals: Floats, levels: Levels) -> Float
     total = np.bincount(i, weight, minlength=len(vertices))
     sums = np.bincount(i, weight * levels.levels_db[j], minlength=len(vertices))
     return np.asarray(np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0.0))
+
+
+def with_reflectivity(mesh: TriangleMesh, levels: Levels | None) -> TriangleMesh:
+    """Mesh with its map of reflectivity, where there is a scale."""
+    if levels is None or not np.isfinite(levels.levels_db).any():
+        return mesh
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    return replace(mesh, reflectivity_db=reflectivity_map(mesh.vertices, normals, levels))
 
 
 def _level(levels_db: Floats, scale_sigma_db: float) -> Measured | None:

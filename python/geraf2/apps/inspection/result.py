@@ -127,6 +127,11 @@ def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
     volume, area = part.volume_m3, part.area_m2
     rows.append(("volume", f"{1e9 * volume.value:.0f}", f"{1e9 * volume.sigma:.0f}", "mm3"))
     rows.append(("area", f"{1e6 * area.value:.0f}", f"{1e6 * area.sigma:.0f}", "mm2"))
+    material, level = part.material, part.material.reflectivity_db
+    rows.append(("probability of metal", f"{material.metal_probability:.4f}", "", ""))
+    if level is not None:
+        rows.append(("reflectivity", f"{level.value:.2f}", f"{level.sigma:.2f}", "dB"))
+    rows.append(("probability", f"{part.probability:.4f}", "", ""))
     return [*rows, ("seen fraction", f"{part.seen_fraction:.4f}", "", "")]
 
 
