@@ -41,9 +41,11 @@ def compare(
     Box and content are registered first: the box may have been put down elsewhere. With several
     references only what differs from all of them is a change.
 
-    run: a reconstruction, or its folder. references: at least one, of the same box and radar.
+    run: a reconstruction, or its folder.
+    references: at least one, of the same box and radar.
     tolerance_mm: largest change that is none [mm].
-    num_threads: all when None. listener: receives progress.
+    num_threads: all when None.
+    listener: receives progress.
 
     Returns the changes with their probabilities; lengths in metres. Raises UserError for a run
     without a surface, or a reference of another box or radar.
