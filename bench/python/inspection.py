@@ -241,10 +241,9 @@ def single(options: argparse.Namespace) -> None:
 
 
 def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
-    from geraf2.apps.inspection.bodies import Body, measure  # noqa: PLC0415
+    from geraf2.apps.inspection.bodies import body_of, measure  # noqa: PLC0415
 
-    n = len(truth.vertices)
-    exact = measure(Body(mesh=truth, sigma_m=np.zeros(n), seen=np.ones(n, dtype=bool)))
+    exact = measure(body_of(truth))
     for value, sigma, true in zip(part.center_m, part.center_sigma_m, exact.center_m, strict=True):
         measured["middle"].append(abs(value - true) < 1.96 * sigma)
     for axis, length in zip(part.axes, part.dimensions_m, strict=True):
@@ -294,11 +293,10 @@ def trio(options: argparse.Namespace) -> None:
         for number in range(200, 200 + options.trios):
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
-            asked = geraf2.InspectOptions(expect=3)
             run = case.run(options)
             if run is None:
                 continue
-            found = geraf2.inspect(run, models, options=asked, write=False)
+            found = geraf2.inspect(run, models, expect=3, write=False)
             states = [report.match.status for report in found.models]
             missing = [status in ("missing", "wrong part") for status in states]
             said.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])

@@ -1,5 +1,6 @@
 from . import examples as examples
 from .apps.importers.import_capture import import_capture as import_capture
+from .apps.inspection.compare_runs import compare as compare
 from .apps.inspection.inspect_run import InspectOptions as InspectOptions
 from .apps.inspection.inspect_run import inspect as inspect
 from .apps.photos.los import make_los as make_los

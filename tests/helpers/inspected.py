@@ -1,6 +1,7 @@
 """Parts with closed surfaces, as if they had been measured, for tests of inspections."""
 
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,11 +9,15 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection import registration
-from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.bodies import body_of
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
-from geraf2.io.mesh import TriangleMesh
-from helpers.solids import triangles
+from geraf2.io.mesh import TriangleMesh, write_mesh
+from geraf2.io.planes import ScannedPlanes, save_planes
+from geraf2.io.run_folder import CONTENT_NAME, PLANES_NAME, PRIOR_NAME, RunFolder
+from geraf2.pipeline.prior import save_prior
+from geraf2.scene import LosPrior
+from helpers.solids import joined, triangles
 
 POSE = np.eye(4)
 POSE[:3, :3] = Rotation.from_rotvec([0.4, -1.1, 2.0]).as_matrix()
@@ -67,8 +72,18 @@ def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
         seen = normals @ np.asarray(unseen) < 0.5
         off = np.where(seen, off, -0.004)
     vertices = (mesh.vertices + off[:, None] * normals) @ pose[:3, :3].T + pose[:3, 3]
-    return Body(
-        mesh=TriangleMesh(vertices=vertices, faces=mesh.faces),
-        sigma_m=np.where(seen, sigma_m, 0.004),
-        seen=seen,
+    mesh = TriangleMesh(
+        vertices=vertices, faces=mesh.faces, expected_error_m=np.where(seen, sigma_m, 0.004)
     )
+    return replace(body_of(mesh), seen=seen)
+
+
+def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039):
+    """Folder of a run that found these parts, in the frame that they are moved into."""
+    out.mkdir()
+    write_mesh(measured(joined(*meshes), pose, sigma_m=3e-4).mesh, out / CONTENT_NAME)
+    save_prior(LosPrior.from_box(box_m), out / PRIOR_NAME)
+    planes = ScannedPlanes(corners_m=np.zeros((0, 4, 3)), wavelength_m=wavelength_m)
+    save_planes(planes, out / PLANES_NAME)
+    RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME], 1.0)
+    return out

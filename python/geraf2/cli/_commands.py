@@ -47,6 +47,9 @@ COMMANDS = {
     "inspect": Command(
         "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
     ),
+    "compare": Command(
+        "compare", "what appeared, vanished or moved since other runs", "RUN REFERENCE..."
+    ),
     "export": Command("export", "surface or glints of a run as one file", "OUT FILE"),
     "view": Command("view", "a run or a scene in 3D in a browser", "OUT|SCENE"),
     "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),

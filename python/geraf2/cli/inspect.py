@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
-from geraf2.apps.inspection.bodies import BodyReport, Measured
+from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
+from geraf2.apps.inspection.material import Measured, material_text
 from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotation_vector_deg
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
@@ -27,8 +28,8 @@ class Config:
     """Run folder of `geraf2 reconstruct`."""
     cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
     """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
-    against: Annotated[Path | None, Arg(metavar="OUT2")] = None
-    """Earlier run of the same box in the same frame: changes are reported."""
+    expect: Annotated[str | None, Arg(metavar="N|LIST")] = None
+    """Required number of parts, or a list of contents (contents.toml)."""
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""
@@ -40,17 +41,19 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
+    wanted = config.expect
     found = inspect(
         config.run,
         config.cad,
+        expect=int(wanted) if wanted is not None and wanted.isdecimal() else wanted,
         options=config.options,
-        against=config.against,
         out=config.out,
         num_threads=config.threads,
         listener=CONSOLE,
     )
+    say(f"{len(found.parts)} in the box  (± holds 95 %)")
     for number, part in enumerate(found.parts, 1):
-        say(f"part {number}  (± holds 95 %)")
+        say(f"part {number}  {part.material.kind}")
         rows(_part(part))
     for report in found.models:
         say(f"model '{report.model.name}': {report.match.status}")
@@ -60,7 +63,7 @@ def main(config: Config) -> int:
         say(f"note: {text}")
     for text in found.failures:
         say(f"fails: {text}")
-    nothing = ": nothing was required; --cad, --expect and --against do"
+    nothing = ": nothing was required; --cad and --expect do"
     say(f"result   {found.verdict}{nothing if found.verdict == NOT_JUDGED else ''}")
     keep(found.to_dict())
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
@@ -76,6 +79,8 @@ def _part(part: BodyReport) -> list[tuple[str, str]]:
         ("  along its own axes", f"{lengths} mm"),
         ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
         ("  area", f"{_pm(part.area_m2, 1e4)} cm^2"),
+        ("  exists", f"{100 * part.probability:.0f} %"),
+        ("  material", material_text(part.material)),
         ("  seen", f"{100 * part.seen_fraction:.0f} %"),
     ]
 

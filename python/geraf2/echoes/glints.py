@@ -16,11 +16,13 @@ from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Label, LabelledPeaks, label_peaks
 from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
+from geraf2.echoes.reflectivity import MetalLevel, Windows, metal_level
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
+from geraf2.scene.aperture import apertures_of
 
 # Standard deviation of a strong glint's normal; weak ones are less accurate. A property of the
 # simulated population of objects.
@@ -29,7 +31,7 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 2e-4
 
 
-GLINTS_VERSION = 17
+GLINTS_VERSION = 18
 """Increase when the same capture and settings give other glints."""
 
 
@@ -68,6 +70,8 @@ class FoundEchoes(NamedTuple):
     labelled: LabelledPeaks
     numbers: Ints
     """Index of each glint in the labelled peaks, (n_glints,)."""
+    metal: MetalLevel | None
+    """Strength of metal on the scale of the magnitudes; None where no wall shows it."""
 
 
 def find_glints(
@@ -147,7 +151,16 @@ def find_echoes(
             "their true direction"
         )
     glints = as_glints(near, labelled.candidates.select(keep), labelled.probability[keep])
-    return FoundEchoes(glints, labelled, np.flatnonzero(keep))
+    metal = metal_level(
+        near,
+        Windows.of(
+            apertures_of(capture.poses), near.planes, near.centers, prior, config.subaperture.size_m
+        ),
+        MeshScene(prior.vertices, prior.faces, num_threads=num_threads),
+        prior.walls or capture.walls,
+        capture.waveform,
+    )
+    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal)
 
 
 def _threshold(probability: Floats, least: float) -> float:

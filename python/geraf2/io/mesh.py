@@ -34,7 +34,12 @@ READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 _MAX_PLACE_M = 1e6
 
 
-VERTEX_COLUMNS = {"expected_error_m": "<f4", "evidence": "u1", "confidence": "<f4"}
+VERTEX_COLUMNS = {
+    "expected_error_m": "<f4",
+    "evidence": "u1",
+    "confidence": "<f4",
+    "reflectivity_db": "<f4",
+}
 """What a mesh may hold of each vertex, and its type in a file."""
 
 
@@ -68,6 +73,8 @@ class TriangleMesh(Short):
     """Evidence of each vertex, as `Evidence`, (n_vertices,)."""
     confidence: Floats | None = None
     """Probability that the piece of each vertex exists, (n_vertices,)."""
+    reflectivity_db: Floats | None = None
+    """Amplitude of returns against metal, NaN where none came from, (n_vertices,) [dB]."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))
@@ -351,6 +358,8 @@ def _stored(columns: Mapping[str, Array]) -> dict[str, Array]:
         confidence = columns.get("confidence")  # means something else in files of others
         if confidence is not None and ((confidence >= 0) & (confidence <= 1)).all():
             found["confidence"] = np.asarray(confidence, dtype=np.float64)
+    if "reflectivity_db" in columns:
+        found["reflectivity_db"] = np.asarray(columns["reflectivity_db"], dtype=np.float64)
     return found
 
 

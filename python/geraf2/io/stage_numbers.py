@@ -43,6 +43,9 @@ class _Known:
     permittivity_sigma: float = 0.0
     thickness_m: _Interval = (0.0, 0.0)
     n_face_pairs: int = 0
+    metal_strength_m: float = 0.0
+    metal_strength_sigma_db: float = 0.0
+    n_wall_flashes: int = 0
     outlines: int | None = None
     applied: tuple[str, ...] = ()
     left: tuple[str, ...] = ()

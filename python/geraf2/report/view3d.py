@@ -27,7 +27,7 @@ _MAX_TRUTH_FACES = 30_000
 _MAX_BOX_FACES = 4_000
 _MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
-_PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
+PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
 _EVIDENCE_COLOURS = (RED, "#009E73", SKY)
 _N_COLOURS = 17  # of a scale; the view interpolates
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
@@ -173,7 +173,7 @@ def _parts(content: TriangleMesh) -> list[Attribute]:
     of_vertex[content.faces] = rank[labels][:, None]
     shares = 100.0 * np.sort(areas)[::-1] / areas.sum()
     names = tuple(f"part {n} ({share:.0f} % of the area)" for n, share in enumerate(shares, 1))
-    return [Attribute(label="part", values=of_vertex, classes=names, colours=_PART_COLOURS)]
+    return [Attribute(label="part", values=of_vertex, classes=names, colours=PART_COLOURS)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,6 @@ import trimesh
 
 from geraf2.apps.inspection import deviation
 from geraf2.apps.inspection.bodies import Content, split_bodies
-from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of, in_sight, of_flats, pose_sigma
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of, read_models
@@ -231,23 +230,6 @@ def test_a_part_is_compared_with_where_it_should_be(turn_deg, shift_m, status):
     body = measured(model.mesh, pose)
     (found,) = match_models([model], Content([body], body), placed=True)
     assert found.status == status
-
-
-def test_what_changed_between_two_scans():
-    three = [block((0.02,) * 3, (x, 0.0, 0.0)) for x in (-0.05, 0.0, 0.05)]
-    before, after = (
-        measured(joined(*parts), np.eye(4), seed=n) for n, parts in enumerate((three, three[:2]))
-    )
-    gone = compare(after, before, (2, 3), 0.002)
-    assert gone.changed
-    assert {r.what for r in gone.regions} == {"too little"}
-    assert all(abs(r.center_m[0] - 0.05) < 0.011 for r in gone.regions)
-    new = compare(before, after, (3, 2), 0.002)
-    assert {r.what for r in new.regions} == {"too much"}
-    again = measured(joined(*three), np.eye(4), seed=5)
-    same = compare(again, before, (3, 3), 0.002)
-    assert not same.changed
-    assert same.compared_fraction == 1.0
 
 
 def stl(path, mesh, scale=1.0):

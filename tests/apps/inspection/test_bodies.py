@@ -1,17 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geraf2.apps.inspection.bodies import (
-    COMMON_SHARE,
-    ERROR_FACTOR,
-    PATCH_M,
-    Body,
-    body_of,
-    measure,
-    split_bodies,
-)
+from geraf2.apps.inspection.bodies import body_of, measure, split_bodies
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas, vertex_normals
 from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, measured
 from helpers.solids import ball, joined
@@ -29,47 +22,30 @@ def test_a_block_that_lies_askew_has_its_own_lengths():
     assert found.seen_fraction == 1.0
 
 
-def test_an_error_moves_volume_area_and_middle_as_the_formulas_say():
+def test_uncertainties_are_those_of_the_samples():
     """A displacement that all places share, on a sphere: dV = A d, dA = 8 pi r d, dc = 0."""
-    r, sigma = 0.03, 1e-5 * ERROR_FACTOR
+    r, moved = 0.03, 1e-5 * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     mesh = ball(r, 4)
     n = len(mesh.vertices)
-    body = Body(mesh=mesh, sigma_m=np.full(n, 1e-5), seen=np.ones(n, dtype=bool))
-    found = measure(body)
-    area = 4 * np.pi * r**2
-    patches = (1 - COMMON_SHARE) * PATCH_M**2 * area
-    assert found.volume_m3.sigma == pytest.approx(
-        sigma * np.sqrt(COMMON_SHARE * area**2 + patches), rel=0.01
+    found = measure(body_of(mesh, moved_m=np.repeat(moved[:, None], n, axis=1)))
+    sigma = np.std(moved, ddof=1)
+    assert found.volume_m3.sigma == pytest.approx(4 * np.pi * r**2 * sigma, rel=0.01)
+    assert found.area_m2.sigma == pytest.approx(8 * np.pi * r * sigma, rel=0.01)
+    assert [length.sigma for length in found.dimensions_m] == pytest.approx(
+        [2 * sigma] * 3, rel=0.01
     )
-    by_curvature = (2 / r) * np.sqrt(COMMON_SHARE * area**2 + patches)
-    assert found.area_m2.sigma == pytest.approx(sigma * by_curvature, rel=0.02)
-    # Only what differs from place to place moves the middle; the mean of cos^2 is 1/3.
-    volume = area * r / 3
-    assert found.center_sigma_m == pytest.approx(
-        [sigma * np.sqrt(patches * r**2 / 3) / volume] * 3, rel=0.02
-    )
+    assert max(found.center_sigma_m) < 1e-2 * sigma
 
 
-def test_the_volume_of_patchwise_displaced_surfaces_scatters_as_stated():
-    """Slow twin: surfaces whose patches of PATCH_M by PATCH_M, and all together, are displaced."""
-    rng, sigma = np.random.default_rng(1), 2e-4
-    mesh = block((0.05, 0.04, 0.03), edge_m=0.003)
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    areas = vertex_areas(mesh.vertices, mesh.faces)
-    cells = np.floor(mesh.vertices / PATCH_M + 0.37).astype(int)
-    _, patch = np.unique(np.column_stack([cells, np.rint(normals)]), axis=0, return_inverse=True)
-    patch = patch.reshape(-1)
-    volumes = []
-    for _ in range(300):
-        common = np.sqrt(COMMON_SHARE) * rng.normal()
-        single = np.sqrt(1 - COMMON_SHARE) * rng.normal(size=patch.max() + 1)[patch]
-        moved = mesh.vertices + (sigma * (common + single))[:, None] * normals
-        volumes.append(enclosed_volume_m3(moved, mesh.faces))
-    n = len(areas)
-    stated = np.full(n, sigma / ERROR_FACTOR)
-    body = Body(mesh=mesh, sigma_m=stated, seen=np.ones(n, dtype=bool))
-    # 300 draws estimate a spread to 4 %; patches at edges are smaller than PATCH_M squared.
-    assert np.std(volumes) == pytest.approx(measure(body).volume_m3.sigma, rel=0.15)
+def test_samples_without_a_posterior_have_the_errors_of_the_surface():
+    """In part common: two places far apart correlate by the common share, 0.3."""
+    mesh = block((0.08, 0.06, 0.05), edge_m=0.005)
+    sigma = np.linspace(1e-4, 4e-4, len(mesh.vertices))
+    moved = body_of(replace(mesh, expected_error_m=sigma)).moved_m / sigma
+    assert np.std(moved) == pytest.approx(1.0, abs=0.15)
+    pairs = np.corrcoef(moved.T)
+    far = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices, axis=2) > 0.03
+    assert pairs[far].mean() == pytest.approx(0.3, abs=0.2)
 
 
 def test_parts_come_apart_largest_first_and_crumbs_stay_out():
@@ -77,7 +53,8 @@ def test_parts_come_apart_largest_first_and_crumbs_stay_out():
         block((0.02, 0.02, 0.02), (0.05, 0, 0)), block(SIDES), block((0.002,) * 3, (0, 0, 0.05))
     )
     n = len(three.vertices)
-    whole = Body(mesh=three, sigma_m=np.arange(n) * 1e-6, seen=np.arange(n) % 2 == 0)
+    likely = replace(three, expected_error_m=np.arange(n) * 1e-6, confidence=np.full(n, 0.75))
+    whole = replace(body_of(likely), seen=np.arange(n) % 2 == 0)
     parts = split_bodies(whole)
     assert [len(p.mesh.faces) for p in parts] == [
         len(block(SIDES).faces),
@@ -86,6 +63,8 @@ def test_parts_come_apart_largest_first_and_crumbs_stay_out():
     at = int(np.flatnonzero((three.vertices == parts[0].mesh.vertices[7]).all(axis=1))[0])
     assert parts[0].sigma_m[7] == whole.sigma_m[at]
     assert parts[0].seen[7] == whole.seen[at]
+    assert (parts[0].moved_m[:, 7] == whole.moved_m[:, at]).all()
+    assert measure(parts[0]).probability == 0.75
 
 
 def test_a_surface_without_errors_takes_them_from_the_glints():

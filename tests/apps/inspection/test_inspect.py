@@ -13,20 +13,9 @@ import geraf2
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.io.run_folder import CONTENT_NAME, RunFolder
 from geraf2.pipeline.commands.verify import verify
 from geraf2.pipeline.events import Listener
-from helpers.inspected import POSE, SMALL, block, few_starts, measured, wedge
-from helpers.solids import joined
-
-
-def run_of(out, *meshes):
-    """Folder of a run that found these parts, in the frame that they are moved into."""
-    out.mkdir()
-    write_mesh(measured(joined(*meshes), sigma_m=3e-4).mesh, out / CONTENT_NAME)
-    folder = RunFolder(out, "digest", "crate")
-    folder.mark_done("mesh", "key", [CONTENT_NAME], 1.0)
-    return out
+from helpers.inspected import POSE, SMALL, block, few_starts, run_of, wedge
 
 
 @pytest.fixture(scope="module")
@@ -84,16 +73,6 @@ def test_a_scan_that_is_not_there_is_one_line(run, cad, tmp_path, capsys):
     assert main(["inspect", str(run), *flags]) == 2
     assert "none: no such scene" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_what_changed_since_an_earlier_run(run, tmp_path):
-    assert geraf2.inspect(run, against=run, write=False).verdict == "pass"
-    before = run_of(tmp_path / "before", wedge())
-    found = geraf2.inspect(run, against=before, write=False)
-    assert found.verdict == "fail"
-    assert found.comparison.n_parts == (2, 1)
-    assert {region.what for region in found.comparison.regions} == {"too much"}
-    assert "2 parts, there were 1" in found.failures[0]
 
 
 def test_another_part_and_a_missing_one_fail(run):

@@ -42,7 +42,7 @@ def page_url(tmp_path_factory):
     RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME, BOX_NAME], 1.0)
     models = [wedge(), SMALL, block((0.01,) * 3)]
     with few_starts():
-        answer = geraf2.inspect(out, models, options=geraf2.InspectOptions(expect=3))
+        answer = geraf2.inspect(out, models, expect=3)
     assert answer.verdict == "fail"
     return (out / "inspection.html").resolve().as_uri()
 

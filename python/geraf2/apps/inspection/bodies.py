@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.apps.inspection.material import UNKNOWN, Material, Measured
 from geraf2.echoes.glint_set import Glints
+from geraf2.errors import UserError
 from geraf2.geometry.components import connected_labels, face_labels
 from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import (
@@ -15,32 +17,26 @@ from geraf2.geometry.triangles import (
     directed_edges,
     enclosed_volume_m3,
     face_areas,
-    face_vectors,
     vertex_areas,
     vertex_normals,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.expected_error import nearness
 
 PATCH_M = 0.010
 """Distance beyond which errors of the surface are independent [m]: about the footprint of a
 sub-aperture of 8 cm at 0.4 m."""
-UNSEEN_PATCH_M = 0.020
-"""The same for unseen surface [m]: its errors correlate by 0.70 to 0.99 over 5 to 10 mm and by 0.34
-to 0.72 over 10 to 20 mm, those of seen surface by 0.26 to 0.54 and 0.18 to 0.46."""
-COMMON_SHARE = 0.3
-"""Share of the variance of the errors that is common to a whole part."""
-ERROR_FACTOR = 2.0
-"""Ratio of the errors of parts with flats to the expected errors, which were fitted on smooth
-objects: root mean square over the vertices of four development parts of
-`bench/python/inspection.py`, 1.8 to 2.5."""
+_COMMON_SHARE = 0.3
+"""Share of the variance of the errors that is common to a whole part, where the run has no
+posterior to draw from."""
+_N_SAMPLES = 24
+"""Surfaces that intervals of sizes rest on: a spread to 14 %."""
 MIN_PART_SHARE = 0.02
 """Least area of a part relative to the largest, as in the reconstruction."""
 
 # RMS errors near a glint and elsewhere, for meshes without expected errors.
 _SEEN_ERROR_M, _GUESSED_ERROR_M = 0.002, 0.006
-# Vertices this near to the extreme of a part define its end [m]: a voxel of the usual fit.
-_END_REACH_M = 0.003
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,6 +49,10 @@ class Body:
     """Standard uncertainty of each vertex along its normal, (n_vertices,) [m]."""
     seen: Bools
     """Whether echoes support the vertex, (n_vertices,)."""
+    moved_m: Floats
+    """How far samples of the posterior move each vertex outwards, (n_samples, n_vertices) [m]."""
+    probability: float = 1.0
+    """That it exists."""
 
     @property
     def areas_m2(self) -> Floats:
@@ -69,16 +69,6 @@ class Content(NamedTuple):
     """All parts in one."""
     glints: Glints | None = None
     """Of the same run."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """A value with its standard uncertainty."""
-
-    value: float
-    """In the unit of its name."""
-    sigma: float
-    """Standard uncertainty, in the same unit; 95 % of errors are below 1.96 of it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,12 +91,19 @@ class BodyReport:
     """Area of its surface [m^2]."""
     seen_fraction: float
     """Share of its area that was seen."""
+    probability: float
+    """That it exists, and is no ghost."""
+    material: Material
+    """What it is made of."""
 
 
-def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
+def body_of(
+    mesh: TriangleMesh, glints: Glints | None = None, moved_m: Floats | None = None
+) -> Body:
     """Body of a mesh, with its own errors and evidence, or estimates from glints.
 
     mesh: content of a run. glints: oriented points of the same run.
+    moved_m: samples of its posterior, (n_samples, n_vertices) [m]; drawn from its errors when None.
     """
     errors, evidence = mesh.expected_error_m, mesh.evidence
     n = len(mesh.vertices)
@@ -115,7 +112,35 @@ def body_of(mesh: TriangleMesh, glints: Glints | None = None) -> Body:
         seen = evidence == Evidence.SEEN
     if errors is None:
         errors = np.where(seen, _SEEN_ERROR_M, _GUESSED_ERROR_M)
-    return Body(mesh=mesh, sigma_m=np.asarray(errors, dtype=np.float64), seen=seen)
+    sigma_m = np.asarray(errors, dtype=np.float64)
+    moved = _drawn(mesh.vertices, sigma_m) if moved_m is None else moved_m
+    return Body(mesh=mesh, sigma_m=sigma_m, seen=seen, moved_m=moved)
+
+
+def _drawn(vertices: Floats, sigma_m: Floats) -> Floats:
+    """Displacements that are in part common to all, and else independent between patches."""
+    rng = np.random.default_rng(0)
+    _, patch = np.unique(np.floor(vertices / PATCH_M), axis=0, return_inverse=True)
+    patch = patch.reshape(-1)
+    common = rng.normal(size=(_N_SAMPLES, 1))
+    single = rng.normal(size=(_N_SAMPLES, patch.max(initial=0) + 1))[:, patch]
+    share = np.sqrt(_COMMON_SHARE), np.sqrt(1.0 - _COMMON_SHARE)
+    return np.asarray(sigma_m * (share[0] * common + share[1] * single))
+
+
+def content_of(result: Reconstruction) -> tuple[Body, list[Body]]:
+    """All of the content of a run, and its parts; UserError where there is none."""
+    content = result.content_mesh
+    if not len(content.faces):
+        raise UserError(
+            what="nothing was found in the box: its surface is empty", where=result.path
+        )
+    try:
+        moved = result.samples().displacements_m
+    except UserError:  # a preset without a posterior, or a run without its files
+        moved = None
+    whole = body_of(content, result.glints, moved)
+    return whole, split_bodies(whole)
 
 
 def split_bodies(body: Body) -> list[Body]:
@@ -128,14 +153,28 @@ def split_bodies(body: Body) -> list[Body]:
     order = [
         p for p in np.argsort(-areas, kind="stable") if areas[p] >= MIN_PART_SHARE * max(areas)
     ]
-    return [part_of(body, body.mesh.faces[labels == part]) for part in order]
+    confidence = body.mesh.confidence
+    parts = [body.mesh.faces[labels == part] for part in order]
+    return [
+        replace(
+            part_of(body, faces),
+            probability=1.0 if confidence is None else float(confidence[faces[0, 0]]),
+        )
+        for faces in parts
+    ]
 
 
 def part_of(body: Body, faces: Ints) -> Body:
     """Cut out some of the faces of a body, with the vertices that they use."""
     used = np.unique(faces)
     mesh = TriangleMesh(vertices=body.mesh.vertices[used], faces=np.searchsorted(used, faces))
-    return replace(body, mesh=mesh, sigma_m=body.sigma_m[used], seen=body.seen[used])
+    return replace(
+        body,
+        mesh=mesh,
+        sigma_m=body.sigma_m[used],
+        seen=body.seen[used],
+        moved_m=body.moved_m[:, used],
+    )
 
 
 def capped(body: Body) -> Body:
@@ -156,60 +195,49 @@ def capped(body: Body) -> Body:
             faces=np.concatenate([mesh.faces, fan]),
         ),
         sigma_m=np.append(body.sigma_m, np.full(len(holes), _GUESSED_ERROR_M)),
+        moved_m=np.pad(body.moved_m, ((0, 0), (0, len(holes)))),
         seen=np.append(body.seen, np.zeros(len(holes), dtype=bool)),
     )
 
 
-def measure(body: Body) -> BodyReport:
+def measure(body: Body, material: Material = UNKNOWN) -> BodyReport:
     """Position, lengths along its own axes, volume and area of a part.
 
-    A displacement d(x) of the surface along its normal changes volume, middle and area by
-
-        dV = int d dA,   dc = int (x - c) d dA / V,   dA = int 2 H d dA,
-
-    H the mean curvature. The variance of d is sigma^2 of the vertices times ERROR_FACTOR^2. Its
-    COMMON_SHARE is common to the part; the rest is independent between patches (PATCH_M, or
-    UNSEEN_PATCH_M where unseen).
+    Standard uncertainties are those of the values over the samples.
     """
     import trimesh  # noqa: PLC0415 - takes 0.3 s
 
-    mesh, areas = body.mesh, body.areas_m2
-    volume = enclosed_volume_m3(mesh.vertices, mesh.faces)
-    center = _volume_middle(mesh) if volume > 0 else mesh.vertices.mean(axis=0)
-    arms = (mesh.vertices - center) / max(volume, 1e-12)
+    mesh = body.mesh
     bounds = trimesh.bounds.oriented_bounds(mesh.vertices, ordered=True)
     lengths, axes = np.asarray(bounds[1]), np.asarray(bounds[0])[:3, :3]
-    order = np.argsort(-lengths, kind="stable")
-    axes = axes[order]
+    axes = axes[np.argsort(-lengths, kind="stable")]
+
+    def sizes(vertices: Floats) -> Floats:
+        moved = replace(mesh, vertices=vertices)
+        volume = enclosed_volume_m3(vertices, mesh.faces)
+        center = _volume_middle(moved) if volume > 0 else vertices.mean(axis=0)
+        area = float(face_areas(moved.corners).sum())
+        return np.array([*center, *np.ptp(vertices @ axes.T, axis=0), volume, area])
+
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    values = sizes(mesh.vertices)
+    drawn = [sizes(mesh.vertices + moved[:, None] * normals) for moved in body.moved_m]
+    sigmas = np.std(drawn, axis=0, ddof=1)
+    pairs = zip(values, sigmas, strict=True)
+    measured = [Measured(value=float(value), sigma=float(sigma)) for value, sigma in pairs]
+    areas = body.areas_m2
     return BodyReport(
-        center_m=triple(center),
-        center_sigma_m=triple(_spread(body, arms[:, axis], areas) for axis in range(3)),
+        center_m=triple(values[:3]),
+        center_sigma_m=triple(sigmas[:3]),
         axes=tuple(triple(axis) for axis in axes),
         extents_m=triple(np.ptp(mesh.vertices, axis=0)),
-        dimensions_m=tuple(_length(body, axis) for axis in axes),  # type: ignore[arg-type]
-        volume_m3=Measured(value=volume, sigma=_spread(body, np.ones(len(areas)), areas)),
-        area_m2=Measured(
-            value=float(areas.sum()), sigma=_spread(body, _twice_curvature(mesh, areas), areas)
-        ),
+        dimensions_m=(measured[3], measured[4], measured[5]),
+        volume_m3=measured[6],
+        area_m2=measured[7],
         seen_fraction=float(areas[body.seen].sum() / max(areas.sum(), 1e-30)),
+        probability=body.probability,
+        material=material,
     )
-
-
-def _spread(body: Body, weight: Floats, areas: Floats) -> float:
-    """Return the standard deviation of int weight d dA, see `measure`."""
-    common = float(np.sum(weight * body.sigma_m * areas)) ** 2
-    patch = np.where(body.seen, PATCH_M, UNSEEN_PATCH_M)
-    single = float(np.sum(patch**2 * weight**2 * body.sigma_m**2 * areas))
-    return ERROR_FACTOR * float(np.sqrt(COMMON_SHARE * common + (1.0 - COMMON_SHARE) * single))
-
-
-def _length(body: Body, axis: Floats) -> Measured:
-    """Extent along an axis, its uncertainty from that of the vertices at both ends."""
-    along = body.mesh.vertices @ axis
-    low, high = float(along.min()), float(along.max())
-    ends = (along <= low + _END_REACH_M, along >= high - _END_REACH_M)
-    variance = sum(float(np.mean(body.sigma_m[end] ** 2)) for end in ends)
-    return Measured(value=high - low, sigma=ERROR_FACTOR * float(np.sqrt(variance)))
 
 
 def _volume_middle(mesh: TriangleMesh) -> Floats:
@@ -217,17 +245,3 @@ def _volume_middle(mesh: TriangleMesh) -> Floats:
     corners = mesh.corners - base
     six = np.einsum("nk,nk->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
     return np.asarray(base + six @ corners.sum(axis=1) / (4.0 * six.sum()))
-
-
-def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:
-    """Twice the mean curvature, 2 H, (n_vertices,) [1/m]."""
-    corners, gain = mesh.corners, np.zeros_like(mesh.vertices)
-    normals = face_vectors(corners)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    for corner in range(3):
-        # The area of a triangle grows by half of the opposite edge, turned into its plane.
-        edge = corners[:, (corner + 2) % 3] - corners[:, (corner + 1) % 3]
-        np.add.at(gain, mesh.faces[:, corner], 0.5 * np.cross(normals, edge))
-    outward = np.einsum("nk,nk->n", gain, vertex_normals(mesh.vertices, mesh.faces))
-    return np.asarray(outward / np.maximum(areas, 1e-12))

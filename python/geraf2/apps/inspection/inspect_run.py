@@ -1,7 +1,7 @@
-"""Inspection of a run: its parts, comparison with CAD models and with an earlier run."""
+"""Inspection of a run: its parts, and comparison with CAD models."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
@@ -9,19 +9,21 @@ import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import Bounded, Seed
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
+from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Body, Content, body_of, measure, split_bodies
-from geraf2.apps.inspection.comparison import compare
+from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
 from geraf2.apps.inspection.deviation import deviation_of
+from geraf2.apps.inspection.expected import ExpectedContents, list_failures, read_expected
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
+from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
@@ -37,12 +39,10 @@ if TYPE_CHECKING:
 class InspectOptions(Bounded):
     """Options of an inspection; ValueError for numbers out of their range.
 
-    >>> geraf2.InspectOptions(expect=3, tolerance_mm=1.5).least_seen  # 0 to 1
+    >>> geraf2.InspectOptions(tolerance_mm=1.5).least_seen  # 0 to 1
     0.2
     """
 
-    expect: Annotated[int, Interval(ge=0, le=10_000)] | None = None
-    """Required number of parts."""
     tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
     """Largest deviation from a model that passes, beyond the measurement's uncertainty [mm]."""
     least_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
@@ -63,8 +63,8 @@ def inspect(
     run: Reconstruction | Path | str,
     cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]" = (),
     *,
+    expect: int | Path | str | None = None,
     options: InspectOptions | None = None,
-    against: Reconstruction | Path | str | None = None,
     out: Path | str | None = None,
     write: bool = True,
     num_threads: int | None = None,
@@ -74,15 +74,16 @@ def inspect(
 
     run: a reconstruction, or its folder.
     cad: models to find: files, or meshes in metres; each must be closed.
-    options: required number of parts, tolerance, least seen share.
-    against: an earlier run of the same box in the same frame, for changes.
+    expect: required number of parts, or the file of a list of contents.
+    options: tolerance, least seen share, unit.
     out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
     write: write these files.
     num_threads: all when None.
     listener: receives progress.
 
     Returns parts with positions and lengths [m], models with poses and deviations [m], and the
-    verdict. Raises UserError where the run has no surface or a model is not closed.
+    verdict. Raises UserError where the run has no surface, a model is not closed, or the list of
+    contents cannot be read.
 
     >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
     >>> answer.verdict, answer.parts[0].volume_m3.value > 0
@@ -90,21 +91,25 @@ def inspect(
     """
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
-    whole, pieces = _bodies(result)
+    contents, cad = _expected(expect, cad)
+    whole, pieces = content_of(result)
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options)
     content = Content(pieces, whole, result.glints)
     bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
     cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
+    planes = _planes(result.path)
     with listener.step("measuring the parts"):
-        parts = tuple(measure(body) for body in bodies)
+        levels = levels_of(result, planes)
+        whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
+        parts = tuple(map(measure, bodies, materials_of(bodies, levels)))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
             matches, patches, more = _compared(result, matches, models, options, num_threads)
             notes += more
-    basis = _DeviationBasis(tolerance_m, _planes(result.path), result.glints, num_threads)
+    basis = _DeviationBasis(tolerance_m, planes, result.glints, num_threads)
     reports: tuple[ModelReport, ...] = ()
     if matches:
         with listener.step("comparing surfaces") as progress:
@@ -112,39 +117,23 @@ def inspect(
                 report = _report(models[m.model], m, bodies, whole, basis, patches.get(n))
                 reports = (*reports, report)
                 progress(len(reports) / len(matches))
-    comparison = None
-    if against is not None:
-        earlier = against if isinstance(against, Reconstruction) else load_run(against)
-        before, pieces_before = _bodies(earlier)
-        counts = (len(pieces), len(pieces_before))
-        comparison = compare(whole, before, counts, tolerance_m, num_threads=num_threads)
-    failures = failures_of(
-        len(bodies), reports, comparison, expect=options.expect, least_seen=options.least_seen
-    )
+    count = expect if isinstance(expect, int) else None
+    failures = failures_of(len(bodies), reports, expect=count, least_seen=options.least_seen)
+    if contents is not None:
+        more_failures, more = _against_list(parts, contents, reports)
+        failures, notes = (*failures, *more_failures), [*notes, *more]
     inspection = Inspection(
         parts=parts,
         models=reports,
-        comparison=comparison,
         failures=failures,
         notes=(*notes, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
-        has_criteria=bool(models) or options.expect is not None or comparison is not None,
+        has_criteria=bool(models) or expect is not None,
     )
     if write:
         _write(inspection, result, bodies, whole, out, listener)
     return inspection
-
-
-def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
-    """All of the content, and its parts."""
-    content = result.content_mesh
-    if not len(content.faces):
-        raise UserError(
-            what="nothing was found in the box: its surface is empty", where=result.path
-        )
-    whole = body_of(content, result.glints)
-    return whole, split_bodies(whole)
 
 
 def _matched(
@@ -178,6 +167,29 @@ def _matched(
     bodies, body_of_model = cut_apart(content.bodies, meshes, placements)
     given = {m: (b, p.pose) for m, b in body_of_model.items() if (p := placements[m])}
     return bodies, match(content._replace(bodies=bodies), given)
+
+
+def _expected(
+    expect: int | Path | str | None,
+    cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]",
+) -> "tuple[ExpectedContents | None, Sequence[Path | str | TriangleMesh | trimesh.Trimesh]]":
+    """List of contents, if there is one, and the CAD models to find."""
+    if expect is None or isinstance(expect, int):
+        require_between("expect", expect or 0, -1, 10_001)
+        return None, cad
+    if len(cad):
+        raise UserError(what="the list of contents names its CAD files", got="others, too")
+    contents = read_expected(Path(expect))
+    return contents, [str(item.cad) for item in contents.models]
+
+
+def _against_list(
+    parts: Sequence[BodyReport], contents: ExpectedContents, reports: Sequence[ModelReport]
+) -> tuple[list[str], list[str]]:
+    by_model = {report.match.model: report.match for report in reports}
+    found = [by_model[m] for m in range(len(contents.models))]
+    bodies = [None if match.status == "missing" else match.body for match in found]
+    return list_failures(parts, contents, bodies, [match.status != "present" for match in found])
 
 
 def _models(
@@ -307,6 +319,7 @@ def _write(
             inspection,
             whole,
             _values(inspection, bodies, whole),
+            _part_numbers(bodies, whole),
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
         )
@@ -314,6 +327,8 @@ def _write(
     def write(folder: Path) -> None:
         inspection.write(folder / INSPECTION_NAME)
         write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+        if whole.mesh.reflectivity_db is not None:
+            write_mesh(whole.mesh, folder / f"{INSPECTION_NAME}.ply")
 
     if out is not None:
         Path(out).mkdir(parents=True, exist_ok=True)
@@ -330,11 +345,25 @@ def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floa
     if not found:
         return None
     values = np.full(len(whole.mesh.vertices), np.nan)
-    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
     for report in found:
         index = report.match.body
         body = whole if index is None or index < 0 else bodies[index]
         assert report.deviation is not None  # of `found`
-        at = np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])  # -1: of a cut
+        at = _places(body, whole)
         values[at[at >= 0]] = report.deviation.values_m[at >= 0]
     return values
+
+
+def _part_numbers(bodies: Sequence[Body], whole: Body) -> Ints:
+    """Return the number of each vertex' part, from 1; 0 of ghosts and crumbs."""
+    numbers = np.zeros(len(whole.mesh.vertices), dtype=np.int64)
+    for number, body in enumerate(bodies, 1):
+        at = _places(body, whole)
+        numbers[at[at >= 0]] = number
+    return numbers
+
+
+def _places(body: Body, whole: Body) -> Ints:
+    """Index of each vertex of a part in the content; -1 of those that a cut made."""
+    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
+    return np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])

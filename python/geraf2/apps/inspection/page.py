@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 from geraf2.apps.inspection.bodies import Body, part_of
+from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import html
 from geraf2.report.canvas import TRUTH_COLOUR
-from geraf2.report.view3d import Around, Attribute, Other, scene_json, view_scene
+from geraf2.report.view3d import PART_COLOURS, Around, Attribute, Other, scene_json, view_scene
 
 _FILLED_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
 _FALLBACK = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
@@ -18,6 +19,7 @@ def inspection_page(
     inspection: Inspection,
     whole: Body,
     values_m: Floats | None,
+    numbers: Ints,
     *,
     box: TriangleMesh | None = None,
     title: str = "inspection",
@@ -25,6 +27,7 @@ def inspection_page(
     """HTML document in one file.
 
     whole: all of the content. values_m: deviation of its vertices [m], NaN where unknown, or None.
+    numbers: of the part of each vertex, from 1; 0 of none.
     box: mesh of the box.
     """
     placed = [
@@ -51,7 +54,13 @@ def inspection_page(
     shown = part_of(whole, faces[known]) if known.any() else whole
     used = np.unique(faces[known]) if known.any() else np.arange(len(whole.seen))
     values = None if values_m is None else values_m[used]
-    attributes = _attributes(shown, values, inspection.tolerance_m)
+    reflectivity = whole.mesh.reflectivity_db
+    attributes = [
+        *_attributes(shown, values, inspection.tolerance_m),
+        *_of_parts(numbers[used], None if reflectivity is None else reflectivity[used]),
+    ]
+    if values is None:  # the list is of parts: so is the first colouring
+        attributes = [*attributes[1:], attributes[0]]
     scene = view_scene(shown.mesh, attributes, Around(box=box, others=others), name="inspection")
     return html.rendered(
         "inspection.html",
@@ -61,7 +70,35 @@ def inspection_page(
         fallback=_FALLBACK,
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
+        material_text=material_text,
     )
+
+
+def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
+    """Vertex attributes: the part, and the reflectivity where it is known."""
+    names = ("no part", *(f"part {k}" for k in range(1, int(numbers.max(initial=0)) + 1)))
+    colours = tuple(PART_COLOURS[k % len(PART_COLOURS)] for k in range(len(names) - 1))
+    found = [
+        Attribute(
+            label="part",
+            values=numbers.astype(np.float64),
+            classes=names,
+            colours=(_FILLED_COLOUR, *colours),
+        )
+    ]
+    if reflectivity_db is not None:
+        low, high = -20.0, 0.0
+        found.append(
+            Attribute(
+                label="reflectivity against metal",
+                values=np.nan_to_num(reflectivity_db, nan=low),
+                unit="dB",
+                limits=(low, high),
+                digits=0,
+                note="Of single returns; -20 dB where none came from.",
+            )
+        )
+    return found
 
 
 def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list[Attribute]:

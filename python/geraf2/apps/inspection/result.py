@@ -10,7 +10,6 @@ from geraf2 import __version__
 from geraf2._short import Short
 from geraf2._types import AnyPath
 from geraf2.apps.inspection.bodies import BodyReport
-from geraf2.apps.inspection.comparison import Comparison
 from geraf2.apps.inspection.deviation import Deviation, listed
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
@@ -47,8 +46,6 @@ class Inspection(Short):
     """Parts of the content, the largest first."""
     models: tuple[ModelReport, ...]
     """Report of each model."""
-    comparison: Comparison | None
-    """With an earlier run, if one was given."""
     failures: tuple[str, ...]
     """Reasons of a failure, a sentence each; empty: pass."""
     notes: tuple[str, ...]
@@ -58,7 +55,7 @@ class Inspection(Short):
     scene: tuple[str, str]
     """Name and digest of the scene."""
     has_criteria: bool = True
-    """Whether anything was required: models, a number of parts, or no change."""
+    """Whether anything was required: models, or a number of parts."""
 
     @property
     def verdict(self) -> str:
@@ -81,7 +78,6 @@ class Inspection(Short):
             "tolerance_m": self.tolerance_m,
             "parts": [asdict(part) for part in self.parts],
             "models": [_model(report) for report in self.models],
-            "comparison": None if self.comparison is None else asdict(self.comparison),
         }
 
     def write(self, stem: AnyPath) -> None:
@@ -131,6 +127,11 @@ def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
     volume, area = part.volume_m3, part.area_m2
     rows.append(("volume", f"{1e9 * volume.value:.0f}", f"{1e9 * volume.sigma:.0f}", "mm3"))
     rows.append(("area", f"{1e6 * area.value:.0f}", f"{1e6 * area.sigma:.0f}", "mm2"))
+    material, level = part.material, part.material.reflectivity_db
+    rows.append(("probability of metal", f"{material.metal_probability:.4f}", "", ""))
+    if level is not None:
+        rows.append(("reflectivity", f"{level.value:.2f}", f"{level.sigma:.2f}", "dB"))
+    rows.append(("probability", f"{part.probability:.4f}", "", ""))
     return [*rows, ("seen fraction", f"{part.seen_fraction:.4f}", "", "")]
 
 
@@ -193,7 +194,6 @@ def _model(report: ModelReport) -> dict[str, Any]:
 def failures_of(
     n_parts: int,
     models: tuple[ModelReport, ...],
-    comparison: Comparison | None,
     *,
     expect: int | None,
     least_seen: float,
@@ -215,9 +215,4 @@ def failures_of(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
                 f"{100 * least_seen:.0f} % are required"
             )
-    if comparison is not None and comparison.changed:
-        here, there = comparison.n_parts
-        parts = f"{here} parts, there were {there}" if here != there else ""
-        what = ", ".join(filter(None, (parts, listed(comparison.regions))))
-        found.append(f"it has changed: {what}")
     return tuple(found)

@@ -7,6 +7,7 @@ from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes import Glints
 from geraf2.echoes.glints import GLINTS_VERSION, find_echoes
 from geraf2.echoes.labels import Label, LabelledPeaks
+from geraf2.echoes.reflectivity import MetalLevel
 from geraf2.echoes.transparency import SeenThrough, describe, first_surfaces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -14,6 +15,7 @@ from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import ply_bytes, write_mesh
 from geraf2.io.run_folder import (
+    BACK_NAME,
     BOX_NAME,
     CONTENT_NAME,
     FIT_NAME,
@@ -63,18 +65,24 @@ class FoundGlints(NamedTuple):
     """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
     labelled: LabelledPeaks | None = None
     """All peaks at the ranges of the box; None of a stage that is read back."""
+    back: Glints | None = None
+    """Glints seen through the body; None of metal, and of a stage that is read back."""
+    metal: MetalLevel | None = None
+    """Strength of metal by the walls' flashes; None too of a stage that is read back."""
 
     def numbers(self) -> dict[str, Any]:
         """For run.json."""
         found: dict[str, Any] = {"n_glints": len(self.glints)}
         if self.labelled is not None:
             found["labels"] = self.labelled.counts()
+        if self.metal is not None:
+            found |= self.metal.numbers()
         return found if self.seen_through is None else found | self.seen_through.numbers()
 
 
 def _find(job: Job, progress: Progress) -> FoundGlints:
     capture, prior, threads = job.capture, job.prior, job.num_threads
-    glints, labelled, index = find_echoes(
+    glints, labelled, index, metal = find_echoes(
         capture,
         prior,
         job.config.glints,
@@ -88,18 +96,24 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
 
     first, body = first_surfaces(glints, surface_through, num_threads=threads)
     labelled = labelled.relabelled(index[~first], Label.SEEN_THROUGH)
-    found = FoundGlints(glints.select(first), body, labelled)
+    back = None if first.all() else glints.select(~first)
+    found = FoundGlints(glints.select(first), body, labelled, back, metal)
     if found.seen_through is not None:
         job.listener.note(describe(found.seen_through.numbers()))
     return found
 
 
 def _save_glints(job: Job, found: FoundGlints) -> list[str]:
-    found.glints.save(job.run.path / GLINTS_NAME)
-    if found.labelled is None:
-        return [GLINTS_NAME]
-    write_bytes_atomic(job.run.path / PEAKS_NAME, found.labelled.cloud_bytes())
-    return [GLINTS_NAME, PEAKS_NAME]
+    folder, names = job.run.path, [GLINTS_NAME]
+    found.glints.save(folder / GLINTS_NAME)
+    (folder / BACK_NAME).unlink(missing_ok=True)
+    if found.back is not None:
+        found.back.save(folder / BACK_NAME)
+        names.append(BACK_NAME)
+    if found.labelled is not None:
+        write_bytes_atomic(folder / PEAKS_NAME, found.labelled.cloud_bytes())
+        names.append(PEAKS_NAME)
+    return names
 
 
 GLINTS = Stage(

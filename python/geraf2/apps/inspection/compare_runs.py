@@ -1,0 +1,128 @@
+"""Comparison of a run with reference runs of the same packed box."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from geraf2._types import Floats
+from geraf2._validation import require_positive
+from geraf2.apps.inspection.bodies import content_of
+from geraf2.apps.inspection.comparison import (
+    Comparison,
+    Scanned,
+    common_changes,
+    compared,
+    registered,
+)
+from geraf2.errors import UserError
+from geraf2.geometry.transforms import apply_rigid, rigid, triple
+from geraf2.io.planes import load_planes
+from geraf2.io.run_folder import PLANES_NAME, PRIOR_NAME
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.reconstruction import Reconstruction, load_run
+from geraf2.scene import LosPrior
+
+_SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
+"""Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""
+
+
+def compare(
+    run: Reconstruction | Path | str,
+    references: Sequence[Reconstruction | Path | str],
+    *,
+    tolerance_mm: float = 2.0,
+    num_threads: int | None = None,
+    listener: Listener | None = None,
+) -> Comparison:
+    """Compare a run with runs of the same packed box: what appeared, vanished or moved.
+
+    Box and content are registered first: the box may have been put down elsewhere. With several
+    references only what differs from all of them is a change.
+
+    run: a reconstruction, or its folder.
+    references: at least one, of the same box and radar.
+    tolerance_mm: largest change that is none [mm].
+    num_threads: all when None.
+    listener: receives progress.
+
+    Returns the changes with their probabilities; lengths in metres. Raises UserError for a run
+    without a surface, or a reference of another box or radar.
+
+    >>> run = geraf2.examples.small_run()
+    >>> geraf2.compare(run, [run]).changed
+    False
+    """
+    require_positive("tolerance_mm", tolerance_mm)
+    if not references:
+        raise UserError(what="there is no reference", expected="at least one run")
+    listener = listener or Listener()
+    here = run if isinstance(run, Reconstruction) else load_run(run)
+    others = [r if isinstance(r, Reconstruction) else load_run(r) for r in references]
+    for other in others:
+        _require_alike(here, other)
+    scanned, found, poses, shares, counts = _scanned(here), [], [], [], []
+    for other in others:
+        with listener.step("registering a reference"):
+            there = _scanned(other)
+            start = _by_walls(_prior(here), _prior(other))
+            pose = registered(scanned.whole, there.whole, start)
+        with listener.step("comparing surfaces"):
+            changes, share = compared(scanned, there, pose, 1e-3 * tolerance_mm, num_threads)
+        found.append(changes)
+        poses.append(pose)
+        shares.append(share)
+        counts.append(len(there.bodies))
+    middle = scanned.whole.mesh.vertices.mean(axis=0)
+    return Comparison(
+        changes=common_changes(found),
+        n_parts=(len(scanned.bodies), *counts),
+        shift_m=triple(middle - apply_rigid(poses[0], middle)),
+        turn_deg=float(np.rad2deg(Rotation.from_matrix(poses[0][:3, :3]).magnitude())),
+        compared_fraction=min(shares),
+        tolerance_m=1e-3 * tolerance_mm,
+    )
+
+
+def _scanned(result: Reconstruction) -> Scanned:
+    return Scanned(*content_of(result))
+
+
+def _prior(result: Reconstruction) -> LosPrior | None:
+    return result.prior if (result.path / PRIOR_NAME).is_file() else None
+
+
+def _by_walls(here: LosPrior | None, there: LosPrior | None) -> Floats:
+    """Pose that moves one box onto the other, (4, 4); none without both, or of other shapes."""
+    if here is None or there is None or here.cuboid is None or there.cuboid is None:
+        return np.eye(4)
+    (axes, _, middle), (to_axes, _, to_middle) = here.cuboid, there.cuboid
+    turn = to_axes.T @ axes
+    return rigid(turn, to_middle - turn @ middle)
+
+
+def _require_alike(here: Reconstruction, there: Reconstruction) -> None:
+    """Raise UserError where the reference is of another box or radar."""
+    box, other = _prior(here), _prior(there)
+    if box is not None and other is not None:
+        sides, to = (np.array(p.cuboid[1] if p.cuboid else p.size_m) for p in (box, other))
+        if np.abs(sides - to).max() > _SAME_SIDE_M:
+            raise UserError(
+                what="the reference is of another box",
+                where=there.path,
+                expected=_size_text(sides),
+                got=_size_text(to),
+            )
+    one, two = (load_planes(r.path / PLANES_NAME).wavelength_m for r in (here, there))
+    if one is not None and two is not None and abs(two / one - 1.0) > _SAME_WAVELENGTH:
+        raise UserError(
+            what="the reference is of another radar",
+            where=there.path,
+            expected=f"a wavelength of {1e3 * one:.2f} mm",
+            got=f"{1e3 * two:.2f} mm",
+        )
+
+
+def _size_text(sides_m: Floats) -> str:
+    return "a box of " + " x ".join(f"{1e3 * side:.0f}" for side in sides_m) + " mm"

@@ -1,0 +1,55 @@
+"""`geraf2 compare`: what changed in a packed box since reference scans."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Interval
+
+from geraf2._bounds import Arg
+from geraf2.apps.inspection.compare_runs import compare
+from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
+from geraf2.cli._fields import Positional
+
+EXIT_CHANGED = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config:
+    """What appeared, vanished or moved since reference runs; exit code 1 changed, 2 error.
+
+    Example: geraf2 compare today packed
+    """
+
+    run: Positional[Annotated[Path, Arg(metavar="RUN")]]
+    """Run folder of `geraf2 reconstruct`."""
+    references: Positional[Annotated[tuple[Path, ...], Arg(metavar="REFERENCE...")]]
+    """Runs of the same packed box; a change differs from all of them."""
+    tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
+    """Largest change that is none [mm]."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+
+
+def main(config: Config) -> int:
+    """Run the command."""
+    found = compare(
+        config.run,
+        config.references,
+        tolerance_mm=config.tolerance_mm,
+        num_threads=config.threads,
+        listener=CONSOLE,
+    )
+    shift = ", ".join(f"{1e3 * x:.1f}" for x in found.shift_m)
+    rows(
+        [
+            ("parts", f"{found.n_parts[0]}, before " + ", ".join(map(str, found.n_parts[1:]))),
+            ("registered", f"moved by ({shift}) mm, turned by {found.turn_deg:.2f} degrees"),
+            ("compared", f"{100 * found.compared_fraction:.0f} % of the surface"),
+        ]
+    )
+    for change in found.changes:
+        say(f"changed  {change}")
+    say(f"result   {'changed' if found.changed else 'unchanged'}")
+    keep(found.to_dict())
+    return EXIT_CHANGED if found.changed else 0
