@@ -118,7 +118,7 @@ def test_the_answer_names_unseen_surface_and_remarks_of_stages():
         "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
     }
     answer = answer_of(content, sideways, numbers, {})
-    assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
+    assert answer.found == "One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm."
     assert answer.corrected == ("delay",)
     assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
     _, first, ends = answer.cards[-1].lines

@@ -56,8 +56,9 @@ def test_a_likely_ghost_is_apart_with_its_position_and_probability():
     numbers = piece_numbers(found.content)
     assert numbers["n_pieces"] == 1
     assert numbers["extents_mm"] == pytest.approx([60, 60, 60], abs=0.5)
+    assert numbers["center_mm"] == pytest.approx([0, 0, 0], abs=0.5)
     (piece,) = pieces_of(found.ghosts)
-    assert piece.numbers()["middle_mm"] == pytest.approx([0, 0, 60], abs=0.5)
+    assert piece.numbers()["center_mm"] == pytest.approx([0, 0, 60], abs=0.5)
     assert piece.numbers()["volume_cm3"] == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.05)
     assert 0.0 < piece.probability < LIKELY
 
@@ -97,7 +98,7 @@ def test_the_report_lists_likely_ghosts_separately():
     found, _ = scene(planes=[0, 0])
     stage = {"likely_ghosts": [piece.numbers() for piece in pieces_of(found.ghosts)]}
     answer = answer_of(found.content, None, {"mesh": stage}, {})
-    assert answer.found.startswith("One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm.")
+    assert answer.found.startswith("One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm.")
     assert f"Likely ghosts, not counted: {ghost_texts(stage)[0]}." in answer.found
 
 

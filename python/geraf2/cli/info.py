@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._recording import open_recording
-from geraf2.apps.planning.planning import require_picture
 from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found
@@ -20,6 +19,7 @@ from geraf2.freespace.specular import seen_share
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.outputs import PICTURES, require_file
 from geraf2.io.run_folder import RUN_NAME
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import (
@@ -62,7 +62,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     if config.figure is not None:
-        require_picture(config.figure)
+        require_file(config.figure, PICTURES)
     if (config.scene / RUN_NAME).is_file():
         return _show_run(config.scene)
     if _is_recording(config.scene):

@@ -9,7 +9,7 @@ import numpy as np
 from geraf2._types import Bools, Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.transparency import describe
-from geraf2.geometry.triangles import vertex_areas, vertex_normals
+from geraf2.geometry.triangles import vertex_areas, vertex_normals, volume_centroid_m
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
@@ -148,12 +148,12 @@ def _percent(share: float) -> str:
 
 def _found(content: TriangleMesh, report: SurfaceReport) -> str:
     n, lengths = report.n_components, _sides(content)
-    middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
-    place = ", ".join(f"{value:.0f}" for value in np.round(middle) + 0.0)
+    center = 1e3 * volume_centroid_m(content.vertices, content.faces)
+    place = ", ".join(f"{value:.0f}" for value in np.round(center) + 0.0)
     closed = "" if report.is_watertight else " The surface is open."
     if n == 1:
-        return f"One body, {lengths}, its middle at ({place}) mm.{closed}"
-    return f"{n} separate pieces, {lengths} over all, their middle at ({place}) mm.{closed}"
+        return f"One body, {lengths}, its centre at ({place}) mm.{closed}"
+    return f"{n} separate pieces, {lengths} over all, their centre at ({place}) mm.{closed}"
 
 
 def _ghosts(numbers: Mapping[str, Any]) -> str:

@@ -20,12 +20,12 @@ from helpers.inspected import POSE, SMALL, block, few_starts, measured, wedge
 from helpers.solids import joined
 
 
-def run_of(out, *meshes):
+def run_of(out, *meshes, numbers=None):
     """Folder of a run that found these parts, in the frame that they are moved into."""
     out.mkdir()
     write_mesh(measured(joined(*meshes), sigma_m=3e-4).mesh, out / CONTENT_NAME)
     folder = RunFolder(out, "digest", "crate")
-    folder.mark_done("mesh", "key", [CONTENT_NAME], 1.0)
+    folder.mark_done("mesh", "key", [CONTENT_NAME], 1.0, numbers=numbers or {})
     return out
 
 
@@ -70,6 +70,11 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
     corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle
     assert apply_rigid(np.array(model["pose"]), corner) == pytest.approx(POSE[:3, 3], abs=5e-4)
+    # Of the volume, as that of the part; the mean of the surface lies 0.5 mm away.
+    center = apply_rigid(POSE, trimesh.Trimesh(wedge().vertices, wedge().faces).center_mass)
+    assert model["center_m"] == pytest.approx(center, abs=2e-4)
+    assert found["parts"][0]["center_m"] == pytest.approx(center, abs=2e-4)
+    assert 0.0 < max(model["center_sigma_m"]) < 1e-3
     rows = list(csv.DictReader((out / "inspection.csv").read_text().splitlines()))
     assert rows[-1]["status"] == "pass"
     assert sum(r["kind"] == "model" and "turn" in r["quantity"] for r in rows) == 3
@@ -77,6 +82,16 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     assert len(page) < 3e6
     assert "Pass: 2 parts, 1 of 1 models present." in page
     assert '"label":"CAD models"' in page
+
+
+def test_the_volume_of_the_only_part_has_the_interval_of_the_run(tmp_path):
+    sides = {"extents_mm": [60.0] * 3, "extents_95_percent_mm": [[59.0, 61.0]] * 3}
+    size = {"volume_cm3": 40.0, "volume_95_percent_cm3": [38.0, 42.0], **sides}
+    numbers = {"n_pieces": 1, "common_offset_sigma_mm": 0.1, **size}
+    for name, meshes in (("one", [wedge()]), ("two", [wedge(), SMALL])):
+        made = run_of(tmp_path / name, *meshes, numbers=numbers)
+        volume = geraf2.inspect(made, write=False).parts[0].volume_m3
+        assert (1.96e6 * volume.sigma == pytest.approx(2.0)) == (name == "one")
 
 
 def test_a_scan_that_is_not_there_is_one_line(run, cad, tmp_path, capsys):

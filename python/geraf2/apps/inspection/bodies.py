@@ -18,6 +18,7 @@ from geraf2.geometry.triangles import (
     face_vectors,
     vertex_areas,
     vertex_normals,
+    volume_centroid_m,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import nearness
@@ -86,7 +87,7 @@ class BodyReport:
     """A part in numbers."""
 
     center_m: tuple[float, float, float]
-    """Middle of its volume, in the capture's frame [m]."""
+    """Centroid of its volume, in the capture's frame [m]."""
     center_sigma_m: tuple[float, float, float]
     """Standard uncertainty of that, per coordinate [m]."""
     axes: tuple[tuple[float, float, float], ...]
@@ -163,7 +164,7 @@ def capped(body: Body) -> Body:
 def measure(body: Body) -> BodyReport:
     """Position, lengths along its own axes, volume and area of a part.
 
-    A displacement d(x) of the surface along its normal changes volume, middle and area by
+    A displacement d(x) of the surface along its normal changes volume, centre and area by
 
         dV = int d dA,   dc = int (x - c) d dA / V,   dA = int 2 H d dA,
 
@@ -175,7 +176,7 @@ def measure(body: Body) -> BodyReport:
 
     mesh, areas = body.mesh, body.areas_m2
     volume = enclosed_volume_m3(mesh.vertices, mesh.faces)
-    center = _volume_middle(mesh) if volume > 0 else mesh.vertices.mean(axis=0)
+    center = volume_centroid_m(mesh.vertices, mesh.faces)
     arms = (mesh.vertices - center) / max(volume, 1e-12)
     bounds = trimesh.bounds.oriented_bounds(mesh.vertices, ordered=True)
     lengths, axes = np.asarray(bounds[1]), np.asarray(bounds[0])[:3, :3]
@@ -210,13 +211,6 @@ def _length(body: Body, axis: Floats) -> Measured:
     ends = (along <= low + _END_REACH_M, along >= high - _END_REACH_M)
     variance = sum(float(np.mean(body.sigma_m[end] ** 2)) for end in ends)
     return Measured(value=high - low, sigma=ERROR_FACTOR * float(np.sqrt(variance)))
-
-
-def _volume_middle(mesh: TriangleMesh) -> Floats:
-    base = mesh.vertices.mean(axis=0)
-    corners = mesh.corners - base
-    six = np.einsum("nk,nk->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return np.asarray(base + six @ corners.sum(axis=1) / (4.0 * six.sum()))
 
 
 def _twice_curvature(mesh: TriangleMesh, areas: Floats) -> Floats:

@@ -1,9 +1,9 @@
 """Inspection of a run: its parts, comparison with CAD models and with an earlier run."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -11,7 +11,14 @@ from annotated_types import Interval
 from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Body, Content, body_of, measure, split_bodies
+from geraf2.apps.inspection.bodies import (
+    Body,
+    BodyReport,
+    Content,
+    body_of,
+    measure,
+    split_bodies,
+)
 from geraf2.apps.inspection.comparison import compare
 from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
@@ -28,6 +35,7 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
 from geraf2.pipeline.run_scene import capture_of
+from geraf2.surfaces.samples import NORMAL_95
 
 if TYPE_CHECKING:
     import trimesh
@@ -98,7 +106,7 @@ def inspect(
     cut = ["parts are connected in the surface, which was cut between the models"]
     notes = cut if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
-        parts = tuple(measure(body) for body in bodies)
+        parts = _measured(bodies, result.numbers.get("mesh", {}))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
@@ -145,6 +153,19 @@ def _bodies(result: Reconstruction) -> tuple[Body, list[Body]]:
         )
     whole = body_of(content, result.glints)
     return whole, split_bodies(whole)
+
+
+def _measured(bodies: Sequence[Body], numbers: Mapping[str, Any]) -> tuple[BodyReport, ...]:
+    """Measure parts; the volume of the only one keeps the interval that the run states.
+
+    numbers: of the run's stage `mesh`.
+    """
+    parts = tuple(measure(body) for body in bodies)
+    ends = numbers.get("volume_95_percent_cm3")
+    if ends is None or (len(parts), numbers.get("n_pieces")) != (1, 1):
+        return parts
+    sigma = 1e-6 * (ends[1] - ends[0]) / (2.0 * NORMAL_95)
+    return (replace(parts[0], volume_m3=replace(parts[0].volume_m3, sigma=sigma)),)
 
 
 def _matched(
