@@ -40,7 +40,7 @@ def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
         return []
     n = mesh["n_pieces"]
     sides, center = (
-        mark.join(f"{v:.0f}" for v in mesh[name])
+        mark.join(f"{v:z.0f}" for v in mesh[name])
         for name, mark in (("extents_mm", " x "), ("center_mm", ", "))
     )
     pieces = "one object" if n == 1 else f"{n} separate pieces"
@@ -49,8 +49,8 @@ def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
         half, most = mesh["expected_error_median_mm"], mesh["expected_error_95_percent_mm"]
         lines.append(("typical error", f"{half:.1f} mm; 95 % of the surface below {most:.1f} mm"))
         shares = mesh["evidence_shares"]
-        text = f"{100 * (1 - shares['seen']):.0f} % of the surface"
+        text = f"{100 * (1 - shares['seen'] - shares['outline']):.0f} % of the surface"
         if shares["outline"] > 0.005:
-            text += f"; {100 * shares['outline']:.0f} % rests on its outline"
+            text += f"; {100 * shares['outline']:.0f} % more rests on an outline"
         lines.append(("not seen", text))
     return [*lines, *(("likely ghost", f"{text}, not counted") for text in ghost_texts(mesh))]

@@ -178,8 +178,8 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
     tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
     return (
-        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():.0f} to {tilts.max():.0f} "
-        "degrees; surfaces that face elsewhere stay a guess"
+        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():z.0f} to {tilts.max():z.0f} "
+        "degrees; surfaces that face elsewhere are not seen"
     )
 
 
@@ -191,7 +191,10 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
         width = max(summary.aperture_m)
         across, deep = np.array([0.5e3, 2e3]) * summary.waveform.center_wavelength_m
         return [
-            ("plane looks along", f"({x:.3g}, {y:.3g}, {z:.3g}); 'geraf2 image' finds the depth"),
+            (
+                "plane looks along",
+                f"({x:z.3g}, {y:z.3g}, {z:z.3g}); 'geraf2 image' finds the depth",
+            ),
             (
                 "focus",
                 f"{across:.1f} mm across, {deep:.0f} mm in depth, {width:.2g} m away; at twice "
@@ -200,7 +203,7 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
         ]
     if focus is None:
         return [("planes look at", "unknown")]
-    looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
+    looked_at = f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m"
     return [
         ("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
         ("normals seen", _seen(summary, focus)),

@@ -82,7 +82,7 @@ def _part(part: BodyReport) -> list[tuple[str, str]]:
 def _model(report: ModelReport) -> list[tuple[str, str]]:
     placement, deviation = report.match.placement, report.deviation
     assert placement is not None  # or there are no rows
-    turn = ", ".join(f"{value:.1f}" for value in rotation_vector_deg(placement.pose))
+    turn = ", ".join(f"{value:z.1f}" for value in rotation_vector_deg(placement.pose))
     found = [
         _center(report),
         ("  turn", f"{turn} degrees about x, y, z"),
@@ -102,7 +102,7 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
 
 def _center(found: BodyReport | ModelReport) -> tuple[str, str]:
     pairs = zip(found.center_m, found.center_sigma_m, strict=True)
-    return "  centre", ", ".join(f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}" for v, s in pairs) + " mm"
+    return "  centre", ", ".join(f"{1e3 * v:z.1f} ± {1.96e3 * s:.1f}" for v, s in pairs) + " mm"
 
 
 def _pm(measured: Measured, scale: float) -> str:

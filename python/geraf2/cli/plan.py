@@ -69,7 +69,7 @@ def main(config: Config) -> int:
     width, height = plan.aperture_m
     share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
     tilt = np.rad2deg(np.arctan(0.5 * height / plan.standoff_m))
-    rings = ", ".join(f"{e - tilt:.0f} to {e + tilt:.0f}" for e in plan.elevations_deg)
+    rings = ", ".join(f"{e - tilt:z.0f} to {e + tilt:z.0f}" for e in plan.elevations_deg)
     rows(
         [
             _band(plan.waveform),
@@ -166,8 +166,8 @@ def _next_row(one: NextPlane) -> tuple[str, str]:
     width, height = 2e3 * one.plane.half_m
     x, y, z = one.plane.middle_m
     return (
-        f"{one.azimuth_deg:.0f} degrees, {one.elevation_deg:.0f} up",
-        f"{width:.0f} x {height:.0f} mm about ({x:.3f}, {y:.3f}, {z:.3f}) m, "
+        f"{one.azimuth_deg:z.0f} degrees, {one.elevation_deg:z.0f} up",
+        f"{width:.0f} x {height:.0f} mm about ({x:z.3f}, {y:z.3f}, {z:z.3f}) m, "
         f"{_duration(one.seconds)}: {1e3 * one.error_after_m:.2f} mm",
     )
 

@@ -43,12 +43,15 @@ VERTEX_COLUMNS = {"expected_error_m": "<f4", "evidence": "u1", "confidence": "<f
 class Evidence(IntEnum):
     """Evidence of a vertex of a reconstructed surface."""
 
-    GUESSED = 0
-    """Nothing near: the surface is only filled smoothly."""
+    NOT_SEEN = 0
+    """Nothing near: the smoothest surface."""
     OUTLINE = 1
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 2
     """An echo from there, with a matching direction."""
+
+    def __str__(self) -> str:
+        return self.name.lower().replace("_", " ")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -174,7 +174,7 @@ def ghost_texts(numbers: Mapping[str, Any]) -> list[str]:
     numbers: entry of the stage `mesh` in run.json.
     """
     return [
-        f"{ghost['volume_cm3']:.2f} cm³ at ({', '.join(f'{v:.0f}' for v in ghost['center_mm'])}) mm"
-        f" exists with {100 * ghost['probability']:.0f} %"
+        f"{ghost['volume_cm3']:.2f} cm³ at "
+        f"({', '.join(f'{v:z.0f}' for v in ghost['center_mm'])}) mm exists with {100 * ghost['probability']:.0f} %"
         for ghost in numbers.get("likely_ghosts", ())
     ]

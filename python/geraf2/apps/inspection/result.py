@@ -131,7 +131,7 @@ def _axis_rows(
 ) -> list[tuple[str, str, str, str]]:
     """Rows of a vector with its standard uncertainties."""
     return [
-        (f"{name} {axis}", f"{scale * value:.3f}", f"{scale * sigma:.3f}", unit)
+        (f"{name} {axis}", f"{scale * value:z.3f}", f"{scale * sigma:.3f}", unit)
         for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
     ]
 
@@ -171,7 +171,7 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
         rows.append(("within tolerance", f"{deviation.within_fraction:.4f}", "", ""))
         rows.append(("seen fraction of the model", f"{deviation.seen_fraction:.4f}", "", ""))
         rows += [
-            (r.what, f"{1e3 * r.deviation_m:.3f}", f"{1e3 * r.sigma_m:.3f}", "mm")
+            (r.what, f"{1e3 * r.deviation_m:z.3f}", f"{1e3 * r.sigma_m:.3f}", "mm")
             for r in deviation.regions
         ]
     return rows

@@ -177,7 +177,7 @@ def _ur_csv(scan: ScanFile) -> str:
         turn = Rotation.from_matrix(np.asarray(plane.axes).T).as_rotvec()
         for line in plane.lines:
             for end in (line.start_m, line.end_m):
-                pose = [f"{value:.6f}" for value in (*end, *turn)]
+                pose = [f"{value:z.6f}" for value in (*end, *turn)]
                 rows.append([plane.name, *pose, f"{line.speed_m_per_s:.4g}"])
     return csv_text(["plane", "x", "y", "z", "rx", "ry", "rz", "speed"], rows)
 
@@ -185,6 +185,6 @@ def _ur_csv(scan: ScanFile) -> str:
 def _ros_csv(scan: ScanFile) -> str:
     """Positions in the fields of a PoseStamped: seconds, position [m], quaternion x y z w."""
     log = scan.log_rows()[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    rows = [[f"{value:.6f}" for value in row] for row in log]
+    rows = [[f"{value:z.6f}" for value in row] for row in log]
     names = [f"position.{axis}" for axis in "xyz"] + [f"orientation.{axis}" for axis in "xyzw"]
     return csv_text(["stamp", *names], rows)

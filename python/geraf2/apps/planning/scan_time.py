@@ -205,7 +205,7 @@ def swept_planes(
         angle = float(np.rad2deg(np.arctan2(plane.axes[1][0], -plane.axes[1][1])))
         swept.append(
             SweptPlane(
-                name=f"{number}_{angle:.0f}",
+                name=f"{number}_{angle:z.0f}",
                 axes=(_triple(plane.axes[0]), _triple(plane.axes[1]), _triple(plane.axes[2])),
                 lines=tuple(lines),
                 angle_deg=angle,
