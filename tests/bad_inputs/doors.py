@@ -275,6 +275,18 @@ _ROWS = [
         )
         for gib in (1e-6, 0.1)
     ),
+    *(
+        bad(f"{line} --max-memory 0.1", says="has no estimate of its memory")
+        for line in (
+            "evaluate run --truth truth.ply",
+            "los 0.2x0.2x0.2 out",
+            "inspect run",
+            "import mat scan.mat out",
+            "calibrate scene out",
+            "info scene",
+            "batch scene out",
+        )
+    ),
     bad(RUN + " --fit.spacing-m 0.001 --max-memory 0.4", says="spacing-m"),
     bad("image scene out --spacing-m 0.0004 --max-memory 0.5", says="voxels"),
 ]

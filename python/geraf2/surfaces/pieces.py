@@ -175,6 +175,7 @@ def ghost_texts(numbers: Mapping[str, Any]) -> list[str]:
     """
     return [
         f"{ghost['volume_cm3']:.2f} cm³ at "
-        f"({', '.join(f'{v:z.0f}' for v in ghost['center_mm'])}) mm exists with {100 * ghost['probability']:.0f} %"
+        f"({', '.join(f'{v:z.0f}' for v in ghost['center_mm'])}) mm "
+        f"exists with {100 * ghost['probability']:.0f} %"
         for ghost in numbers.get("likely_ghosts", ())
     ]
