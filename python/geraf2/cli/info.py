@@ -49,7 +49,7 @@ class Config:
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
-    file_per_place: bool = False
+    file_per_position: bool = False
     """The folder holds one recording a position."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
@@ -111,7 +111,7 @@ def _fine_image(summary: CaptureSummary) -> str:
 
 
 def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int | None) -> None:
-    """Draw the planes of a scene; reads every pose, and images a few."""
+    """Draw the planes of a scene; reads every plane, and images a few."""
     from geraf2.report.overview import overview_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     los = reader.path / LOS_NAME
@@ -149,7 +149,9 @@ def _show_run(path: Path) -> int:
 
 def _show_recording(config: Config) -> int:
     radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
-    how = ImportOptions(config=config.config, keep_good=True, file_per_place=config.file_per_place)
+    how = ImportOptions(
+        config=config.config, keep_good=True, file_per_position=config.file_per_position
+    )
     recording = open_recording(config.scene, radar, how)
     rows([("recording of", str(config.scene)), *recording.facts])
     line = f"geraf2 import dca1000 {quote(str(config.scene))} scene --positions LOG --config FILES"

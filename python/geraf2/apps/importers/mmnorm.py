@@ -95,7 +95,7 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
         n_antennas=(int(good.sum()) * n_rx,),
         poses=poses,
         notes=(*notes, *more, *still_more, *board.notes),
-        facts=(("places", f"{int(good.sum())} x {n_rx} receivers"),),
+        facts=(("positions", f"{int(good.sum())} x {n_rx} receivers"),),
         phase_sign=1,
     )
 

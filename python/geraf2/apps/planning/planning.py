@@ -104,7 +104,7 @@ class PlanOptions(Bounded):
     """Of a board's transmitters: in turns, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
     """Of all transmitters; those of a position fill the frame period when not given [1/s]."""
-    chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
+    chirps_per_position: Annotated[int, Interval(ge=1, le=100_000)] = 1
     """Of each transmitter, added at a position."""
     stop_and_go: bool = False
     """Stop at each position, until the radar has settled and for its chirps."""
@@ -147,8 +147,8 @@ class PlanOptions(Bounded):
             array=array,
             own=own,
             order=self.order,
-            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
-            chirps_per_place=self.chirps_per_place,
+            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_position / self.frame_period_s,
+            chirps_per_position=self.chirps_per_position,
             speed_m_per_s=self.speed_m_per_s,
             stop_and_go=self.stop_and_go,
             settle_s=self.settle_s,
