@@ -265,6 +265,12 @@ _ROWS = [
     bad("info " + "x" * 200_000, says="xxx"),
     bad("los " + "x" * 200_000 + " out", says="xxx"),
     bad("view run --host=", says="--host"),
+    bad("export run no/m.stl", says="the folder of the file does not exist"),
+    bad(
+        "plan --box 0.2 0.2 0.2 --minutes 5 --out no/scan.json",
+        says="the folder of the file does not exist",
+    ),
+    bad("plan --box 0.001 0.2 0.2", says="--box"),
     *(
         bad(f"{line} --max-memory {gib}", says="--max-memory")
         for line in (
