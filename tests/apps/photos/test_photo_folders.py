@@ -41,7 +41,7 @@ def test_the_largest_model_is_read_and_the_others_named(tmp_path, binary, few, m
     # The folder that the user names is read, whichever it is.
     named = load_photos(tmp_path / "sparse" / few, UNIT)
     assert len(named.photos) == 3
-    assert f"{few} of 3 photos is read, not {many} of 6" in named.notes[0]
+    assert f"'{few}' (3 photos) is read, not {many} (6)" in named.notes[0]
 
 
 def test_a_broken_model_does_not_hide_a_good_one(tmp_path):
