@@ -162,7 +162,7 @@ def test_the_outer_skin_of_a_hollow_carton_is_the_prior(reports, tmp_path):
 def test_the_largest_model_of_colmap_is_read(reports):
     loaded = load_photos(reports / "colmap_two_models", PhotoOptions(unit_m=1.0))
     assert len(loaded.photos) == 16
-    assert any("1 of 16 photos is read, not 0 of 3" in note for note in loaded.notes)
+    assert any("'1' (16 photos) is read, not 0 (3)" in note for note in loaded.notes)
 
 
 def test_photos_that_are_stored_upside_down_are_turned(reports):

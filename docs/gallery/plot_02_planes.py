@@ -3,8 +3,8 @@ How many planes?
 ================
 
 The same object from 3, 6 and 12 sides. A plane of 14 cm at 40 cm sees normals within 10 degrees
-of its own direction. Twelve planes see two thirds of the circle; three leave most of it to the
-smooth fill.
+of its own direction. Twelve planes see two thirds of the circle; of three, most of it is not
+seen.
 """
 
 # sphinx_gallery_thumbnail_path = "_static/gallery/plot_02_planes.png"

@@ -3,7 +3,7 @@ Planes from above
 =================
 
 A horizontal scan sees no normal that points up. A ring of planes at 35 degrees sees as many
-normals again: the back of the object is measured, not filled in.
+normals again: the back of the object is measured.
 """
 
 # sphinx_gallery_thumbnail_path = "_static/gallery/plot_03_from_above.png"

@@ -265,6 +265,12 @@ _ROWS = [
     bad("info " + "x" * 200_000, says="xxx"),
     bad("los " + "x" * 200_000 + " out", says="xxx"),
     bad("view run --host=", says="--host"),
+    bad("export run no/m.stl", says="the folder of the file does not exist"),
+    bad(
+        "plan --box 0.2 0.2 0.2 --minutes 5 --out no/scan.json",
+        says="the folder of the file does not exist",
+    ),
+    bad("plan --box 0.001 0.2 0.2", says="--box"),
     *(
         bad(f"{line} --max-memory {gib}", says="--max-memory")
         for line in (
@@ -274,6 +280,18 @@ _ROWS = [
             "image scene out --spacing-m 0.0005 --tiles --slab-gib 0.1",
         )
         for gib in (1e-6, 0.1)
+    ),
+    *(
+        bad(f"{line} --max-memory 0.1", says="has no estimate of its memory")
+        for line in (
+            "evaluate run --truth truth.ply",
+            "los 0.2x0.2x0.2 out",
+            "inspect run",
+            "import mat scan.mat out",
+            "calibrate scene out",
+            "info scene",
+            "batch scene out",
+        )
     ),
     bad(RUN + " --fit.spacing-m 0.001 --max-memory 0.4", says="spacing-m"),
     bad("image scene out --spacing-m 0.0004 --max-memory 0.5", says="voxels"),

@@ -266,7 +266,6 @@ ROWS = [
         mat(signal=1j * np.ones((4, 8)), positions=np.ones((4, 2))),
         mat(x=1),
     ),
-    bad(MAT + " --max-memory 0.01", mat(signal=np.zeros((3000, 3000))), says="--max-memory"),
     *rows(
         NORM,
         cut("norm.npz"),

@@ -178,11 +178,11 @@ def test_a_folder_with_one_file_a_place_becomes_the_same_scene(tmp_path, radar, 
         (folder / f"place_{place}.bin").write_bytes(words_of(one[None]).tobytes())
     assert main(["info", str(folder)]) == 2
     assert "holds more than one recording" in capsys.readouterr().err
-    assert main(["info", str(folder), "--file-per-place"]) == 0
+    assert main(["info", str(folder), "--file-per-position"]) == 0
     printed = capsys.readouterr()
     assert "dead receivers     1 (its samples are constant)" in printed.out
     assert "receiver 1 is dead" in printed.err
-    assert run(folder, radar, *RASTER, "--file-per-place") == 0
+    assert run(folder, radar, *RASTER, "--file-per-position") == 0
     scene = load_capture(tmp_path / "scene")
     assert np.array_equal(scene.poses[0].signal, np.conj(signal).reshape(480, 64))
     capsys.readouterr()

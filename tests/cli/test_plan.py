@@ -48,6 +48,15 @@ def test_a_radar_of_ones_own_and_what_is_wrong_with_the_plan(tmp_path, capsys):
         assert text in shown.err
 
 
+@pytest.mark.parametrize("more", [[], ["--minutes", "5"], ["--figure", "plan.html"]])
+def test_a_box_within_a_range_cell_is_refused(more, capsys):
+    assert main(["plan", "--box", "0.001", "0.2", "0.2", *more]) == 2
+    error = capsys.readouterr().err
+    assert "--box: the box is too small" in error
+    assert "at least 0.042 m" in error
+    assert main(["plan", "--box", "0.05", "0.05", "0.05"]) == 0
+
+
 def test_a_single_plane_without_a_box(tmp_path, capsys):
     assert main(["plan", "--depth", "0.2"]) == 0
     shown, warned = capsys.readouterr()

@@ -9,6 +9,8 @@ import sys
 import numpy as np
 import pytest
 
+from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, TEXT_BYTES
+
 TUTORIALS = ("first-box", "raw-files", "inspect")
 
 
@@ -37,6 +39,25 @@ def test_every_warning_has_a_cause_and_a_remedy(site, project_root):
     messages = site("messages")
     assert messages.findings()
     assert messages.unexplained(project_root / "docs") == []
+
+
+def test_each_input_of_the_audit_has_tests_and_the_limits_of_the_code(project_root):
+    table = [
+        line for line in (project_root / "SECURITY.md").read_text().splitlines() if "|" in line
+    ]
+    rows = [line.strip("|").split("|") for line in table[2:]]
+    assert len(rows) > 10
+    for name, limits, tests in rows:
+        paths = re.findall(r"`([^`]+)`", tests)
+        assert paths, name
+        for path in paths:
+            folder, braces, rest = path.partition("{")
+            for one in rest.partition("}")[0].split(",") if braces else [""]:
+                file = f"{folder}{one}{rest.partition('}')[2]}"
+                assert (project_root / "tests" / file).is_file(), file
+        stated = set(re.findall(r"(\d+) (MiB|GiB)", limits))
+        assert stated <= {("64", "MiB"), ("512", "MiB"), ("4", "GiB")}, name
+    assert (RECORD_BYTES, TEXT_BYTES, BINARY_BYTES) == (64 * 2**20, 512 * 2**20, 4 * 2**30)
 
 
 def test_errors_are_collected_with_what_to_do(site):

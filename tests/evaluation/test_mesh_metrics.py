@@ -191,13 +191,13 @@ def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
         vertices=bumped,
         faces=ball.faces,
         expected_error_m=np.where(upper, said_m, 1e-3),
-        evidence=np.where(upper, Evidence.GUESSED, Evidence.SEEN).astype(np.uint8),
+        evidence=np.where(upper, Evidence.NOT_SEEN, Evidence.SEEN).astype(np.uint8),
     )
     held = evaluate_mesh(mesh, ball).expected_error
     # 1.21 of 2.21 parts of the area are 5 mm off; between lies a strip of one triangle's height
     assert held.within_one == pytest.approx((1 + 1.21 * one) / 2.21, abs=0.03)
     assert held.within_two == pytest.approx((1 + 1.21 * two) / 2.21, abs=0.05)
-    assert [part.evidence for part in held.parts] == ["seen", "guessed"]
+    assert [part.evidence for part in held.parts] == ["seen", "not seen"]
     seen, guessed = held.parts
     assert guessed.area_fraction == pytest.approx(1.21 / 2.21, abs=0.03)
     assert guessed.median_m == pytest.approx(0.005, abs=2e-4)

@@ -20,6 +20,7 @@ from geraf2.geometry.triangles import (
     used_vertices,
     vertex_areas,
     vertex_normals,
+    volume_centroid_m,
     with_area,
 )
 
@@ -134,6 +135,17 @@ def test_volume_is_that_of_the_box_wherever_it_stands():
         vertices = box_corners(center, (0.2, 0.3, 0.4))
         assert enclosed_volume_m3(vertices, FACES) == pytest.approx(0.024, rel=1e-6)
         assert enclosed_volume_m3(vertices, FACES[:, ::-1]) == pytest.approx(-0.024, rel=1e-6)
+
+
+@pytest.mark.parametrize("center", [(0.0, 0.0, 0.0), (1e3, -2e3, 3e3)])
+def test_centroid_is_that_of_the_volume(center):
+    vertices = box_corners(center, (0.2, 0.3, 0.4))
+    some = split_triangles(vertices[FACES[:1]], 0.05).reshape(-1, 3)  # more vertices on one face
+    rest = vertices[FACES[1:]].reshape(-1, 3)
+    corners = np.concatenate([some, rest])
+    got = volume_centroid_m(corners, np.arange(len(corners)).reshape(-1, 3))
+    assert got == pytest.approx(np.array(center), abs=1e-8)
+    assert abs(corners.mean(axis=0) - center).max() > 0.05
 
 
 def test_six_fold_volumes_are_determinants(mesh):

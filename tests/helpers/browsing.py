@@ -25,9 +25,9 @@ def settle(page):
     page.evaluate("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
 
-def pixels(page):
-    """Read the picture of the view back, (height, width, 3)."""
-    shot = page.locator(".viewer canvas").screenshot()
+def pixels(page, part=".viewer canvas"):
+    """Read the picture of the view, or of a part of the page, back, (height, width, 3)."""
+    shot = page.locator(part).screenshot()
     return np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).astype(int)  # noqa: TID251 - our own
 
 

@@ -260,7 +260,7 @@ def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_inte
 def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
     pose = ragged.poses[0]
     writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=1, n_antennas_max=40)
-    with pytest.raises(ValueError, match="1 poses were announced, got 0"), writer:
+    with pytest.raises(ValueError, match="1 planes were announced, got 0"), writer:
         writer.append(pose, n_antennas=40)
     assert not (tmp_path / "s").exists()
     with pytest.raises(ValueError, match="does not fit"), writer:

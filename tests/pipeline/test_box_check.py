@@ -76,6 +76,28 @@ def test_a_prior_that_is_off_gets_the_faces_that_were_seen(prior, said, monkeypa
     np.testing.assert_allclose(size[2], prior.cuboid[1][2])
 
 
+@pytest.mark.parametrize(
+    ("seen", "said"),
+    [
+        (((2, 2), (2, 2), (0, 0)), "the prior agrees: sides of 302 x 202 mm differ by at most 2.0"),
+        (((0, 2), (2, 0), (0, 0)), "no two opposite faces are seen: the prior's sides were not"),
+    ],
+)
+def test_what_was_compared_is_stated(seen, said, monkeypatch):
+    assert said in check(given(SIZE + 0.002), a_box(seen=seen), monkeypatch).text
+
+
+def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
+    heard = []
+    listener = Listener()
+    listener.note = heard.append
+    capture, truth = simulate(replace(examples.small_scene(), walls=()), seed=0)
+    sides = tuple(float(s) for s in np.ptp(truth.vertices, axis=0) + 0.03)
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    geraf2.reconstruct(capture, sides, coarse, tmp_path / "run", listener=listener)
+    assert "no wall is seen squarely: the prior was compared with nothing" in heard
+
+
 def test_axes_are_named_by_the_sides_that_fit(monkeypatch):
     turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).moved(turn(88.0))
     assert check(turned, a_box(), monkeypatch).prior is turned

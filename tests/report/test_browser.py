@@ -132,6 +132,25 @@ def test_3d_is_drawn_without_trouble_requests_or_overflow(opened, page_url, size
     assert 0.05 < changed.mean() < 0.6
 
 
+@pytest.mark.parametrize("dark", [False, True])
+def test_a_wide_table_has_a_shadow_where_it_continues(opened, dark):
+    page = opened(PHONE, dark)
+    page.evaluate("document.querySelectorAll('details').forEach(e => { e.open = true })")
+    part = ".scroll:has(table.files)"
+    table = page.locator(part)
+    end = table.evaluate("e => e.scrollWidth - e.clientWidth")
+    assert end > 40
+
+    def shadows():
+        """Whether the left and the right edge of the table differ from the paper."""
+        row = pixels(page, part)[4]  # above the letters
+        return [bool(np.abs(row[at] - row[len(row) // 2]).max() > 30) for at in (1, -2)]
+
+    assert shadows() == [False, True]
+    table.evaluate("e => e.scrollTo(e.scrollWidth, 0)")
+    assert shadows() == [True, False]
+
+
 def test_a_pick_shows_position_and_distance_to_the_truth(opened):
     page = opened()
     scale = view_from(page, "+x")

@@ -118,7 +118,7 @@ def test_the_answer_names_unseen_surface_and_remarks_of_stages():
         "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
     }
     answer = answer_of(content, sideways, numbers, {})
-    assert answer.found == "One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm."
+    assert answer.found == "One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm."
     assert answer.corrected == ("delay",)
     assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
     _, first, ends = answer.cards[-1].lines
@@ -132,7 +132,7 @@ def test_unseen_surface_is_split_by_what_it_rests_on():
     content = ball(0.03)
     kinds = np.select(
         [content.vertices[:, 2] > 0.015, content.vertices[:, 2] > 0.0],
-        [Evidence.GUESSED, Evidence.OUTLINE],
+        [Evidence.NOT_SEEN, Evidence.OUTLINE],
         Evidence.SEEN,
     ).astype(np.uint8)
     card = answer_of(replace(content, evidence=kinds), None, {}, {}).cards[-1]
@@ -140,10 +140,10 @@ def test_unseen_surface_is_split_by_what_it_rests_on():
     shares = dict(card.shares)
     # zones of a sphere are as large as they are high
     assert shares["outline"] == pytest.approx(0.25, abs=0.03)
-    assert shares["filled"] == pytest.approx(0.25, abs=0.03)
-    outline, filled = (f"{100 * shares[name]:.0f} %" for name in ("outline", "filled"))
-    assert f"{outline} rest on the outline of a shadow, {filled} are only filled" in card.lines[0]
-    assert card.value == f"{100 * (1 - shares['seen']):.0f} %"
+    assert shares["not seen"] == pytest.approx(0.25, abs=0.03)
+    outline, not_seen = (f"{100 * shares[name]:.0f} %" for name in ("outline", "not seen"))
+    assert card.lines[0] == f"{outline} more rest on the outline of a shadow."
+    assert card.value == not_seen
 
 
 def test_a_volume_is_thinned_to_its_largest_values():

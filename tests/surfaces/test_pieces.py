@@ -3,10 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2.cli._outcome import found_lines
 from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.report.answer import answer_of
+from geraf2.scene.checks import in_mm
 from geraf2.surfaces.pieces import (
     LIKELY,
     ghost_texts,
@@ -56,8 +58,9 @@ def test_a_likely_ghost_is_apart_with_its_position_and_probability():
     numbers = piece_numbers(found.content)
     assert numbers["n_pieces"] == 1
     assert numbers["extents_mm"] == pytest.approx([60, 60, 60], abs=0.5)
+    assert numbers["center_mm"] == pytest.approx([0, 0, 0], abs=0.5)
     (piece,) = pieces_of(found.ghosts)
-    assert piece.numbers()["middle_mm"] == pytest.approx([0, 0, 60], abs=0.5)
+    assert piece.numbers()["center_mm"] == pytest.approx([0, 0, 60], abs=0.5)
     assert piece.numbers()["volume_cm3"] == pytest.approx(4 / 3 * np.pi * 0.4**3, rel=0.05)
     assert 0.0 < piece.probability < LIKELY
 
@@ -97,7 +100,7 @@ def test_the_report_lists_likely_ghosts_separately():
     found, _ = scene(planes=[0, 0])
     stage = {"likely_ghosts": [piece.numbers() for piece in pieces_of(found.ghosts)]}
     answer = answer_of(found.content, None, {"mesh": stage}, {})
-    assert answer.found.startswith("One body, 60 x 60 x 60 mm, its middle at (0, 0, 0) mm.")
+    assert answer.found.startswith("One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm.")
     assert f"Likely ghosts, not counted: {ghost_texts(stage)[0]}." in answer.found
 
 
@@ -115,3 +118,11 @@ def test_confidence_is_read_back_only_from_own_files(tmp_path):
     data = (tmp_path / "m.ply").read_bytes()
     (tmp_path / "other.ply").write_bytes(data.replace(b"uchar evidence", b"uchar elsewise"))
     assert read_mesh(tmp_path / "other.ply").confidence is None
+
+
+def test_a_centre_just_below_zero_has_no_sign():
+    off = ball(0.03, 2, (-0.0002, -0.0002, -0.0003))
+    texts = dict(found_lines(piece_numbers(off)))
+    assert texts["found"] == "one object, 60 x 60 x 60 mm, centre at (0, 0, 0) mm"
+    assert answer_of(off, None, {}, {}).found.endswith("its centre at (0, 0, 0) mm.")
+    assert in_mm([-0.0004, 0.0, 0.001]) == "(0, 0, 1)"

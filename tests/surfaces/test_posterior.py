@@ -168,7 +168,7 @@ def test_a_surface_without_glints_has_a_larger_error():
     up = samples.mesh.vertices[:, 2] / 0.03
     error_m = samples.mesh.expected_error_m
     assert np.median(error_m[up > 0.9]) > 2.5 * np.median(error_m[up < -0.3])
-    assert (samples.mesh.evidence[up > 0.9] == Kind.GUESSED).all()
+    assert (samples.mesh.evidence[up > 0.9] == Kind.NOT_SEEN).all()
     assert np.isfinite(error_m).all()
     assert error_m.min() > 0.0
 

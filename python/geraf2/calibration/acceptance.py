@@ -66,7 +66,7 @@ class Gain:
         return self.nats > N_SIGMAS * self.error
 
     def __str__(self) -> str:
-        return f"held-out log-likelihood {self.nats:+.1f} +- {self.error:.1f}"
+        return f"held-out log-likelihood {self.nats:+z.1f} +- {self.error:.1f}"
 
 
 def coherence_nats(before: Floats, after: Floats, powers: Floats | float = 1.0) -> Floats:

@@ -148,7 +148,7 @@ def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
     reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
     cells = ((offsets_m + reach) / _OFFSET_STEP_M).astype(np.int64)
     counts = np.bincount(cells, weights, int(2.0 * reach / _OFFSET_STEP_M) + 1)
-    middles = _OFFSET_STEP_M * (np.arange(len(counts)) + 0.5) - reach
+    middles = np.asarray(_OFFSET_STEP_M * (np.arange(len(counts)) + 0.5) - reach)
     return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
 
 

@@ -206,7 +206,7 @@ class _Run:
         else:
             return {}
         self.found["curve"], self.offset_sigma_m = curve, 0.5 * curve.sigma_m
-        text = f"{1e3 * curve.delay_m:+.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
+        text = f"{1e3 * curve.delay_m:+z.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
         numbers = {"delay_m": curve.delay_m, "sigma_m": curve.sigma_m}
         self.judgements.append(Judgement(name="delay", applied=True, text=text, numbers=numbers))
         return {"delay_m": curve.delay_m}
@@ -336,7 +336,7 @@ def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float
     """Estimate of a group, in words and numbers."""
     if group == "delay":
         bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"
-        text = f"{1e3 * found.delay_m:+.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
+        text = f"{1e3 * found.delay_m:+z.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
         numbers = {"delay_m": found.delay_m, "sigma_m": found.delay_sigma_m}
         return text, numbers | {"bulge_m": found.bulge_m}
     if group == "frame":
@@ -352,7 +352,7 @@ def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float
     across, sigma = found.axis_shift_m[1], found.axis_shift_sigma_m[1]
     largest = np.abs(found.angles_rad).max()
     text = (
-        f"turntable axis {1e3 * across:+.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
+        f"turntable axis {1e3 * across:+z.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
         f"{np.rad2deg(largest):.3f} degrees"
     )
     found_numbers = {"across_m": across, "sigma_m": sigma, "largest_angle_rad": largest}

@@ -157,7 +157,7 @@ class FoundBox:
             )
             if names
         )
-        turn = f"{self.yaw_deg:.2f} +- {self.yaw_sigma_deg:.2f} degrees"
+        turn = f"{self.yaw_deg:z.2f} +- {self.yaw_sigma_deg:.2f} degrees"
         return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {seen}"
 
 

@@ -63,4 +63,7 @@ COMMANDS = {
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }
 
+ESTIMATED = ("demo", "simulate", "image", "reconstruct", "render")
+"""Commands that estimate their memory before they begin: the others take no --max-memory."""
+
 GLOBAL_FLAGS = ("--debug", "--version", "--json", "--quiet", "--verbose")

@@ -12,7 +12,7 @@ from geraf2.surfaces.samples import size_lines
 _KEPT = (
     "n_pieces",
     "extents_mm",
-    "middle_mm",
+    "center_mm",
     "volume_cm3",
     "expected_error_median_mm",
     "expected_error_95_percent_mm",
@@ -39,18 +39,18 @@ def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
     if "n_pieces" not in mesh:
         return []
     n = mesh["n_pieces"]
-    sides, middle = (
-        mark.join(f"{v:.0f}" for v in mesh[name])
-        for name, mark in (("extents_mm", " x "), ("middle_mm", ", "))
+    sides, center = (
+        mark.join(f"{v:z.0f}" for v in mesh[name])
+        for name, mark in (("extents_mm", " x "), ("center_mm", ", "))
     )
     pieces = "one object" if n == 1 else f"{n} separate pieces"
-    lines = [("found", f"{pieces}, {sides} mm, the middle at ({middle}) mm")]
+    lines = [("found", f"{pieces}, {sides} mm, centre at ({center}) mm")]
     if "expected_error_median_mm" in mesh:
         half, most = mesh["expected_error_median_mm"], mesh["expected_error_95_percent_mm"]
         lines.append(("typical error", f"{half:.1f} mm; 95 % of the surface below {most:.1f} mm"))
         shares = mesh["evidence_shares"]
-        text = f"{100 * (1 - shares['seen']):.0f} % of the surface"
+        text = f"{100 * (1 - shares['seen'] - shares['outline']):.0f} % of the surface"
         if shares["outline"] > 0.005:
-            text += f"; {100 * shares['outline']:.0f} % rests on its outline"
+            text += f"; {100 * shares['outline']:.0f} % more rests on an outline"
         lines.append(("not seen", text))
     return [*lines, *(("likely ghost", f"{text}, not counted") for text in ghost_texts(mesh))]

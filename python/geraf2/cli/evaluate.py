@@ -91,10 +91,10 @@ def _sizes(metrics: MeshMetrics) -> list[tuple[str, str]]:
     size, offset = metrics.size, metrics.surface_bias_m
     ratio = "not closed" if size.volume_ratio is None else f"{size.volume_ratio:.3f} of the truth's"
     errors = zip("xyz", size.extent_errors_m, strict=True)
-    along = ", ".join(f"{axis} {1e3 * error:+.2f}" for axis, error in errors)
+    along = ", ".join(f"{axis} {1e3 * error:+z.2f}" for axis, error in errors)
     lines = [("volume", ratio), ("extents", f"{along} mm against the truth's")]
     if offset is not None:
-        lines.append(("offset", f"{1e3 * offset:+.2f} mm along the normal, in the median"))
+        lines.append(("offset", f"{1e3 * offset:+z.2f} mm along the normal, in the median"))
     return lines
 
 

@@ -9,7 +9,8 @@ from geraf2.cli._console import keep, rows
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
-from geraf2.io.mesh import Evidence, write_mesh
+from geraf2.io.mesh import WRITABLE_SUFFIXES, Evidence, write_mesh
+from geraf2.io.outputs import require_file
 from geraf2.pipeline.reconstruction import load_run
 
 
@@ -23,7 +24,7 @@ class Config:
     run: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Run folder of `geraf2 reconstruct`."""
     file: Positional[Annotated[Path, Arg(metavar="FILE")]]
-    """File to write: .ply or .glb; .ply of glints."""
+    """File to write: .ply, .glb or .stl; .ply of glints."""
     only_seen: bool = False
     """Only triangles whose corners were all seen: an echo came from there."""
     glints: bool = False
@@ -35,6 +36,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     result = load_run(config.run)
+    require_file(config.file, (".ply",) if config.glints else WRITABLE_SUFFIXES)
     if config.file.exists() and not config.overwrite:
         raise UserError(
             what="is there already", where=config.file, hint="pass --overwrite to replace it"
@@ -42,8 +44,6 @@ def main(config: Config) -> int:
     if config.glints:
         if result.glints is None:
             raise UserError(what="the run has no glints", where=config.run)
-        if config.file.suffix.lower() != ".ply":
-            raise UserError(what="glints are written as .ply", got=config.file)
         write_bytes_atomic(config.file, result.glints.cloud_bytes())
         found = {"n_points": len(result.glints)}
     else:

@@ -61,7 +61,7 @@ def main(config: Config) -> int:
         raise UserError(what="--scheduler needs --tiles")
     made = _tiled(config) if config.tiles else _whole(config)
     say(f"{'method':<14} {made.method}")
-    say("largest at     ({:.3f}, {:.3f}, {:.3f}) m".format(*made.strongest_m))
+    say(f"largest at     ({', '.join(f'{x:z.3f}' for x in made.strongest_m)}) m")
     if made.searched_m is not None:
         say(f"searched       {made.searched_m:.3g} m before the plane it is sharpest")
     if len(made.sharpness):

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._recording import open_recording
-from geraf2.apps.planning.planning import require_picture
 from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found
@@ -20,6 +19,7 @@ from geraf2.freespace.specular import seen_share
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.outputs import PICTURES, require_file
 from geraf2.io.run_folder import RUN_NAME
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import (
@@ -49,7 +49,7 @@ class Config:
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
     """Configuration files of the radar's own software, for a raw recording."""
-    file_per_place: bool = False
+    file_per_position: bool = False
     """The folder holds one recording a position."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
@@ -62,7 +62,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     if config.figure is not None:
-        require_picture(config.figure)
+        require_file(config.figure, PICTURES)
     if (config.scene / RUN_NAME).is_file():
         return _show_run(config.scene)
     if _is_recording(config.scene):
@@ -111,7 +111,7 @@ def _fine_image(summary: CaptureSummary) -> str:
 
 
 def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int | None) -> None:
-    """Draw the planes of a scene; reads every pose, and images a few."""
+    """Draw the planes of a scene; reads every plane, and images a few."""
     from geraf2.report.overview import overview_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     los = reader.path / LOS_NAME
@@ -149,7 +149,9 @@ def _show_run(path: Path) -> int:
 
 def _show_recording(config: Config) -> int:
     radar = read_toml(config.radar, RadarManifest) if config.radar else RadarManifest()
-    how = ImportOptions(config=config.config, keep_good=True, file_per_place=config.file_per_place)
+    how = ImportOptions(
+        config=config.config, keep_good=True, file_per_position=config.file_per_position
+    )
     recording = open_recording(config.scene, radar, how)
     rows([("recording of", str(config.scene)), *recording.facts])
     line = f"geraf2 import dca1000 {quote(str(config.scene))} scene --positions LOG --config FILES"
@@ -178,8 +180,8 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
     tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
     return (
-        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():.0f} to {tilts.max():.0f} "
-        "degrees; surfaces that face elsewhere stay a guess"
+        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():z.0f} to {tilts.max():z.0f} "
+        "degrees; surfaces that face elsewhere are not seen"
     )
 
 
@@ -191,7 +193,10 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
         width = max(summary.aperture_m)
         across, deep = np.array([0.5e3, 2e3]) * summary.waveform.center_wavelength_m
         return [
-            ("plane looks along", f"({x:.3g}, {y:.3g}, {z:.3g}); 'geraf2 image' finds the depth"),
+            (
+                "plane looks along",
+                f"({x:z.3g}, {y:z.3g}, {z:z.3g}); 'geraf2 image' finds the depth",
+            ),
             (
                 "focus",
                 f"{across:.1f} mm across, {deep:.0f} mm in depth, {width:.2g} m away; at twice "
@@ -200,7 +205,7 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
         ]
     if focus is None:
         return [("planes look at", "unknown")]
-    looked_at = f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m"
+    looked_at = f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m"
     return [
         ("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
         ("normals seen", _seen(summary, focus)),

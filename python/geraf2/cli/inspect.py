@@ -71,10 +71,9 @@ def main(config: Config) -> int:
 
 
 def _part(part: BodyReport) -> list[tuple[str, str]]:
-    middle = zip(part.center_m, part.center_sigma_m, strict=True)
     lengths = " x ".join(_pm(length, 1e3) for length in part.dimensions_m)
     return [
-        ("  middle", ", ".join(f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        _center(part),
         ("  along x, y, z", " x ".join(f"{1e3 * v:.1f}" for v in part.extents_m) + " mm"),
         ("  along its own axes", f"{lengths} mm"),
         ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
@@ -88,10 +87,9 @@ def _part(part: BodyReport) -> list[tuple[str, str]]:
 def _model(report: ModelReport) -> list[tuple[str, str]]:
     placement, deviation = report.match.placement, report.deviation
     assert placement is not None  # or there are no rows
-    middle = zip(placement.middle_m, placement.position_sigma_m, strict=True)
-    turn = ", ".join(f"{value:.1f}" for value in rotation_vector_deg(placement.pose))
+    turn = ", ".join(f"{value:z.1f}" for value in rotation_vector_deg(placement.pose))
     found = [
-        ("  middle", ", ".join(f"{1e3 * v:.1f} ± {1.96e3 * s:.1f}" for v, s in middle) + " mm"),
+        _center(report),
         ("  turn", f"{turn} degrees about x, y, z"),
         ("  misfit", f"{placement.misfit:.2f}, at most {report.match.largest_misfit:.2f} passes"),
         ("  size by CAD", " x ".join(f"{1e3 * v:.1f}" for v in report.model.lengths_m) + " mm"),
@@ -105,6 +103,11 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
             ("  seen", f"{100 * deviation.seen_fraction:.0f} % of the model"),
         ]
     return found
+
+
+def _center(found: BodyReport | ModelReport) -> tuple[str, str]:
+    pairs = zip(found.center_m, found.center_sigma_m, strict=True)
+    return "  centre", ", ".join(f"{1e3 * v:z.1f} ± {1.96e3 * s:.1f}" for v, s in pairs) + " mm"
 
 
 def _pm(measured: Measured, scale: float) -> str:

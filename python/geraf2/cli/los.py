@@ -51,7 +51,7 @@ def main(config: Config) -> int:
     )
     prior = made.prior
     size = " x ".join(f"{1e3 * side:.1f}" for side in prior.size_m)
-    center = ", ".join(f"{1e3 * value:.1f}" for value in prior.center_m)
+    center = ", ".join(f"{1e3 * value:z.1f}" for value in prior.center_m)
     pairs = [
         ("outside", f"{size} mm around ({center}) mm, {len(prior.faces)} triangles"),
         *[

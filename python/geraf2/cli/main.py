@@ -4,6 +4,7 @@ import errno
 import importlib
 import json
 import logging
+import math
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ from types import FrameType
 from typing import Any, Protocol, cast
 
 from geraf2._memory import memory_limit, without_memory_flag
-from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS, Command
+from geraf2.cli._commands import COMMANDS, ESTIMATED, GLOBAL_FLAGS, Command
 from geraf2.errors import UserError, printable, shortened, speaking_of_flags
 
 EXIT_OK = 0
@@ -119,6 +120,12 @@ def _main(arguments: Sequence[str], *, debug: bool) -> int:
             return EXIT_OK
         _require_environment()
         rest, allowed = without_memory_flag(rest)
+        name = _command_of(rest)
+        if allowed < math.inf and name is not None and name not in ESTIMATED:
+            raise UserError(
+                what=f"{name} has no estimate of its memory, which --max-memory would limit",
+                expected=f"--max-memory with {', '.join(ESTIMATED)}",
+            )
         with memory_limit(allowed):
             return _dispatch(rest, {flag for flag in GLOBAL_FLAGS if flag in arguments})
     except SystemExit as stop:  # after --help
@@ -130,7 +137,7 @@ def _main(arguments: Sequence[str], *, debug: bool) -> int:
     except (Exception, KeyboardInterrupt) as error:
         if debug:
             traceback.print_exc()
-        name = next((word for word in rest if word in COMMANDS), None)
+        name = _command_of(rest)
         # Libraries make other errors of it: "initialization failed" while they are imported.
         why = KeyboardInterrupt(_received[-1]) if _received else error
         command = COMMANDS[name] if name else None
@@ -140,6 +147,10 @@ def _main(arguments: Sequence[str], *, debug: bool) -> int:
         if "--json" in arguments:
             print(json.dumps({"command": name, "exit_code": code, "error": message}))
         return code
+
+
+def _command_of(arguments: Sequence[str]) -> str | None:
+    return next((word for word in arguments if word in COMMANDS), None)
 
 
 def describe_error(
@@ -219,7 +230,8 @@ def help_text() -> str:
         "  --json                  one JSON object on stdout, all else on stderr",
         "  --quiet, --verbose      no progress and notes, or the log of every module",
         "  --debug                 full traceback on errors",
-        "  --max-memory GIB        refuse work that is estimated to take more memory",
+        "  --max-memory GIB        refuse work that is estimated to take more memory; of",
+        f"                          {', '.join(ESTIMATED)}",
     ]
     return "\n".join(lines)
 

@@ -18,12 +18,12 @@ from geraf2.apps.planning.planning import (
     make_timed_plan,
     plan_after,
     plan_like,
-    require_picture,
 )
 from geraf2.apps.planning.scan_time import TimedPlan
 from geraf2.cli._console import rows, say, warn
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
+from geraf2.io.outputs import PICTURES, require_file
 from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.pipeline.estimates import fine_image
 from geraf2.scene import Waveform
@@ -60,7 +60,7 @@ def main(config: Config) -> int:
             raise UserError(what="--depth plans a single plane, without --figure")
         return _show_plane(make_plane(config))
     if config.figure is not None:
-        require_picture(config.figure)
+        require_file(config.figure, PICTURES)
     plan = make_plan(config)
     wavelength = plan.waveform.center_wavelength_m
     limit = nyquist_spacing_m(plan.box_m, plan.standoff_m, wavelength)
@@ -69,7 +69,7 @@ def main(config: Config) -> int:
     width, height = plan.aperture_m
     share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
     tilt = np.rad2deg(np.arctan(0.5 * height / plan.standoff_m))
-    rings = ", ".join(f"{e - tilt:.0f} to {e + tilt:.0f}" for e in plan.elevations_deg)
+    rings = ", ".join(f"{e - tilt:z.0f} to {e + tilt:z.0f}" for e in plan.elevations_deg)
     rows(
         [
             _band(plan.waveform),
@@ -106,15 +106,15 @@ def _write_page(config: Config, path: Path) -> int:
     for name in ("like", "after", "depth", "out"):
         if getattr(config, name) is not None:
             raise UserError(what=f"--{name} has no page: --figure then ends in .png", got=path)
-    require_picture(path, (".html",))
+    require_file(path, (".html",))
     for file in write_plan_page(path, config):
         say(f"page     {file}" if file == path else f"poses    {file}")
     return 0
 
 
 def _show_lines(config: Config) -> int:
-    if config.out is not None and config.out.suffix not in (".json", ".csv"):
-        raise UserError(what="a scan file ends in .json or .csv", where="--out", got=config.out)
+    if config.out is not None:
+        require_file(config.out, (".json", ".csv"))
     if config.figure is not None:
         raise UserError(what="--figure draws a plan of rings, without --minutes, --like or --after")
     if sum(one is not None for one in (config.minutes, config.like, config.after)) > 1:
@@ -166,8 +166,8 @@ def _next_row(one: NextPlane) -> tuple[str, str]:
     width, height = 2e3 * one.plane.half_m
     x, y, z = one.plane.middle_m
     return (
-        f"{one.azimuth_deg:.0f} degrees, {one.elevation_deg:.0f} up",
-        f"{width:.0f} x {height:.0f} mm about ({x:.3f}, {y:.3f}, {z:.3f}) m, "
+        f"{one.azimuth_deg:z.0f} degrees, {one.elevation_deg:z.0f} up",
+        f"{width:.0f} x {height:.0f} mm about ({x:z.3f}, {y:z.3f}, {z:z.3f}) m, "
         f"{_duration(one.seconds)}: {1e3 * one.error_after_m:.2f} mm",
     )
 

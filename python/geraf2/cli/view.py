@@ -1,5 +1,6 @@
 """`geraf2 view`: a run or a scene in 3D in a browser."""
 
+import signal
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,15 +31,18 @@ class Config:
 
 
 def main(config: Config) -> int:
-    """Run the command; it ends with Ctrl-C."""
+    """Run the command; Ctrl-C is its normal end."""
     if not 1 <= len(config.paths) <= 2:
         raise UserError(what="give one run or scene, or two", got=len(config.paths))
     view = LiveView(config.paths, port=config.port, host=config.host)
-    say(f"page     {view.url}")
-    say(f"over SSH {view.ssh_line}")
-    say("Ctrl-C ends it")
     try:
+        say(f"page     {view.url}")
+        say(f"over SSH {view.ssh_line}")
+        say("Ctrl-C ends it")
         threading.Event().wait()
+    except KeyboardInterrupt as stop:
+        if stop.args and stop.args[0] != signal.SIGINT:
+            raise
     finally:
         view.stop()
     return 0

@@ -15,7 +15,7 @@ class EvidencePart:
     """The part of the mesh whose vertices rest on one kind of evidence."""
 
     evidence: str
-    """Kind: seen, outline, continued or guessed."""
+    """Kind: seen, outline or not seen."""
     area_fraction: float
     """Share of the mesh's area."""
     expected_m: float
@@ -67,7 +67,7 @@ def error_forecast(
             if at.any():
                 parts.append(
                     EvidencePart(
-                        evidence=kind.name.lower(),
+                        evidence=str(kind),
                         area_fraction=float(at.mean()),
                         expected_m=float(np.median(expected[at])),
                         median_m=float(np.median(distances_m[at])),

@@ -109,6 +109,14 @@ def enclosed_volume_m3(vertices: Floats, faces: Faces) -> float:
     return float(six_fold_volumes(vertices, faces).sum() / 6.0)
 
 
+def volume_centroid_m(vertices: Floats, faces: Faces) -> Floats:
+    """Centroid of the enclosed volume; the mean vertex where that is not positive, (3,) [m]."""
+    six, middle = six_fold_volumes(vertices, faces), np.asarray(vertices.mean(axis=0))
+    if six.sum() <= 0:
+        return middle
+    return np.asarray(middle + six @ (vertices - middle)[faces].sum(axis=1) / (4.0 * six.sum()))
+
+
 def directed_edges(faces: Faces) -> Faces:
     """From and to which vertex: first edges of all faces, then second, then third, (3 n, 2)."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])

@@ -196,7 +196,7 @@ class SceneReader:
         Values are not judged here (see geraf2.scene.check_capture).
         """
         if not 0 <= index < self.n_poses:
-            msg = f"pose index must be in 0..{self.n_poses - 1}, got {index}"
+            msg = f"index of the plane must be in 0..{self.n_poses - 1}, got {index}"
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
         angle = float(self._angles[index])

@@ -29,6 +29,8 @@ from geraf2.io.text import parse_json
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
+WRITABLE_SUFFIXES = (".ply", ".glb", ".stl")
+"""Mesh formats of `write_mesh`."""
 
 # Vertices beyond are refused: ray queries in single precision take no more.
 _MAX_PLACE_M = 1e6
@@ -46,12 +48,15 @@ VERTEX_COLUMNS = {
 class Evidence(IntEnum):
     """Evidence of a vertex of a reconstructed surface."""
 
-    GUESSED = 0
-    """Nothing near: the surface is only filled smoothly."""
+    NOT_SEEN = 0
+    """Nothing near: the smoothest surface."""
     OUTLINE = 1
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 2
     """An echo from there, with a matching direction."""
+
+    def __str__(self) -> str:
+        return self.name.lower().replace("_", " ")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -187,15 +192,15 @@ def write_mesh(
     frame: str = "capture",
     made_from: Mapping[str, str] | None = None,
 ) -> None:
-    """Write a binary PLY or a GLB in metres, and `<path>.json` that describes it.
+    """Write a binary PLY, GLB or STL in metres, and `<path>.json` that describes it.
 
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
     float `expected_error_m` [m], uchar `evidence` (`Evidence`), float `confidence`, and `quality`,
     which viewers colour by: the expected error again. GLB: the same numbers but `quality`, turned
     to glTF's +Y up by the node's rotation, vertex normals and colours, and `_EXPECTED_ERROR_M`,
-    `_EVIDENCE` and `_CONFIDENCE`, all float. Each file appears whole or not at all. The colour
-    shows the expected error (blue 0, dark red 5 mm), grey without one. What the mesh was made
-    from, and by which command, is recorded in all of them.
+    `_EVIDENCE` and `_CONFIDENCE`, all float. STL: only triangles. Each file appears whole or not
+    at all. The colour shows the expected error (blue 0, dark red 5 mm), grey without one. What the
+    mesh was made from, and by which command, is recorded in PLY, GLB and `<path>.json`.
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()
@@ -212,10 +217,14 @@ def write_mesh(
         frame_from_file = FRAME_FROM_GLTF
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
         columns += [f"_{name.upper()}" for name, *_ in _known(mesh)]
+    elif suffix == ".stl":
+        import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
+
+        data = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="stl")
+        frame_from_file, columns = np.eye(4), ["x [m]", "y [m]", "z [m]"]
     else:
-        raise UserError(
-            what="unknown mesh format", where=target, expected="a name ending in .ply or .glb"
-        )
+        expected = f"a name ending in {' or '.join(WRITABLE_SUFFIXES)}"
+        raise UserError(what="unknown mesh format", where=target, expected=expected)
     write_bytes_atomic(target, data)
     sidecar = {
         "format": "geraf2-mesh",

@@ -1,4 +1,4 @@
-"""One rule for every folder that a command makes.
+"""One rule for every folder, and one for every file, that a user names as output.
 
 A foreign folder is never touched. A finished result is replaced by another only with
 `--overwrite`; the same again changes nothing. Looked at before the work, not after it.
@@ -14,6 +14,8 @@ from geraf2.io.regular import require_no_links
 
 PROBE_PREFIX = ".geraf2-"
 """Prefix of a temporary folder that tests whether one can be made."""
+PICTURES = (".png", ".pdf", ".svg", ".jpg")
+"""Endings of pictures that are drawn."""
 _PASSING = (f"{PROBE_PREFIX}*", ".*-????????.tmp*")
 
 
@@ -47,6 +49,22 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     except OSError as error:
         what = f"cannot be written to: {error.strerror}"
         raise UserError(what=what, where=place, hint="choose another folder") from None
+
+
+def require_file(path: Path, kinds: tuple[str, ...]) -> None:
+    """Refuse a path where no file with one of these endings can be made."""
+    if path.suffix.lower() not in kinds:
+        raise UserError(
+            what="unknown kind of file",
+            where=path,
+            expected=f"a name ending in {' or '.join(kinds)}",
+        )
+    if path.is_dir():
+        raise UserError(what="is a folder", where=path, expected="a file")
+    if not is_remote(path) and not path.absolute().parent.is_dir():
+        raise UserError(
+            what="the folder of the file does not exist", where=path, hint="make the folder first"
+        )
 
 
 def is_passing(entry: Path) -> bool:

@@ -199,7 +199,7 @@ def write_scan_file(path: Path, scan: ScanFile) -> None:
     """Write a scan, whole or not at all: `.json` with all of it, `.csv` the robot's log."""
     if path.suffix == ".csv":
         rows = (
-            f"{row[0]:.6f}," + ",".join(f"{value:.9g}" for value in row[1:])
+            f"{row[0]:.6f}," + ",".join(f"{value:z.9g}" for value in row[1:])
             for row in scan.log_rows()
         )
         write_text_atomic(path, "\n".join(["time_s,x_m,y_m,z_m,qw,qx,qy,qz", *rows]) + "\n")

@@ -109,7 +109,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         n_antennas = keep if n_antennas is None else n_antennas
         n_so_far = self._n_begun + keep
         if index >= self._shape[0] or n_so_far > n_antennas or n_antennas > self._shape[1]:
-            msg = f"pose {index} with {n_so_far} antennas does not fit into {self._shape}"
+            msg = f"plane {index} with {n_so_far} antennas does not fit into {self._shape}"
             raise ValueError(msg)
         samples = stored_integers(pose.signal) if self._integers else pose.signal
         require_shape("signal", samples, (keep, self._shape[2], *((2,) if self._integers else ())))
@@ -165,7 +165,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
 
     def _finish(self) -> None:
         if len(self._names) != self._shape[0] or self._begun is not None:
-            msg = f"{self._shape[0]} poses were announced, got {len(self._names)}"
+            msg = f"{self._shape[0]} planes were announced, got {len(self._names)}"
             raise ValueError(msg)
         self._write_group()
         group = self.folder / RADAR_NAME

@@ -28,7 +28,7 @@ class _Ghost:
     probability: float
     volume_cm3: float
     extents_mm: tuple[float, float, float]
-    middle_mm: tuple[float, float, float]
+    center_mm: tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -87,7 +87,7 @@ def checked_prior(
         except UserError:
             found = None
     if found is None:
-        text = "no wall is seen squarely, with which the prior would be compared"
+        text = "no wall is seen squarely: the prior was compared with nothing"
         return BoxCheck(prior=prior, found=None, text=text)
     if prior.cuboid is None:
         text = f"{found}; the prior is no cuboid and is not compared with it"
@@ -105,7 +105,12 @@ def checked_prior(
             hint="leave the prior out, or keep it with --trust-los",
         )
     if not difference.text:
-        text = f"{found}; the prior agrees"
+        off_m, text = (found.size_m - difference.given_size_m)[difference.both], f"{found}; "
+        text += "no two opposite faces are seen: the prior's sides were not compared"
+        if len(off_m):
+            sides = _in_mm(difference.given_size_m, difference.both)
+            most = 1e3 * float(np.abs(off_m).max())
+            text = f"{found}; the prior agrees: sides of {sides} mm differ by at most {most:.1f} mm"
         return BoxCheck(prior=prior, found=found, text=text)
     corrected = difference.corrected(found)
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"

@@ -66,7 +66,7 @@ class Reconstruction:
         """What is hidden in the box, in the capture's frame [m].
 
         `vertex_attributes` holds, (n_vertices,) each, `expected_error_m`, one standard deviation of
-        the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 guessed,
+        the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 not seen,
         1 outline, 2 seen, and `confidence`, the probability that its piece exists. Presets that
         cannot estimate them have none.
         """

@@ -9,7 +9,7 @@ import numpy as np
 from geraf2._types import Bools, Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.transparency import describe
-from geraf2.geometry.triangles import vertex_areas, vertex_normals
+from geraf2.geometry.triangles import vertex_areas, vertex_normals, volume_centroid_m
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
@@ -119,26 +119,25 @@ def _size(content: TriangleMesh, report: SurfaceReport, intervals: Mapping[str, 
 
 
 def _not_seen(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
-    """Card of the surface without echoes, split by what it rests on."""
+    """Card of the surface without an echo or an outline."""
     areas = vertex_areas(content.vertices, content.faces)
-    kinds = np.where(seen, Evidence.SEEN, Evidence.GUESSED)
+    kinds = np.where(seen, Evidence.SEEN, Evidence.NOT_SEEN)
     if content.evidence is not None:
         kinds = content.evidence.astype(np.int64)
     every = np.ones_like(seen)
     shares = {kind: _share(areas, kinds == kind, every) for kind in reversed(Evidence)}
-    outline, guessed = shares[Evidence.OUTLINE], shares[Evidence.GUESSED]
     lines = ["No echo came from this part of the surface."]
-    if outline > _LEAST_SHARE:
-        lines = [
-            f"No echo came from there: {_percent(outline)} rest on the outline of a shadow, "
-            f"{_percent(guessed)} are only filled smoothly."
-        ]
-    names = {Evidence.SEEN: "seen", Evidence.OUTLINE: "outline", Evidence.GUESSED: "filled"}
+    if shares[Evidence.OUTLINE] > _LEAST_SHARE:
+        lines = [f"{_percent(shares[Evidence.OUTLINE])} more rest on the outline of a shadow."]
     return Card(
         title="Not seen",
-        value=_percent(1.0 - _share(areas, seen, every)),
-        lines=(*lines, *_unseen(content, seen), *_ends(content, seen, has_outlines)),
-        shares=tuple((names[kind], share) for kind, share in shares.items() if share > 0),
+        value=_percent(shares[Evidence.NOT_SEEN]),
+        lines=(
+            *lines,
+            *_sides_of(content, kinds == Evidence.NOT_SEEN),
+            *_ends(content, seen, has_outlines),
+        ),
+        shares=tuple((str(kind), share) for kind, share in shares.items() if share > 0),
     )
 
 
@@ -148,12 +147,12 @@ def _percent(share: float) -> str:
 
 def _found(content: TriangleMesh, report: SurfaceReport) -> str:
     n, lengths = report.n_components, _sides(content)
-    middle = 5e2 * (content.vertices.min(axis=0) + content.vertices.max(axis=0))
-    place = ", ".join(f"{value:.0f}" for value in np.round(middle) + 0.0)
+    center = 1e3 * volume_centroid_m(content.vertices, content.faces)
+    place = ", ".join(f"{value:z.0f}" for value in center)
     closed = "" if report.is_watertight else " The surface is open."
     if n == 1:
-        return f"One body, {lengths}, its middle at ({place}) mm.{closed}"
-    return f"{n} separate pieces, {lengths} over all, their middle at ({place}) mm.{closed}"
+        return f"One body, {lengths}, its centre at ({place}) mm.{closed}"
+    return f"{n} separate pieces, {lengths} over all, their centre at ({place}) mm.{closed}"
 
 
 def _ghosts(numbers: Mapping[str, Any]) -> str:
@@ -168,11 +167,11 @@ def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
         error = 1e3 * metrics["surface_mesh_to_truth"][key]
         items.append((f"error, {share}", f"{error:.2f} mm"))
     if (offset := metrics["surface_bias_m"]) is not None:
-        items.append(("offset along the normal", f"{1e3 * offset:+.2f} mm"))
+        items.append(("offset along the normal", f"{1e3 * offset:+z.2f} mm"))
     if size := metrics.get("size"):
         if size["volume_ratio"] is not None:
             items.append(("volume over the true one", f"{size['volume_ratio']:.2f}"))
-        errors = ", ".join(f"{1e3 * error:+.1f}" for error in size["extent_errors_m"])
+        errors = ", ".join(f"{1e3 * error:+z.1f}" for error in size["extent_errors_m"])
         items.append(("error of size x, y, z [mm]", errors))
     return items
 
@@ -185,8 +184,8 @@ def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
 
 
-def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:
-    """Sentence on the directions that lack echoes."""
+def _sides_of(content: TriangleMesh, not_seen: Bools) -> list[str]:
+    """Sentence on the directions that were not seen."""
     areas = vertex_areas(content.vertices, content.faces)
     up = vertex_normals(content.vertices, content.faces)[:, 2]
     sides = {
@@ -194,7 +193,7 @@ def _unseen(content: TriangleMesh, seen: Bools) -> list[str]:
         "faces down": up < -_STEEP_COSINE,
         "faces sideways": np.abs(up) <= _STEEP_COSINE,
     }
-    shares = {name: _share(areas, ~seen, which) for name, which in sides.items()}
+    shares = {name: _share(areas, not_seen, which) for name, which in sides.items()}
     parts = [f"{_percent(s)} of what {name}" for name, s in shares.items() if s >= _LEAST_SHARE]
     return [f"By side: {_listed(parts)}."] if parts else []
 

@@ -100,7 +100,7 @@ def _source(image: "Image") -> str:
 
 def _millimetres(value_m: float | None) -> str:
     """Length in mm with two decimals; n/a for None."""
-    return "n/a" if value_m is None else f"{1e3 * value_m:.2f}"
+    return "n/a" if value_m is None else f"{1e3 * value_m:z.2f}"
 
 
 def _tight(text: str) -> str:

@@ -90,9 +90,9 @@ def content_attributes(
             Attribute(
                 label="seen by the radar",
                 values=seen.astype(np.float64),
-                classes=("only filled", "seen"),
+                classes=("not seen", "seen"),
                 colours=(RED, SKY),
-                note="Only filled: without echoes, the surface is a smooth guess.",
+                note="Not seen: no echo came from there; the surface is the smoothest one.",
             )
         )
     if box is not None and box.faces.shape[0]:
@@ -130,11 +130,11 @@ def _evidence(evidence: Bytes) -> Attribute:
     return Attribute(
         label="rests on",
         values=evidence.astype(np.float64),
-        classes=tuple(kind.name.lower() for kind in Evidence),
+        classes=tuple(map(str, Evidence)),
         colours=_EVIDENCE_COLOURS,
         note=(
             "Seen: echoes came from there. Outline: the edge of a shadow on the box's walls. "
-            "Guessed: only filled smoothly."
+            "Not seen: neither; the surface is the smoothest one."
         ),
     )
 

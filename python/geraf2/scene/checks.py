@@ -90,7 +90,7 @@ def warning(message: str) -> Finding:
 
 def in_mm(values_m: Iterable[float]) -> str:
     """Lengths or positions [m] in whole millimetres, as (x, y, z)."""
-    return "(" + ", ".join(f"{1e3 * value:.0f}" for value in values_m) + ")"
+    return "(" + ", ".join(f"{1e3 * value:z.0f}" for value in values_m) + ")"
 
 
 def _list(poses: Sequence[PoseSummary]) -> str:
@@ -260,7 +260,7 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     if away and focus is not None:
         yield warning(
             f"{len(away)} planes do not look at the point the scan looks at "
-            f"({focus[0]:.3f}, {focus[1]:.3f}, {focus[2]:.3f}) m: {_list(away)}; check the "
+            f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m: {_list(away)}; check the "
             "looking axis and the frame"
         )
     deep = [

@@ -192,7 +192,7 @@ class LosPrior:
         """Table of a notebook, and the outside seen from above."""
         rows = [
             ("outside of the box", size_text(self.size_m)),
-            ("middle", ", ".join(f"{1e3 * x:.0f}" for x in self.center_m) + " mm"),
+            ("middle", ", ".join(f"{1e3 * x:z.0f}" for x in self.center_m) + " mm"),
             ("triangles", f"{len(self.faces)}"),
             *wall_rows(self.walls),
         ]

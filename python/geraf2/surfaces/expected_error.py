@@ -94,7 +94,7 @@ def evidence_of_vertices(
     mesh: TriangleMesh, near: Nearness, outlines: Silhouettes | None, model: SupportModel
 ) -> Bytes:
     """Return the kind of evidence that each vertex rests on, (n_vertices,)."""
-    kinds = np.full(len(mesh.vertices), Evidence.GUESSED, dtype=np.uint8)
+    kinds = np.full(len(mesh.vertices), Evidence.NOT_SEEN, dtype=np.uint8)
     if outlines is not None and len(outlines) and len(mesh.vertices):
         beside = np.abs(outlines.free_distance(mesh.vertices)) <= model.beside_m
         kinds[beside] = Evidence.OUTLINE

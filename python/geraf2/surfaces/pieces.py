@@ -17,6 +17,7 @@ from geraf2.geometry.triangles import (
     face_areas,
     six_fold_volumes,
     used_vertices,
+    volume_centroid_m,
 )
 from geraf2.io.mesh import TriangleMesh
 
@@ -70,18 +71,18 @@ class Piece:
     """Probability that the piece exists."""
     volume_m3: float
     """Enclosed volume [m^3]."""
-    low_m: Floats
-    """Lowest corner of its bounding box, (3,) [m]."""
-    high_m: Floats
-    """Highest corner, (3,) [m]."""
+    extents_m: Floats
+    """Lengths along x, y, z, (3,) [m]."""
+    center_m: Floats
+    """Centroid of its volume, (3,) [m]."""
 
     def numbers(self) -> dict[str, Any]:
         """Entry of run.json."""
         return {
             "probability": round(self.probability, 3),
             "volume_cm3": round(1e6 * self.volume_m3, 2),
-            "extents_mm": [round(float(v), 1) for v in 1e3 * (self.high_m - self.low_m)],
-            "middle_mm": [round(float(v), 1) for v in 5e2 * (self.high_m + self.low_m)],
+            "extents_mm": [round(float(v), 1) for v in 1e3 * self.extents_m],
+            "center_mm": [round(float(v), 1) for v in 1e3 * self.center_m],
         }
 
 
@@ -144,14 +145,14 @@ def pieces_of(mesh: TriangleMesh) -> list[Piece]:
 
 
 def piece_numbers(mesh: TriangleMesh) -> dict[str, Any]:
-    """Count the pieces and measure their common bounding box, for run.json; {} if empty."""
+    """Count the pieces and state lengths and centre of all, for run.json; {} if empty."""
     if not len(mesh.faces):
         return {}
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    center = volume_centroid_m(mesh.vertices, mesh.faces)
     return {
         "n_pieces": face_labels(mesh.faces)[1],
-        "extents_mm": [round(float(v), 2) for v in 1e3 * (high - low)],
-        "middle_mm": [round(float(v), 2) for v in 5e2 * (high + low)],
+        "extents_mm": [round(float(v), 2) for v in 1e3 * np.ptp(mesh.vertices, axis=0)],
+        "center_mm": [round(float(v), 2) for v in 1e3 * center],
     }
 
 
@@ -162,8 +163,8 @@ def _piece(mesh: TriangleMesh, faces: Any) -> Piece:
     return Piece(
         probability=float(mesh.confidence[used[0]]),
         volume_m3=abs(enclosed_volume_m3(corners, renumbered)),
-        low_m=corners.min(axis=0),
-        high_m=corners.max(axis=0),
+        extents_m=np.ptp(corners, axis=0),
+        center_m=volume_centroid_m(corners, renumbered),
     )
 
 
@@ -173,7 +174,8 @@ def ghost_texts(numbers: Mapping[str, Any]) -> list[str]:
     numbers: entry of the stage `mesh` in run.json.
     """
     return [
-        f"{ghost['volume_cm3']:.2f} cm³ at ({', '.join(f'{v:.0f}' for v in ghost['middle_mm'])}) mm"
-        f" exists with {100 * ghost['probability']:.0f} %"
+        f"{ghost['volume_cm3']:.2f} cm³ at "
+        f"({', '.join(f'{v:z.0f}' for v in ghost['center_mm'])}) mm "
+        f"exists with {100 * ghost['probability']:.0f} %"
         for ghost in numbers.get("likely_ghosts", ())
     ]

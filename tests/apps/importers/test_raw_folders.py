@@ -51,7 +51,7 @@ def test_captures_of_their_own_are_named_and_not_joined(tmp_path, name, pieces, 
     with pytest.raises(UserError, match=text) as caught:
         open_recording(folder, RadarManifest())
     assert all(name.format(number) in str(caught.value) for number in range(len(pieces)))
-    assert "file_per_place" in str(caught.value)
+    assert "file_per_position" in str(caught.value)
 
 
 def test_files_of_any_name_are_joined_with_a_word(tmp_path):
@@ -70,7 +70,7 @@ def test_packets_that_go_on_in_the_next_file_are_one_recording(tmp_path):
 
 def opened(folder, positions=None, *, keep_good=False, **radar):
     options = ImportOptions(
-        file_per_place=positions is None, positions=positions, keep_good=keep_good
+        file_per_position=positions is None, positions=positions, keep_good=keep_good
     )
     raster = {"raster": RASTER} if positions is None else {}
     manifest = RadarManifest.model_validate({**BOARD, **raster, **radar})
@@ -159,7 +159,7 @@ def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
 
 def test_one_place_and_many_exclude_each_other(tmp_path):
     folder = write(tmp_path / "scan", recorded())
-    options = ImportOptions(file_per_place=True, static=True)
+    options = ImportOptions(file_per_position=True, static=True)
     with pytest.raises(UserError, match="static has one position"):
         load_importer("dca1000").open(folder, RadarManifest.model_validate(BOARD), options)
     with pytest.raises(UserError, match="is no folder with one file for each position"):
@@ -175,7 +175,7 @@ def test_a_real_recording_cut_into_places_is_the_same(tmp_path, shared_data, nam
     radar = {key: value for key, value in BOARD.items() if key != "sample_rate_hz"}
     manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
     whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)
-    options = ImportOptions(file_per_place=True)
+    options = ImportOptions(file_per_position=True)
     signal, tx, _ = whole_pose(load_importer("dca1000").open(folder, manifest, options))
     expected, expected_tx, _ = whole_pose(whole)
     assert signal.shape == (64, 256)

@@ -59,6 +59,11 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
     corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle
     assert apply_rigid(np.array(model["pose"]), corner) == pytest.approx(POSE[:3, 3], abs=5e-4)
+    # Of the volume, as that of the part; the mean of the surface lies 0.5 mm away.
+    center = apply_rigid(POSE, trimesh.Trimesh(wedge().vertices, wedge().faces).center_mass)
+    assert model["center_m"] == pytest.approx(center, abs=2e-4)
+    assert found["parts"][0]["center_m"] == pytest.approx(center, abs=2e-4)
+    assert 0.0 < max(model["center_sigma_m"]) < 1e-3
     rows = list(csv.DictReader((out / "inspection.csv").read_text().splitlines()))
     assert rows[-1]["status"] == "pass"
     assert sum(r["kind"] == "model" and "turn" in r["quantity"] for r in rows) == 3

@@ -36,12 +36,12 @@ def test_the_largest_model_is_read_and_the_others_named(tmp_path, binary, few, m
     two_models(tmp_path, binary=binary, few=few, many=many)
     loaded = load_photos(tmp_path, UNIT)
     assert len(loaded.photos) == 6
-    note = f"COLMAP made several models: {many} of 6 photos is read, not {few} of 3"
+    note = f"of several COLMAP models '{many}' (6 photos) is read, not {few} (3)"
     assert loaded.notes == (note,)
     # The folder that the user names is read, whichever it is.
     named = load_photos(tmp_path / "sparse" / few, UNIT)
     assert len(named.photos) == 3
-    assert f"{few} of 3 photos is read, not {many} of 6" in named.notes[0]
+    assert f"'{few}' (3 photos) is read, not {many} (6)" in named.notes[0]
 
 
 def test_a_broken_model_does_not_hide_a_good_one(tmp_path):

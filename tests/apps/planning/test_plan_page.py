@@ -1,6 +1,9 @@
 """The page of a plan: sliders, the arm's path in time, what is seen, poses for robots."""
 
 import csv
+import json
+import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,6 +105,26 @@ def test_poses_are_those_of_the_plan(written):
     assert float(poses[-1]["stamp"]) == pytest.approx(lines[-1][1].end_s, abs=1e-5)
 
 
+@pytest.mark.parametrize(
+    "given",
+    [{}, {"minutes": 5.0}, {"minutes": 5.0, "preset": "awr1843"}, {"minutes": 5.0, "channels": 2}],
+)
+def test_the_page_shows_the_plan_of_the_terminal(given, tmp_path, monkeypatch):
+    monkeypatch.setattr(scan_time, "_RINGS", (3, 9))
+    monkeypatch.setattr(scan_time, "_RAISED", (0,))
+    options = PlanOptions(box=(0.2, 0.2, 0.2), spacing=0.004, **given)
+    path = write_plan_page(tmp_path / "p.html", options, minutes=(5.0, 20.0, 40.0))[0]
+    data = json.loads(re.search(r'id="plan-data">(.*?)</script>', path.read_text(), re.DOTALL)[1])
+    row, column = data["first"]
+    shown = data["minutes"][row]
+    plan = make_timed_plan(replace(options, minutes=shown))
+    assert shown == given.get("minutes", 20.0)
+    assert data["channels"][column] in (0, plan.scan.array.n_channels)
+    cell = data["cells"][row][column]
+    assert cell["planes"] == f"{plan.design.n_planes} planes: {plan.design}"
+    assert cell["seen"] == f"{100 * plan.seen_share:.0f} % of all directions"
+
+
 def test_what_has_no_page_is_one_line(tmp_path, capsys):
     figure = ["--figure", str(tmp_path / "plan.html")]
     assert main(["plan", "--depth", "0.2", *figure]) == 2
@@ -110,7 +133,7 @@ def test_what_has_no_page_is_one_line(tmp_path, capsys):
         main(["plan", "--box", "0.2", "0.2", "0.2", "--figure", str(tmp_path / "no" / "p.html")])
         == 2
     )
-    assert "the folder of the picture is not there" in capsys.readouterr().err
+    assert "the folder of the file does not exist" in capsys.readouterr().err
     with pytest.raises(UserError, match="no plan can be reached"):
         write_plan_page(
             tmp_path / "p.html", PlanOptions(box=(0.2,) * 3, minutes=0.1), minutes=(), channels=()

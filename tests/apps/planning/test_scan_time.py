@@ -101,7 +101,7 @@ def test_a_spacing_with_ghosts_is_not_chosen_and_has_nothing_to_expect():
             "moves 2 mm while the chirps of one position are recorded, more than 0.25 "
             "wavelengths of blur, expected at most 0.95 m/s, got 2 m/s",
         ),
-        (Scanner(chirps_per_place=20), "0.25 wavelengths of blur"),
+        (Scanner(chirps_per_position=20), "0.25 wavelengths of blur"),
         (Scanner(array="awr2243-cascade", order="ddm"), "0.25 wavelengths of blur"),
         (
             Scanner(array="awr2243-cascade", speed_m_per_s=0.5),

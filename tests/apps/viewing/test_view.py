@@ -2,7 +2,10 @@
 
 import base64
 import json
+import signal
 import socket
+import subprocess
+import sys
 import urllib.error
 import urllib.request
 
@@ -185,3 +188,29 @@ def test_pages_of_other_sites_are_refused(view):
 def test_only_a_page_of_the_server_itself_may_ask(asked, origin, host, same):
     headers = {"Host": asked} | ({"Origin": origin} if origin else {})
     assert is_same_origin(headers, host) == same
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "said"),
+    [
+        (signal.SIGINT, 0, ""),
+        (signal.SIGTERM, 143, "geraf2: interrupted; nothing was written\n"),
+    ],
+)
+def test_ctrl_c_is_the_normal_end_of_view(number, code, said, small_capture_folder):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = str(free.getsockname()[1])
+    words = ["view", str(small_capture_folder), "--port", port]
+    start = "import signal\nsignal.signal(signal.SIGINT, signal.SIG_DFL)\n"
+    start += f"import sys\nsys.argv = {['geraf2', *words]}\nfrom geraf2.cli import main\nmain.run()"
+    with subprocess.Popen(
+        [sys.executable, "-u", "-c", start],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert any("Ctrl-C ends it" in line for line in process.stdout)
+        process.send_signal(number)
+        error = process.communicate(timeout=60)[1]
+    assert (process.returncode, error) == (code, said)

@@ -200,7 +200,7 @@ def _mesh_numbers(run: RunFolder) -> dict[str, float]:
         return {}
     return {
         "typical_error_mm": float(known["expected_error_median_mm"]),
-        "not_seen_percent": round(100.0 * (1.0 - known["evidence_shares"].get("seen", 0.0)), 2),
+        "not_seen_percent": round(100.0 * known["evidence_shares"].get("not_seen", 0.0), 2),
     }
 
 

@@ -47,7 +47,7 @@ class ImportOptions:
     arrays: Annotated[tuple[str, ...], Arg(metavar="OURS=THEIRS")] = ()
     """Names of arrays in a MATLAB file, as signal=sarData positions=scan.xyz; they go before
     [arrays] of --radar."""
-    file_per_place: bool = False
+    file_per_position: bool = False
     """The source holds one recording a position; a column 'file' of the positions names it, else
     their numbers."""
     static: bool = False

@@ -55,7 +55,8 @@ def log_track(
     if log.scan is not None:
         starts, ranges = _frames_on_lines(log, n_frames, start_time_s, frame_period_s, keep_good)
         n_used = sum(stop - first for first, stop in ranges)
-        notes.append(f"{n_frames - n_used} of {n_frames} frames between the lines were left out")
+        if n_used < n_frames:
+            notes.append(f"{n_frames - n_used} of {n_frames} frames lie between the lines")
         return replace(timing, ranges=ranges, notes=tuple(notes), plane_starts=starts)
     outside += _require_rows_between(log, covered, start_time_s, frame_period_s)
     ranges, more = _without_jumps(log, covered, start_time_s, frame_period_s, keep_good)

@@ -254,7 +254,7 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
         raise UserError(
             what=f"holds more than one recording ({reason}): {names}",
             where=source,
-            hint="name one file, or give --file-per-place where each is of one position",
+            hint="name one file, or give --file-per-position where each is of one position",
         )
     if all(_STUDIO_PART.fullmatch(path.stem) for path in files):
         return files, []

@@ -221,7 +221,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
     named = None
     if options.positions is not None and source.is_dir():
         named = read_log(options.positions, keep_good=options.keep_good).files
-    per_place = options.file_per_place or named is not None
+    per_place = options.file_per_position or named is not None
     notes: list[str] = []
     facts: list[tuple[str, str]] = []
     if per_place:

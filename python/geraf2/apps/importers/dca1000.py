@@ -137,7 +137,7 @@ def _track(
     n_frames, n_places = recording.n_frames, recording.n_places
     if options.static:
         if n_places is not None:
-            raise UserError(what="--static has one position, --file-per-place has many")
+            raise UserError(what="--static has one position, --file-per-position has many")
         return Track(frames_per_place=n_frames)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good

@@ -95,7 +95,7 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
         n_antennas=(int(good.sum()) * n_rx,),
         poses=poses,
         notes=(*notes, *more, *still_more, *board.notes),
-        facts=(("places", f"{int(good.sum())} x {n_rx} receivers"),),
+        facts=(("positions", f"{int(good.sum())} x {n_rx} receivers"),),
         phase_sign=1,
     )
 
@@ -285,7 +285,7 @@ def _board(
     axes = radar.antennas.axes
     if axes is None:
         axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
-        viewing = ", ".join(f"{value:.2f}" for value in axes[0])
+        viewing = ", ".join(f"{value:z.2f}" for value in axes[0])
         notes.append(
             f"the viewing direction was assumed to be ({viewing}), along the normal of the "
             "positions; give axes under [antennas] if it is the other one"

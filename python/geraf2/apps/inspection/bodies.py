@@ -19,6 +19,7 @@ from geraf2.geometry.triangles import (
     face_areas,
     vertex_areas,
     vertex_normals,
+    volume_centroid_m,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.pipeline.reconstruction import Reconstruction
@@ -76,7 +77,7 @@ class BodyReport:
     """A part in numbers."""
 
     center_m: tuple[float, float, float]
-    """Middle of its volume, in the capture's frame [m]."""
+    """Centroid of its volume, in the capture's frame [m]."""
     center_sigma_m: tuple[float, float, float]
     """Standard uncertainty of that, per coordinate [m]."""
     axes: tuple[tuple[float, float, float], ...]
@@ -215,7 +216,7 @@ def measure(body: Body, material: Material = UNKNOWN) -> BodyReport:
     def sizes(vertices: Floats) -> Floats:
         moved = replace(mesh, vertices=vertices)
         volume = enclosed_volume_m3(vertices, mesh.faces)
-        center = _volume_middle(moved) if volume > 0 else vertices.mean(axis=0)
+        center = volume_centroid_m(vertices, mesh.faces)
         area = float(face_areas(moved.corners).sum())
         return np.array([*center, *np.ptp(vertices @ axes.T, axis=0), volume, area])
 
@@ -238,10 +239,3 @@ def measure(body: Body, material: Material = UNKNOWN) -> BodyReport:
         probability=body.probability,
         material=material,
     )
-
-
-def _volume_middle(mesh: TriangleMesh) -> Floats:
-    base = mesh.vertices.mean(axis=0)
-    corners = mesh.corners - base
-    six = np.einsum("nk,nk->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
-    return np.asarray(base + six @ corners.sum(axis=1) / (4.0 * six.sum()))

@@ -344,7 +344,7 @@ def _region(
 def listed(regions: Sequence[Region]) -> str:
     """Regions in words, the first three."""
     texts = [
-        f"{r.what} ({1e3 * r.deviation_m:+.1f} mm over {1e6 * r.area_m2:.0f} mm²)" for r in regions
+        f"{r.what} ({1e3 * r.deviation_m:+z.1f} mm over {1e6 * r.area_m2:.0f} mm²)" for r in regions
     ]
     more = f" and {len(texts) - 3} more" if len(texts) > 3 else ""
     return ", ".join(texts[:3]) + more

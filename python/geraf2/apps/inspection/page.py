@@ -11,7 +11,7 @@ from geraf2.report import html
 from geraf2.report.canvas import TRUTH_COLOUR
 from geraf2.report.view3d import PART_COLOURS, Around, Attribute, Other, scene_json, view_scene
 
-_FILLED_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
+_NOT_SEEN_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
 _FALLBACK = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
 
 
@@ -39,8 +39,8 @@ def inspection_page(
     faces, known = whole.mesh.faces, whole.seen[whole.mesh.faces].all(axis=1)
     others = []
     if known.any() and not known.all():
-        filled = part_of(whole, faces[~known]).mesh
-        others.append(Other(label="only filled", colour=_FILLED_COLOUR, opacity=1.0, mesh=filled))
+        not_seen = part_of(whole, faces[~known]).mesh
+        others.append(Other(label="not seen", colour=_NOT_SEEN_COLOUR, opacity=1.0, mesh=not_seen))
     if placed:
         others.append(
             Other(
@@ -83,7 +83,7 @@ def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
             label="part",
             values=numbers.astype(np.float64),
             classes=names,
-            colours=(_FILLED_COLOUR, *colours),
+            colours=(_NOT_SEEN_COLOUR, *colours),
         )
     ]
     if reflectivity_db is not None:

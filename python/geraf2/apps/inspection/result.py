@@ -8,11 +8,13 @@ import numpy as np
 
 from geraf2 import __version__
 from geraf2._short import Short
-from geraf2._types import AnyPath
+from geraf2._types import AnyPath, Floats
 from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.deviation import Deviation, listed
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
+from geraf2.geometry.transforms import apply_rigid
+from geraf2.geometry.triangles import volume_centroid_m
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
 from geraf2.io.text import csv_text
 
@@ -36,6 +38,22 @@ class ModelReport:
     """Part and pose."""
     deviation: Deviation | None
     """Deviation of the part from the model; None: missing, or another part."""
+
+    @property
+    def center_m(self) -> Floats:
+        """Centroid of the placed model's volume, in the capture's frame, (3,) [m]."""
+        assert self.match.placement is not None  # of a missing model nothing is stated
+        mesh = self.model.mesh
+        return apply_rigid(self.match.placement.pose, volume_centroid_m(mesh.vertices, mesh.faces))
+
+    @property
+    def center_sigma_m(self) -> Floats:
+        """Standard uncertainty of that, per coordinate, (3,) [m]."""
+        assert self.match.placement is not None  # as above
+        x, y, z = self.center_m - self.match.placement.middle_m
+        by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # dc = w x (c - m) + t
+        motion = np.hstack([by_turn, np.eye(3)])
+        return np.sqrt(np.diag(motion @ self.match.placement.covariance @ motion.T))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -109,7 +127,7 @@ def _axis_rows(
 ) -> list[tuple[str, str, str, str]]:
     """Rows of a vector with its standard uncertainties."""
     return [
-        (f"{name} {axis}", f"{scale * value:.3f}", f"{scale * sigma:.3f}", unit)
+        (f"{name} {axis}", f"{scale * value:z.3f}", f"{scale * sigma:.3f}", unit)
         for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
     ]
 
@@ -144,7 +162,7 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
     if placement is not None:
         rows.append(("misfit", f"{placement.misfit:.4f}", "", ""))
         rows.append(("largest misfit", f"{report.match.largest_misfit:.4f}", "", ""))
-        rows += _axis_rows("middle", placement.middle_m, placement.position_sigma_m, 1e3, "mm")
+        rows += _axis_rows("center", report.center_m, report.center_sigma_m, 1e3, "mm")
         turn, sigmas = rotation_vector_deg(placement.pose), np.rad2deg(placement.rotation_sigma_rad)
         rows += _axis_rows("turn", turn, sigmas, 1.0, "degrees")
         if placement.explained is not None:
@@ -154,7 +172,7 @@ def _model_rows(report: ModelReport) -> list[tuple[str, str, str, str]]:
         rows.append(("within tolerance", f"{deviation.within_fraction:.4f}", "", ""))
         rows.append(("seen fraction of the model", f"{deviation.seen_fraction:.4f}", "", ""))
         rows += [
-            (r.what, f"{1e3 * r.deviation_m:.3f}", f"{1e3 * r.sigma_m:.3f}", "mm")
+            (r.what, f"{1e3 * r.deviation_m:z.3f}", f"{1e3 * r.sigma_m:.3f}", "mm")
             for r in deviation.regions
         ]
     return rows
@@ -172,8 +190,8 @@ def _model(report: ModelReport) -> dict[str, Any]:
     if placement is not None:
         made |= {
             "pose": placement.pose.tolist(),
-            "middle_m": placement.middle_m.tolist(),
-            "position_sigma_m": placement.position_sigma_m.tolist(),
+            "center_m": report.center_m.tolist(),
+            "center_sigma_m": report.center_sigma_m.tolist(),
             "rotation_sigma_rad": placement.rotation_sigma_rad.tolist(),
             "misfit": placement.misfit,
             "largest_misfit": match.largest_misfit,

@@ -127,7 +127,7 @@ def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     if gap >= _LARGEST_GAP_RAD:
         yield warning(
             f"all cameras are on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
-            "photographed by none; the surface there is a guess"
+            "photographed by none; the surface there is not seen"
         )
 
 

@@ -48,11 +48,10 @@ def write_plan_page(
     `-ros.csv`. Raises UserError where no setting gives a plan.
     """
     whole = make_plan(replace(options, planes=1))
-    if options.array is not None:
-        channels = ()  # the board's
-    own = options.channels if options.array is None else None
+    scanner, own = options.scanner, options.channels or 1
+    board = scanner.array or ("of the radar's file" if scanner.own else None)
     times = sorted({*minutes, *([options.minutes] if options.minutes else [])})
-    counts = sorted({*channels, *([own] if own else [])}) or [0]
+    counts = [0] if board else sorted({*channels, own})
     cells = [[_planned(options, time, n) for n in counts] for time in times]
     first = _first(cells, times, counts, options)
     shown = cells[first[0]][first[1]]
@@ -84,7 +83,7 @@ def write_plan_page(
         title=f"Plan of a scan: box of {' x '.join(f'{1e3 * s:.0f}' for s in whole.box_m)} mm",
         view=scene_json(scene),
         plan=scene_json(data),
-        board=options.array,
+        board=board,
         files={name: file.name for name, file in files.items()},
         fallback="The view in 3D needs JavaScript and WebGL2, which this browser does not offer.",
     )
@@ -106,17 +105,13 @@ def _first(
     counts: list[int],
     options: PlanOptions,
 ) -> tuple[int, int]:
-    """Return the setting to show at first: the given one, or the middle one with a plan."""
-    if options.minutes is not None:
-        column = counts.index(options.channels) if options.channels in counts else 0
-        wanted = times.index(options.minutes), column
-        if cells[wanted[0]][wanted[1]] is None:
-            make_timed_plan(replace(options, channels=counts[column] or None))  # raises
-        return wanted
-    found = [(i, j) for i in range(len(times)) for j in range(len(counts)) if cells[i][j]]
+    """Return the setting to show at first; of times that fit, the middle one if none is given."""
+    column = 0 if counts == [0] else counts.index(options.channels or 1)
+    shown = times if options.minutes is None else [options.minutes]
+    found = [times.index(time) for time in shown if cells[times.index(time)][column]]
     if not found:
-        make_timed_plan(replace(options, minutes=times[-1], channels=counts[-1] or None))
-    return found[len(found) // 2]
+        make_timed_plan(replace(options, minutes=shown[-1]))  # raises
+    return found[len(found) // 2], column
 
 
 def _ball(radius_m: float) -> TriangleMesh:
@@ -182,7 +177,7 @@ def _ur_csv(scan: ScanFile) -> str:
         turn = Rotation.from_matrix(np.asarray(plane.axes).T).as_rotvec()
         for line in plane.lines:
             for end in (line.start_m, line.end_m):
-                pose = [f"{value:.6f}" for value in (*end, *turn)]
+                pose = [f"{value:z.6f}" for value in (*end, *turn)]
                 rows.append([plane.name, *pose, f"{line.speed_m_per_s:.4g}"])
     return csv_text(["plane", "x", "y", "z", "rx", "ry", "rz", "speed"], rows)
 
@@ -190,6 +185,6 @@ def _ur_csv(scan: ScanFile) -> str:
 def _ros_csv(scan: ScanFile) -> str:
     """Positions in the fields of a PoseStamped: seconds, position [m], quaternion x y z w."""
     log = scan.log_rows()[:, [0, 1, 2, 3, 5, 6, 7, 4]]
-    rows = [[f"{value:.6f}" for value in row] for row in log]
+    rows = [[f"{value:z.6f}" for value in row] for row in log]
     names = [f"position.{axis}" for axis in "xyz"] + [f"orientation.{axis}" for axis in "xyzw"]
     return csv_text(["stamp", *names], rows)

@@ -50,7 +50,8 @@ _PRESETS: dict[str, Waveform] = {
     )
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
-_PICTURES = (".png", ".pdf", ".svg", ".jpg")
+_LEAST_WAVELENGTHS = 4.0
+"""Shortest side of a box for a radar without ranges."""
 _MOST_RINGS = 12
 _MOST_PLANES = 1000
 PlanM = Annotated[float, Interval(ge=1e-3, le=10.0)]
@@ -103,7 +104,7 @@ class PlanOptions(Bounded):
     """Of a board's transmitters: in turns, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] | None = None
     """Of all transmitters; those of a position fill the frame period when not given [1/s]."""
-    chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
+    chirps_per_position: Annotated[int, Interval(ge=1, le=100_000)] = 1
     """Of each transmitter, added at a position."""
     stop_and_go: bool = False
     """Stop at each position, until the radar has settled and for its chirps."""
@@ -146,8 +147,8 @@ class PlanOptions(Bounded):
             array=array,
             own=own,
             order=self.order,
-            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_place / self.frame_period_s,
-            chirps_per_place=self.chirps_per_place,
+            chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_position / self.frame_period_s,
+            chirps_per_position=self.chirps_per_position,
             speed_m_per_s=self.speed_m_per_s,
             stop_and_go=self.stop_and_go,
             settle_s=self.settle_s,
@@ -277,6 +278,7 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     if options.box is None:
         raise UserError(what="give --box, or --depth of a single plane")
     waveform = _chosen_waveform(options)
+    _require_size(options.box, waveform)
     standoff = options.standoff or suggested_standoff_m(options.box)
     radius = 0.5 * float(np.hypot(options.box[0], options.box[1]))
     if standoff <= radius:
@@ -303,14 +305,19 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     )
 
 
-def require_picture(path: Path, kinds: tuple[str, ...] = _PICTURES) -> None:
-    """Raise UserError where a picture cannot be drawn into this file: before it is computed."""
-    if path.suffix.lower() not in kinds:
-        raise UserError(what="is no picture that is drawn", where=path, expected=", ".join(kinds))
-    if not path.parent.is_dir():
-        raise UserError(what="the folder of the picture is not there", where=path)
-    if path.is_dir():
-        raise UserError(what="is a folder", where=path, expected="a file for the picture")
+def _require_size(box_m: PlanSides, waveform: Waveform) -> None:
+    """Refuse a box whose near and far walls, and all between, echo in one range cell."""
+    least_m = _LEAST_WAVELENGTHS * waveform.center_wavelength_m
+    if waveform.n_samples > 1:
+        least_m = max(least_m, waveform.range_cell_m)
+    if min(box_m) < least_m:
+        raise UserError(
+            what="the box is too small for the radar to separate its walls from the content",
+            where="--box",
+            expected=f"sides of at least {least_m:.3f} m, a range cell or 4 wavelengths",
+            got=f"{min(box_m):g} m",
+            hint="is it in metres?",
+        )
 
 
 def make_plane(options: PlanOptions) -> PlanePlan:

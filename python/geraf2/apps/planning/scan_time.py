@@ -52,7 +52,7 @@ class Scanner(Bounded):
     """Of the board's transmitters: in turns chirp by chirp, or at once, separated by Doppler."""
     chirps_per_s: Annotated[float, Interval(gt=0.0, le=1e7)] = 1000.0
     """Chirps of a transmitter and those of the others together [1/s]."""
-    chirps_per_place: Annotated[int, Interval(ge=1, le=100_000)] = 1
+    chirps_per_position: Annotated[int, Interval(ge=1, le=100_000)] = 1
     """Of each transmitter, added at one position."""
     speed_m_per_s: Annotated[float, Interval(gt=0.0, le=10.0)] = 0.1
     """Along a line and to the next [m/s]."""
@@ -72,7 +72,7 @@ class Scanner(Bounded):
 
     def set_s(self, array: SweptArray) -> float:
         """Time of all chirps of one position [s]."""
-        return self.chirps_per_place * len(array.tx_offsets_m) / self.chirps_per_s
+        return self.chirps_per_position * len(array.tx_offsets_m) / self.chirps_per_s
 
 
 def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> None:
@@ -85,7 +85,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
     array = scanner.swept(spacing_m)
     set_s = scanner.set_s(array)
     added_s = set_s
-    if scanner.chirps_per_place == 1 and array.order == "tdm":
+    if scanner.chirps_per_position == 1 and array.order == "tdm":
         added_s = 1.0 / scanner.chirps_per_s
     for seconds, limit_m, name in (
         (added_s, BLUR_WAVELENGTHS * wavelength_m, f"{BLUR_WAVELENGTHS:g} wavelengths of blur"),
@@ -98,7 +98,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
                 where="--speed-m-per-s",
                 expected=f"at most {limit_m / seconds:.3g} m/s",
                 got=f"{scanner.speed_m_per_s:g} m/s",
-                hint="more --chirps-per-s, fewer --chirps-per-place, or --stop-and-go",
+                hint="more --chirps-per-s, fewer --chirps-per-position, or --stop-and-go",
             )
 
 
@@ -205,7 +205,7 @@ def swept_planes(
         angle = float(np.rad2deg(np.arctan2(plane.axes[1][0], -plane.axes[1][1])))
         swept.append(
             SweptPlane(
-                name=f"{number}_{angle:.0f}",
+                name=f"{number}_{angle:z.0f}",
                 axes=(_triple(plane.axes[0]), _triple(plane.axes[1]), _triple(plane.axes[2])),
                 lines=tuple(lines),
                 angle_deg=angle,

@@ -241,8 +241,7 @@ def _started(
         box = request.box
         numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
         run.mark_done(BOX_STAGE, key, [], round(request.box_seconds, 3), numbers=numbers)
-        if box.is_warning or box.found is not None:
-            (heard if box.is_warning else request.listener).note(box.text)
+        (heard if box.is_warning else request.listener).note(box.text)
     job = Job(
         run=run,
         capture=request.capture,

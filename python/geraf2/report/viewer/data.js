@@ -85,6 +85,9 @@ function onScale(attribute, value) {
   return clamp((shown - attribute.range[0]) / (attribute.range[1] - attribute.range[0]), 0, 1);
 }
 
+// Text of a number, zero without a sign.
+const millimetres = (value, digits = 1) => value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
+
 // Text of a value, with its unit.
 function formatted(attribute, value) {
   if (attribute.classes) return attribute.classes[clamp(Math.round(value), 0, attribute.classes.length - 1)];
@@ -93,5 +96,5 @@ function formatted(attribute, value) {
     const side = value < 0 ? attribute.sides[0] : attribute.sides[1];
     return `${Math.abs(value).toFixed(digits)} ${attribute.unit} ${side}`;
   }
-  return `${value.toFixed(digits)}${attribute.unit ? ` ${attribute.unit}` : ""}`;
+  return `${millimetres(value, digits)}${attribute.unit ? ` ${attribute.unit}` : ""}`;
 }

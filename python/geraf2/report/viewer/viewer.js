@@ -10,8 +10,6 @@ const element = (name, attributes = {}, ...children) => {
   return made;
 };
 
-const millimetres = (value, digits = 1) => value.toFixed(digits).replace(/^-(0\.?0*)$/, "$1");
-
 class Viewer {
   constructor(root) {
     this.root = root;
@@ -141,7 +139,7 @@ class Viewer {
       return [
         title,
         element("div", { class: "scale", style: `background:linear-gradient(90deg,${colours.join()})` }),
-        element("div", { class: "ticks" }, ...ticks.map((t) => element("span", {}, t.toFixed(digits)))),
+        element("div", { class: "ticks" }, ...ticks.map((t) => element("span", {}, millimetres(t, digits)))),
       ];
     }));
     legend.hidden = !shown.length;

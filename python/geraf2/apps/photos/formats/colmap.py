@@ -135,8 +135,8 @@ def _other_models(folder: Path, n_photos: int) -> tuple[str, ...]:
     others = {model: count for model, count in _models_in(folder.parent).items() if model != folder}
     if not others:
         return ()
-    names = ", ".join(f"{model.name} of {count}" for model, count in others.items())
-    return (f"COLMAP made several models: {folder.name} of {n_photos} photos is read, not {names}",)
+    rest = ", ".join(f"{model.name} ({count})" for model, count in others.items())
+    return (f"of several COLMAP models '{folder.name}' ({n_photos} photos) is read, not {rest}",)
 
 
 def _image_folder(folder: Path, names: Sequence[str]) -> Path:
