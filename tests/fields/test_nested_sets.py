@@ -98,7 +98,7 @@ def test_equal_gradients_and_equal_values_on_one_closed_surface_make_equal_field
 def test_sets_that_are_not_nested_are_refused():
     with pytest.raises(ValueError, match=r"solids\[1\] must lie inside solids\[0\], got a corner"):
         NestedSets([SphereSolid(radius_m=0.1), BoxSolid(size_m=(0.2, 0.1, 0.1))], [True, True])
-    with pytest.raises(ValueError, match="one entry a set and at least one, got 0 and 0"):
+    with pytest.raises(ValueError, match="one entry per set and at least one, got 0 and 0"):
         NestedSets([], [])
     with pytest.raises(ValueError, match="radius_m must be finite and positive"):
         SphereSolid(radius_m=0.0)

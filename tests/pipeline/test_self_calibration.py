@@ -39,7 +39,7 @@ def digests(result):
     return {name: record.files for name, record in result.run.stages.items()}
 
 
-def test_corrections_are_said_kept_and_taken_up_again(wrong, tmp_path):
+def test_corrections_are_reported_stored_and_read_back(wrong, tmp_path):
     first = run(wrong, tmp_path / "out")
     said = first.numbers["calibration"]
     assert [text.split(":")[0] for text in said["applied"]] == ["channels"]
@@ -80,7 +80,7 @@ def test_without_errors_nothing_changes(capture, tmp_path):
     assert file_digest(found.path / "prior.npz") == file_digest(plain.path / "prior.npz")
 
 
-def test_a_box_with_no_echo_in_it_is_refused_in_one_line(tmp_path):
+def test_a_box_without_echoes_is_refused_in_one_line(tmp_path):
     capture, _ = geraf2.examples.small_capture()
     tiny = geraf2.LosPrior.from_box((0.01, 0.01, 0.01))
     with pytest.raises(geraf2.UserError, match="the scan shows another box than the prior"):

@@ -1,4 +1,4 @@
-"""Held-out planes: left out of a reconstruction, and found again to score it."""
+"""Selection of planes by turntable angle, such as held-out planes."""
 
 from dataclasses import replace
 from typing import Any
@@ -23,7 +23,7 @@ def keep_planes(capture: Capture, hold_out: tuple[float, ...], where: object) ->
 
 
 def planes_at(capture: Capture, angles_deg: tuple[float, ...], where: object) -> list[int]:
-    """Find the planes at turntable angles [degrees]; UserError where there is none."""
+    """Find the planes at turntable angles [degrees]; UserError if there is none."""
     if not angles_deg:
         return []
     twice = [a for a in angles_deg if sum(_apart(a, b) < 1e-6 for b in angles_deg) > 1]
