@@ -88,9 +88,7 @@ def test_chunks_hold_the_bytes_of_the_whole_image(scene, tmp_path, monkeypatch):
     assert np.abs(one - whole.volume).max() <= 1e-3 * one.max()
 
 
-def test_other_settings_need_consent_and_half_an_image_is_recognised(
-    scene, tmp_path, capsys
-):
+def test_other_settings_need_consent_and_half_an_image_is_recognised(scene, tmp_path, capsys):
     out = tmp_path / "out"
     tiles.image_tiles(scene, out, OPTIONS)
     other = replace(OPTIONS, spacing_m=0.01)
@@ -107,7 +105,9 @@ def test_other_settings_need_consent_and_half_an_image_is_recognised(
     assert "--scheduler needs --tiles" in capsys.readouterr().err
 
 
-def test_a_full_disk_leaves_whole_slabs_and_the_same_command_continues(scene, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_whole_slabs_and_the_same_command_continues(
+    scene, tmp_path, monkeypatch
+):
     flush, out = atomic._flush, tmp_path / "out"
 
     def full(path):
