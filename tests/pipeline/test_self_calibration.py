@@ -44,7 +44,7 @@ def test_corrections_are_reported_stored_and_read_back(wrong, tmp_path):
     said = first.numbers["calibration"]
     assert [text.split(":")[0] for text in said["applied"]] == ["channels"]
     assert said["channels_n"] == 4
-    assert any("calibrated channels: 4 that take turns" in text for text in first.run.warnings)
+    assert any("calibrated channels: 4 interleaved" in text for text in first.run.warnings)
     # planes that were left out, too
     seen = corrected(RunFolder.read(tmp_path / "out"), wrong)
     for one, other in zip(seen.poses, wrong.poses, strict=True):
