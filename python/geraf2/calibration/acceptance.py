@@ -31,7 +31,9 @@ class Judgement:
     """Values and standard deviations in SI units; gain of the log-likelihood and its error."""
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.text}" + (f"; left, {self.against}" if self.against else "")
+        return f"{self.name}: {self.text}" + (
+            f"; not applied, {self.against}" if self.against else ""
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

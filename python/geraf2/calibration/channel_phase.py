@@ -185,8 +185,8 @@ def phase_gain(
 def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats:
     """Coherence of each echo with phases removed, (n_echoes,).
 
-    Phases with a slope over the aperture shift an echo by less than the width of its peak, so the
-    largest coherence over small slopes is used.
+    Phases with a slope over the aperture shift an echo by less than the width of its peak. The
+    result is therefore the largest coherence over small slopes.
     """
     found = np.zeros(len(echoes))
     for number, echo in enumerate(echoes):

@@ -111,7 +111,7 @@ class Corrections:
         values: dict[str, Any] = {k: arrays[k] if arrays[k].size else None for k in names}
         antennas = arrays["leakage_antennas"]
         if (antennas < 0).any() or antennas.sum() != len(arrays["leakage_coefficients"]):
-            raise UserError(what="leakage_antennas do not go with the coefficients", where=path)
+            raise UserError(what="leakage_antennas do not match the coefficients", where=path)
         values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
         return cls(leakage=_read_leakage(arrays), **values)
 

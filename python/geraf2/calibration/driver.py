@@ -85,7 +85,7 @@ class CalibrationConfig(Bounded):
         super().__post_init__()
         if (self.delay_from == "reflector") != (self.reflector_m is not None):
             msg = (
-                "reflector_m goes with delay_from 'reflector', got "
+                "reflector_m and delay_from 'reflector' need each other, got "
                 f"{self.reflector_m} with {self.delay_from!r}"
             )
             raise ValueError(msg)

@@ -34,7 +34,7 @@ BOX_VERSION = 2
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
-# A wall is seen if it echoes in this share of the sub-apertures that face it, and in so many.
+# Least share and number of the sub-apertures facing a wall in which a seen wall echoes.
 _SEEN_SHARE, _FEWEST = 0.5, 2
 # Largest curvature of a wall, 0 for a plane and 1 for a point, and least extent of antennas [m].
 _MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
@@ -227,7 +227,7 @@ def find_box(
             rough, seen, _ = _rough(capture, peaks, like)
     box = _filled(rough)
     if not box.size_m.min() > LEAST_SIDE_M:
-        raise WallsNotFoundError(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
+        raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     box = _refined(capture, box, _Known(peaks, seen))
     box = replace(box, content_share=_content_share(box, seen))
     return _bounded(capture, box, seen).moved(focus)

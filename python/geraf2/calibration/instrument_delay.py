@@ -125,7 +125,7 @@ def delay_from_sharpness(
     if quality[best] < _MIN_SHARPNESS or best in (0, len(candidates) - 1):
         raise UserError(
             what="no delay makes the image sharp",
-            expected=f"one between {search_m[0]:g} and {search_m[1]:g} m that is "
+            expected=f"a delay between {search_m[0]:g} and {search_m[1]:g} m that is "
             f"{_MIN_SHARPNESS:g} times as sharp as most",
             got=f"{quality[best]:.3g} times at {candidates[best]:g} m",
             hint="use the walls (--delay-from walls) or a known reflector, or widen --delay-search",

@@ -1,9 +1,9 @@
 """Direct leakage between transmitter and receiver: estimation and subtraction.
 
-The direct path, objects right in front of the antennas, and a constant of the converter have
-shorter delays than the box, and may be much stronger. Sinusoids of short delays are fitted to each
-antenna's samples and subtracted. Steady leakage also gives the phase of each antenna's samples
-(docs/math/calibration.md#leakage).
+Leakage is the direct path, objects right in front of the antennas, and a constant of the converter.
+Its delays are shorter than those of the box, and it may be much stronger. Sinusoids of short delays
+are fitted to each antenna's samples and subtracted. Steady leakage also gives the phase of each
+antenna's samples (docs/math/calibration.md#leakage).
 """
 
 from dataclasses import dataclass, replace
@@ -114,19 +114,24 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(method="none", reason="delays are too coarse to part leakage from the box")
+        return Leakage(
+            method="none", reason="delays are too coarse to separate leakage from the box"
+        )
     basis, taken = fit
     coefficients = tuple(pose.signal @ taken for pose in capture.poses)
     in_noise = float((np.abs(taken) ** 2).sum())
     level_db, over_noise = _level(capture, coefficients, basis, in_noise)
     references, steadiness = _references(coefficients)
     nothing = Leakage(
-        method="none", reason="nothing before the box", level_db=level_db, steadiness=steadiness
+        method="none",
+        reason="no signal in front of the box",
+        level_db=level_db,
+        steadiness=steadiness,
     )
     if level_db < _MIN_LEVEL_DB or over_noise < _MIN_OVER_NOISE:
         return _background(capture, prior, nothing)
     if steadiness < _MIN_STEADINESS:
-        reason = f"what comes before the box is not steady ({steadiness:.2f})"
+        reason = f"the signal in front of the box is not steady ({steadiness:.2f})"
         return _background(capture, prior, replace(nothing, reason=reason))
     clipped = clipped_share(capture)
     if clipped > _MAX_CLIPPED:
@@ -312,7 +317,7 @@ def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
     return replace(
         nothing,
         method="projected",
-        reason="no echo of the box is",
+        reason="echoes of the box differ between antennas",
         level_db=level_db,
         basis=basis,
         coefficients=coefficients,

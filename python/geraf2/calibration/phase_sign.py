@@ -27,8 +27,7 @@ from geraf2.scene import Pose, Waveform
 # Least ratio of the focused powers of both signs that decides; white noise stays below 1.25.
 _CLEAR_RATIO = 1.5
 # Antennas, samples and step in range cells of a quick check. If its ratio is below the next value,
-# a full check decides. From that ratio on the evidence also overrides what the format states: a
-# real plane has had a ratio of 2.7 for the wrong sign.
+# a full check decides. From that ratio on, the evidence also overrides the sign of the format.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
 _MAX_ANTENNAS, _STEP = 512, 0.5

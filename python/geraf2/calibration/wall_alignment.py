@@ -350,8 +350,8 @@ class WallProblem:
     def linearised(self, values: Floats, walls: WallEchoes) -> tuple[Floats, Floats]:
         """Residuals in standard deviations, (n, 3), and derivatives, (n, 3, n_unknowns).
 
-        They are the range behind the wall, by the foot of the perpendicular, and the direction
-        relative to the wall's normal along both axes of the wall.
+        The first is the range behind the wall, at the foot of the perpendicular. The others are the
+        direction relative to the wall's normal, along both axes of the wall.
         """
         centers, directions = self.corrected(values, walls.index)
         normals, side, n = self.faces.normals[walls.walls], walls.side, len(walls.index)

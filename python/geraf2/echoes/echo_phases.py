@@ -131,8 +131,8 @@ def _without_curvature(
 ) -> NDArray[np.complex128]:
     """Remove the difference between a surface's wavefront curvature and that of a point.
 
-    A surface of radius rho at range R has the path 2 R + s^2 / (R + rho) at the offset s on the
-    aperture, a point 2 R + s^2 / R. Values (n_echoes, n), offsets (n, 2).
+    At the offset s on the aperture, a surface of radius rho at range R has the path
+    2 R + s^2 / (R + rho), and a point 2 R + s^2 / R. Values (n_echoes, n), offsets (n, 2).
     """
     k = 2.0 * np.pi / waveform.center_wavelength_m
     one = np.exp(-1j * k * _CURVATURES[1] / ranges_m[:, None, None] * offsets.T**2)

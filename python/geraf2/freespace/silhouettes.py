@@ -47,8 +47,8 @@ _FREE = 0.2
 """Largest deviation from 1 of a free line's transmission, and of a flash that the wall's edges
 attenuate."""
 _THIN, _BLUR_M = 0.7, 0.008
-"""Transmission of a part too thin to block the flash (squared for two passes), and least distance
-[m] of that part from a blocked line of sight: nearer it may be the blur of an edge."""
+"""Largest transmission of a part too thin to block the flash; squared for two passes. Nearer than
+the second value [m] to a blocked line of sight, it may be the blur of an edge."""
 _SAME_EDGE_M = 0.005
 """Largest distance between edges of one outline from opposite sides [m], by focusing errors."""
 _EDGE = 0.5
@@ -144,9 +144,8 @@ class Silhouettes:
         It is the distance to the nearest line of sight along the outline's axis that is not free.
         On a blocked line it is the negative distance to the nearest free one, and -inf where the
         outline is unknown. A free region must touch the border of the known cells or contain the
-        full flash, since other bright lines may be echoes of the content at the wall's range. A
-        line with a reduced flash far from any edge is not free: a wire or a slat blocks only a
-        part.
+        full flash. Other bright lines may be echoes of the content at the wall's range. A line with
+        a reduced flash far from any edge is not free: a wire or a slat blocks only a part.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))

@@ -34,8 +34,8 @@ _RASTER_MAX_HOLES = 0.05
 # Least number of irregular antennas of an image.
 _MIN_ANTENNAS = 16
 # Two directions are ambiguous if the power response of irregular antennas to their difference
-# exceeds both the first value, which is above windows' side lobes, and a level that random
-# positions exceed with the second probability.
+# exceeds two limits. The first value is above the side lobes of windows. The second is the
+# probability with which random positions exceed the other limit.
 _ALIAS_POWER, _ALIAS_CHANCE = 0.01, 1e-6
 # Number of sub-apertures of a pose whose response is examined.
 _N_ALIAS_CUTS = 4

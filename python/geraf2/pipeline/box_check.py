@@ -58,7 +58,7 @@ def box_from_radar(
             prior = content_region(capture, summary=summary, num_threads=num_threads)
             sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
             text = (
-                f"no walls of a box are seen ({error.seen}): all within {sides} mm is taken as "
+                f"no walls of a box are seen ({error.seen}): all within {sides} mm is treated as "
                 "content in free air; if it is in a box, give --box X Y Z"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)

@@ -39,7 +39,7 @@ def simd() -> str:
     from geraf2.ops import simd_level  # noqa: PLC0415 - the report must work without it
 
     asked = os.environ.get("GERAF2_SIMD")
-    return simd_level() + (f" (asked for by GERAF2_SIMD={asked})" if asked else "")
+    return simd_level() + (f" (requested by GERAF2_SIMD={asked})" if asked else "")
 
 
 def paths() -> list[tuple[str, str]]:

@@ -141,9 +141,9 @@ def power_matrix(
         K(x, v) = (1 / N) sum_g V_gv (R_0 / R_gv)^2 D(d_g(x) - d_g(v))
                   sum_(i in g) exp(j k (d_i(x) - d_i(v)))
 
-    for groups g of the N antennas. V is 1 if a group has a line of sight to v, d the two-way path,
-    D the mean of the chirp's phasors at that path difference. D uses the centre of the group, the
-    carrier's phase each antenna.
+    for groups g of the N antennas. V is 1 if a group has a line of sight to v, and d is the two-way
+    path. D is the mean of the chirp's phasors at that path difference, for the centre of the group.
+    The carrier's phase is that of each antenna.
     """
     waveform = renderer.waveform
     wavenumber = 2.0 * np.pi / waveform.center_wavelength_m

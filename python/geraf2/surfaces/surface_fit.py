@@ -248,7 +248,7 @@ class _MagnitudeFit:
         start = np.sqrt(nnls(np.abs(parts.T) ** 2, magnitudes**2)[0])
         if not start[0] > 0.0:
             raise UserError(
-                what="the surface echoes nowhere where the scan does",
+                what="the surface has no echo at the positions of the scan's echoes",
                 hint="is the run of this scene? Reconstruct it again",
             )
         images = images * start[0]
