@@ -10,7 +10,8 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.peaks import PeakSet
 from geraf2.scene import Capture, Pose, Waveform
 
-# Relative wavefront curvatures that are tried along each axis: plane (1) to point (0).
+# Shares of a point's wavefront curvature that are removed, in trials along each axis: none for a
+# point (0), all for a plane (1).
 _CURVATURES = np.linspace(0.0, 1.0, 6)
 _MIN_ANTENNAS = 16
 

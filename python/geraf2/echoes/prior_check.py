@@ -20,7 +20,8 @@ from geraf2.scene.checks import in_mm
 # Tolerance of the box's surface [m]: a harmless error of the prior plus that of a strong echo.
 _MARGIN_M = 0.015
 # Largest shares of the echo energy in front of the box, and outside of it, where a turntable or a
-# stand may add to it. Properties of a radar in front of a carton: a box within 10 mm has neither.
+# stand may add to it. Properties of a radar in front of a carton; a box that is right within 10 mm
+# has no such energy.
 # Possible grating lobes of a bulged wall's flash do not count.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35

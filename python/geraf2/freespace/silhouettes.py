@@ -35,9 +35,9 @@ from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
 
 _FOCUSES = 9
-"""Focal lengths that are tried, from waves with one shadow at the wall to two on the path."""
+"""Number of focal lengths that are tried, from one pass of the content to two."""
 _TILTS = 17
-"""Wall tilts that are tried along each side, in each of two rounds."""
+"""Number of wall tilts that are tried along each side, in each of two rounds."""
 _MIN_ANTENNAS = 100
 _FLAT_M = 1e-4
 """A wall with a smaller RMS error of the two-way path counts as flat [m]."""

@@ -32,13 +32,13 @@ from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resa
 from geraf2.surfaces.samples import SurfaceSamples
 
 N_SAMPLES = 24
-"""Samples of an expected error, whose standard deviation they estimate to 14 %."""
+"""Number of samples of an expected error: they give a standard deviation to 14 %."""
 _CELLS = 36
 """Cells along a side of the samples' grid, of 5 to 8 mm each."""
 _TOLERANCE = 0.03
 """Relative residual of a sample's solve: a tenth of the standard deviation's own error."""
 _LEAST_SLOPE = 0.5
-"""Least gradient of the field: between two close surfaces it is flatter than a distance."""
+"""Lower bound of the field's gradient, which is too small between two close surfaces."""
 _BYTES_PER_DISPLACEMENT = 44.0
 """Memory of one vertex in one sample: temporary float64 arrays and the result [bytes]."""
 _CM = 100.0
@@ -102,7 +102,7 @@ def point_noise(
     glints: all that the surface was fitted to, rim glints too.
     n_outline: number of tangent points of outlines.
     sdf: fitted field.
-    prior: box, whose face a glint's normal meets decides the shared offset.
+    prior: box; glints whose normals meet the same face share an offset.
     """
     model = model or NoiseModel()
     misfit = local_misfit(glints, sdf, model)

@@ -40,7 +40,7 @@ class SurfaceEcho:
     power: float
     """Amplitude of one square metre of reflectivity 1 in the middle of the scene."""
     walls: NDArray[np.complex128]
-    """Amplitude and phase of the walls' front and back faces relative to power, (2,)."""
+    """Amplitude and phase of near and far walls, as in `SurfaceRenderer`, over power, (2,)."""
 
     def arrays(self) -> dict[str, Floats]:
         """Arrays by name, for a checkpoint."""
