@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import geraf2
-from geraf2.calibration.channel_phase import channels_by_turn, with_channel_phases
+from geraf2.calibration.channel_phase import interleaved_channels, with_channel_phases
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.calibration import corrected
@@ -21,7 +21,7 @@ def capture():
 
 @pytest.fixture(scope="module")
 def wrong(capture):
-    channels = [channels_by_turn(pose, 4) for pose in capture.poses]
+    channels = [interleaved_channels(pose, 4) for pose in capture.poses]
     wrong = with_channel_phases(capture, channels, np.deg2rad([-40.0, 35.0, 20.0, -15.0]))
     named = (replace(pose, angle_deg=60.0 * n) for n, pose in enumerate(wrong.poses))
     return replace(wrong, poses=tuple(named))
