@@ -188,11 +188,7 @@ class FieldPosterior:
         root = bending_force(self.grid.shape, spacing, self._bending, rng)
         return np.asarray(right + self._bend * root.ravel())
 
-    def draw(self, n_samples: int, rng: np.random.Generator) -> Floats:
-        """Draw errors of the field, (n_samples, n_voxels) [m]."""
-        return np.stack([self.draw_one(rng) for _ in range(n_samples)])
-
-    def draw_one(self, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Floats:
         """Draw one error of the field, (n_voxels,) [m]."""
         return np.asarray(self._respond(self.right_side(rng)) / _CM)
 
@@ -285,7 +281,7 @@ def draw_displacements(
     field = coarse.values.astype(np.float64).ravel()
     slope = np.sqrt(sum((rows @ field) ** 2 for rows in slopes))
     slope = np.maximum(slope, _LEAST_SLOPE)
-    change = np.stack([value @ posterior.draw_one(rng) / slope for _ in range(n_samples)])
+    change = np.stack([value @ posterior.draw(rng) / slope for _ in range(n_samples)])
     common = _spread_draws(n_samples, rng)
     if n_samples > 1:  # remove the chance correlation of few draws, which all vertices would share
         change -= common[:, None] * (common @ change / n_samples)
