@@ -197,9 +197,9 @@ class _Phases:
             weight = np.add.reduceat(size, starts)
             kept = weight > _MIN_BIN_WEIGHT * weight.max()
             last = np.maximum.accumulate(np.where(kept, np.arange(n_bins), kept.argmax()))
-            looking = 2.0 * k * (echo.directions @ echo.looking)
+            phase_per_m = 2.0 * k * (echo.directions @ echo.looking_direction)
             h, v = (echo.offsets_m / 0.04).T
-            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, looking], axis=1)
+            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, phase_per_m], axis=1)
             columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
             binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)
             binned /= np.where(kept, weight, np.inf)[:, None]

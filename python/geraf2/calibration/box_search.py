@@ -107,16 +107,18 @@ def without_lobes(
     lobes, index: from `with_lobes`.
     """
     flashes = Flashes.of(lobes)
-    off = np.full(len(flashes.offsets_m), np.inf)
+    deviation = np.full(len(flashes.offsets_m), np.inf)
     for k, side in np.ndindex(3, 2):
         normal = rough.axes[k] * (1.0 if side else -1.0)
         along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
         found = np.abs(flashes.offsets_m - rough.offsets_m[k, side])
-        off = np.where(along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(off, found), off)
-    off = off.reshape(2, -1).min(axis=0)  # each lobe as a near and as a far wall
-    order = np.lexsort((off, index))
+        deviation = np.where(
+            along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(deviation, found), deviation
+        )
+    deviation = deviation.reshape(2, -1).min(axis=0)  # each lobe as a near and as a far wall
+    order = np.lexsort((deviation, index))
     first = order[np.unique(index[order], return_index=True)[1]]
-    is_flash = np.isfinite(off[first])
+    is_flash = np.isfinite(deviation[first])
     best = np.where(is_flash, first, np.arange(len(peaks)))
     return replace(peaks, directions=lobes.directions[best]), is_flash
 
@@ -167,16 +169,16 @@ def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Float
     scores = np.zeros(len(steps))
     for number, step in enumerate(steps):
         quarter = np.rint((yaw - step) / (0.5 * np.pi))
-        off = yaw - step - 0.5 * np.pi * quarter
-        share = np.maximum(1.0 - (off / _MAX_ANGLE_RAD) ** 2, 0.0)
+        deviation = yaw - step - 0.5 * np.pi * quarter
+        share = np.maximum(1.0 - (deviation / _MAX_ANGLE_RAD) ** 2, 0.0)
         for side in range(4):
             own = (quarter % 4 == side) & (share > 0.0)
             if own.any():
                 scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
     if like is not None:
         side_axis = like[int(np.abs(like @ up).argmin())]
-        off = steps - np.arctan2(side_axis @ second, side_axis @ first)
-        near = np.abs(off - 0.5 * np.pi * np.rint(off / (0.5 * np.pi))) < _LIKE_RAD
+        deviation = steps - np.arctan2(side_axis @ second, side_axis @ first)
+        near = np.abs(deviation - 0.5 * np.pi * np.rint(deviation / (0.5 * np.pi))) < _LIKE_RAD
         if scores[near].max() > _LIKE_SHARE * scores.max():
             scores = np.where(near, scores, 0.0)
     yaw_rad = float(steps[int(scores.argmax())])

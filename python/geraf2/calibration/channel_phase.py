@@ -84,7 +84,7 @@ def find_turns(echoes: list[EchoPhases]) -> int | None:
 
     echoes: strong echoes of the capture.
     """
-    parts = _compared(echoes)
+    parts = _antenna_values(echoes)
     antennas, votes, half = [], [], []
     for number, (own, values, neighbors) in enumerate(parts):
         antennas.append(own)
@@ -129,7 +129,7 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
     Raises UserError if a channel has too few antennas in strong echoes.
     """
     n_channels = 1 + max((int(c.max()) for c in channels if len(c)), default=0)
-    parts = _compared(echoes, channels)
+    parts = _antenna_values(echoes, channels)
     channel = _joined([p[0] for p in parts], np.int64)
     n_samples = np.bincount(channel, minlength=n_channels)
     if n_samples.min() < _MIN_SAMPLES:
@@ -212,7 +212,7 @@ def with_phases(capture: Capture, phases_rad: Sequence[Floats]) -> Capture:
     return replace(capture, poses=tuple(poses))
 
 
-def _compared(
+def _antenna_values(
     echoes: list[EchoPhases], channels: list[Ints] | None = None
 ) -> list[tuple[Ints, NDArray[np.complex128], Ints]]:
     """Channel, value and neighbours of each antenna, values normalised over each echo.

@@ -172,7 +172,7 @@ class _Run:
         self.steps = list[_Step]()
         self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
         n_poses = len(capture.poses)
-        self.some = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
+        self.subset = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
         held = config.delay_from != "walls"
         self.alignment = replace(config.alignment, keep_delay=held)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
@@ -222,7 +222,7 @@ class _Run:
                 problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = _strong_echoes(capture, self.peaks, self.some)
+        echoes = _strong_echoes(capture, self.peaks, self.subset)
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -244,7 +244,7 @@ class _Run:
         gain, before, after = phase_gain(
             rest,
             [trial[index[number]] for number in held_out],
-            lambda some: _strong_echoes(some, self.peaks, range(len(held_out))),
+            lambda subset: _strong_echoes(subset, self.peaks, range(len(held_out))),
         )
         kind = f"{n_turns} interleaved" if n_turns else f"{len(trial)} by offset"
         rms, sigma = (float(np.sqrt(np.mean(v**2))) for v in (phases.phases_rad, phases.sigma_rad))
@@ -279,10 +279,10 @@ class _Run:
             for group in groups
         }
         chosen = [group for group, gain in gains.items() if gain.is_sure]
-        every, found = (problem.result(problem.fit(some)) for some in (groups, chosen))
+        every, found = (problem.result(problem.fit(subset)) for subset in (groups, chosen))
         for group, gain in gains.items():
             fit = found if gain.is_sure else every
-            self.judgements.append(judge(group, *_described(fit, group), gain))
+            self.judgements.append(judge(group, *_describe(fit, group), gain))
         self.found["walls"] = found
         if self.config.delay_from in ("walls", "kept"):
             # An estimated offset that is not applied remains in the capture.
@@ -300,7 +300,7 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.some, drift=True)
+        few = _strong_echoes(capture, self.peaks, self.subset, drift=True)
         drift = focus_antennas(capture, few, config)
         if drift.gain.is_sure:
             every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), drift=True)
@@ -332,7 +332,7 @@ def _strong_echoes(
     return collect_phases(capture, found, n_echoes=_N_ECHOES)
 
 
-def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
+def _describe(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
     """Text and numbers of a group's estimate."""
     if group == "delay":
         bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"

@@ -124,18 +124,18 @@ class FoundBox:
     def numbers(self) -> dict[str, Any]:
         """Entry of run.json: lengths in metres, angles in degrees; None without a bound."""
         return {
-            "size_m": _plain(self.size_m),
-            "size_sigma_m": _plain(np.linalg.norm(self.sigmas_m, axis=1)),
-            "center_m": _plain(self.center_m),
+            "size_m": _json_number(self.size_m),
+            "size_sigma_m": _json_number(np.linalg.norm(self.sigmas_m, axis=1)),
+            "center_m": _json_number(self.center_m),
             "axes": self.axes.round(6).tolist(),
             "yaw_deg": round(self.yaw_deg, 4),
             "yaw_sigma_deg": round(self.yaw_sigma_deg, 4),
             "faces": {
                 name: {
                     "seen": Seen(int(self.seen[k, side])).name.lower(),
-                    "offset_m": _plain(self.offsets_m[k, side]),
-                    "sigma_m": _plain(self.sigmas_m[k, side]),
-                    "interval_m": _plain(self.bounds_m[k, side]),
+                    "offset_m": _json_number(self.offsets_m[k, side]),
+                    "sigma_m": _json_number(self.sigmas_m[k, side]),
+                    "interval_m": _json_number(self.bounds_m[k, side]),
                 }
                 for name, k, side in _face_names()
             },
@@ -166,11 +166,11 @@ def _face_names() -> list[tuple[str, int, int]]:
     return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
 
 
-def _plain(values: Floats | float) -> Any:
+def _json_number(values: Floats | float) -> Any:
     """Lengths as JSON numbers, rounded to a micrometre; None if not finite."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim:
-        return [_plain(value) for value in array]
+        return [_json_number(value) for value in array]
     return round(float(array), 6) if np.isfinite(array) else None
 
 
@@ -216,16 +216,16 @@ def find_box(
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
         raise WallsNotFoundError(seen="the planes face no common point")
-    capture = _moved(capture, -focus)
+    capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    rough, seen, leakage_db = _rough(capture, peaks, like)
+    rough, seen, leakage_db = _initial_faces(capture, peaks, like)
     if leakage_db > _LEAKAGE_DB:
-        leakage = find_leakage(capture, _filled(rough).prior, peaks)
+        leakage = find_leakage(capture, _initial_box(rough).prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-            rough, seen, _ = _rough(capture, peaks, like)
-    box = _filled(rough)
+            rough, seen, _ = _initial_faces(capture, peaks, like)
+    box = _initial_box(rough)
     if not box.size_m.min() > LEAST_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     box = _refined(capture, box, _Known(peaks, seen))
@@ -233,7 +233,7 @@ def find_box(
     return _bounded(capture, box, seen).moved(focus)
 
 
-def _moved(capture: Capture, shift_m: Floats) -> Capture:
+def _shifted(capture: Capture, shift_m: Floats) -> Capture:
     """Capture in a frame with a shifted origin."""
     poses = (
         replace(p, tx_positions=p.tx_positions + shift_m, rx_positions=p.rx_positions + shift_m)
@@ -242,7 +242,7 @@ def _moved(capture: Capture, shift_m: Floats) -> Capture:
     return replace(capture, poses=tuple(poses))
 
 
-def _rough(
+def _initial_faces(
     capture: Capture, peaks: KeptPeaks, like: Floats | None
 ) -> tuple[RoughFaces, PeakSet, float]:
     """Faces before the fit, peaks without leakage, and the leakage relative to the walls [dB]."""
@@ -276,7 +276,7 @@ def _planes(
     return rough, *without_lobes(peaks, lobes, index, rough)
 
 
-def _filled(rough: RoughFaces) -> FoundBox:
+def _initial_box(rough: RoughFaces) -> FoundBox:
     """Box whose unseen faces get the mean offset of the seen ones, until they are bounded."""
     unseen = np.isnan(rough.offsets_m)
     offsets = rough.offsets_m.copy()

@@ -52,16 +52,16 @@ def delay_from_reflector(
     step = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz / 40.0
     candidates = np.arange(search_m[0], search_m[1] + step, step)
     frequencies = waveform.frequencies_hz
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S
+    phase_per_hz_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S
     window = np.hanning(waveform.n_samples + 2)[1:-1]
-    steering = np.exp(turn * np.outer(candidates, frequencies)) * window
+    steering = np.exp(phase_per_hz_m * np.outer(candidates, frequencies)) * window
     powers = []
     for pose in capture.poses:
         if pose.n_antennas == 0:
             continue
         path = np.linalg.norm(position_m - pose.tx_positions, axis=1)
         path += np.linalg.norm(position_m - pose.rx_positions, axis=1) + waveform.path_bias_m
-        focused = (pose.signal * np.exp(turn * np.outer(path, frequencies))).sum(axis=0)
+        focused = (pose.signal * np.exp(phase_per_hz_m * np.outer(path, frequencies))).sum(axis=0)
         powers.append(np.abs(steering @ focused) ** 2)
     if not powers:
         raise UserError(what="no plane has antennas")
@@ -70,15 +70,17 @@ def delay_from_reflector(
     best = int(total.argmax())
     # Strong echoes from other positions have different delays in each pose.
     tops = np.array([(candidates[int(p.argmax())], p.max()) for p in powers])
-    off = float(np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300))
-    alone = off < 20.0 * step  # half a range cell
+    deviation = float(
+        np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300)
+    )
+    alone = deviation < 20.0 * step  # half a range cell
     if quality[best] < _MIN_CONTRAST or not alone or best in (0, len(total) - 1):
         raise UserError(
             what="the reflector does not stand out",
             expected=f"a power of at least {_MIN_CONTRAST:g} times the median of delays between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
             got=f"{quality[best]:.3g} times at {candidates[best]:g} m, and planes that are "
-            f"{1e3 * off:.0f} mm off on average",
+            f"{1e3 * deviation:.0f} mm off on average",
             hint="check --reflector X Y Z [m] and --delay-search",
         )
     refined = candidates[best] + step * _parabola(np.log(total), best)

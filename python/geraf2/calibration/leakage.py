@@ -151,7 +151,7 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
         coefficients=coefficients,
     )
     found = _with_tail(capture, prior, found, references, in_noise)
-    return _judged(capture, found, references, peaks or KeptPeaks(prior))
+    return _test_phase(capture, found, references, peaks or KeptPeaks(prior))
 
 
 def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
@@ -190,8 +190,8 @@ def _paths(
     nearest, farthest = np.zeros(len(tx)), np.zeros(len(tx))
     for ends in (tx, rx):
         nearest += np.linalg.norm(ends - np.clip(ends, *prior.bounds), axis=1)
-        apart = np.abs(ends - prior.bounds[:, None]).max(axis=0)
-        farthest += np.linalg.norm(apart, axis=1)
+        separation = np.abs(ends - prior.bounds[:, None]).max(axis=0)
+        farthest += np.linalg.norm(separation, axis=1)
     return near, (float(nearest.min()), min(float(farthest.max()) + _BEHIND_M, wraps))
 
 
@@ -204,9 +204,11 @@ def _sinusoids(waveform: Waveform, paths_m: Floats) -> _Complex:
 def _covariance(waveform: Waveform, low_m: float, high_m: float) -> _Complex:
     """Mean v v^H over sinusoids v of all paths in an interval, (n_samples, n_samples)."""
     f = waveform.frequencies_hz
-    apart = (f[:, None] - f) / SPEED_OF_LIGHT_M_PER_S
+    separation = (f[:, None] - f) / SPEED_OF_LIGHT_M_PER_S
     middle = 0.5 * (low_m + high_m) + waveform.path_bias_m
-    return np.asarray(np.exp(-2j * np.pi * apart * middle) * np.sinc(apart * (high_m - low_m)))
+    return np.asarray(
+        np.exp(-2j * np.pi * separation * middle) * np.sinc(separation * (high_m - low_m))
+    )
 
 
 def leakage_operator(
@@ -271,7 +273,7 @@ def _level(
 
 def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], float]:
     """Leakage of each antenna as one number, and the steadiness of its amplitude."""
-    main = _main(coefficients).conj()
+    main = _strongest_waveform(coefficients).conj()
     found = [np.asarray(coefficient @ main) for coefficient in coefficients]
     size = np.abs(np.concatenate(found)).astype(np.float64)
     return found, float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
@@ -286,10 +288,12 @@ def _with_tail(
 ) -> Leakage:
     """Add the leakage at other delays: ripple of the chirp or of the receiver."""
     assert found.basis is not None  # the caller has found leakage
-    tail = _in_common(without_leakage(capture, found), prior, references)
+    tail = _common_signal(without_leakage(capture, found), prior, references)
     if tail is None:
         return found
-    basis = found.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
+    basis = found.basis + np.outer(tail, _strongest_waveform(found.coefficients).conj()).astype(
+        np.complex64
+    )
     level_db, _ = _level(capture, found.coefficients, basis, in_noise)
     tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
     if level_db + tail_db < _MIN_TAIL_DB:
@@ -305,7 +309,7 @@ def _with_tail(
 def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
     """Leakage that all antennas share, if there is none at shorter delays than the box."""
     ones = [np.ones(pose.n_antennas, np.complex64) for pose in capture.poses]
-    common = _in_common(capture, prior, ones)
+    common = _common_signal(capture, prior, ones)
     size = 0.0 if common is None else float(np.linalg.norm(common))
     if common is None or size == 0.0:
         return nothing
@@ -324,7 +328,7 @@ def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
     )
 
 
-def _in_common(
+def _common_signal(
     capture: Capture, prior: LosPrior, references: list[_Complex]
 ) -> NDArray[np.complex128] | None:
     """Find samples that all antennas share in proportion to their references, (n_samples,).
@@ -338,7 +342,7 @@ def _in_common(
     parts = []
     for number in away:
         pose, reference = capture.poses[number], references[number]
-        member = _ninths(pose)
+        member = _nine_parts(pose)
         share = (member * np.abs(reference) ** 2).sum(axis=1)
         mean = (member * reference.conj()) @ pose.signal / np.maximum(share, 1e-30)[:, None]
         parts.append(np.fft.fft(mean[share > 0.0]))
@@ -349,7 +353,7 @@ def _in_common(
     return np.asarray(np.fft.ifft(np.where(np.abs(common) > 3.0 * sigma, common, 0.0)))
 
 
-def _ninths(pose: Pose) -> Floats:
+def _nine_parts(pose: Pose) -> Floats:
     """Mask of the antennas in each of three by three parts of the plane, (9, n_antennas)."""
     local = pose.phase_centers @ pose.axes[1:].T
     span = np.ptp(local, axis=0) + 1e-9
@@ -365,13 +369,13 @@ def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:
     return pose.n_antennas == 0 or float(areas[cosine > _FACING].sum()) > _FACING_AREA_M2
 
 
-def _main(coefficients: tuple[_Complex, ...]) -> _Complex:
+def _strongest_waveform(coefficients: tuple[_Complex, ...]) -> _Complex:
     """Coefficients of the strongest waveform, normalised, (rank,)."""
     covariance = sum(c.T @ c.conj() for c in coefficients)
     return np.asarray(np.linalg.eigh(covariance)[1][:, -1])
 
 
-def _judged(
+def _test_phase(
     capture: Capture, found: Leakage, references: list[_Complex], peaks: KeptPeaks
 ) -> Leakage:
     """Test with the echoes of some poses whether to remove the leakage's phase from the antennas.
@@ -383,8 +387,8 @@ def _judged(
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
     phases = _phases(capture, references)
-    some = [phases[number] for number in chosen]
-    gain, _, _ = phase_gain(clean, some, lambda c: collect_phases(c, peaks.of(c)))
+    chosen_phases = [phases[number] for number in chosen]
+    gain, _, _ = phase_gain(clean, chosen_phases, lambda c: collect_phases(c, peaks.of(c)))
     reason = f"with its phase removed, {gain}"
     if not gain.is_sure:
         return replace(found, reason=reason)
@@ -392,7 +396,7 @@ def _judged(
         found,
         method="reference",
         reason=reason,
-        phase_rms_deg=float(np.rad2deg(_spread(phases))),
+        phase_rms_deg=float(np.rad2deg(_phase_rms(phases))),
         phases_rad=tuple(phases),
     )
 
@@ -402,12 +406,12 @@ def _phases(capture: Capture, references: list[_Complex]) -> list[Floats]:
     k = 2.0 * np.pi / capture.waveform.center_wavelength_m
     found = []
     for pose, reference in zip(capture.poses, references, strict=True):
-        apart = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
-        found.append(np.angle(reference * np.exp(1j * k * apart)))
+        separation = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
+        found.append(np.angle(reference * np.exp(1j * k * separation)))
     return found
 
 
-def _spread(phases: list[Floats]) -> float:
+def _phase_rms(phases: list[Floats]) -> float:
     """RMS of phases about the mean of their pose [rad]."""
     units = [np.exp(1j * phase) for phase in phases if len(phase)]
     return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))

@@ -138,8 +138,8 @@ class SignSample:
         rows = np.arange(-self._n_seen[number] % every, part.n_antennas, every)
         self._n_seen[number] += part.n_antennas
         tx, rx = part.tx_positions[rows], part.rx_positions[rows]
-        some = replace(part, signal=part.signal[rows], tx_positions=tx, rx_positions=rx)
-        self._parts.setdefault(number, []).append(some)
+        sample = replace(part, signal=part.signal[rows], tx_positions=tx, rx_positions=rx)
+        self._parts.setdefault(number, []).append(sample)
 
     def poses(self) -> list[Pose]:
         """Return the collected poses."""

@@ -153,8 +153,8 @@ def turntable_axis(poses: Sequence[Pose]) -> tuple[Floats, Floats]:
     The point nearest to the looking axes of all poses, and the mean of their vertical axes.
     """
     centers = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])
-    looking = np.stack([pose.axes[0] for pose in poses])
-    across = np.eye(3) - looking[:, :, None] * looking[:, None, :]
+    directions = np.stack([pose.axes[0] for pose in poses])
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     point = np.linalg.lstsq(
         across.sum(axis=0), np.einsum("pij,pj->i", across, centers), rcond=1e-3
     )[0]
@@ -220,12 +220,12 @@ class WallProblem:
         ends = np.cumsum([len(part) for part in parts.values()])[:-1]
         self.parts = dict(zip(parts, np.split(np.arange(len(self.sigmas)), ends), strict=True))
         maybe = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
-        off = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
+        offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
-        kinds = [(off[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
+        kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
         self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
         # Twice the limit, since the box may be rotated or shifted.
-        self.maybe = maybe.select(np.abs(off - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
+        self.maybe = maybe.select(np.abs(offset - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
 
     def _priors(self, config: AlignmentConfig, delay_m: float) -> dict[str, Floats]:
         """Return the standard deviation of each unknown, by group."""
@@ -274,11 +274,11 @@ class WallProblem:
         weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / _OVERLAP
         weighted = (weight[:, None, None] * design).reshape(-1, design.shape[2])
         scaled = values[free] / self.sigmas[free]
-        precision = self._tails(scaled, free) * self.sigmas[free] ** -2.0
+        precision = self._prior_weights(scaled, free) * self.sigmas[free] ** -2.0
         matrix = weighted.T @ design.reshape(weighted.shape) + np.diag(precision)
         return matrix, weighted.T @ residual.ravel() + precision * values[free]
 
-    def _tails(self, scaled: Floats, free: Bools) -> Floats:
+    def _prior_weights(self, scaled: Floats, free: Bools) -> Floats:
         """Weights of the priors: Student-t for the delay, which may be recorded wrongly."""
         student = (_DEGREES_OF_FREEDOM + 1.0) / (_DEGREES_OF_FREEDOM + scaled**2)
         return np.where(np.flatnonzero(free) == 0, student, 1.0)
@@ -308,7 +308,7 @@ class WallProblem:
         start[0] = self.peak.offset_m
         nats, prior = list[Floats](), 0.0
         for train, test in ((odd, ~odd), (~odd, odd)):
-            before, after = (self.fit(some, train).values for some in (groups, [*groups, more]))
+            before, after = (self.fit(subset, train).values for subset in (groups, [*groups, more]))
             walls = self.walls_of(start, 0.0, test)
             nats.append(self.log_likelihood(after, walls) - self.log_likelihood(before, walls))
             prior += 0.5 * (self.log_prior(after) - self.log_prior(before))
@@ -340,8 +340,10 @@ class WallProblem:
         cosine = -maybe.side * np.einsum("ij,ij->i", directions, normals)
         height = np.einsum("ij,ij->i", centers - self.faces.centers[maybe.walls], normals)
         middle = np.array(self.middles.depths_m)[maybe.far]
-        off = self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
-        keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(off) < c + share * (d - c))
+        offset = (
+            self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
+        )
+        keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(offset) < c + share * (d - c))
         axes = self.axes[self.echoes.planes[maybe.index]]
         # An aperture that extends beyond the rim may shift ranges by less than their error.
         keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _RANGE_SIGMAS_M[0]
@@ -387,8 +389,8 @@ class WallProblem:
         bearings[where] = -side[:, None, None] * slopes
         linear = np.concatenate([parts["middles"], parts["shapes"]])
         middle = np.array(self.middles.depths_m)[walls.far]
-        off = self.echoes.ranges_m[walls.index] - values[0] - side * height - middle
-        known = np.concatenate([off[:, None], dot(along, directions[:, None])], axis=1)
+        offset = self.echoes.ranges_m[walls.index] - values[0] - side * height - middle
+        known = np.concatenate([offset[:, None], dot(along, directions[:, None])], axis=1)
         sigmas = np.full((n, 3), _DIRECTION_SIGMAS_RAD[walls.far][:, None])
         sigmas[:, 0] = _RANGE_SIGMAS_M[walls.far]
         residual = known + design[:, :, linear] @ values[linear]

@@ -112,10 +112,12 @@ def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
     kept = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     amplitude = kept * 10.0 ** (-2.0 * loss_db / 20.0)
     path_m = 2.0 * index * wall.thickness_m
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
-    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (1.0 - amplitude * np.exp(-turn * path_m))
+    phase_per_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
+    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (
+        1.0 - amplitude * np.exp(-phase_per_m * path_m)
+    )
     paths = path_m * np.linspace(-3.0, 4.0, 701)
-    best = int(np.abs(np.exp(np.outer(paths, turn)) @ echo).argmax())
+    best = int(np.abs(np.exp(np.outer(paths, phase_per_m)) @ echo).argmax())
     return 0.5 * float(paths[best]) - 0.5 * index * wall.thickness_m
 
 

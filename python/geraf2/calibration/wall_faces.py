@@ -44,16 +44,16 @@ class WallFaces:
         normals, areas = unit_normals(corners), face_areas(corners)
         middles = corners.mean(axis=1)
         walls = list[tuple[Floats, Floats, Floats]]()
-        left = areas > 0.0
+        remaining = areas > 0.0
         # The areas limit the number of walls; a rough surface also has parts that are too small.
         for _ in range(2 * int(1.0 / _MIN_AREA_SHARE)):
-            if not left.any():
+            if not remaining.any():
                 break
-            seed = int(np.argmax(np.where(left, areas, 0.0)))
+            seed = int(np.argmax(np.where(remaining, areas, 0.0)))
             step = np.abs((middles - middles[seed]) @ normals[seed])
-            own = left & (normals @ normals[seed] > _MAX_TURN_COSINE) & (step < _MAX_STEP_M)
+            own = remaining & (normals @ normals[seed] > _MAX_TURN_COSINE) & (step < _MAX_STEP_M)
             own[seed] = True
-            left &= ~own
+            remaining &= ~own
             if areas[own].sum() >= _MIN_AREA_SHARE * areas.sum():
                 mean = (areas[own, None] * normals[own]).sum(axis=0)
                 height = np.average(middles[own], axis=0, weights=areas[own])

@@ -30,7 +30,7 @@ class EchoPhases:
     """
     directions: Floats
     """Unit vectors from each antenna to the reflector, (n, 3)."""
-    looking: Floats
+    looking_direction: Floats
     """Looking direction of the pose, (3,)."""
     offsets_m: Floats
     """Antenna positions about the sub-aperture's centre, horizontal and vertical, (n, 2) [m]."""
@@ -76,14 +76,14 @@ def response_at(
     steps, so the sum is a polynomial in a phasor. Horner's rule is twenty times as fast as one
     exponential per sample.
     """
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
-    step = np.exp(turn * waveform.bandwidth_hz / waveform.n_samples)
+    phase_per_hz = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
+    step = np.exp(phase_per_hz * waveform.bandwidth_hz / waveform.n_samples)
     weighted = (signal * np.hanning(waveform.n_samples + 2)[1:-1]).T.copy()
     total = np.zeros(path_m.shape, dtype=np.complex128)
     for column in weighted[::-1]:
         total *= step
         total += column
-    return np.asarray(total * np.exp(turn * waveform.frequencies_hz[0]))
+    return np.asarray(total * np.exp(phase_per_hz * waveform.frequencies_hz[0]))
 
 
 class _Antennas:
@@ -115,7 +115,7 @@ class _Antennas:
                 antennas=inside,
                 values=own,
                 directions=direction,
-                looking=pose.axes[0],
+                looking_direction=pose.axes[0],
                 offsets_m=offsets,
             )
             for own, direction in zip(flat, to_points / distances[..., None], strict=True)

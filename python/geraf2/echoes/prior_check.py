@@ -87,10 +87,10 @@ def _maybe_flashes(capture: Capture, prior: LosPrior, peaks: PeakSet, scene: Mes
         periods = of_plane.periods[of_plane.subapertures[0]]
         for others in grating_lobes(of_plane.directions, capture.poses[number].axes, periods):
             known = np.asarray(np.isfinite(others).all(axis=1))
-            some, ahead = of_plane.select(known), others[known]
-            path, face = scene.closest_hit(some.centers, ahead)
+            candidates, ahead = of_plane.select(known), others[known]
+            path, face = scene.closest_hit(candidates.centers, ahead)
             square = np.abs(np.einsum("ij,ij->i", normals[face], ahead)) > _SQUARE
-            found[own[known]] |= square & (np.abs(path - some.ranges_m) < _MARGIN_M)
+            found[own[known]] |= square & (np.abs(path - candidates.ranges_m) < _MARGIN_M)
     return found
 
 

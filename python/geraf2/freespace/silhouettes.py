@@ -253,7 +253,9 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             config.spacing_m * np.arange(-n, n + 1)
             for n in (_half_inner_size(wall)[_across(axis)] / config.spacing_m).astype(int)
         ]
-        found, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
+        found, free_share = _focus_planes(
+            flashes, cells, capture.waveform.center_wavelength_m, config
+        )
         free_shares.append(free_share)
         if found:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
@@ -401,7 +403,7 @@ def _correct_bulge(flash: _Flash, wavelength_m: float) -> _Flash:
     )
 
 
-def _focused(
+def _focus_planes(
     flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
 ) -> tuple[list[_Outline], float]:
     """Outlines of all planes and of each side at the sharpest focus; largest free share."""

@@ -369,10 +369,10 @@ def _alias_free(
         chance += float(weight @ weight)
         lobe = np.maximum(lobe, 2.0 * wavelength / np.maximum(np.ptp(offset, axis=0), wavelength))
     by_chance = chance * gammainccinv(max(len(chosen), 1), _ALIAS_CHANCE) / max(len(chosen), 1)
-    alike = power > max(by_chance, _ALIAS_POWER * len(chosen))
-    alike &= power == maximum_filter(power, 3, mode="nearest")
-    alike &= (h[:, None] > lobe[0]) | (np.abs(v) > lobe[1])
-    at = np.nonzero(alike)
+    ambiguous = power > max(by_chance, _ALIAS_POWER * len(chosen))
+    ambiguous &= power == maximum_filter(power, 3, mode="nearest")
+    ambiguous &= (h[:, None] > lobe[0]) | (np.abs(v) > lobe[1])
+    at = np.nonzero(ambiguous)
     return _largest_rectangle(h[at[0]], np.abs(v[at[1]]), reach)
 
 

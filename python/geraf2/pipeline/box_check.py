@@ -135,7 +135,7 @@ class Difference:
     def of(cls, found: FoundBox, axes: Floats, size_m: Floats, center_m: Floats) -> "Difference":
         """Compare with the axes, size and centre of the given cuboid."""
         square = found.seen == Seen.SQUARELY
-        both, some = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
+        both, either = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
         order = min(
             permutations(range(3)),
             key=lambda o: _misfit(found, axes[list(o)], size_m[list(o)], both),
@@ -147,7 +147,7 @@ class Difference:
         off_size = found.size_m - size
         center = 0.5 * (found.offsets_m[:, 1] - found.offsets_m[:, 0]) - middle
         turn = np.rad2deg(np.arccos(np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)))
-        turn_deg = float(turn[some].max(initial=0.0))
+        turn_deg = float(turn[either].max(initial=0.0))
         parts = []
         if len(both) and (np.abs(off_size[both]) > _SIZE_M + tolerance[both]).any():
             parts.append(f"{1e3 * np.abs(off_size[both]).max():.1f} mm of size")

@@ -50,7 +50,7 @@ class LosOptions(Bounded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.unit is not None:
-            _length_of(self.unit)
+            _unit_length_m(self.unit)
         self.limits()
 
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
@@ -58,7 +58,7 @@ class LosOptions(Bounded):
 
         The unit is None where the source states it.
         """
-        unit_m = None if self.unit is None else _length_of(self.unit)
+        unit_m = None if self.unit is None else _unit_length_m(self.unit)
         if self.to_radar is None:
             return None, unit_m
         rigid, scale = read_transform(self.to_radar)
@@ -77,7 +77,7 @@ class LosOptions(Bounded):
         return limits
 
 
-def _length_of(unit: str) -> float:
+def _unit_length_m(unit: str) -> float:
     """Length of a unit, which is a name or a number of metres [m]."""
     try:
         value = UNITS_M[unit] if unit in UNITS_M else float(unit)

@@ -38,8 +38,8 @@ def simd() -> str:
     """Instruction set that the kernels use."""
     from geraf2.ops import simd_level  # noqa: PLC0415 - the report must work without it
 
-    asked = os.environ.get("GERAF2_SIMD")
-    return simd_level() + (f" (requested by GERAF2_SIMD={asked})" if asked else "")
+    requested = os.environ.get("GERAF2_SIMD")
+    return simd_level() + (f" (requested by GERAF2_SIMD={requested})" if requested else "")
 
 
 def paths() -> list[tuple[str, str]]:

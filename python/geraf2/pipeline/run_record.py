@@ -73,7 +73,7 @@ class RunRecord:
     def read(cls, path: Path) -> "RunRecord":
         """Read config.toml; the UserError names its unknown or wrong entries."""
         table = read_table(path)
-        scene, places = table.pop("scene", None), table.pop("places", {})
+        scene, relative_paths = table.pop("scene", None), table.pop("places", {})
 
         def own(kind: type[PriorSource] | type[RunOptions]) -> dict[str, Any]:
             return {e.name: table.pop(e.name) for e in fields(kind) if e.name in table}
@@ -85,12 +85,12 @@ class RunRecord:
             config=preset_of_table(table, path),
         )
         found = record._paths()
-        for name, place in places.items() if isinstance(places, dict) else ():
-            moved = path.parent / str(place)
+        for name, relative in relative_paths.items() if isinstance(relative_paths, dict) else ():
+            moved = path.parent / str(relative)
             kept = found.get(name)
             # Remote stores are not contacted: the record may come from an untrusted source.
-            gone = kept is not None and not is_remote(kept) and not kept.exists()
-            if gone and moved.exists():
+            missing = kept is not None and not is_remote(kept) and not kept.exists()
+            if missing and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
 

@@ -159,8 +159,8 @@ def power_matrix(
         )
         sums = there.T @ (back.conj() * (lit.spreading / pose.n_antennas).astype(np.float32))
         middles = tx.mean(axis=0)[None], rx.mean(axis=0)[None]
-        apart = _paths(*middles, targets).T - _paths(*middles, lit.points)
-        total[:, lit.index] += sums * _chirp_mean(apart, waveform)
+        path_difference = _paths(*middles, targets).T - _paths(*middles, lit.points)
+        total[:, lit.index] += sums * _chirp_mean(path_difference, waveform)
     return np.square(total.real) + np.square(total.imag)
 
 
@@ -170,11 +170,11 @@ def _paths(tx: Floats, rx: Floats, points: Floats) -> Floats:
     return np.asarray(sum(legs))
 
 
-def _chirp_mean(apart: Floats, waveform: Waveform) -> NDArray[np.float32]:
+def _chirp_mean(path_difference: Floats, waveform: Waveform) -> NDArray[np.float32]:
     """Mean over samples t of exp(j 2 pi (f_t - mean f) apart / c)."""
     n = waveform.n_samples
     step = waveform.chirp_slope_hz_per_s / waveform.sample_rate_hz
-    half = np.pi * step / SPEED_OF_LIGHT_M_PER_S * apart
+    half = np.pi * step / SPEED_OF_LIGHT_M_PER_S * path_difference
     sine = np.sin(half)
     whole = np.abs(sine) < 1e-9
     mean = np.where(whole, 1.0, np.sin(n * half) / (n * np.where(whole, 1.0, sine)))
