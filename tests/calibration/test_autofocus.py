@@ -49,7 +49,7 @@ def test_a_slow_drift_is_found_but_for_what_surfaces_explain():
     assert shift @ moved.axes[1] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_right_positions_are_left_alone():
+def test_correct_positions_do_not_change():
     assert not estimate(carton_capture(n_poses=4)).gain.is_sure
 
 
@@ -58,6 +58,6 @@ def test_the_splines_sum_to_one():
 
 
 @pytest.mark.parametrize(("name", "value"), [("sigma_m", 0.0), ("n_coefficients", 3)])
-def test_impossible_settings_name_themselves(name, value):
+def test_impossible_settings_are_named_in_the_error(name, value):
     with pytest.raises(ValueError, match=name):
         AutofocusConfig(**{name: value})

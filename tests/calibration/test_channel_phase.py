@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from geraf2.calibration.channel_phase import (
-    channels_by_turn,
     estimate_channel_phases,
+    interleaved_channels,
     offset_channels,
     phase_gain,
     with_channel_phases,
@@ -25,7 +25,7 @@ def capture():
 
 @pytest.fixture(scope="module")
 def channels(capture):
-    return [channels_by_turn(pose, N_CHANNELS) for pose in capture.poses]
+    return [interleaved_channels(pose, N_CHANNELS) for pose in capture.poses]
 
 
 def found(capture, channels):
@@ -51,15 +51,15 @@ def test_phases_are_found_to_a_degree(capture, channels):
     assert gain.nats < 0.0
 
 
-def test_channels_that_are_right_stay(capture, channels):
+def test_correct_channels_do_not_change(capture, channels):
     assert np.rad2deg(np.abs(found(capture, channels).phases_rad).max()) < 1.0
 
 
-def test_channels_are_told_by_their_offsets(capture):
+def test_channels_are_distinguished_by_their_offsets(capture):
     assert offset_channels(capture.poses) is None
     spread = []
     for pose in capture.poses:
-        offset = 0.0019 * channels_by_turn(pose, 4)[:, None] * pose.axes[1]
+        offset = 0.0019 * interleaved_channels(pose, 4)[:, None] * pose.axes[1]
         spread.append(replace(pose, rx_positions=pose.rx_positions + offset))
     index = offset_channels(tuple(spread))
     assert index is not None

@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.calibration.acceptance import Gain, coherence_nats, judge
 from geraf2.calibration.autofocus import with_displacements
-from geraf2.calibration.channel_phase import channels_by_turn, find_turns, with_channel_phases
+from geraf2.calibration.channel_phase import find_turns, interleaved_channels, with_channel_phases
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
 from geraf2.calibration.leakage import Leakage
@@ -24,7 +24,7 @@ def capture():
 
 def turned(capture, n_channels, rms_deg):
     true = np.deg2rad(rms_deg) * np.random.default_rng(3).normal(size=n_channels)
-    channels = [channels_by_turn(pose, n_channels) for pose in capture.poses]
+    channels = [interleaved_channels(pose, n_channels) for pose in capture.poses]
     return with_channel_phases(capture, channels, -true), true - true.mean()
 
 
@@ -36,7 +36,7 @@ def numbers(found, name):
     return next(j.numbers for j in found.judgements if j.name == name)
 
 
-def test_a_scan_without_errors_is_left_as_it_is(capture):
+def test_a_scan_without_errors_does_not_change(capture):
     found = calibrate(capture, PRIOR)
     assert applied(found) == []
     assert found.capture is capture
@@ -47,7 +47,7 @@ def test_a_scan_without_errors_is_left_as_it_is(capture):
     assert all(str(j).endswith(f"left, {j.against}") for j in found.judgements if j.against)
 
 
-def test_channels_that_take_turns_are_found_and_taken_off(capture):
+def test_interleaved_channels_are_found_and_corrected(capture):
     n_channels = 4
     wrong, true = turned(capture, n_channels, 25.0)
     found = calibrate(wrong, PRIOR)
@@ -59,13 +59,13 @@ def test_channels_that_take_turns_are_found_and_taken_off(capture):
     assert said["coherence"] > said["coherence_before"]
 
 
-def test_antennas_that_agree_have_no_turns(capture):
+def test_antennas_that_agree_have_no_interleaved_channels(capture):
     peaks = KeptPeaks(PRIOR).of(capture, (0, 3))
     assert find_turns(collect_phases(capture, peaks)) is None
     assert find_turns([]) is None
 
 
-def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
+def test_a_wrong_delay_is_corrected_within_its_interval(capture):
     found = calibrate(with_bias(capture, 0.142), PRIOR)
     assert applied(found) == ["delay"]
     said = numbers(found, "delay")
@@ -73,7 +73,7 @@ def test_a_wrong_delay_is_taken_off_with_an_interval_that_holds_it(capture):
     assert found.capture.waveform.path_bias_m == 0.142 + said["delay_m"]
 
 
-def test_a_turned_prior_moves_and_the_capture_stays(capture):
+def test_a_rotated_prior_moves_and_the_capture_does_not(capture):
     turn = Rotation.from_rotvec([0.0, 0.0, np.deg2rad(3.0)])
     found = calibrate(capture, replace(PRIOR, vertices=turn.apply(PRIOR.vertices)))
     assert applied(found) == ["frame"]
@@ -91,7 +91,7 @@ def cut(pose, antennas, n_samples=32):
 
 
 @pytest.mark.parametrize("kind", ["empty pose", "few antennas", "one sample", "silent", "noise"])
-def test_what_says_nothing_is_left_as_it_is(capture, kind):
+def test_data_without_information_change_nothing(capture, kind):
     poses, waveform = capture.poses[:2], capture.waveform
     if kind == "empty pose":
         poses = (cut(poses[0], slice(0)), poses[1])
@@ -155,7 +155,7 @@ def test_corrections_come_back_from_a_file(capture, tmp_path):
         Corrections.load(tmp_path / "other.npz")
 
 
-def test_a_sweep_of_equal_steps_is_the_sum_over_its_samples(capture):
+def test_the_range_response_is_the_sum_over_the_samples(capture):
     rng = np.random.default_rng(0)
     pose, paths = capture.poses[0], 0.4 + 0.5 * rng.uniform(size=capture.poses[0].n_antennas)
     phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(paths, capture.waveform.frequencies_hz)
@@ -166,7 +166,7 @@ def test_a_sweep_of_equal_steps_is_the_sum_over_its_samples(capture):
     assert fast == pytest.approx(slow, abs=1e-9 * float(np.abs(slow).max()))
 
 
-def test_a_ripple_over_the_chirp_is_late_by_its_slope(capture):
+def test_a_ripple_of_the_chirp_delays_by_its_slope(capture):
     """A gain that turns over the chirp moves every echo: the delay found is how far."""
     waveform = capture.waveform
     share = np.arange(waveform.n_samples) / waveform.n_samples
@@ -184,7 +184,7 @@ def test_a_ripple_over_the_chirp_is_late_by_its_slope(capture):
     assert abs(said["delay_m"] - late) < 2.0 * said["sigma_m"]
 
 
-def test_where_no_delay_is_recorded_channels_are_found_with_that_of_the_walls(capture):
+def test_without_recorded_delay_channels_use_that_of_the_walls(capture):
     wrong, true = turned(capture, 4, 25.0)
     found = calibrate(with_bias(wrong, 0.0), PRIOR)
     assert {"channels", "delay"} <= set(applied(found))
@@ -193,7 +193,7 @@ def test_where_no_delay_is_recorded_channels_are_found_with_that_of_the_walls(ca
     assert found.capture.waveform.path_bias_m == pytest.approx(0.15, abs=1e-3)
 
 
-def test_only_what_is_asked_for_is_calibrated(capture):
+def test_only_requested_corrections_are_estimated(capture):
     wrong = with_bias(turned(capture, 4, 25.0)[0], 0.142)
     settings = {"leakage": False, "frame": False, "channels": False, "positions": False}
     found = calibrate(wrong, PRIOR, CalibrationConfig(**settings))
@@ -203,14 +203,14 @@ def test_only_what_is_asked_for_is_calibrated(capture):
     assert kept.capture is wrong
 
 
-def test_walls_that_do_not_stand_out_are_an_error_to_one_who_asks(capture):
+def test_unseen_walls_are_an_error_if_requested(capture):
     small = PRIOR.moved(np.diag([0.1, 0.1, 0.1, 1.0]))
     found = calibrate(
         capture, small, CalibrationConfig(leakage=False, channels=False, positions=False)
     )
     assert found.capture is capture
     (one,) = found.judgements
-    assert (one.name, one.applied, one.against) == ("delay", False, "nothing to go by")
+    assert (one.name, one.applied, one.against) == ("delay", False, "no data")
     assert "walls of the box do not stand out" in str(one.error)
 
 

@@ -52,7 +52,7 @@ def test_a_box_is_found_at_any_yaw(scan, degrees):
     assert np.isfinite(box.sigmas_m[:2]).all()
 
 
-def test_a_found_box_is_a_prior_and_says_what_it_saw(scan):
+def test_a_found_box_is_a_prior_and_describes_its_evidence(scan):
     box = find_box(scan)
     axes, size, center = box.prior.cuboid
     np.testing.assert_allclose(size, box.size_m)
@@ -111,7 +111,7 @@ def test_content_without_a_box_has_no_walls():
         find_box(simulate(replace(spec, walls=()), seed=0)[0])
 
 
-def test_a_far_wall_is_not_taken_for_a_near_one_beyond_the_middle():
+def test_a_far_wall_is_not_interpreted_as_a_near_one_beyond_the_middle():
     """Two near flashes at -x, and one of the far side of +x, which reads as near at +x, too."""
     normals = np.array([[-1.0, 0, 0], [-1, 0, 0], [-1, 0, 0]])
     offsets, far = np.array([0.12, 0.12, -0.117]), np.array([False, False, False])
@@ -126,7 +126,7 @@ def test_a_far_wall_is_not_taken_for_a_near_one_beyond_the_middle():
     assert np.isnan(box.offsets_m[1:]).all()
 
 
-def test_the_region_of_content_in_free_air_holds_it():
+def test_the_region_of_content_in_free_air_contains_it():
     spec = examples.small_scene()
     capture, truth = simulate(replace(spec, walls=()), seed=0)
     region = content_region(capture)
@@ -148,5 +148,5 @@ def test_antennas_within_the_walls_are_refused(scan):
         rx_positions=middle.rx_positions + inward,
     )
     poses = (*scan.poses[:3], lost, *scan.poses[4:])
-    with pytest.raises(UserError, match="planes around which walls would stand: 1"):
+    with pytest.raises(UserError, match="planes of antennas within the walls: 1"):
         find_box(replace(scan, poses=poses))

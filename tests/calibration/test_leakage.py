@@ -67,13 +67,13 @@ def clean():
     return carton_capture(n_poses=8)
 
 
-def test_a_scan_without_leakage_stays_to_the_bit(clean):
+def test_a_scan_without_leakage_does_not_change_a_bit(clean):
     found = find_leakage(clean, PRIOR)
     assert found.method == "none"
     assert without_leakage(clean, found) is clean
 
 
-def test_leakage_is_taken_off_and_put_back(clean):
+def test_leakage_is_subtracted_and_can_be_added_again(clean):
     capture = spoilt(clean, 25.0)
     found = find_leakage(capture, PRIOR)
     assert found.method == "projected"
@@ -86,7 +86,7 @@ def test_leakage_is_taken_off_and_put_back(clean):
     assert left_over_db(put_back(mended, found), capture) < -120.0
 
 
-def test_its_phase_mends_channels_and_an_oscillator_that_walks(clean):
+def test_the_phase_of_leakage_corrects_channels_and_oscillator_drift(clean):
     rng = np.random.default_rng(3)
     channel = np.deg2rad([-30.0, 45.0, -20.0, 5.0])
     phases = []
@@ -106,7 +106,7 @@ def test_its_phase_mends_channels_and_an_oscillator_that_walks(clean):
     assert left_over_db(put_back(mended, found), capture) < -110.0
 
 
-def test_a_phase_that_is_only_the_leakages_own_is_not_used(clean):
+def test_a_phase_of_the_leakage_alone_is_not_used(clean):
     rng = np.random.default_rng(4)
     own = [0.5 * rng.normal(size=pose.n_antennas) for pose in clean.poses]
     capture = spoilt(clean, 20.0, own_phases=own)
@@ -115,7 +115,7 @@ def test_a_phase_that_is_only_the_leakages_own_is_not_used(clean):
     assert left_over_db(without_leakage(capture, found), clean) < -30.0
 
 
-def test_ripple_of_the_chirp_goes_with_the_leakage(clean):
+def test_ripple_of_the_chirp_is_subtracted_with_the_leakage(clean):
     n = WAVEFORM.n_samples
     # Four waves along the chirp: paired echoes of the leakage, 33 cm of path behind it.
     ripple = np.exp(0.12j * np.sin(2.0 * np.pi * 4.0 * np.arange(n) / n))
@@ -129,7 +129,7 @@ def test_ripple_of_the_chirp_goes_with_the_leakage(clean):
     assert locate_echoes(mended, PRIOR, KeptPeaks(PRIOR).of(mended)).in_front < 0.01
 
 
-def test_a_constant_of_the_converter_goes_too(clean):
+def test_a_constant_of_the_converter_is_subtracted_too(clean):
     offset = np.complex64(1.5 * rms(clean) * np.exp(0.7j))
     poses = [replace(pose, signal=pose.signal + offset) for pose in clean.poses]
     found = find_leakage(replace(clean, poses=tuple(poses)), PRIOR)
@@ -138,7 +138,7 @@ def test_a_constant_of_the_converter_goes_too(clean):
 
 
 @pytest.mark.parametrize("path_m", [0.4, 0.9])  # before the box, where leakage is seen; behind it
-def test_a_background_of_any_delay_goes_where_all_antennas_share_it(clean, path_m):
+def test_a_background_that_all_antennas_share_is_subtracted(clean, path_m):
     background = sinusoid(path_m)
     background *= 2.0 * rms(clean) / np.sqrt(np.mean(np.abs(background) ** 2))
     poses = [replace(p, signal=(p.signal + background).astype(np.complex64)) for p in clean.poses]
@@ -152,28 +152,28 @@ def test_a_background_of_any_delay_goes_where_all_antennas_share_it(clean, path_
     assert left_over_db(put_back(mended, found), capture) < -120.0
 
 
-def test_walls_parallel_to_all_planes_stay():
+def test_walls_parallel_to_all_planes_are_not_subtracted():
     face_on = carton_capture(n_poses=4)
     found = find_leakage(spoilt(face_on, 25.0), PRIOR)
     assert found.tail_db == -np.inf
     assert left_over_db(without_leakage(spoilt(face_on, 25.0), found), face_on) < -30.0
 
 
-def test_echoes_of_the_box_are_no_leakage(clean):
+def test_echoes_of_the_box_are_not_leakage(clean):
     # As recorded 45 cm of path too long, the delay puts the nearest wall where leakage would be.
     waveform = replace(clean.waveform, path_bias_m=clean.waveform.path_bias_m + 0.55)
     assert find_leakage(replace(clean, waveform=waveform), PRIOR).method == "none"
 
 
 @pytest.mark.parametrize("recorded_m", [0.0, 0.22])
-def test_leakage_is_found_though_the_delay_is_another(clean, recorded_m):
+def test_leakage_is_found_with_a_wrong_delay(clean, recorded_m):
     capture = spoilt(clean, 25.0)
     waveform = replace(capture.waveform, path_bias_m=recorded_m)
     found = find_leakage(replace(capture, waveform=waveform), PRIOR)
     assert left_over_db(without_leakage(capture, found), clean) < -25.0
 
 
-def test_a_box_before_the_antennas_leaves_no_room():
+def test_a_box_too_near_the_antennas_leaves_leakage():
     capture = carton_capture(n_poses=2)
     near = LosPrior.from_box((0.72, 0.72, 0.3))
     assert "too coarse" in find_leakage(spoilt(capture, 25.0), near).reason

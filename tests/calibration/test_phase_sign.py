@@ -43,7 +43,7 @@ def test_noise_alone_decides_nothing():
     assert "not clear" in str(sign)
 
 
-def test_nothing_to_look_at_decides_nothing():
+def test_no_antennas_decide_nothing():
     sign = find_phase_sign([], WAVEFORM)
     assert (sign.sign, sign.n_poses, sign.is_clear) == (-1, 0, False)
 
@@ -53,7 +53,7 @@ def test_silence_decides_nothing():
     assert not find_phase_sign([replace(pose, signal=0 * pose.signal)], WAVEFORM).is_clear
 
 
-def test_a_doubt_is_looked_at_with_all_antennas(monkeypatch):
+def test_a_doubtful_sign_is_checked_with_all_antennas(monkeypatch):
     """At -25 dB the quick look at 128 antennas leaves a doubt, 40 dB decides at once."""
     looks = []
     original = phase_sign.matched_filter
@@ -108,7 +108,7 @@ def test_a_single_plane_is_searched_in_depth(n_frequencies):
     assert "times as sharp" in str(right)
 
 
-def test_antennas_on_no_raster_are_focused_as_finely():
+def test_irregular_antennas_are_focused_as_finely():
     """Ranges in steps of half a range cell, 75 m here, would miss the L altogether."""
     positions = np.zeros((900, 3))
     positions[:, 1:] = np.random.default_rng(0).uniform(-0.06, 0.06, (900, 2))
@@ -133,9 +133,7 @@ def test_antennas_on_no_raster_are_focused_as_finely():
         (1, True, 90.0, True, None),
     ],
 )
-def test_only_overwhelming_evidence_goes_before_the_format(
-    stated, forced, ratio, is_positive, doubt
-):
+def test_only_a_large_ratio_overrides_the_format(stated, forced, ratio, is_positive, doubt):
     for depth, ratios in ((None, (ratio, 1.0)), (0.2, (1.0, ratio))):
         sign = PhaseSign(
             sign=1,

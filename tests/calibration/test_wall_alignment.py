@@ -26,7 +26,7 @@ def capture():
 
 
 @pytest.mark.parametrize("recorded", [0.0, 0.15, 0.4])
-def test_the_delay_puts_the_walls_where_the_prior_has_them(capture, recorded):
+def test_the_delay_moves_the_walls_onto_the_prior(capture, recorded):
     wide = AlignmentConfig(delay_search_m=(-0.3, 1.0))
     found = aligned(with_bias(capture, recorded), PRIOR, wide)
     assert found.delay_m == pytest.approx(0.15 - recorded, abs=1e-3)
@@ -64,7 +64,7 @@ def test_a_lossy_wall_echoes_before_its_middle(capture, thickness_m, permittivit
         assert found < 0.0
 
 
-def test_faces_that_cancel_leave_the_middle_open(capture):
+def test_faces_that_cancel_leave_the_middle_uncertain(capture):
     """Twice 5.58 mm of optical path are 2.95 wavelengths: seed 4 of the population."""
     wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.00458, permittivity=1.483)
     assert loss_shift(wall, capture.waveform, 0.45) < -0.004
@@ -81,7 +81,7 @@ def test_a_turned_and_moved_prior_is_moved_back(capture):
     assert np.rad2deg(error.magnitude()) < 0.5
 
 
-def test_what_vertical_walls_do_not_show_keeps_its_uncertainty(capture):
+def test_unknowns_that_vertical_walls_do_not_show_keep_their_uncertainty(capture):
     found = aligned(capture, PRIOR, AlignmentConfig(translation_sigma_m=0.02))
     assert found.translation_sigma_m[2] == pytest.approx(0.02, rel=1e-3)
     assert (found.translation_sigma_m[:2] < 0.002).all()
@@ -103,13 +103,13 @@ def test_a_shifted_turntable_axis(capture):
     assert np.abs((corrected.poses[3].tx_positions - true) @ wrong.poses[3].axes[0]).max() < 0.001
 
 
-def test_the_axis_goes_through_what_the_poses_look_at(capture):
+def test_the_axis_passes_through_the_common_point_of_the_poses(capture):
     point, up = turntable_axis(capture.poses)
     assert point == pytest.approx(np.zeros(3), abs=1e-9)
     assert up == pytest.approx([0.0, 0.0, 1.0])
 
 
-def test_a_far_wall_alone_is_never_taken_for_a_near_one():
+def test_a_far_wall_alone_is_never_interpreted_as_a_near_one():
     rng = np.random.default_rng(0)
 
     def around(offset_m, n, magnitude):
@@ -136,7 +136,7 @@ def test_strong_echoes_weigh_more_than_weak_ones():
 
 
 @pytest.mark.parametrize("height_m", [0.003, -0.003])
-def test_bulges_part_from_the_delay(height_m):
+def test_bulges_are_separated_from_the_delay(height_m):
     found = aligned(carton_capture(bulge=bulged(height_m)), PRIOR)
     assert abs(found.delay_m) < 2.0 * found.delay_sigma_m
     assert found.delay_m == pytest.approx(0.0, abs=1e-3)
@@ -213,7 +213,7 @@ def test_normal_equations_are_derivatives_of_the_log_posterior(problem):
         assert gradient[number] == pytest.approx(slope, rel=5e-3, abs=1e-3 * abs(gradient).max())
 
 
-def test_a_group_gains_only_where_it_explains_something(problem, capture):
+def test_a_group_gains_only_if_it_explains_an_error(problem, capture):
     assert not any(problem.gain([], group).is_sure for group in GROUPS)
     late = with_bias(capture, 0.147)
     wrong = WallProblem(late, PRIOR, AlignmentConfig(), KeptPeaks(PRIOR))
@@ -228,7 +228,7 @@ def test_the_common_offset_is_half_the_delay(capture):
     assert found.offset_sigma_m == pytest.approx(0.5 * found.delay_sigma_m)
 
 
-def test_without_walls_the_error_says_so(capture):
+def test_missing_walls_are_an_error(capture):
     del capture
     with pytest.raises(UserError, match="walls of the box do not stand out, expected at least 12"):
         aligned(carton_capture(n_poses=3, wall=0.0), PRIOR)
@@ -237,7 +237,7 @@ def test_without_walls_the_error_says_so(capture):
 @pytest.mark.parametrize(
     ("name", "value"), [("axis_sigma_m", -1.0), ("delay_search_m", (1.0, 0.0))]
 )
-def test_impossible_settings_name_themselves(name, value):
+def test_impossible_settings_are_named_in_the_error(name, value):
     with pytest.raises(ValueError, match=name):
         AlignmentConfig(**{name: value})
 

@@ -23,7 +23,7 @@ def test_a_box_has_six_walls_with_coordinates_of_their_own():
         assert np.abs(local) == pytest.approx(1.0)
 
 
-def test_shapes_are_held_at_the_rim_and_slopes_are_their_derivatives():
+def test_shapes_vanish_at_the_rim_and_slopes_are_their_derivatives():
     walls = WallFaces.of(LosPrior.from_box(SIDES_M))
     place = np.array([[0.5, -0.25], [1.0, 0.3], [0.0, 0.0]])
     inverse = np.linalg.pinv(walls.across[2])
@@ -53,7 +53,7 @@ def test_a_rough_surface_has_few_walls():
 
 @pytest.mark.parametrize("turn_deg", [0.0, 8.0, -15.0, 25.0])
 @pytest.mark.parametrize("shift_m", [0.0, 0.06, -0.11, 0.15])
-def test_rim_bias_is_the_mean_range_of_what_looks_at_the_wall(turn_deg: float, shift_m: float):
+def test_rim_bias_is_the_mean_range_of_antennas_that_see_the_wall(turn_deg: float, shift_m: float):
     walls, size_m = WallFaces.of(LosPrior.from_box(SIDES_M)), 0.08
     face = int(walls.centers[:, 0].argmax())
     turn = np.deg2rad(turn_deg)

@@ -27,7 +27,7 @@ def glints(capture):
 
 @pytest.fixture(scope="module")
 def rim(capture, glints):
-    return find_rim_glints(capture, BOX, glints, look=NARROW)
+    return find_rim_glints(capture, BOX, glints, first=NARROW)
 
 
 def test_the_rim_of_a_sphere_lies_on_it_and_faces_outward(rim):
@@ -52,7 +52,7 @@ def test_irregular_positions_have_a_rim_too(glints):
     places = places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
     uneven = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=3, places=places)
     known = find_glints(uneven, BOX, NARROW)
-    rim = find_rim_glints(uneven, BOX, known, look=NARROW)
+    rim = find_rim_glints(uneven, BOX, known, first=NARROW)
     assert len(rim) > 3 * 20
     assert np.abs(np.linalg.norm(rim.positions, axis=1) - RADIUS_M).max() < 1e-3
 
@@ -61,13 +61,13 @@ def test_peaks_without_a_known_glint_nearby_are_dropped(capture, glints):
     elsewhere = Glints(
         **{**vars(glints), "positions": glints.positions + np.array([0.0, 0.0, 0.03])}
     )
-    assert len(find_rim_glints(capture, BOX, elsewhere, look=NARROW)) == 0
+    assert len(find_rim_glints(capture, BOX, elsewhere, first=NARROW)) == 0
 
 
 def test_without_sizes_or_glints_there_are_no_rim_glints(capture, glints):
     assert len(find_rim_glints(capture, BOX, glints, RimConfig(sizes_m=()), NARROW)) == 0
     nothing = glints.select(np.zeros(len(glints), dtype=bool))
-    assert len(find_rim_glints(capture, BOX, nothing, look=NARROW)) == 0
+    assert len(find_rim_glints(capture, BOX, nothing, first=NARROW)) == 0
 
 
 def test_rim_sizes_must_be_smaller_than_the_whole():

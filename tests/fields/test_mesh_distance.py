@@ -20,7 +20,7 @@ def box_distance(points):
     return np.linalg.norm(np.maximum(outside, 0.0), axis=1) + np.minimum(outside.max(axis=1), 0.0)
 
 
-def test_the_grid_reaches_around():
+def test_the_grid_contains_the_bounds():
     grid = grid_about(BOUNDS, 40)
     assert max(grid.shape) == 40
     for axis, coordinates in enumerate(grid.axes_m):

@@ -18,7 +18,7 @@ def box_mesh(size):
     return TriangleMesh(vertices=prior.vertices, faces=prior.faces)
 
 
-def test_a_box_is_as_far_as_its_mesh_says():
+def test_a_box_has_the_distance_of_its_mesh():
     size = (0.22, 0.2, 0.18)
     box, mesh = BoxSolid(size_m=size), MeshSolid(box_mesh(size))
     np.testing.assert_allclose(
@@ -55,7 +55,7 @@ def test_the_distance_is_the_minimum_over_the_two_boundaries_of_the_region():
     np.testing.assert_allclose(field.signed_distance(places), want, atol=1e-14)
 
 
-def test_it_is_a_distance():
+def test_the_field_is_a_distance():
     field = NestedSets.from_walls([WALL], MeshSolid(box_mesh((0.08, 0.08, 0.08))))
     a = points(3000, 1)
     b = a + np.random.default_rng(2).normal(0.0, 0.01, a.shape)
@@ -63,7 +63,7 @@ def test_it_is_a_distance():
     assert (change <= np.linalg.norm(a - b, axis=1) + 1e-7).all()
 
 
-def test_vision_and_radar_agree_outside_the_box():
+def test_fields_of_vision_and_radar_agree_outside_the_box():
     field, outer = NestedSets.from_walls([WALL, INNER]), BoxSolid(size_m=WALL.size_m)
     places = points()
     outside = places[outer.signed_distance(places) > 0]
@@ -98,7 +98,7 @@ def test_equal_gradients_and_equal_values_on_one_closed_surface_make_equal_field
 def test_sets_that_are_not_nested_are_refused():
     with pytest.raises(ValueError, match=r"solids\[1\] must lie inside solids\[0\], got a corner"):
         NestedSets([SphereSolid(radius_m=0.1), BoxSolid(size_m=(0.2, 0.1, 0.1))], [True, True])
-    with pytest.raises(ValueError, match="one entry a set and at least one, got 0 and 0"):
+    with pytest.raises(ValueError, match="one entry per set and at least one, got 0 and 0"):
         NestedSets([], [])
     with pytest.raises(ValueError, match="radius_m must be finite and positive"):
         SphereSolid(radius_m=0.0)

@@ -20,7 +20,7 @@ def test_a_box_without_extent_is_a_point_eight_times():
     np.testing.assert_array_equal(box_corners(CENTER, (0.0, 0.0, 0.0)), [CENTER] * 8)
 
 
-def test_distance_beyond_the_sides_is_that_of_a_loop():
+def test_beyond_sides_equals_a_plain_loop():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
     got = beyond_sides(points, CENTER, SIZE)
     for point, beyond in zip(points, got, strict=True):
@@ -29,7 +29,7 @@ def test_distance_beyond_the_sides_is_that_of_a_loop():
         assert beyond == pytest.approx(want)
 
 
-def test_a_corner_is_inside_and_a_hair_farther_is_not():
+def test_a_corner_is_inside_and_a_point_just_beyond_is_not():
     box = ((0.0, 0.0, 0.0), (2.0, 4.0, 8.0))
     corners = box_corners(*box)
     assert (beyond_sides(corners, *box) <= 0.0).all()

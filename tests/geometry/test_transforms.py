@@ -18,7 +18,7 @@ TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 SHIFT = np.array([0.1, -0.2, 0.3])
 
 
-def test_points_are_moved_as_a_loop_over_rows_moves_them():
+def test_apply_rigid_equals_a_loop_over_points():
     points = np.random.default_rng(0).normal(size=(4, 5, 3))
     got = apply_rigid(rigid(TURN, SHIFT), points)
     for index in np.ndindex(4, 5):
@@ -35,7 +35,7 @@ def test_the_inverse_brings_points_back():
     np.testing.assert_allclose(apply_rigid(inverse_rigid(TURN, SHIFT), moved), points, atol=1e-14)
 
 
-def test_a_quaternion_turns_as_its_axis_and_angle():
+def test_a_quaternion_equals_its_axis_and_angle():
     axis, angle = np.array([1.0, 2.0, -2.0]) / 3.0, 0.7
     quaternion = 5.0 * np.array([math.cos(angle / 2), *(math.sin(angle / 2) * axis)])
     want = Rotation.from_rotvec(angle * axis).as_matrix()
@@ -53,7 +53,7 @@ def test_upright_axes_are_level_and_downward():
         assert np.linalg.det(axes) == pytest.approx(1.0)
 
 
-def test_a_rotation_of_four_digits_becomes_exact():
+def test_a_rotation_with_four_digits_becomes_exact():
     got = require_rigid(rigid(TURN.round(4), SHIFT), "poses.txt")
     np.testing.assert_allclose(got[:3, :3] @ got[:3, :3].T, np.eye(3), atol=1e-14)
     np.testing.assert_allclose(got, rigid(TURN, SHIFT), atol=1e-4)
@@ -73,6 +73,6 @@ def test_a_rotation_of_four_digits_becomes_exact():
         (np.eye(4) + np.eye(4, k=-3), "last row"),
     ],
 )
-def test_what_is_no_rigid_transform_is_refused(matrix, said):
+def test_a_matrix_that_is_not_rigid_is_refused(matrix, said):
     with pytest.raises(UserError, match=rf"poses\.txt: .*{said}"):
         require_rigid(matrix, "poses.txt")

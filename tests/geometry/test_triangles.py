@@ -55,7 +55,7 @@ def heron(triangle):
     return math.sqrt(half * (half - a) * (half - b) * (half - c))
 
 
-def test_areas_are_herons_and_normals_right_handed(corners):
+def test_areas_follow_heron_and_normals_are_right_handed(corners):
     assert face_areas(corners) == pytest.approx([heron(t) for t in corners])
     for triangle, normal in zip(corners, unit_normals(corners), strict=True):
         vector = cross(*edge_vectors(triangle))
@@ -114,7 +114,7 @@ def split_slowly(triangle, limit):
     return [piece for half in halves for piece in split_slowly(half, limit)]
 
 
-def test_split_triangles_are_those_of_a_recursion(corners):
+def test_split_triangles_equals_a_recursion(corners):
     got = split_triangles(corners, 0.7)
     want = np.stack([piece for triangle in corners for piece in split_slowly(triangle, 0.7)])
     assert len(want) > 2 * len(corners)
@@ -130,7 +130,7 @@ def test_short_flat_and_no_triangles_split_into_themselves(corners):
     assert lengths.max() <= 0.5
 
 
-def test_volume_is_that_of_the_box_wherever_it_stands():
+def test_the_volume_of_a_box_does_not_depend_on_its_position():
     for center in ((0.0, 0.0, 0.0), (1e4, -2e4, 3e4)):
         vertices = box_corners(center, (0.2, 0.3, 0.4))
         assert enclosed_volume_m3(vertices, FACES) == pytest.approx(0.024, rel=1e-6)
@@ -174,7 +174,7 @@ def closed_slowly(faces):
     ],
     ids=["closed", "hole", "flipped", "twice", "both ways", "flat", "none"],
 )
-def test_closed_edges_are_those_of_a_count(faces):
+def test_closed_edges_equals_a_plain_count(faces):
     want = closed_slowly(faces)
     np.testing.assert_array_equal(closed_edges(faces), np.array(want, dtype=bool))
     assert count_open_edges(faces) == want.count(False)

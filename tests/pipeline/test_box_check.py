@@ -52,7 +52,7 @@ def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
     "prior",
     [given(), given(SIZE + 0.004), given(center=(0.005, 0.0, 0.03)), given(degrees=2.5)],
 )
-def test_a_prior_that_is_right_is_kept_as_it_is(prior, monkeypatch):
+def test_a_correct_prior_is_kept(prior, monkeypatch):
     assert check(prior, a_box(), monkeypatch).prior is prior
 
 
@@ -61,11 +61,11 @@ def test_a_prior_that_is_right_is_kept_as_it_is(prior, monkeypatch):
     [
         (given(SIZE + 0.008), "off by 8.0 mm of size and was"),
         (given(SIZE - 0.008), "off by 8.0 mm of size and was"),
-        (given(degrees=12.0), "off by 12.0 degrees of turn and was"),
+        (given(degrees=12.0), "off by 12.0 degrees of rotation and was"),
         (given(center=(0.02, 0.0, 0.0)), "off by 20.0 mm of position and was"),
     ],
 )
-def test_a_prior_that_is_off_gets_the_faces_that_were_seen(prior, said, monkeypatch):
+def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, said, monkeypatch):
     checked = check(prior, a_box(), monkeypatch)
     assert said in checked.text
     axes, size, center = checked.prior.cuboid
@@ -98,12 +98,12 @@ def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
     assert "no wall is seen squarely: the prior was compared with nothing" in heard
 
 
-def test_axes_are_named_by_the_sides_that_fit(monkeypatch):
+def test_axes_are_assigned_by_matching_sides(monkeypatch):
     turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).moved(turn(88.0))
     assert check(turned, a_box(), monkeypatch).prior is turned
 
 
-def test_a_face_seen_alone_carries_the_given_size(monkeypatch):
+def test_a_face_seen_alone_keeps_the_given_size(monkeypatch):
     found = a_box(seen=((0, 2), (2, 2), (0, 0)))
     checked = check(given((0.306, 0.212, 0.25), (0.0, 0.02, 0.0)), found, monkeypatch)
     _, size, center = checked.prior.cuboid
@@ -111,13 +111,13 @@ def test_a_face_seen_alone_carries_the_given_size(monkeypatch):
     np.testing.assert_allclose(center[:2], [-0.003, 0.0], atol=1e-9)
 
 
-def test_another_parcel_is_an_error_with_both_sizes(monkeypatch):
+def test_another_box_is_an_error_with_both_sizes(monkeypatch):
     text = r"box: the scan shows another box .* sides of 360 x 240 mm, got 300 x 200 mm .*trust_los"
     with pytest.raises(UserError, match=text):
         check(given(1.2 * SIZE), a_box(), monkeypatch)
 
 
-def test_flat_content_is_no_other_box(monkeypatch):
+def test_flat_content_is_not_another_box(monkeypatch):
     solid = replace(a_box(), content_share=0.001)
     checked = check(given(1.5 * SIZE), solid, monkeypatch)
     assert checked.found is None

@@ -119,7 +119,7 @@ atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)  # Python drops handl
 """
 
 
-def test_a_clock_that_jumps_and_calls_that_are_interrupted(scene, whole, faulty_libc, tmp_path):
+def test_clock_jumps_and_interrupted_calls_change_nothing(scene, whole, faulty_libc, tmp_path):
     """Signals come 500 times a second, the time of day goes back and forth, files are of 2100."""
     out, faults = tmp_path / "out", {"env": faulty_libc | {"CLOCK_JUMPS": "1"}, "before": SIGNALS}
     done = reconstruct(scene, out, **faults)
@@ -155,7 +155,7 @@ def test_a_full_disk_leaves_a_run_that_can_be_verified(scene, small_disk):
     assert full.search(one_line(image))
 
 
-def test_nothing_can_be_written_at_all(scene, tmp_path):
+def test_a_file_size_limit_of_zero_is_one_line(scene, tmp_path):
     nowhere = [(resource.RLIMIT_FSIZE, 0)]
     assert geraf2_with("info", scene, limits=nowhere, cwd=tmp_path).returncode == 0
     error = one_line(reconstruct(scene, tmp_path / "out", limits=nowhere))
@@ -172,13 +172,13 @@ def test_nothing_can_be_written_at_all(scene, tmp_path):
     assert done.stderr.splitlines()[-1].startswith(b"geraf2.errors." + said)
 
 
-def test_a_place_that_cannot_be_written_to(scene):
+def test_a_folder_that_cannot_be_written_to_is_refused(scene):
     assert "/proc: cannot be written to" in one_line(reconstruct(scene, "/proc/out"))
     assert "/dev/null: is a file" in one_line(reconstruct(scene, "/dev/null"))
 
 
 @pytest.mark.parametrize("most", [10, 16, 24])
-def test_too_few_files_may_be_open(scene, tmp_path, most):
+def test_a_limit_of_open_files_is_one_line(scene, tmp_path, most):
     done = reconstruct(scene, tmp_path / "out", limits=[(resource.RLIMIT_NOFILE, most)])
     if done.returncode != 0:
         assert "Too many open files" in one_line(done)
@@ -186,7 +186,7 @@ def test_too_few_files_may_be_open(scene, tmp_path, most):
         verify(tmp_path / "out")
 
 
-def test_files_that_vanish_are_missed(scene, tmp_path):
+def test_missing_files_are_reported(scene, tmp_path):
     gone = shutil.copytree(scene, tmp_path / "gone")
     reader = SceneReader(gone)
     shutil.rmtree(gone / "radar.zarr" / "signal" / "c")

@@ -30,7 +30,7 @@ class Heard(Listener):
         self.warnings.append(text)
 
 
-def test_an_import_returns_what_it_found_and_tells_its_notes(tmp_path, capfd):
+def test_an_import_returns_its_findings_and_reports_notes(tmp_path, capfd):
     parameters = {k: v for k, v in CAPTURE_JSON.items() if k != "path_bias_m"}
     capture = point_capture(4)
     source = write_geraf_sens(tmp_path / "capture", capture, parameters=parameters)
@@ -46,7 +46,7 @@ def test_an_import_returns_what_it_found_and_tells_its_notes(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-def test_a_calibration_is_looked_at_before_it_is_saved(tmp_path, capfd):
+def test_a_calibration_writes_nothing_before_it_is_saved(tmp_path, capfd):
     scene, out = tmp_path / "scene", tmp_path / "out"
     save_capture(with_bias(carton_capture(n_poses=4), 0.0), scene)
     config = CalibrationConfig(frame=False, channels=False, positions=False)
@@ -78,7 +78,7 @@ def test_a_prior_comes_from_a_file_a_folder_or_a_box(tmp_path):
     [
         ((0.2, -0.2, 0.2), (0.0, 0.0, 0.0), "three positive side lengths"),
         ((0.2, 0.2), (0.0, 0.0, 0.0), "three positive side lengths"),
-        ((0.2, 0.2, 0.2), (0.0, np.nan, 0.0), "middle of the box must be finite, got 0 nan 0"),
+        ((0.2, 0.2, 0.2), (0.0, np.nan, 0.0), "centre of the box must be finite, got 0 nan 0"),
     ],
 )
 def test_a_wrong_box_is_named_without_flags(source, center, message):

@@ -42,7 +42,7 @@ def test_the_estimate_of_an_image_is_near_its_peak(tmp_path):
     assert peak / 1.3 < estimate < 1.3 * peak
 
 
-def test_voxels_of_the_fit_and_samples_count():
+def test_memory_depends_on_voxels_and_samples():
     summary = summarize_capture(point_capture(2))
     box = (0.2, 0.2, 0.2)
     assert reconstruct_cost(9_000_000).memory_bytes > 550 * MIB

@@ -21,7 +21,7 @@ def with_angles(*angles):
         ((45,), [0]),
     ],
 )
-def test_planes_of_the_quarters_are_the_nearest(angles, planes):
+def test_quarter_planes_are_the_nearest(angles, planes):
     assert quarter_planes(with_angles(*angles), "scene") == planes
 
 

@@ -9,7 +9,7 @@ from geraf2.errors import UserError
 from geraf2.pipeline.processes import Processes
 
 
-def test_a_call_s_time_and_errors_are_its_own():
+def test_a_call_reports_its_own_time_and_errors():
     processes = Processes()
     value, busy = processes.call(sum, range(20_000_000))
     assert value == 199_999_990_000_000

@@ -38,7 +38,7 @@ def holder(tmp_path):
         yield process
 
 
-def test_a_second_run_is_told_who_holds_the_folder_and_changes_nothing(tmp_path, holder):
+def test_a_second_run_reports_who_holds_the_folder_and_changes_nothing(tmp_path, holder):
     run = _open(tmp_path / "out")
     before = (tmp_path / "out" / RUN_NAME).read_bytes()
     with pytest.raises(UserError, match="another run is writing") as caught, run.locked():
@@ -61,7 +61,7 @@ def test_the_lock_of_a_killed_process_is_taken_over(tmp_path, holder):
     assert not (tmp_path / "out" / LOCK_NAME).exists()
 
 
-def test_a_process_of_another_host_is_not_taken_for_dead(tmp_path):
+def test_a_process_of_another_host_counts_as_alive(tmp_path):
     run = _open(tmp_path / "out")
     (run.path / LOCK_NAME).write_text("1\nanother-host\n")
     said = f"process 1 on another-host.*remove {LOCK_NAME}"
@@ -77,7 +77,7 @@ def test_another_scene_that_came_first_is_not_overwritten(tmp_path):
     assert RunFolder.read(tmp_path / "out").scene_digest == "first"
 
 
-def test_a_run_of_an_earlier_format_is_refused_with_the_way_on(tmp_path):
+def test_a_run_of_an_earlier_format_is_refused_with_a_hint(tmp_path):
     old = {"format": "geraf2-run", "version": 1, "scene": {"name": "s", "digest": "d"}}
     text = json.dumps({**old, "stages": {"mesh": {"key": "k", "files": {}, "seconds": 1.0}}})
     (tmp_path / RUN_NAME).write_text(text)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import geraf2
-from geraf2.calibration.channel_phase import channels_by_turn, with_channel_phases
+from geraf2.calibration.channel_phase import interleaved_channels, with_channel_phases
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.calibration import corrected
@@ -21,7 +21,7 @@ def capture():
 
 @pytest.fixture(scope="module")
 def wrong(capture):
-    channels = [channels_by_turn(pose, 4) for pose in capture.poses]
+    channels = [interleaved_channels(pose, 4) for pose in capture.poses]
     wrong = with_channel_phases(capture, channels, np.deg2rad([-40.0, 35.0, 20.0, -15.0]))
     named = (replace(pose, angle_deg=60.0 * n) for n, pose in enumerate(wrong.poses))
     return replace(wrong, poses=tuple(named))
@@ -39,12 +39,12 @@ def digests(result):
     return {name: record.files for name, record in result.run.stages.items()}
 
 
-def test_corrections_are_said_kept_and_taken_up_again(wrong, tmp_path):
+def test_corrections_are_reported_stored_and_read_back(wrong, tmp_path):
     first = run(wrong, tmp_path / "out")
     said = first.numbers["calibration"]
     assert [text.split(":")[0] for text in said["applied"]] == ["channels"]
     assert said["channels_n"] == 4
-    assert any("calibrated channels: 4 that take turns" in text for text in first.run.warnings)
+    assert any("calibrated channels: 4 interleaved" in text for text in first.run.warnings)
     # planes that were left out, too
     seen = corrected(RunFolder.read(tmp_path / "out"), wrong)
     for one, other in zip(seen.poses, wrong.poses, strict=True):
@@ -80,7 +80,7 @@ def test_without_errors_nothing_changes(capture, tmp_path):
     assert file_digest(found.path / "prior.npz") == file_digest(plain.path / "prior.npz")
 
 
-def test_a_box_with_no_echo_in_it_is_refused_in_one_line(tmp_path):
+def test_a_box_without_echoes_is_refused_in_one_line(tmp_path):
     capture, _ = geraf2.examples.small_capture()
     tiny = geraf2.LosPrior.from_box((0.01, 0.01, 0.01))
     with pytest.raises(geraf2.UserError, match="the scan shows another box than the prior"):

@@ -19,7 +19,7 @@ def test_a_run_of_a_capture_with_the_wrong_sign_names_the_sign(prior, tmp_path):
         geraf2.reconstruct(wrong, prior, "fast", tmp_path / "out")
 
 
-def test_other_errors_stay_what_they_are():
+def test_other_errors_do_not_change():
     capture, _ = geraf2.examples.small_capture()
     with pytest.raises(UserError, match=r"^no box$"), naming_the_sign(capture, "capture"):
         raise UserError(what="no box")

@@ -88,9 +88,7 @@ def test_chunks_hold_the_bytes_of_the_whole_image(scene, tmp_path, monkeypatch):
     assert np.abs(one - whole.volume).max() <= 1e-3 * one.max()
 
 
-def test_other_settings_want_consent_and_a_folder_of_half_an_image_is_taken_for_one(
-    scene, tmp_path, capsys
-):
+def test_other_settings_need_consent_and_half_an_image_is_recognised(scene, tmp_path, capsys):
     out = tmp_path / "out"
     tiles.image_tiles(scene, out, OPTIONS)
     other = replace(OPTIONS, spacing_m=0.01)
@@ -107,7 +105,9 @@ def test_other_settings_want_consent_and_a_folder_of_half_an_image_is_taken_for_
     assert "--scheduler needs --tiles" in capsys.readouterr().err
 
 
-def test_a_full_disk_leaves_whole_slabs_and_the_same_command_goes_on(scene, tmp_path, monkeypatch):
+def test_a_full_disk_leaves_whole_slabs_and_the_same_command_continues(
+    scene, tmp_path, monkeypatch
+):
     flush, out = atomic._flush, tmp_path / "out"
 
     def full(path):
@@ -125,7 +125,7 @@ def test_a_full_disk_leaves_whole_slabs_and_the_same_command_goes_on(scene, tmp_
     assert tiles.image_tiles(scene, out, OPTIONS).n_done == 5
 
 
-def test_depths_before_one_pose_are_told_of_slabs(scene, tmp_path):
+def test_depths_of_one_pose_are_computed_from_slabs(scene, tmp_path):
     options = replace(OPTIONS, plane=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
     whole = image_scene(scene, tmp_path / "whole", options)
     made = tiles.image_tiles(scene, tmp_path / "tiles", options)
@@ -135,7 +135,7 @@ def test_depths_before_one_pose_are_told_of_slabs(scene, tmp_path):
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
 
 
-def test_poses_of_a_scene_are_read_when_asked_for_and_not_kept(scene):
+def test_poses_of_a_scene_are_read_on_demand_and_not_kept(scene):
     capture, loaded = open_capture(scene), load_capture(scene)
     assert capture.n_antennas == loaded.n_antennas
     assert capture_digest(capture) == capture_digest(loaded)

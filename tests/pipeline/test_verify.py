@@ -77,7 +77,7 @@ def test_scores_of_another_mesh_are_found(folder):
         verify(folder / "run")
 
 
-def test_what_is_unfinished_or_of_nobody_is_said(folder):
+def test_unfinished_and_unknown_files_are_reported(folder):
     record = json.loads((folder / "run" / "run.json").read_text())
     del record["stages"]["mesh"]
     (folder / "run" / "run.json").write_text(json.dumps(record))
@@ -121,7 +121,7 @@ def test_a_prior_is_verified_and_another_folder_is_none(folder, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["run/mesh", "run/mesh_box", "run/mesh_content", "los/los"])
-def test_a_mesh_says_what_it_is_of(made, name):
+def test_a_mesh_states_its_origin(made, name):
     ply = made / f"{name}.ply"
     header = ply.read_bytes().split(b"end_header")[0].decode()
     sidecar = json.loads(Path(f"{ply}.json").read_text())
@@ -181,7 +181,7 @@ def test_hostile_names_stay_one_line_of_a_header(tmp_path):
     assert b"comment geraf2 scene a end_header ?[31m ?" in header.replace(b"\x1b", b"?")
 
 
-def test_at_every_moment_of_another_run_the_folder_is_what_it_says(folder, monkeypatch):
+def test_the_folder_is_consistent_at_every_moment_of_another_run(folder, monkeypatch):
     """After each file that comes or goes, a run that is stopped there could be verified."""
     run, looked = folder / "run", []
 
@@ -237,7 +237,7 @@ def test_a_folder_that_is_moved_with_its_scene_works_from_anywhere(
     assert main([*render, "--scene", str(tmp_path / "far")]) == 0
 
 
-def test_every_path_of_a_config_is_found_again(tmp_path, monkeypatch):
+def test_every_path_of_a_moved_config_is_found(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "masks").mkdir()
     (tmp_path / "turn.txt").write_text("1")

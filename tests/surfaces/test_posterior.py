@@ -69,7 +69,8 @@ def small_posterior(outside, bend_density_m=None, seed=0, n=14):
 
 
 def sample_covariance(posterior, n_samples=3000):
-    drawn = 100.0 * posterior.draw(n_samples, np.random.default_rng(3))
+    rng = np.random.default_rng(3)
+    drawn = 100.0 * np.stack([posterior.draw(rng) for _ in range(n_samples)])
     return drawn.T @ drawn / n_samples
 
 

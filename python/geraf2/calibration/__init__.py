@@ -1,1 +1,1 @@
-"""What a capture does not know of itself: sign of the phase, delay, walls, channels, positions."""
+"""Estimation of a capture's errors: sign of the phase, delay, walls, channels, positions."""

@@ -1,4 +1,4 @@
-"""The one rule of acceptance: held-out data must fit better by more than three standard errors."""
+"""Rule of acceptance: held-out data must fit better by more than three standard errors."""
 
 from dataclasses import dataclass, field
 
@@ -8,51 +8,54 @@ from geraf2._types import Floats
 from geraf2.errors import UserError
 
 N_SIGMAS = 3.0
-"""Standard errors by which held-out log-likelihood must grow."""
+"""Least growth of the held-out log-likelihood, in standard errors."""
 N_INDEPENDENT = 4.0
-"""Independent phases of an echo: its shift, slopes and bends take six of 24 sums, and neighbouring
-sub-apertures share their antennas with six others."""
+"""Independent phases of an echo. Its shift, slopes and curvatures take six of 24 sums, and
+neighbouring sub-apertures share their antennas with six others."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Judgement:
-    """What became of one correction."""
+    """Decision about one correction."""
 
     name: str
     """leakage, channels, delay, frame, axis or positions."""
     applied: bool
     text: str
-    """In one line: values, uncertainties, and what held-out data say."""
+    """Values, uncertainties and result on held-out data, in one line."""
     against: str = ""
-    """Why it was not applied."""
+    """Reason for not applying it."""
     error: UserError | None = None
-    """Why it cannot be found, for a user who asks for it."""
+    """Reason for a failed estimate, raised if the user requested this correction."""
     numbers: dict[str, float] = field(default_factory=dict)
-    """Values and uncertainties of one sigma, SI units; gain and error of log-likelihood."""
+    """Values and standard deviations in SI units; gain of the log-likelihood and its error."""
 
     def __str__(self) -> str:
-        return f"{self.name}: {self.text}" + (f"; left, {self.against}" if self.against else "")
+        return f"{self.name}: {self.text}" + (
+            f"; not applied, {self.against}" if self.against else ""
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
 class Gain:
-    """Growth of the log-likelihood of data that took no part in an estimate [nats]."""
+    """Growth of the log-likelihood of held-out data [nats]."""
 
     nats: float
     error: float
-    """Standard error."""
+    """Standard error [nats]."""
 
     @classmethod
     def of(cls, nats: Floats, *, is_modelled: bool = False, prior: float = 0.0) -> "Gain":
         """Sum over data, with its standard error.
 
-        A Gaussian log-likelihood ratio of mean g has the standard deviation sqrt(2 g), about -g
-        without the error that is corrected and about +g with it: it is three of them above the
-        former from 4.5 nats on, so that the error is no less than sqrt(g / 2).
+        A Gaussian log-likelihood ratio of mean g has the standard deviation sqrt(2 g). Its mean is
+        about -g without the error to correct and about +g with it. From 4.5 nats on, both differ by
+        three standard deviations, so the error is at least sqrt(g / 2).
 
-        nats: growth at each datum, (n,). is_modelled: whether the likelihood has standard
-        deviations of its own; else the spread of the data counts, too. prior: growth of the
-        log-density of unknowns that held-out data share with the rest.
+        nats: growth at each datum, (n,).
+        is_modelled: whether the likelihood has its own standard deviations; else the spread of the
+            data also counts.
+        prior: growth of the log-density of unknowns that held-out data share with the rest.
         """
         total = float(nats.sum()) + prior
         error = (0.5 * max(total, 0.0)) ** 0.5
@@ -62,7 +65,7 @@ class Gain:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it exceeds three standard errors."""
+        """Whether the gain exceeds three standard errors."""
         return self.nats > N_SIGMAS * self.error
 
     def __str__(self) -> str:
@@ -72,8 +75,8 @@ class Gain:
 def coherence_nats(before: Floats, after: Floats, powers: Floats | float = 1.0) -> Floats:
     """Growth of the log-likelihood of echoes to first order, (n,).
 
-    The terms z of an echo are a constant and noise of power P (1 - c^2), c = |sum z| / sum |z|;
-    all echoes have one noise, so that strong ones decide.
+    The terms z of an echo are a constant plus noise of power P (1 - c^2), c = |sum z| / sum |z|.
+    All echoes have the same noise, so strong ones count most.
 
     before, after: coherence c, (n,). powers: P, (n,).
     """
@@ -83,7 +86,7 @@ def coherence_nats(before: Floats, after: Floats, powers: Floats | float = 1.0) 
 
 
 def judge(name: str, text: str, numbers: dict[str, float], gain: Gain) -> Judgement:
-    """Accept or refuse a correction by its gain; text and numbers say what was found."""
+    """Accept or refuse a correction by its gain; text and numbers describe the estimate."""
     return Judgement(
         name=name,
         applied=gain.is_sure,
@@ -94,5 +97,5 @@ def judge(name: str, text: str, numbers: dict[str, float], gain: Gain) -> Judgem
 
 
 def nothing_found(name: str, text: str, against: str, error: UserError | None = None) -> Judgement:
-    """Judgement of what was not found."""
+    """Judgement of a failed estimate."""
     return Judgement(name=name, applied=False, text=text, against=against, error=error)

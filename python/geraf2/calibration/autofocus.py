@@ -1,11 +1,10 @@
-"""Slow errors of the antennas' recorded positions, found by focusing.
+"""Slow errors of the antennas' recorded positions, estimated by focusing.
 
 Gauss-Newton steps on the phases of the matched filter's terms. A displacement delta of antenna i
-changes its term by exp(-2 j k u_i . delta), with u_i the direction to the echo: the matched
-filter's gradient to positions. Displacements are cubic splines along the trajectory of each pose,
-in its viewing direction, which counts most; what shifts, turns or bends an echo as a whole is
-free for every echo, since a surface may lie anywhere, face anywhere and be curved
-(docs/math/calibration.md#positions).
+changes its term by exp(-2 j k u_i . delta), with the direction u_i to the reflector. Displacements
+are cubic splines along the trajectory of each pose, in its looking direction, which has the largest
+effect. Each echo has a free shift, slope and curvature of its phase, because a surface may have any
+position, orientation and curvature (docs/math/calibration.md#positions).
 """
 
 from collections import defaultdict
@@ -26,52 +25,52 @@ from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.scene import Capture, Waveform
 
 DRIFT_SIZE_M = 0.10
-"""Sub-apertures of the echoes [m]: over 8 cm more of a slow drift would be its bend."""
+"""Side of the sub-apertures [m]: in 8 cm too much of a slow drift equals a curvature."""
 
 _N_ROUNDS = 6
-# Sums of at least 8 antennas, about a column of a sub-aperture each; those at the window's edge
-# that are too weak to have a phase are left out.
+# Phases are sums of at least _MIN_PER_BIN antennas, about a column of a sub-aperture each. Sums of
+# less than _MIN_BIN_WEIGHT of the largest weight have no reliable phase and are left out.
 _MAX_BINS = 24
 _MIN_PER_BIN = 8
 _MIN_BIN_WEIGHT = 0.1
-# Shifts, slopes and bends that the sums cannot distinguish.
+# Singular value, relative to the largest, of shifts, slopes and curvatures that count as separable.
 _MIN_MODE = 0.05
-# Phases are never better than this: 0.1 rad squared.
+# Lower bound of the phase variance of an echo [rad^2].
 _MIN_PHASE_VARIANCE = 0.01
 _DEGREE = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class AutofocusConfig(Bounded):
-    """How antennas may have drifted."""
+    """Model of the antennas' drift."""
 
     n_coefficients: Annotated[int, Interval(ge=_DEGREE + 1, le=1000)] = 12
-    """Of the spline along the antennas of each plane; at least 4."""
+    """Number of coefficients of the spline along the antennas of each plane; at least 4."""
     sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AntennaDrift:
-    """Displacements of the antennas; to be added to the recorded positions."""
+    """Displacements of the antennas, to be added to the recorded positions."""
 
     coefficients_m: Floats
-    """Of the splines, along each pose's viewing direction, (n_poses, n_coefficients) [m]."""
+    """Coefficients of the splines, along each pose's looking direction, (n_poses, n) [m]."""
     sigma_m: float
-    """Root mean square of their standard uncertainties [m]."""
+    """RMS of their standard deviations [m]."""
     coherence_before: float
-    """Mean |sum z| / sum |z| of echoes that were not used for the estimate."""
+    """Mean |sum z| / sum |z| of held-out echoes."""
     coherence_after: float
     gain: Gain
-    """Of those echoes."""
+    """Gain of held-out echoes."""
 
     def displacements(self, pose: int, n_antennas: int) -> Floats:
-        """Displacement of each antenna along the pose's viewing direction, (n_antennas,) [m]."""
+        """Displacement of each antenna along the pose's looking direction, (n_antennas,) [m]."""
         basis = trajectory_basis(n_antennas, self.coefficients_m.shape[1])
         return np.asarray(basis @ self.coefficients_m[pose])
 
     def rms_m(self, capture: Capture) -> float:
-        """Root mean square displacement [m]."""
+        """RMS displacement [m]."""
         parts = [self.displacements(i, p.n_antennas) for i, p in enumerate(capture.poses)]
         each = np.concatenate([np.zeros(0), *parts])
         return float(np.sqrt((each**2).sum() / max(len(each), 1)))
@@ -84,8 +83,8 @@ def trajectory_basis(n_antennas: int, n_coefficients: int) -> Floats:
         return np.zeros((0, n_coefficients))
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
     knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
-    place = (np.arange(n_antennas) + 0.5) / max(n_antennas, 1)
-    return np.asarray(BSpline.design_matrix(place, knots, _DEGREE).toarray())
+    position = (np.arange(n_antennas) + 0.5) / max(n_antennas, 1)
+    return np.asarray(BSpline.design_matrix(position, knots, _DEGREE).toarray())
 
 
 def focus_antennas(
@@ -93,10 +92,10 @@ def focus_antennas(
 ) -> AntennaDrift:
     """Displacements at which the phases of echoes agree best.
 
-    Estimated three times: from each half of the echoes, which is judged by the other, and from all.
+    There are three estimates: from each half of the echoes, tested by the other half, and from all.
 
-    echoes: its strong echoes, without phases of channels.
-    config: what displacements to expect.
+    echoes: strong echoes of the capture, with the phases of channels removed.
+    config: model of the displacements.
     """
     config = config or AutofocusConfig()
     n = config.n_coefficients
@@ -106,7 +105,7 @@ def focus_antennas(
     for number, echo in enumerate(echoes):
         of_pose[echo.pose].append(echo)
         first[echo.pose].append(number % 2 == 0)
-    every = {pose: _Linear.of(own, bases[pose], capture.waveform) for pose, own in of_pose.items()}
+    every = {pose: _Phases.of(own, bases[pose], capture.waveform) for pose, own in of_pose.items()}
     halves = [
         {pose: linear.select(np.asarray(first[pose]) == half) for pose, linear in every.items()}
         for half in (True, False)
@@ -114,7 +113,7 @@ def focus_antennas(
     judged = []
     for own, others in (halves, halves[::-1]):
         trial, _ = _estimate(len(bases), own, config)
-        # The shift, slope and bend that each echo is free to have are removed both times.
+        # The free shift, slope and curvature of each echo are removed in both cases.
         judged += [
             (before, after)
             for pose, linear in others.items()
@@ -134,7 +133,7 @@ def focus_antennas(
 
 
 def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
-    """Capture with antennas displaced by splines along each pose's viewing direction.
+    """Capture with antennas displaced by splines along each pose's looking direction.
 
     coefficients_m: of the splines, (n_poses, n_coefficients) [m].
     """
@@ -150,7 +149,7 @@ def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
 
 
 def _estimate(
-    n_poses: int, echoes: Mapping[int, "_Linear"], config: AutofocusConfig
+    n_poses: int, echoes: Mapping[int, "_Phases"], config: AutofocusConfig
 ) -> tuple[Floats, float]:
     n = config.n_coefficients
     coefficients = np.zeros((n_poses, n))
@@ -170,21 +169,21 @@ def _estimate(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Linear:
+class _Phases:
     """Phases of the echoes of a pose as linear functions of the coefficients.
 
-    What an echo may do is left out. Antennas that follow each other are summed: the sums stand out
-    of the noise, and their phases change so slowly along the trajectory that they can be unwrapped.
-    Sums that are too weak for it have no weight, and the phase of the one before.
+    The free modes of each echo are removed. Consecutive antennas are summed: the sums exceed the
+    noise, and their phases change slowly enough to be unwrapped. A sum that is too weak has no
+    weight, and the phase of the one before.
     """
 
     sums: NDArray[np.complex128]  # (n_echoes, n_bins)
     phase: Floats  # radians per metre of each coefficient, (n_echoes, n_bins, n_coefficients)
-    free: Floats  # constant, slopes, bends; orthonormal under the weight, (n_echoes, n_bins, 6)
+    free: Floats  # constant, slopes, curvatures; orthonormal with `root`, (n_echoes, n_bins, 6)
     root: Floats  # square root of the weight, (n_echoes, n_bins)
 
     @classmethod
-    def of(cls, echoes: list[EchoPhases], basis: Floats, waveform: Waveform) -> "_Linear":
+    def of(cls, echoes: list[EchoPhases], basis: Floats, waveform: Waveform) -> "_Phases":
         sums = np.zeros((len(echoes), _MAX_BINS), dtype=np.complex128)
         weights, modes = np.zeros(sums.shape), np.zeros((*sums.shape, 6))
         phase = np.zeros((*sums.shape, basis.shape[1]))
@@ -198,9 +197,9 @@ class _Linear:
             weight = np.add.reduceat(size, starts)
             kept = weight > _MIN_BIN_WEIGHT * weight.max()
             last = np.maximum.accumulate(np.where(kept, np.arange(n_bins), kept.argmax()))
-            looking = 2.0 * k * (echo.directions @ echo.looking)
+            phase_per_m = 2.0 * k * (echo.directions @ echo.looking_direction)
             h, v = (echo.offsets_m / 0.04).T
-            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, looking], axis=1)
+            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, phase_per_m], axis=1)
             columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
             binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)
             binned /= np.where(kept, weight, np.inf)[:, None]
@@ -213,33 +212,33 @@ class _Linear:
         known = strength > _MIN_MODE * strength[:, :1]
         return cls(sums=sums, phase=phase, free=left * known[:, None], root=root)
 
-    def select(self, keep: Bools) -> "_Linear":
+    def select(self, keep: Bools) -> "_Phases":
         """Keep some of the echoes, by mask."""
-        return _Linear(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+        return _Phases(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def residual(self, coefficients: Floats) -> Floats:
-        """Phase less the model's, and less what the echo may do; weighted, as `root` [rad]."""
+        """Phase without model and free modes, weighted by `root`, (n_echoes, n_bins) [rad]."""
         focused = self.sums * np.exp(-1j * self.phase @ coefficients)
-        return self._less_free(self.root * np.unwrap(np.angle(focused), axis=1))
+        return self._without_free(self.root * np.unwrap(np.angle(focused), axis=1))
 
     def normal_equations(self, coefficients: Floats) -> tuple[Floats, Floats]:
-        """Of all echoes, (n, n) and (n,)."""
+        """Matrix and vector of the normal equations of all echoes, (n, n) and (n,)."""
         residual = self.residual(coefficients)
-        design = self._less_free(self.root[..., None] * self.phase)
-        # Phase noise of the echo itself, from what no displacement explains so far.
+        design = self._without_free(self.root[..., None] * self.phase)
+        # Phase noise of the echo itself, from the current residual.
         variance = np.maximum((residual**2).sum(axis=1), _MIN_PHASE_VARIANCE)
         scale = np.sqrt(N_INDEPENDENT / variance)
         design = (scale[:, None, None] * design).reshape(-1, design.shape[2])
         return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 
     def coherence(self, coefficients: Floats) -> Floats:
-        """|sum z| / sum |z| over bins, without what the echo may do, (n_echoes,)."""
+        """|sum z| / sum |z| over bins, without the free modes, (n_echoes,)."""
         residual = self.residual(coefficients) / np.where(self.root > 0.0, self.root, 1.0)
         return np.asarray(np.abs((self.root**2 * np.exp(1j * residual)).sum(axis=1)))
 
-    def _less_free(self, values: Floats) -> Floats:
-        """Values of bins, (n_echoes, n_bins) or with one more axis, without the free modes."""
-        n_columns = values.shape[2] if values.ndim == 3 else 1  # -1 is no number without echoes
+    def _without_free(self, values: Floats) -> Floats:
+        """Remove the free modes from values (n_echoes, n_bins), or with one more axis."""
+        n_columns = values.shape[2] if values.ndim == 3 else 1  # -1 fails without echoes
         columns = values.reshape(*self.root.shape, n_columns)
-        left = columns - self.free @ (self.free.swapaxes(1, 2) @ columns)
-        return np.asarray(left.reshape(values.shape))
+        rest = columns - self.free @ (self.free.swapaxes(1, 2) @ columns)
+        return np.asarray(rest.reshape(values.shape))

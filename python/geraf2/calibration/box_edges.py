@@ -1,7 +1,7 @@
-"""Faces of the box that no aperture sees squarely: where their edges echo, and what they enclose.
+"""Faces of the box that no aperture sees at a right angle: their edges, and bounds for them.
 
-The edge between an unseen face and one that is seen echoes along the seen wall, in directions
-square to the edge; the flashes of the seen wall lie within it.
+The edge between an unseen face and a seen wall echoes along that wall, in directions perpendicular
+to the edge. The flashes of the seen wall lie within it.
 """
 
 import numpy as np
@@ -11,17 +11,19 @@ from geraf2.calibration.box_search import densest_planes
 from geraf2.imaging.peaks import PeakSet
 
 SQUARE_COSINE = float(np.cos(0.2))
-"""Viewing directions within this of a wall's normal can show its flash."""
-# Edges lie in their wall's plane, are seen across it, and square to themselves.
+"""Least cosine between a wall's normal and the looking direction of antennas that see its flash."""
+# Tolerances of an edge: distance from its wall's plane, and from a corner [m].
 _ON_WALL_M, _CORNER_M = 0.006, 0.01
+# Least direction cosine across the edge, and largest along it.
 _LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
 _FEWEST = 3
-# The middle of an edge's echo lies so much inside of the edge (median of 10), and scatters.
+# Distance of an edge's echo inside of the edge, and its standard deviation [m].
 _EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
-# A flash is this square to its wall; content lies this far within, the rest are grating lobes.
+# Least cosine between a flash and its wall's normal.
 _FLASH_COSINE = float(np.cos(0.05))
+# Distance of content from the walls [m], and its share of the energy; the rest are grating lobes.
 _CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
-# Of the densest echoes beyond the flashes; less are grating lobes.
+# Least density of an edge's echoes, relative to the densest; grating lobes have less.
 _LEAST_SHARE = 0.4
 
 Face = tuple[int, int]
@@ -29,7 +31,7 @@ Face = tuple[int, int]
 
 
 def flash_reach(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face) -> float:
-    """How far out the seen walls reach at least towards a face, by the feet of flashes [m].
+    """Lower bound of an unseen face's offset: the farthest foot of a flash of the seen walls [m].
 
     offsets_m, seen: of all faces, (3, 2).
     """
@@ -50,7 +52,7 @@ def flash_reach(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, fa
 def content_reach(
     peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face
 ) -> float:
-    """How far out nine tenths of the energy from within the seen walls reach towards a face [m]."""
+    """Offset towards a face that contains nine tenths of the energy within the seen walls [m]."""
     k, side = face
     along, _, strength = _projected(peaks, axes)
     clearance = np.where(seen, offsets_m - _CLEARANCE_M, np.inf)
@@ -66,11 +68,11 @@ def content_reach(
 def find_edge(
     peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face, least_m: float
 ) -> tuple[float, float] | None:
-    """Offset of an unseen face and its standard deviation [m]; None where no edge echoes.
+    """Offset of an unseen face and its standard deviation [m]; None if no edge echoes.
 
-    The outermost position at which several echoes of seen walls lie that are no flashes.
+    It is the outermost position of several echoes on seen walls that are not flashes.
 
-    least_m: reach of the flashes.
+    least_m: bound by the flashes [m].
     """
     k, side = face
     along, toward, strength = _projected(peaks, axes)

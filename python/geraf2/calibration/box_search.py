@@ -1,7 +1,7 @@
-"""The box of a scan, found from the flashes of its walls: a cuboid of any yaw, size and position.
+"""Search for the box of a scan by its walls' flashes: a cuboid of any yaw, size and position.
 
-A flat wall answers where it is seen along its normal, at the foot of the perpendicular: each such
-peak is a plane. Planes at right angles make the box; the content's lie inside
+A flat wall returns a flash along its normal, from the foot of the perpendicular, so each such peak
+defines a plane. Planes at right angles form the box; those of the content lie inside
 (docs/math/calibration.md#box-from-the-scan).
 """
 
@@ -18,51 +18,52 @@ from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior
 
-# Half as many sub-apertures and directions as glints need: a fifth of the time.
+# Half as many sub-apertures and directions as for glints, in a fifth of the time.
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
-# The region that is imaged, over the distance of the planes: a box within them is smaller.
+# Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
-# Direction of a flash against the wall's normal: 0.6 degrees of noise, and a bulge's slopes.
+# Largest angle between a flash and its wall's normal, by noise and the slopes of a bulge [rad].
 _MAX_ANGLE_RAD = 0.06
 _YAW_STEP_RAD = np.deg2rad(0.5)
-# A yaw that is expected wins within this, if it has this share of the densest planes.
+# An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
-# Flashes of one wall lie within this; bulges of 1 to 3 mm, and near and far are 3 mm apart.
+# Standard deviation of the flashes of one wall, which may bulge by 1 to 3 mm.
 _OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.001, 0.0025
-# Walls of one box reflect alike; content may hide a part, and its own flashes be 20 dB stronger.
+# Least strength of a wall relative to the strongest flash; flashes of content are 20 dB stronger.
 _WEAKEST_DB = -15.0
-# Of the strongest plane of a direction: less is a side lobe before the wall.
+# Least density relative to the densest plane of a direction; side lobes have less.
 _LEAST_SHARE = 0.25
-# The same range ahead of so many planes: leakage, or a reflector that moves with the antennas.
+# Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
+# [rad], range tolerance [m], least share and number of planes with the same range.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 LEAST_SIDE_M = 0.04
-"""Of a box."""
-# Cosine to the viewing axis of the directions that are considered.
+"""Least side length of a box [m]."""
+# Least cosine between a direction and the looking direction.
 _LEAST_AHEAD = 0.8
 
 
 def scene_peaks(center_m: Floats, reach_m: float, num_threads: int | None) -> KeptPeaks:
-    """Coarse peaks of all that stands between planes, reach_m from their common point [m]."""
+    """Coarse peaks of everything between planes at the distance reach_m from center_m [m]."""
     region = LosPrior.from_box((_REGION * reach_m,) * 3, triple(center_m))
     return KeptPeaks(region, _COARSE, num_threads=num_threads)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flashes:
-    """Planes that peaks may be the specular return of, each from before and from behind."""
+    """Planes whose specular return a peak may be, seen from the front or from behind."""
 
     normals: Floats
-    """Outward, (n, 3)."""
+    """Outward unit normals, (n, 3)."""
     offsets_m: Floats
-    """Of the outer face along the normal, from the origin, (n,) [m]."""
+    """Offset of the outer face along the normal, from the origin, (n,) [m]."""
     far: Bools
-    """Seen from behind, through the box, (n,)."""
+    """Whether it is a far wall, seen from behind through the box, (n,)."""
     weights: Floats
-    """Root of the reflectivity of a large flat wall with this echo, up to a factor, (n,)."""
+    """Square root of the reflectivity of a large flat wall, up to a factor, (n,)."""
 
     @classmethod
     def of(cls, peaks: PeakSet) -> "Flashes":
-        """Both readings of each peak; a coarse raster's have some in each possible direction."""
+        """Both interpretations of each peak, as a near and as a far wall."""
         along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
         (near_m, _), (far_m, _) = UNKNOWN_MIDDLES_M
         near = near_m - along - peaks.ranges_m
@@ -76,13 +77,13 @@ class Flashes:
         )
 
     def along(self, direction: Floats) -> "Flashes":
-        """Those of walls with this outward normal, (3,)."""
+        """Flashes of walls with this outward normal, (3,)."""
         keep = self.normals @ direction > np.cos(_MAX_ANGLE_RAD)
         return Flashes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
 
 def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
-    """Peaks in every direction that looks the same to the raster, and which peak each is of."""
+    """Add the grating lobes of each peak, and return the index of the peak of each direction."""
     parts, index = [peaks], [np.arange(len(peaks))]
     for number in np.unique(peaks.planes):
         own = np.flatnonzero(peaks.planes == number)
@@ -101,27 +102,29 @@ def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
 def without_lobes(
     peaks: PeakSet, lobes: PeakSet, index: Ints, rough: "RoughFaces"
 ) -> tuple[PeakSet, Bools]:
-    """Peaks in the direction in which they are a wall's flash, and which are one.
+    """Peaks in the direction of a wall's flash, and mask of those that are a flash.
 
-    lobes, index: as of `with_lobes`.
+    lobes, index: from `with_lobes`.
     """
     flashes = Flashes.of(lobes)
-    off = np.full(len(flashes.offsets_m), np.inf)
+    deviation = np.full(len(flashes.offsets_m), np.inf)
     for k, side in np.ndindex(3, 2):
         normal = rough.axes[k] * (1.0 if side else -1.0)
         along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
         found = np.abs(flashes.offsets_m - rough.offsets_m[k, side])
-        off = np.where(along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(off, found), off)
-    off = off.reshape(2, -1).min(axis=0)  # each lobe once from before and once from behind
-    order = np.lexsort((off, index))
+        deviation = np.where(
+            along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(deviation, found), deviation
+        )
+    deviation = deviation.reshape(2, -1).min(axis=0)  # each lobe as a near and as a far wall
+    order = np.lexsort((deviation, index))
     first = order[np.unique(index[order], return_index=True)[1]]
-    is_flash = np.isfinite(off[first])
+    is_flash = np.isfinite(deviation[first])
     best = np.where(is_flash, first, np.arange(len(peaks)))
     return replace(peaks, directions=lobes.directions[best]), is_flash
 
 
 def leaking(capture: Capture, peaks: PeakSet) -> Bools:
-    """Peaks ahead of the antennas at a range that most planes share, (n_peaks,)."""
+    """Mask of peaks in the looking direction at a range that most planes share, (n_peaks,)."""
     ahead = np.stack([pose.axes[0] for pose in capture.poses])[peaks.planes]
     broadside = np.einsum("ij,ij->i", ahead, peaks.directions) > np.cos(_BROADSIDE)
     found = np.zeros(len(peaks), dtype=bool)
@@ -144,7 +147,7 @@ def upward(capture: Capture) -> Floats:
 
 
 def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Density of planes over their offset, and its positions [m]."""
+    """Density of planes over their offset, and its sampling positions [m]."""
     reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
     cells = ((offsets_m + reach) / _OFFSET_STEP_M).astype(np.int64)
     counts = np.bincount(cells, weights, int(2.0 * reach / _OFFSET_STEP_M) + 1)
@@ -153,9 +156,9 @@ def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
 
 
 def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Floats:
-    """Axes at whose yaw the four sides have the densest planes, (3, 3).
+    """Axes of the box, at the yaw with the densest planes on the four sides, (3, 3).
 
-    like: axes that are preferred where nearly as many planes agree, (3, 3).
+    like: axes that are preferred if nearly as many planes agree, (3, 3).
     """
     first = np.abs(np.roll(up, 1))
     second = np.cross(up, first)
@@ -166,20 +169,20 @@ def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Float
     scores = np.zeros(len(steps))
     for number, step in enumerate(steps):
         quarter = np.rint((yaw - step) / (0.5 * np.pi))
-        off = yaw - step - 0.5 * np.pi * quarter
-        share = np.maximum(1.0 - (off / _MAX_ANGLE_RAD) ** 2, 0.0)
+        deviation = yaw - step - 0.5 * np.pi * quarter
+        share = np.maximum(1.0 - (deviation / _MAX_ANGLE_RAD) ** 2, 0.0)
         for side in range(4):
             own = (quarter % 4 == side) & (share > 0.0)
             if own.any():
                 scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
     if like is not None:
         side_axis = like[int(np.abs(like @ up).argmin())]
-        off = steps - np.arctan2(side_axis @ second, side_axis @ first)
-        near = np.abs(off - 0.5 * np.pi * np.rint(off / (0.5 * np.pi))) < _LIKE_RAD
+        deviation = steps - np.arctan2(side_axis @ second, side_axis @ first)
+        near = np.abs(deviation - 0.5 * np.pi * np.rint(deviation / (0.5 * np.pi))) < _LIKE_RAD
         if scores[near].max() > _LIKE_SHARE * scores.max():
             scores = np.where(near, scores, 0.0)
     yaw_rad = float(steps[int(scores.argmax())])
-    # The nearest to the frame's axes of four that are the same box.
+    # Four yaws describe the same box: choose the nearest to the frame's axes.
     yaw_rad -= 0.5 * np.pi * (yaw_rad > 0.25 * np.pi)
     x = np.cos(yaw_rad) * first + np.sin(yaw_rad) * second
     return np.stack([x, np.cross(up, x), up])
@@ -187,24 +190,24 @@ def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Float
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoughFaces:
-    """Planes of a cuboid that flashes show."""
+    """Planes of a cuboid from flashes."""
 
     axes: Floats
-    """Rows, unit, (3, 3)."""
+    """Unit vectors in rows, (3, 3)."""
     offsets_m: Floats
-    """Of the faces against and along each axis, outward from the origin, (3, 2); NaN: unseen."""
+    """Offsets of the faces against and along each axis, outward, (3, 2) [m]; NaN: unseen."""
     strength: float
-    """Weight of the strongest flash of these faces, as of `Flashes`."""
+    """Weight of the strongest flash of these faces, as in `Flashes`."""
 
     @property
     def mean_m(self) -> float:
-        """Mean of the offsets; -inf where there is none [m]."""
+        """Mean of the offsets; -inf without any [m]."""
         known = self.offsets_m[np.isfinite(self.offsets_m)]
         return float(known.mean()) if len(known) else -np.inf
 
 
 def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:
-    """Outermost strong planes along the axes, near ones first; the origin lies within them."""
+    """Outermost strong planes along the axes around the origin, near walls before far ones."""
     offsets = np.full((3, 2), np.nan)
     own = [[flashes.along(sign * axis) for sign in (-1.0, 1.0)] for axis in axes]
     top = max((float(f.weights.max(initial=0.0)) for pair in own for f in pair), default=0.0)
@@ -212,7 +215,7 @@ def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:
     for far in (False, True):
         for k, side in np.argwhere(np.isnan(offsets)):
             planes = own[k][side]
-            # Each flash of a near wall is a far wall's, too, beyond the origin.
+            # Each near wall's flash is also interpreted as a far wall, beyond the origin.
             kind = (planes.far == far) & (planes.offsets_m > 0.5 * LEAST_SIDE_M)
             found = _outermost(planes, kind, least)
             if found is not None:
@@ -232,9 +235,9 @@ def _outermost(planes: Flashes, kind: Bools, least: float) -> float | None:
 def densest_planes(
     offsets_m: Floats, weights: Floats, least_share: float = 0.0
 ) -> Iterator[tuple[float, Ints]]:
-    """Positions at which offsets are densest, the outermost first, and which lie there.
+    """Positions of the density's maxima, the outermost first, and the indices of their members.
 
-    least_share: of the largest density; others are left out.
+    least_share: least density relative to the largest.
     """
     if not len(offsets_m):
         return

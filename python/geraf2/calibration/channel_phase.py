@@ -1,8 +1,8 @@
-"""Unknown phases of a radar's channels, from how they fit their neighbours.
+"""Unknown phases of a radar's channels, estimated from neighbouring antennas.
 
-A wavefront is smooth, a channel's phase is not: it jumps from one antenna to the next. Each
-antenna's part of an echo is compared with the sum of those around it, and what all antennas of a
-channel have in common is the channel's (docs/math/calibration.md#channels).
+A wavefront is smooth, but channel phases differ between neighbouring antennas. Each antenna's part
+of an echo is compared with the sum of its neighbours. The difference that all antennas of a channel
+share is the channel's phase (docs/math/calibration.md#channels).
 """
 
 from collections.abc import Callable, Sequence
@@ -18,8 +18,8 @@ from geraf2.echoes.echo_phases import EchoPhases
 from geraf2.errors import UserError
 from geraf2.scene import Capture, Pose
 
-# Channels differ by where their transmitter and receiver sit; an eighth of a millimetre is far
-# below the distance of two patches, and far above the rounding of a robot's positions.
+# Channels are distinguished by the offset from transmitter to receiver. The tolerance is far below
+# the distance of two patches and far above the rounding errors of positions.
 _OFFSET_TOLERANCE_M = 1.25e-4
 _MAX_CHANNELS = 256
 _MAX_CELLS = 1e15
@@ -27,36 +27,36 @@ _N_NEIGHBORS = 24
 _SAME_PLACE_M = 1e-5
 _N_ROUNDS = 20
 _MIN_SAMPLES = 30
-# Channels that take turns are searched in this many echoes at least.
+# Least number of echoes, and largest number of channels, of a search for interleaved channels.
 _MIN_ECHOES = 8
 _MAX_TURNS = 16
-# Neighbours are more alike by this share with the phases: those of 3 degrees rms do as much.
+# Least growth of the neighbours' agreement, equal to the effect of phases of 3 degrees RMS.
 _MIN_TURN_GAIN = 0.002
-_TILTS = np.linspace(-0.5, 0.5, 7)  # of an echo over its sub-aperture [turns]
+_TILTS = np.linspace(-0.5, 0.5, 7)  # phase slope of an echo over its sub-aperture [cycles]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelPhases:
-    """Phase of each channel; to be removed from the signal."""
+    """Phase of each channel, to be removed from the signal."""
 
     phases_rad: Floats
-    """Mean zero, as a common phase has no effect, (n_channels,) [rad]."""
+    """Phases of mean zero, since a common phase has no effect, (n_channels,) [rad]."""
     sigma_rad: Floats
-    """Standard uncertainty, (n_channels,) [rad]."""
+    """Standard deviation, (n_channels,) [rad]."""
     n_samples: Ints
-    """Echoes and antennas that each rests on, (n_channels,)."""
+    """Number of pairs of an echo and an antenna of each channel, (n_channels,)."""
 
 
-def channels_by_turn(pose: Pose, n_channels: int) -> Ints:
-    """Channel of each antenna where they take turns: antenna i is of channel i modulo n."""
+def interleaved_channels(pose: Pose, n_channels: int) -> Ints:
+    """Channel of each antenna for interleaved channels: antenna i has channel i modulo n."""
     return np.arange(pose.n_antennas, dtype=np.int64) % n_channels
 
 
 def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
-    """Channel of each antenna by the offset of its receiver from its transmitter.
+    """Channel of each antenna by the offset from its transmitter to its receiver.
 
-    The offsets of a virtual array repeat along the plane. None where they do not, or where
-    all antennas have the same.
+    The offsets of a virtual array repeat along the plane. None if they do not, or if all antennas
+    have the same offset.
     """
     local = [(p.rx_positions - p.tx_positions) @ p.axes.T for p in poses]
     steps = np.round(np.concatenate(local) / (2.0 * _OFFSET_TOLERANCE_M)).astype(np.int64)
@@ -66,7 +66,7 @@ def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
     spans = steps.max(axis=0) - low + 1
     if float(np.prod(spans.astype(np.float64))) > _MAX_CELLS:  # a bistatic scan, not an array
         return None
-    # One number a row: a sort of rows takes 0.6 s for 145,000 antennas.
+    # One number per row, since np.unique of rows takes 0.6 s for 145,000 antennas.
     numbers = ((steps - low) * [1, spans[0], spans[0] * spans[1]]).sum(axis=1)
     kinds, index = np.unique(numbers, return_inverse=True)
     if not 1 < len(kinds) <= min(_MAX_CHANNELS, max(1, len(steps) // 16)):
@@ -76,15 +76,15 @@ def offset_channels(poses: Sequence[Pose]) -> list[Ints] | None:
 
 
 def find_turns(echoes: list[EchoPhases]) -> int | None:
-    """Find how many channels take turns, 2 to 16, by echoes that were not asked; None of none.
+    """Find the number of interleaved channels, 2 to 16, with held-out echoes; None if none.
 
-    Every other echo gives each number's phases of antennas against their neighbours; the rest say
-    how much more alike neighbours are with them. The smallest number that has nine tenths
-    of the largest gain is the number, for twice and three times as many explain as much.
+    For each number, every other echo gives the phases of antennas relative to their neighbours. The
+    other half gives the growth of the neighbours' agreement by these phases. Multiples of the true
+    number explain as much, so the smallest number with nine tenths of the largest growth is used.
 
     echoes: strong echoes of the capture.
     """
-    parts = _compared(echoes)
+    parts = _antenna_values(echoes)
     antennas, votes, half = [], [], []
     for number, (own, values, neighbors) in enumerate(parts):
         antennas.append(own)
@@ -109,25 +109,27 @@ def find_turns(echoes: list[EchoPhases]) -> int | None:
 
 
 def channels_of(poses: Sequence[Pose], n_turns: int) -> list[Ints] | None:
-    """Channel of each antenna of each pose: by turns, or by offsets where `n_turns` is 0."""
+    """Channel of each antenna of each pose: interleaved, or by offsets if `n_turns` is 0."""
     return (
-        [channels_by_turn(pose, n_turns) for pose in poses] if n_turns else offset_channels(poses)
+        [interleaved_channels(pose, n_turns) for pose in poses]
+        if n_turns
+        else offset_channels(poses)
     )
 
 
 def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> ChannelPhases:
-    """Phase that each channel has in common against its neighbours.
+    """Estimate the common phase of each channel relative to neighbouring antennas.
 
-    Alternates between the sums of neighbours, without the phases so far, and the phases;
-    converges for spreads up to a radian.
+    The estimate alternates between the neighbours' sums, without the current phases, and the
+    phases. It converges for standard deviations up to a radian.
 
     echoes: strong echoes of the capture.
     channels: channel of each antenna of each pose, from 0, [(n_antennas,)].
 
-    Raises UserError: a channel has too few antennas in strong echoes.
+    Raises UserError if a channel has too few antennas in strong echoes.
     """
     n_channels = 1 + max((int(c.max()) for c in channels if len(c)), default=0)
-    parts = _compared(echoes, channels)
+    parts = _antenna_values(echoes, channels)
     channel = _joined([p[0] for p in parts], np.int64)
     n_samples = np.bincount(channel, minlength=n_channels)
     if n_samples.min() < _MIN_SAMPLES:
@@ -159,12 +161,15 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
 def phase_gain(
     capture: Capture, phases_rad: Sequence[Floats], echoes_of: Callable[[Capture], list[EchoPhases]]
 ) -> tuple[Gain, float, float]:
-    """Gain of echoes by removing phases in whose estimate they took no part.
+    """Gain of echoes by removing phases that were estimated without them.
 
-    Echoes found with and without are asked both: wrong phases make echoes, which right ones weaken.
+    The echoes are searched for both with and without the phases, since wrong phases create echoes
+    that right ones weaken.
 
-    capture: the planes that are asked. phases_rad: of each antenna of each of its poses, [(n,)].
-    echoes_of: finds strong echoes. Also returns their mean coherence without and with.
+    capture: the held-out planes. phases_rad: of each antenna of each of its poses, [(n,)].
+    echoes_of: function that finds strong echoes.
+
+    Returns the gain and the mean coherence without and with the phases removed.
     """
     back = [-phase for phase in phases_rad]
     none = [np.zeros(len(phase)) for phase in phases_rad]
@@ -178,17 +183,17 @@ def phase_gain(
 
 
 def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats:
-    """Coherence of each echo without phases, (n_echoes,).
+    """Coherence of each echo with phases removed, (n_echoes,).
 
-    A phase that grows over the aperture turns an echo by less than the width of its peak; the
-    echo is searched where it then comes from.
+    Phases with a slope over the aperture shift an echo by less than the width of its peak. The
+    result is therefore the largest coherence over small slopes.
     """
     found = np.zeros(len(echoes))
     for number, echo in enumerate(echoes):
         values = echo.values * np.exp(-1j * phases_rad[echo.pose][echo.antennas])
         size = np.ptp(echo.offsets_m, axis=0).max()
-        turns = np.exp(2j * np.pi / size * echo.offsets_m[:, :, None] * _TILTS)
-        sums = np.abs(np.einsum("n,na,nb->ab", values, turns[:, 0], turns[:, 1]))
+        tilts = np.exp(2j * np.pi / size * echo.offsets_m[:, :, None] * _TILTS)
+        sums = np.abs(np.einsum("n,na,nb->ab", values, tilts[:, 0], tilts[:, 1]))
         found[number] = sums.max() / max(float(np.abs(values).sum()), 1e-30)
     return found
 
@@ -199,7 +204,7 @@ def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floa
 
 
 def with_phases(capture: Capture, phases_rad: Sequence[Floats]) -> Capture:
-    """Capture with phases put on each antenna's samples, for each pose (n_antennas,) [rad]."""
+    """Capture with phases added to each antenna's samples, for each pose (n_antennas,) [rad]."""
     poses = [
         replace(pose, signal=pose.signal * np.exp(1j * phase).astype(np.complex64)[:, None])
         for pose, phase in zip(capture.poses, phases_rad, strict=True)
@@ -207,14 +212,14 @@ def with_phases(capture: Capture, phases_rad: Sequence[Floats]) -> Capture:
     return replace(capture, poses=tuple(poses))
 
 
-def _compared(
+def _antenna_values(
     echoes: list[EchoPhases], channels: list[Ints] | None = None
 ) -> list[tuple[Ints, NDArray[np.complex128], Ints]]:
-    """Channel and value of each antenna, normalised over each echo, and its neighbours.
+    """Channel, value and neighbours of each antenna, values normalised over each echo.
 
-    Without channels, the number of the antenna in place of its channel.
+    Without channels, the index of the antenna instead of its channel.
     """
-    known: dict[bytes, Ints] = {}  # all sub-apertures of a raster have the same
+    known: dict[bytes, Ints] = {}  # all sub-apertures of a raster have the same neighbours
     parts = []
     for echo in echoes:
         key = np.round(echo.offsets_m / _SAME_PLACE_M).astype(np.int32).tobytes()
@@ -228,7 +233,7 @@ def _compared(
 
 
 def _sigma(parts: list[tuple[Ints, NDArray[np.complex128], Ints]], phases: Floats) -> Floats:
-    """Uncertainty from the spread between the estimates of single echoes."""
+    """Estimate standard deviations from the spread of the single echoes' estimates."""
     each = []
     for own, values, neighbors in parts:
         corrected = values * np.exp(-1j * phases[own])

@@ -1,4 +1,4 @@
-"""Corrections of a capture as numbers that can be kept and applied again."""
+"""Corrections of a capture as numbers that can be stored and applied again."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
@@ -35,32 +35,32 @@ _LAYOUTS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Corrections:
-    """Everything that is corrected; None and 0 leave the capture as it is."""
+    """All corrections of a capture and its prior; None and 0 change nothing."""
 
     leakage: Leakage | None = None
-    """What reaches the receiver without having been in the box."""
+    """Direct leakage between transmitter and receiver."""
     channel_phases_rad: Floats | None = None
-    """Of each channel; to be removed, (n_channels,) [rad]."""
+    """Phase of each channel, to be removed, (n_channels,) [rad]."""
     n_turns: int = 0
-    """Antenna i is of channel i modulo this; 0: channels are known by their offsets."""
+    """Number of interleaved channels; 0: channels are distinguished by their offsets."""
     delay_m: float = 0.0
     """Change of the instrument delay, two-way path [m]."""
     axis_shift_m: Floats | None = None
-    """Turntable axis, true less recorded: towards the radar, and across, (2,) [m]."""
+    """Turntable axis, true minus recorded: towards the radar, and across, (2,) [m]."""
     angles_rad: Floats | None = None
-    """Change of each pose's angle, (n_poses,) [rad]; goes with the axis."""
+    """Change of each pose's angle, (n_poses,) [rad]; applied with the axis."""
     drift_coefficients_m: Floats | None = None
-    """Displacement of antennas along the viewing direction, splines, (n_poses, n) [m]."""
+    """Displacement of antennas along the looking direction, splines, (n_poses, n) [m]."""
     prior_to_capture: Floats | None = None
     """Rigid transform of the prior, (4, 4)."""
 
     @property
     def are_none(self) -> bool:
-        """Whether nothing changes, the prior included."""
+        """Whether nothing changes, including the prior."""
         return not any(np.any(value) for value in self._arrays().values())
 
     def applied(self, capture: Capture) -> Capture:
-        """Corrected capture; the one given, itself, where nothing of it changes."""
+        """Corrected capture; the same object if nothing changes."""
         if self.leakage is not None:
             capture = without_leakage(capture, self.leakage)
         if self.channel_phases_rad is not None:
@@ -77,11 +77,11 @@ class Corrections:
         return capture
 
     def moved_prior(self, prior: LosPrior) -> LosPrior:
-        """Prior in the frame of the capture; itself where it stays."""
+        """Prior in the frame of the capture; the same object if it does not move."""
         return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
 
     def _arrays(self) -> dict[str, Array]:
-        """All values by name; what is unchanged has none."""
+        """All values by name; unchanged ones are empty."""
         nothing = np.zeros(0)
         names = [entry.name for entry in fields(self) if entry.name != "leakage"]
         values = {name: getattr(self, name) for name in names}
@@ -100,18 +100,18 @@ class Corrections:
         }
 
     def save(self, path: AnyPath) -> None:
-        """Write them."""
+        """Write `calibration.npz`."""
         write_npz_atomic(path, self._arrays())
 
     @classmethod
     def load(cls, path: AnyPath) -> "Corrections":
-        """Read them back; UserError for a file that holds something else."""
+        """Read a file written by `save`; UserError for any other file."""
         arrays = read_arrays(path, _LAYOUTS)
         names = (entry.name for entry in fields(cls) if entry.name != "leakage")
         values: dict[str, Any] = {k: arrays[k] if arrays[k].size else None for k in names}
         antennas = arrays["leakage_antennas"]
         if (antennas < 0).any() or antennas.sum() != len(arrays["leakage_coefficients"]):
-            raise UserError(what="leakage_antennas do not go with the coefficients", where=path)
+            raise UserError(what="leakage_antennas do not match the coefficients", where=path)
         values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
         return cls(leakage=_read_leakage(arrays), **values)
 

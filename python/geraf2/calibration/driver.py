@@ -1,8 +1,8 @@
-"""Calibration of a capture from itself; data that took no part in an estimate accept it.
+"""Calibration of a capture from its own data, accepted by held-out data.
 
-What does not make such data more likely is not applied, so that a scan without errors comes out as
-it went in, bit for bit. Corrections move antennas and the prior, never the content: results stay in
-the frame in which the antennas' positions were recorded (docs/math/calibration.md#acceptance).
+A correction that does not raise the likelihood of held-out data is not applied, so a scan without
+errors is returned unchanged, bit for bit. Corrections move antennas and the prior, never the
+content: results stay in the frame of the recorded positions (docs/math/calibration.md#acceptance).
 """
 
 from collections import ChainMap
@@ -50,30 +50,30 @@ from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
 CALIBRATION_VERSION = 9
-"""Raised when the same capture gives other corrections."""
+"""Increase when the same capture gives other corrections."""
 
-# Planes of which channels are found and that show whether positions are off; step of sub-apertures
-# and echoes of each plane for channels: 1 s of processor time for 36 planes at 3 mm.
+# Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
+# for channels.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
-_Step: TypeAlias = dict[str, Any]  # what one step adds to `Corrections`
+_Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationConfig(Bounded):
-    """What is calibrated."""
+    """Selection of corrections."""
 
     leakage: bool = True
     """Subtract direct leakage between transmitter and receiver."""
     delay_from: DelaySource = "walls"
-    """What the instrument delay is found from; "kept" leaves it."""
+    """Source of the instrument delay; "kept" does not change it."""
     reflector_m: tuple[PlaceM, PlaceM, PlaceM] | None = None
     """Position of the reflector for delay_from "reflector" [m]."""
     frame: bool = True
-    """Move the prior, the turntable axis and the poses' angles to where the walls are."""
+    """Move the prior, the turntable axis and the poses' angles to agree with the walls."""
     n_channels: ChannelCount | None = None
-    """Channels that take turns, antenna i of channel i modulo this; None: by their offsets, else
-    by their phases."""
+    """Number of interleaved channels, antenna i with channel i modulo this. None: by their offsets,
+    else by their phases."""
     channels: bool = True
     """Correct the phases of channels."""
     positions: bool = True
@@ -85,7 +85,7 @@ class CalibrationConfig(Bounded):
         super().__post_init__()
         if (self.delay_from == "reflector") != (self.reflector_m is not None):
             msg = (
-                "reflector_m goes with delay_from 'reflector', got "
+                "reflector_m and delay_from 'reflector' need each other, got "
                 f"{self.reflector_m} with {self.delay_from!r}"
             )
             raise ValueError(msg)
@@ -93,25 +93,25 @@ class CalibrationConfig(Bounded):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Calibration:
-    """The corrected capture, and how it came about."""
+    """Corrected capture, and the decisions behind it."""
 
     capture: Capture
-    """The one given, itself, where nothing was applied."""
+    """Corrected capture; the same object if nothing was applied."""
     prior: LosPrior
-    """In the frame of the capture."""
+    """Prior in the frame of the capture."""
     corrections: Corrections
     judgements: tuple[Judgement, ...]
     common_offset_sigma_m: float
-    """Standard deviation of a range offset that all planes share after the corrections, one-way:
-    delay, and turntable axis towards the radar [m]."""
+    """Standard deviation of the one-way range offset that all planes share after the corrections,
+    of delay and turntable axis [m]."""
     walls: WallAlignment | None = None
-    """With the corrections that were applied; None where walls were not used or not seen."""
+    """Estimate with the applied corrections; None if walls were not used or not seen."""
     curve: DelayCurve | None = None
-    """Where the delay came from a reflector or from sharpness."""
+    """Search for the delay by a reflector or sharpness."""
     channels: ChannelPhases | None = None
-    """None where channels were not searched or cannot be distinguished."""
+    """None if channels were not searched for or cannot be distinguished."""
     drift: AntennaDrift | None = None
-    """None where positions were not estimated."""
+    """None if positions were not estimated."""
 
     def applied(self, name: str) -> bool:
         """Whether the correction of this name was applied."""
@@ -127,18 +127,18 @@ def calibrate(
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Calibration:
-    """Capture and prior without the errors that the data show; nothing else is changed.
+    """Correct a capture and its prior for the errors that the data show.
 
-    Linear steps first: leakage, phases of channels. Then delay, the prior's position, turntable
-    axis and angles in one estimate from the walls; slow errors of positions. Where no delay is
-    recorded, channels are found with that of the walls.
+    Linear steps are first: leakage and phases of channels. Delay, position of the prior, turntable
+    axis and angles follow in one estimate from the walls, then slow errors of positions. If no
+    delay is recorded, channels are estimated with that of the walls.
 
-    prior: outside of the box, roughly in the capture frame.
-    config: what is calibrated; all of it when None.
+    prior: outside of the box, approximately in the capture frame.
+    config: selection of corrections; all when None.
     peaks: of the capture's planes, and of its corrected planes; collected when None.
 
-    Raises UserError where a reflector or sharpness gives no delay, or where channels that were
-    given do not divide the antennas of a plane.
+    Raises UserError if a reflector or sharpness gives no delay, or if the given channels do not
+    divide the antennas of a plane.
     """
     config = config or CalibrationConfig()
     if config.channels and config.n_channels is not None:
@@ -161,7 +161,7 @@ def calibrate(
 
 
 class _Run:
-    """Steps of one calibration, each on the capture that the ones before it corrected."""
+    """Steps of one calibration, each on the capture that the previous ones corrected."""
 
     def __init__(
         self, capture: Capture, prior: LosPrior, config: CalibrationConfig, peaks: KeptPeaks
@@ -170,20 +170,20 @@ class _Run:
         self.peaks = peaks
         self.judgements = list[Judgement]()
         self.steps = list[_Step]()
-        self.found = dict[str, Any]()  # of `Calibration`, what is kept beside the corrections
+        self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
         n_poses = len(capture.poses)
-        self.some = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
+        self.subset = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
         held = config.delay_from != "walls"
         self.alignment = replace(config.alignment, keep_delay=held)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
     def add(self, step: _Step) -> None:
-        """Keep a step and correct the capture by it."""
+        """Record a step and apply it to the capture."""
         self.steps.append(step)
         self.capture = Corrections(**step).applied(self.capture)
 
     def leakage(self) -> _Step:
-        """Find leakage, whose delays are shorter than those of the box."""
+        """Estimate leakage, whose delays are shorter than those of the box."""
         if not self.config.leakage:
             return {}
         found = find_leakage(self.capture, self.prior, self.peaks)
@@ -194,12 +194,12 @@ class _Run:
         return {"leakage": found} if applied else {}
 
     def delay(self) -> _Step:
-        """Instrument delay that is not the walls'; it was asked for, and is applied."""
+        """Estimate a requested delay by reflector or sharpness; it is always applied."""
         config, capture = self.config, self.capture
         search = config.alignment.search_m(capture)
         if config.delay_from == "reflector":
-            place = np.asarray(config.reflector_m, dtype=np.float64)
-            curve = delay_from_reflector(capture, place, search)
+            position = np.asarray(config.reflector_m, dtype=np.float64)
+            curve = delay_from_reflector(capture, position, search)
         elif config.delay_from == "sharpness":
             reach = 0.5 * float(np.linalg.norm(self.prior.size_m))
             curve = delay_from_sharpness(capture, self.prior.bounds.mean(axis=0), reach, search)
@@ -212,17 +212,17 @@ class _Run:
         return {"delay_m": curve.delay_m}
 
     def channels(self) -> _Step:
-        """Phases of channels, which take turns or have offsets of their own."""
+        """Estimate the phases of channels, which are interleaved or differ in their offsets."""
         if not self.config.channels:
             return {}
         capture = self.capture
         if not self.alignment.keep_delay and not self.alignment.is_recorded(capture):
-            # Without a delay echoes lie elsewhere; that of the walls is found again afterwards.
+            # Echoes need a delay: use that of the walls, which is estimated again later.
             with suppress(UserError):
                 problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = _strong_echoes(capture, self.peaks, self.some)
+        echoes = _strong_echoes(capture, self.peaks, self.subset)
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -237,16 +237,16 @@ class _Run:
             trial = estimate_channel_phases(half, index).phases_rad
         except UserError as error:
             text = str(error).partition(",")[0]
-            self.judgements.append(nothing_found("channels", text, "nothing to go by", error))
+            self.judgements.append(nothing_found("channels", text, "no data", error))
             return {}
         self.found["channels"] = phases
         rest = replace(capture, poses=tuple(capture.poses[number] for number in held_out))
         gain, before, after = phase_gain(
             rest,
             [trial[index[number]] for number in held_out],
-            lambda some: _strong_echoes(some, self.peaks, range(len(held_out))),
+            lambda subset: _strong_echoes(subset, self.peaks, range(len(held_out))),
         )
-        kind = f"{n_turns} that take turns" if n_turns else f"{len(trial)} by offset"
+        kind = f"{n_turns} interleaved" if n_turns else f"{len(trial)} by offset"
         rms, sigma = (float(np.sqrt(np.mean(v**2))) for v in (phases.phases_rad, phases.sigma_rad))
         text = (
             f"{kind}, {np.rad2deg(rms):.1f} degrees rms +- {np.rad2deg(sigma):.1f}; "
@@ -260,7 +260,7 @@ class _Run:
         return {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
 
     def walls(self) -> _Step:
-        """Estimate delay, frame and axis together; each is judged beside the others."""
+        """Estimate delay, frame and axis together, and test each in the presence of the others."""
         groups: list[Group] = [
             group
             for group in GROUPS
@@ -272,22 +272,22 @@ class _Run:
             problem = WallProblem(self.capture, self.prior, self.alignment, self.peaks)
         except UserError as error:
             text = "the walls of the box do not stand out"
-            self.judgements.append(nothing_found(groups[0], text, "nothing to go by", error))
+            self.judgements.append(nothing_found(groups[0], text, "no data", error))
             return {}
         gains = {
             group: problem.gain([other for other in groups if other != group], group)
             for group in groups
         }
         chosen = [group for group, gain in gains.items() if gain.is_sure]
-        every, found = (problem.result(problem.fit(some)) for some in (groups, chosen))
+        every, found = (problem.result(problem.fit(subset)) for subset in (groups, chosen))
         for group, gain in gains.items():
             fit = found if gain.is_sure else every
-            self.judgements.append(judge(group, *_described(fit, group), gain))
+            self.judgements.append(judge(group, *_describe(fit, group), gain))
         self.found["walls"] = found
         if self.config.delay_from in ("walls", "kept"):
-            # What was found of it and not applied is left in the capture.
-            left_m = every.offset_m - found.offset_m
-            self.offset_sigma_m = float(np.hypot(left_m, every.offset_sigma_m))
+            # An estimated offset that is not applied remains in the capture.
+            rest_m = every.offset_m - found.offset_m
+            self.offset_sigma_m = float(np.hypot(rest_m, every.offset_sigma_m))
         values: dict[Group, _Step] = {
             "delay": {"delay_m": found.delay_m},
             "frame": {"prior_to_capture": found.prior_to_capture},
@@ -296,11 +296,11 @@ class _Run:
         return dict(ChainMap(*(values[group] for group in chosen)))
 
     def positions(self) -> _Step:
-        """Slow errors of positions; all planes are used only where some show any."""
+        """Estimate slow errors of positions, on all planes only if some show an error."""
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.some, drift=True)
+        few = _strong_echoes(capture, self.peaks, self.subset, drift=True)
         drift = focus_antennas(capture, few, config)
         if drift.gain.is_sure:
             every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), drift=True)
@@ -325,15 +325,15 @@ class _Run:
 def _strong_echoes(
     capture: Capture, peaks: KeptPeaks, planes: Collection[int], *, drift: bool = False
 ) -> list[EchoPhases]:
-    """Echoes of some planes; for drift more of them, over larger sub-apertures."""
+    """Echoes of some planes; for drift more of them, in larger sub-apertures."""
     found = peaks.of(capture, planes).thinned(_STEP_M)
     if drift:
         return collect_phases(capture, found, size_m=DRIFT_SIZE_M)
     return collect_phases(capture, found, n_echoes=_N_ECHOES)
 
 
-def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
-    """Estimate of a group, in words and numbers."""
+def _describe(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:
+    """Text and numbers of a group's estimate."""
     if group == "delay":
         bulge = f", walls bulged by up to {1e3 * abs(found.bulge_m):.1f} mm"
         text = f"{1e3 * found.delay_m:+z.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
@@ -360,12 +360,12 @@ def _described(found: WallAlignment, group: Group) -> tuple[str, dict[str, float
 
 
 def _require_whole_turns(capture: Capture, n_channels: int) -> None:
-    """Each position has one antenna of each channel, so that they divide the antennas of a pose."""
+    """Raise UserError unless the number of interleaved channels divides the antennas of a pose."""
     for number, pose in enumerate(capture.poses):
         if pose.n_antennas % n_channels:
             raise UserError(
                 what=f"--channels {n_channels} does not divide the antennas of a plane",
                 expected=f"a multiple of {n_channels} in every plane",
                 got=f"{pose.n_antennas} in plane {pose.name or number}",
-                hint="give the number of channels that take turns, or leave it out",
+                hint="give the number of interleaved channels, or leave it out",
             )

@@ -1,4 +1,4 @@
-"""The outside of the box as a scan shows it, with standard deviations and what was not seen."""
+"""Outside of the box from a scan, with standard deviations and bounds for unseen faces."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -31,61 +31,61 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
 BOX_VERSION = 2
-"""Raised when the same capture gives another box."""
-# How well flashes fix a face before the fit.
+"""Increase when the same capture gives another box."""
+# Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
-# Of the sub-apertures that face a wall squarely, so many see it; content gives a few by chance.
+# Least share and number of the sub-apertures facing a wall in which a seen wall echoes.
 _SEEN_SHARE, _FEWEST = 0.5, 2
-# Of a plane 0, of a ball half as far behind its surface as the antennas are before it 0.67.
+# Largest curvature of a wall, 0 for a plane and 1 for a point, and least extent of antennas [m].
 _MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
-# Echoes outside of a box are grating lobes, multipath and clutter.
+# Margin around the walls [m], and largest share of energy outside: grating lobes and multipath.
 _MARGIN_M, _MOST_OUTSIDE = 0.01, 0.3
-# How far a box's walls lie outside of planes of its content on average, at least.
+# Least mean distance of a box's walls from planes of its content [m].
 _OUTSIDE_M = 0.02
-# And their least weight (the root of a strength): 22 dB below metal content; multipath is weaker.
+# Least weight of walls relative to content, 22 dB below metal; multipath is weaker.
 _FAINTEST = 0.28
-# Echoes of walls and of their edges are stronger, over the strongest of all [dB].
+# Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = -45.0
-# Leakage this much below the walls moves none of their echoes.
+# Level relative to the walls below which leakage does not shift their echoes [dB].
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
-# A face that nothing shows lies so much beyond those of a cube as large as what was seen: content
-# that a wall would cut is lost, empty space costs nothing.
+# Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
+# too small cuts content, a large one costs nothing.
 _SLACK_M = 0.04
 
 
 class Seen(IntEnum):
-    """How a face of the box was found."""
+    """Evidence of a face of the box."""
 
     NOT = 0
-    """By nothing: its position is a bound."""
+    """None: its position is a bound."""
     EDGES = 1
-    """By echoes of its edges on neighbouring faces."""
+    """Echoes of its edges on neighbouring faces."""
     SQUARELY = 2
-    """By flashes: antennas stand before it, or see it from behind."""
+    """Flashes: antennas see it at a right angle, from the front or from behind."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoundBox:
     """A cuboid of any orientation.
 
-    Faces are in rows by axis, (3, 2): against it, then along it.
+    Arrays (3, 2) of faces have one row per axis: the face against it, then the face along it.
     """
 
     axes: Floats
-    """Rows, unit; the last is nearest to the vertical, (3, 3)."""
+    """Unit vectors in rows; the last is nearest to the vertical, (3, 3)."""
     turn_sigma_rad: Floats
-    """Standard deviations of turns about the frame's axes, (3,) [rad]."""
+    """Standard deviations of rotations about the frame's axes, (3,) [rad]."""
     offsets_m: Floats
-    """Of the faces, outward from the frame's origin, (3, 2) [m]."""
+    """Offsets of the faces, outward from the frame's origin, (3, 2) [m]."""
     sigmas_m: Floats
-    """Standard deviations of these; infinite where a face was not seen, (3, 2) [m]."""
+    """Standard deviations of the offsets; infinite for unseen faces, (3, 2) [m]."""
     bounds_m: Floats
-    """95 % intervals of the offsets, (3, 2, 2) [m]; infinite where nothing bounds them."""
+    """95 % intervals of the offsets, (3, 2, 2) [m]; infinite without a bound."""
     seen: Ints
     """`Seen` of each face, (3, 2)."""
     content_share: float = 0.0
-    """Share of the energy that comes from within; nearly none where the planes are a metal body."""
+    """Share of the energy from within; near zero if the planes are those of a metal body."""
 
     @property
     def size_m(self) -> Floats:
@@ -94,23 +94,23 @@ class FoundBox:
 
     @property
     def center_m(self) -> Floats:
-        """Middle, (3,) [m]."""
+        """Centre, (3,) [m]."""
         return np.asarray(0.5 * (self.offsets_m[:, 1] - self.offsets_m[:, 0]) @ self.axes)
 
     @property
     def yaw_deg(self) -> float:
-        """Turn about the vertical from the nearest axis of the frame, -45 to 45 [degrees]."""
+        """Rotation about the vertical from the nearest axis of the frame, -45 to 45 [degrees]."""
         first, nearest = self.axes[0], int(np.abs(self.axes[0]).argmax())
         frame = np.sign(first[nearest]) * np.eye(3)[nearest]
         return float(np.rad2deg(np.arctan2(self.axes[2] @ np.cross(frame, first), frame @ first)))
 
     @property
     def yaw_sigma_deg(self) -> float:
-        """Its standard deviation [degrees]."""
+        """Standard deviation of the yaw [degrees]."""
         return float(np.rad2deg(np.linalg.norm(self.axes[2] * self.turn_sigma_rad)))
 
     def moved(self, shift_m: Floats) -> "FoundBox":
-        """Box in a frame whose origin is elsewhere."""
+        """Box in a frame with a shifted origin."""
         shift = (self.axes @ shift_m)[:, None] * [-1.0, 1.0]
         return replace(
             self, offsets_m=self.offsets_m + shift, bounds_m=self.bounds_m + shift[..., None]
@@ -118,24 +118,24 @@ class FoundBox:
 
     @property
     def prior(self) -> LosPrior:
-        """Line-of-sight prior of these sides, without walls."""
+        """Line-of-sight prior with these sides, without walls."""
         return LosPrior.from_box(triple(self.size_m), triple(self.center_m), axes=self.axes)
 
     def numbers(self) -> dict[str, Any]:
-        """For run.json: lengths in metres, angles in degrees; None where nothing bounds a face."""
+        """Entry of run.json: lengths in metres, angles in degrees; None without a bound."""
         return {
-            "size_m": _plain(self.size_m),
-            "size_sigma_m": _plain(np.linalg.norm(self.sigmas_m, axis=1)),
-            "center_m": _plain(self.center_m),
+            "size_m": _json_number(self.size_m),
+            "size_sigma_m": _json_number(np.linalg.norm(self.sigmas_m, axis=1)),
+            "center_m": _json_number(self.center_m),
             "axes": self.axes.round(6).tolist(),
             "yaw_deg": round(self.yaw_deg, 4),
             "yaw_sigma_deg": round(self.yaw_sigma_deg, 4),
             "faces": {
                 name: {
                     "seen": Seen(int(self.seen[k, side])).name.lower(),
-                    "offset_m": _plain(self.offsets_m[k, side]),
-                    "sigma_m": _plain(self.sigmas_m[k, side]),
-                    "interval_m": _plain(self.bounds_m[k, side]),
+                    "offset_m": _json_number(self.offsets_m[k, side]),
+                    "sigma_m": _json_number(self.sigmas_m[k, side]),
+                    "interval_m": _json_number(self.bounds_m[k, side]),
                 }
                 for name, k, side in _face_names()
             },
@@ -166,16 +166,16 @@ def _face_names() -> list[tuple[str, int, int]]:
     return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
 
 
-def _plain(values: Floats | float) -> Any:
-    """Lengths as numbers of JSON, None where there is none, to a micrometre."""
+def _json_number(values: Floats | float) -> Any:
+    """Lengths as JSON numbers, rounded to a micrometre; None if not finite."""
     array = np.asarray(values, dtype=np.float64)
     if array.ndim:
-        return [_plain(value) for value in array]
+        return [_json_number(value) for value in array]
     return round(float(array), 6) if np.isfinite(array) else None
 
 
 class WallsNotFoundError(UserError):
-    """A scan that shows no walls of a box."""
+    """A scan shows no walls of a box."""
 
     def __init__(self, seen: str) -> None:
         super().__init__(
@@ -185,7 +185,7 @@ class WallsNotFoundError(UserError):
             hint="give the outside of the box with --box X Y Z or --los MESH",
         )
         self.seen = seen
-        """What the scan shows instead."""
+        """Description of what the scan shows instead."""
 
 
 @with_one_blas_thread
@@ -199,13 +199,13 @@ def find_box(
     """Find the box around the content from the scan alone.
 
     capture: the scan. Its instrument delay must be known to a centimetre.
-    expected: a cuboid whose orientation is preferred where the scan leaves several.
-    summary: of the capture, where it was made already.
+    expected: a cuboid whose orientation is preferred if the scan allows several.
+    summary: of the capture, if already computed.
     num_threads: all cores when None.
 
-    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees squarely have an
-    interval. Where nothing but the seen walls bounds them, they are placed generously.
-    Raises WallsNotFoundError, a UserError, where no walls are found, or antennas within them.
+    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees at a right angle have
+    an interval. Without any bound but the seen walls, they get a margin.
+    Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
@@ -216,25 +216,25 @@ def find_box(
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
         raise WallsNotFoundError(seen="the planes face no common point")
-    capture = _moved(capture, -focus)
+    capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    rough, seen, leakage_db = _rough(capture, peaks, like)
+    rough, seen, leakage_db = _initial_faces(capture, peaks, like)
     if leakage_db > _LEAKAGE_DB:
-        leakage = find_leakage(capture, _filled(rough).prior, peaks)
+        leakage = find_leakage(capture, _initial_box(rough).prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-            rough, seen, _ = _rough(capture, peaks, like)
-    box = _filled(rough)
+            rough, seen, _ = _initial_faces(capture, peaks, like)
+    box = _initial_box(rough)
     if not box.size_m.min() > LEAST_SIDE_M:
-        raise WallsNotFoundError(seen=f"planes {1e3 * box.size_m.min():.0f} mm apart at least")
+        raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     box = _refined(capture, box, _Known(peaks, seen))
     box = replace(box, content_share=_content_share(box, seen))
     return _bounded(capture, box, seen).moved(focus)
 
 
-def _moved(capture: Capture, shift_m: Floats) -> Capture:
-    """Capture in a frame whose origin is elsewhere."""
+def _shifted(capture: Capture, shift_m: Floats) -> Capture:
+    """Capture in a frame with a shifted origin."""
     poses = (
         replace(p, tx_positions=p.tx_positions + shift_m, rx_positions=p.rx_positions + shift_m)
         for p in capture.poses
@@ -242,17 +242,17 @@ def _moved(capture: Capture, shift_m: Floats) -> Capture:
     return replace(capture, poses=tuple(poses))
 
 
-def _rough(
+def _initial_faces(
     capture: Capture, peaks: KeptPeaks, like: Floats | None
 ) -> tuple[RoughFaces, PeakSet, float]:
-    """Faces before the fit, peaks without leakage, and its level over the walls [dB]."""
+    """Faces before the fit, peaks without leakage, and the leakage relative to the walls [dB]."""
     found = peaks.of(capture)
     leaks = leaking(capture, found)
     strength = found.strengths
     strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
     kept = found.select(~leaks & strong)
     rough, known, is_flash = _planes(capture, kept, like)
-    # The densest planes may be of flat content, and others stand around them.
+    # The densest planes may be flat content, with walls around them.
     around, outer, _ = _planes(capture, kept.select(~is_flash), like)
     if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
         rough, known = around, outer
@@ -266,7 +266,7 @@ def _rough(
 def _planes(
     capture: Capture, peaks: PeakSet, like: Floats | None
 ) -> tuple[RoughFaces, PeakSet, Bools]:
-    """Faces of planes at right angles; peaks in their true direction, and which are flashes."""
+    """Faces of planes at right angles; peaks in their true direction, and mask of flashes."""
     if not len(peaks):
         nothing = RoughFaces(axes=np.eye(3), offsets_m=np.full((3, 2), np.nan), strength=0.0)
         return nothing, peaks, np.zeros(0, dtype=bool)
@@ -276,8 +276,8 @@ def _planes(
     return rough, *without_lobes(peaks, lobes, index, rough)
 
 
-def _filled(rough: RoughFaces) -> FoundBox:
-    """Box whose unseen faces lie as far out as the seen ones, until they are bounded."""
+def _initial_box(rough: RoughFaces) -> FoundBox:
+    """Box whose unseen faces get the mean offset of the seen ones, until they are bounded."""
     unseen = np.isnan(rough.offsets_m)
     offsets = rough.offsets_m.copy()
     half = float(np.nanmean(offsets))
@@ -297,19 +297,19 @@ def _filled(rough: RoughFaces) -> FoundBox:
 
 
 class _Known(KeptPeaks):
-    """Peaks whose directions are known by now."""
+    """Peaks whose directions are already resolved."""
 
     def __init__(self, peaks: KeptPeaks, known: PeakSet) -> None:
         super().__init__(peaks.prior, peaks.subaperture, num_threads=peaks.num_threads)
         self.known = known
 
     def of(self, *_: Any, **__: Any) -> PeakSet:
-        """Return these, whatever the capture."""
+        """Return these peaks for any capture."""
         return self.known
 
 
 def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
-    """Box after one estimate of delay, orientation and each wall's distance."""
+    """Box after one joint estimate of delay, orientation and each wall's distance."""
     try:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks)
     except UserError as error:
@@ -341,7 +341,7 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
 
 
 def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
-    """Whether a wall is flat, and most sub-apertures that face it squarely have its echo.
+    """Whether a wall is flat and echoes in most sub-apertures that face it at a right angle.
 
     echoes: peaks that are interpreted as the wall's.
     """
@@ -360,7 +360,7 @@ def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
 
 
 def _curvature(echoes: PeakSet) -> float:
-    """How much lines of sight converge: 0 to a plane, 1 to a point, less than 0 to a hollow."""
+    """Convergence of lines of sight: 0 for a plane, 1 for a point, negative for a concave face."""
     off_center, off_direction = np.zeros((2, len(echoes), 3))
     for number in np.unique(echoes.planes):
         own = echoes.planes == number
@@ -373,7 +373,7 @@ def _curvature(echoes: PeakSet) -> float:
 
 
 def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
-    """Box whose unseen faces lie at their edges, or generously around all that was seen."""
+    """Box whose unseen faces lie at their edges, or with a margin around everything seen."""
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
     bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
@@ -398,7 +398,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
 
 
 def _content_share(box: FoundBox, peaks: PeakSet) -> float:
-    """Share of the energy within the walls; UserError where they do not enclose the echoes."""
+    """Share of the energy within the walls; UserError if they do not enclose the echoes."""
     square = box.seen == Seen.SQUARELY
     if not square.any():
         raise WallsNotFoundError(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
@@ -418,11 +418,11 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
 
 
 def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
-    """Raise UserError where antennas stand within the walls that were found."""
+    """Raise UserError if antennas are within the found walls."""
     n_inside = 0
     for pose in capture.poses:
         along = pose.phase_centers @ axes.T
         inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
         n_inside += bool(inside.all(axis=1).any())
     if n_inside:
-        raise WallsNotFoundError(seen=f"planes around which walls would stand: {n_inside}")
+        raise WallsNotFoundError(seen=f"planes of antennas within the walls: {n_inside}")

@@ -1,4 +1,4 @@
-"""Where content stands that no box encloses, by the positions of its echoes."""
+"""Region of content without a box, from the positions of its echoes."""
 
 import numpy as np
 
@@ -8,11 +8,11 @@ from geraf2.geometry.transforms import triple
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-# Amplitude beyond the region on each of its sides: multipath, clutter, grating lobes.
+# Share of the amplitude beyond each side of the region: multipath, clutter, grating lobes.
 _OUTSIDE = 0.02
-# Parts without echo reach so much farther, at most seven of ten times on random scenes [m].
+# Margin for parts without an echo, a property of the simulated population of objects [m].
 _SLACK_M = 0.04
-# The region ends before the antennas, over the distance of the planes.
+# Limit of the region over the planes' distance, so that it ends before the antennas.
 _MOST_REACH = 0.75
 
 
@@ -21,10 +21,10 @@ def content_region(
 ) -> LosPrior:
     """Return a cuboid around nearly all echoes, along the frame's axes, without walls.
 
-    capture: scan of content in free air. summary: of it, where it was made already.
+    capture: scan of content in free air. summary: of it, if already computed.
     num_threads: all cores when None.
 
-    Raises UserError where there is no echo, or where the planes face no common point.
+    Raises UserError if there is no echo, or if the planes face no common point.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> region = content_region(capture)

@@ -1,4 +1,4 @@
-"""Instrument delay from a reflector at a known position, or from how well the scene focuses."""
+"""Instrument delay from a reflector at a known position, or from the sharpness of the image."""
 
 from dataclasses import dataclass, replace
 
@@ -10,21 +10,21 @@ from geraf2.errors import UserError
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Pose
 
-# Power of the reflector over the median of all delays searched; noise alone reaches 3.
+# Least power of the reflector over the median of all delays searched; noise alone reaches 3.
 _MIN_CONTRAST = 6.0
 _MAX_ANTENNAS = 1024
 _MAX_POSES = 4
 _N_POINTS = 2000
 _SHARPNESS_STEP_M = 0.01
-# Twice the radius of curvature of a bright surface, 2 cm on an object of 12 cm.
+# Bias by surface curvature: twice the radius of a bright surface, 2 cm on an object of 12 cm.
 _CURVATURE_SIGMA_M = 0.04
-# Sharpness at the best delay over its median; noise alone reaches 1.05.
+# Least sharpness at the best delay over its median; noise alone reaches 1.05.
 _MIN_SHARPNESS = 1.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DelayCurve:
-    """How well each delay does, and the best."""
+    """Quality of each delay of a search, and the best delay."""
 
     delay_m: float
     """Change of the instrument delay, two-way path [m]."""
@@ -36,53 +36,55 @@ class DelayCurve:
 
 
 def delay_from_reflector(
-    capture: Capture, place_m: Floats, search_m: tuple[float, float]
+    capture: Capture, position_m: Floats, search_m: tuple[float, float]
 ) -> DelayCurve:
     """Delay at which the echo focused on a known position is strongest.
 
-    The signals of each pose are focused on it; what remains is a function of delay alone.
-    Powers add over the poses.
+    The signals of each pose are focused on the position, so that the power depends only on the
+    delay. Powers of the poses are added.
 
-    place_m: of a small reflector (a corner, a small sphere's surface), (3,) [m].
+    position_m: of a small reflector (a corner, the surface of a small sphere), (3,) [m].
     search_m: smallest and largest change of the delay, two-way path [m].
 
-    Raises UserError: nothing stands out.
+    Raises UserError if no delay is clearly stronger than the others.
     """
     waveform = capture.waveform
     step = SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz / 40.0
     candidates = np.arange(search_m[0], search_m[1] + step, step)
     frequencies = waveform.frequencies_hz
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S
+    phase_per_hz_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S
     window = np.hanning(waveform.n_samples + 2)[1:-1]
-    steering = np.exp(turn * np.outer(candidates, frequencies)) * window
+    steering = np.exp(phase_per_hz_m * np.outer(candidates, frequencies)) * window
     powers = []
     for pose in capture.poses:
         if pose.n_antennas == 0:
             continue
-        path = np.linalg.norm(place_m - pose.tx_positions, axis=1)
-        path += np.linalg.norm(place_m - pose.rx_positions, axis=1) + waveform.path_bias_m
-        focused = (pose.signal * np.exp(turn * np.outer(path, frequencies))).sum(axis=0)
+        path = np.linalg.norm(position_m - pose.tx_positions, axis=1)
+        path += np.linalg.norm(position_m - pose.rx_positions, axis=1) + waveform.path_bias_m
+        focused = (pose.signal * np.exp(phase_per_hz_m * np.outer(path, frequencies))).sum(axis=0)
         powers.append(np.abs(steering @ focused) ** 2)
     if not powers:
         raise UserError(what="no plane has antennas")
     total = np.sum(powers, axis=0)
     quality = total / max(float(np.median(total)), 1e-300)
     best = int(total.argmax())
-    # Strong echoes of other positions have another delay in every pose.
+    # Strong echoes from other positions have different delays in each pose.
     tops = np.array([(candidates[int(p.argmax())], p.max()) for p in powers])
-    off = float(np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300))
-    alone = off < 20.0 * step  # half a range cell
+    deviation = float(
+        np.average(np.abs(tops[:, 0] - candidates[best]), weights=tops[:, 1] + 1e-300)
+    )
+    alone = deviation < 20.0 * step  # half a range cell
     if quality[best] < _MIN_CONTRAST or not alone or best in (0, len(total) - 1):
         raise UserError(
             what="the reflector does not stand out",
             expected=f"a power of at least {_MIN_CONTRAST:g} times the median of delays between "
             f"{search_m[0]:g} and {search_m[1]:g} m",
             got=f"{quality[best]:.3g} times at {candidates[best]:g} m, and planes that are "
-            f"{1e3 * off:.0f} mm off on average",
+            f"{1e3 * deviation:.0f} mm off on average",
             hint="check --reflector X Y Z [m] and --delay-search",
         )
     refined = candidates[best] + step * _parabola(np.log(total), best)
-    # Poses disagree by what else lies in the reflector's range cell.
+    # Poses differ by other echoes in the reflector's range cell.
     around = slice(max(0, best - 20), best + 21)
     own = [candidates[around][int(p[around].argmax())] for p in powers]
     spread = float(np.std(own)) / np.sqrt(len(own)) if len(own) > 1 else 0.0
@@ -99,15 +101,15 @@ def delay_from_sharpness(
 ) -> DelayCurve:
     """Delay at which full-aperture images of the scene are sharpest.
 
-    A wavefront's curvature shows how far away it started, whatever the delay. Smooth surfaces
-    focus at their centre of curvature and not at their surface, so that the delay comes out
-    too short by up to twice the radius; the uncertainty is centimetres.
+    The curvature of a wavefront shows the distance of its origin, for any delay. Smooth surfaces
+    focus at their centre of curvature instead of on the surface. The delay is therefore too short
+    by up to twice the radius, and its standard deviation is centimetres.
 
-    target: middle of the scene, (3,) [m].
+    target: centre of the scene, (3,) [m].
     reach_m: radius of the scene [m].
     search_m: smallest and largest change of the delay, two-way path [m].
 
-    Raises UserError: no delay is sharper than the others.
+    Raises UserError if no delay is clearly sharper than the others.
     """
     usable = [pose for pose in capture.poses if pose.n_antennas > 1]
     if not usable:
@@ -125,7 +127,7 @@ def delay_from_sharpness(
     if quality[best] < _MIN_SHARPNESS or best in (0, len(candidates) - 1):
         raise UserError(
             what="no delay makes the image sharp",
-            expected=f"one between {search_m[0]:g} and {search_m[1]:g} m that is "
+            expected=f"a delay between {search_m[0]:g} and {search_m[1]:g} m that is "
             f"{_MIN_SHARPNESS:g} times as sharp as most",
             got=f"{quality[best]:.3g} times at {candidates[best]:g} m",
             hint="use the walls (--delay-from walls) or a known reflector, or widen --delay-search",

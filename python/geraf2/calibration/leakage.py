@@ -1,9 +1,9 @@
-"""Direct leakage between transmitter and receiver: found, and subtracted.
+"""Direct leakage between transmitter and receiver: estimation and subtraction.
 
-The direct path, objects right before the antennas, and a constant of the converter have shorter
-delays than anything of the box, and may be much stronger. Sinusoids of short delays are fitted to
-each antenna and subtracted. If they are steady, they also give the phase of each antenna's samples
-(docs/math/calibration.md#leakage).
+Leakage is the direct path, objects right in front of the antennas, and a constant of the converter.
+Its delays are shorter than those of the box, and it may be much stronger. Sinusoids of short delays
+are fitted to each antenna's samples and subtracted. Steady leakage also gives the phase of each
+antenna's samples (docs/math/calibration.md#leakage).
 """
 
 from dataclasses import dataclass, replace
@@ -23,71 +23,68 @@ from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _Complex = NDArray[np.complex64]
 LeakageMethod = Literal["none", "projected", "reference"]
-"""Unchanged; short delays subtracted; the leakage's phase removed from each antenna as well."""
+"""Unchanged; short delays subtracted; the leakage's phase also removed from each antenna."""
 
-# Two-way path beyond the direct one up to which an echo is no content: 4 cm before the antennas.
+# Two-way path beyond the direct one within which an echo is not content: 4 cm in front [m].
 _NEAR_M = 0.08
-# The direct path may seem shorter than it is by as much, as the instrument delay is known to that.
+# Tolerance of the direct path for errors of the instrument delay [m].
 _BEFORE_M = 0.02
-# The fit may take this share of the energy of an echo of the box, whatever its delay. It costs
-# 0.04 dB; a box that begins so near that three sinusoids take more is left unchanged.
+# Largest share of the energy of an echo of the box that the fit may remove: 0.04 dB.
 _MAX_TAKEN = 0.01
 _MIN_RANK = 2
-# A sinusoid that has less of the leakage is left: then 55 dB less of it than there was stay.
+# Least share of the leakage in a sinusoid: 55 dB of suppression.
 _LEAST_SHARE = 1e-7
-# Below the echoes by this much, leakage harms nothing; what the fit finds in a scan without any
-# (noise at 20 dB, and the share above of the echoes) is 25 dB below.
+# Level relative to the echoes below which leakage has no effect; without any the fit finds -25 dB.
 _MIN_LEVEL_DB = -15.0
-# And energy over what noise alone has in the fit.
+# Least energy over that of noise in the fit.
 _MIN_OVER_NOISE = 2.0
-# What the fit must not contain extends as far behind the box: multipath via its walls.
+# Two-way path behind the box whose multipath the fit must not remove [m].
 _BEHIND_M = 0.5
-# Noise that is assumed in the fit, and echoes over it: they weigh what the fit should not see.
+# Assumed ratio of echoes to noise in the fit: the weight of the delays to ignore.
 _ECHO_OVER_NOISE = 1000.0
-# Leakage is as strong everywhere; an echo before the antennas comes and goes.
+# Least steadiness: leakage has a constant amplitude, unlike an echo in front of the antennas.
 _MIN_STEADINESS = 0.9
-# Planes that what goes with the leakage beyond its delays is found from.
+# Least number of planes for the leakage at other delays.
 _MIN_TAIL_POSES = 4
-# Over the echoes; less harms nothing, and what planes around a box have in common by its symmetry
-# is 25 dB below them.
+# Level relative to the echoes below which that leakage has no effect; by symmetry, planes around a
+# box share echoes at -25 dB.
 _MIN_TAIL_DB = -8.0
-# A wall turned from a plane of 14 cm by ten degrees averages out over it; what is flat and smaller
-# than 5 cm does not matter.
+# A wall is parallel to a plane within ten degrees: otherwise it averages out over 14 cm. Flat parts
+# below this area are ignored.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
 _N_POSES = 3
-# Steady leakage may be clipped and still be subtracted: F1 at 5 mm is 0.946 without, 0.945 with
-# 39 % of the samples clipped, and 0.942 with 65 %; with 84 % the scan is refused.
+# Largest share of clipped samples at which steady leakage can still be subtracted.
 _MAX_CLIPPED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leakage:
-    """Leakage of a capture, and all that is needed to subtract it."""
+    """Leakage of a capture, and the values to subtract it."""
 
     method: LeakageMethod
     reason: str
-    """Why this method, with values."""
+    """Reason for this method, with values."""
     level_db: float = -np.inf
-    """Energy of the leakage over that of all else but noise [dB]."""
+    """Energy of the leakage relative to that of everything else but noise [dB]."""
     delays_m: tuple[float, float] = (0.0, 0.0)
-    """Shortest and longest two-way path subtracted, instrument delay not counted; both 0: a
-    background of any delays, the same at all antennas [m]."""
+    """Shortest and longest two-way path subtracted, without instrument delay [m]. Both are 0 for a
+    background of any delays that all antennas share."""
     steadiness: float = 0.0
-    """Share of the leakage that is the same for all antennas but for a factor."""
+    """Share of the leakage that is the same for all antennas up to a factor."""
     tail_db: float = -np.inf
-    """Energy of what goes with it at the delays of the box, over its own [dB]."""
+    """Energy of its part at the delays of the box, relative to its own [dB]."""
     phase_rms_deg: float = 0.0
-    """Root mean square of the removed phases, each pose's mean apart [degrees]."""
+    """RMS of the removed phases about each pose's mean [degrees]."""
     basis: _Complex | None = None
     """Waveforms of the leakage, (n_samples, rank)."""
     coefficients: tuple[_Complex, ...] = ()
-    """Of each pose: coefficients of the basis, (n_antennas, rank)."""
+    """Coefficients of the basis of each pose, (n_antennas, rank)."""
     phases_rad: tuple[Floats, ...] = ()
-    """Of each pose: phase removed from each antenna, (n_antennas,) [rad]; empty: none."""
+    """Phase removed from each antenna of each pose, (n_antennas,) [rad]; empty: none."""
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Level [dB], steadiness and rms of the phases [rad], as far as they are finite."""
+        """Level [dB], steadiness and RMS of the phases [rad], if finite."""
         numbers = {"level_db": self.level_db, "steadiness": self.steadiness}
         if self.method == "reference":
             numbers["phase_rms_rad"] = float(np.deg2rad(self.phase_rms_deg))
@@ -103,12 +100,12 @@ class Leakage:
 
 
 def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = None) -> Leakage:
-    """Find what has shorter delays than the box, and whether its phase helps.
+    """Estimate the signal with shorter delays than the box, and whether its phase helps.
 
     capture: the scan; its instrument delay must be right to 15 cm of path.
-    prior: outside of the box; any other delay may be an echo's.
+    prior: outside of the box; any other delay may be that of an echo.
 
-    Raises UserError: the leakage is so strong that the converter was full for most samples.
+    Raises UserError if the leakage saturates the converter for most samples.
     """
     waveform = capture.waveform
     poses = [pose for pose in capture.poses if pose.n_antennas]
@@ -117,19 +114,24 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(method="none", reason="delays are too coarse to part leakage from the box")
+        return Leakage(
+            method="none", reason="delays are too coarse to separate leakage from the box"
+        )
     basis, taken = fit
     coefficients = tuple(pose.signal @ taken for pose in capture.poses)
     in_noise = float((np.abs(taken) ** 2).sum())
     level_db, over_noise = _level(capture, coefficients, basis, in_noise)
     references, steadiness = _references(coefficients)
     nothing = Leakage(
-        method="none", reason="nothing before the box", level_db=level_db, steadiness=steadiness
+        method="none",
+        reason="no signal in front of the box",
+        level_db=level_db,
+        steadiness=steadiness,
     )
     if level_db < _MIN_LEVEL_DB or over_noise < _MIN_OVER_NOISE:
         return _background(capture, prior, nothing)
     if steadiness < _MIN_STEADINESS:
-        reason = f"what comes before the box is not steady ({steadiness:.2f})"
+        reason = f"the signal in front of the box is not steady ({steadiness:.2f})"
         return _background(capture, prior, replace(nothing, reason=reason))
     clipped = clipped_share(capture)
     if clipped > _MAX_CLIPPED:
@@ -149,11 +151,11 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
         coefficients=coefficients,
     )
     found = _with_tail(capture, prior, found, references, in_noise)
-    return _judged(capture, found, references, peaks or KeptPeaks(prior))
+    return _test_phase(capture, found, references, peaks or KeptPeaks(prior))
 
 
 def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
-    """Capture with the leakage subtracted; the very capture where nothing was found."""
+    """Capture with the leakage subtracted; the same object if there is none."""
     if leakage.method == "none" or leakage.basis is None:
         return capture
     poses = [
@@ -165,7 +167,7 @@ def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
 
 
 def clipped_share(capture: Capture) -> float:
-    """Share of real and imaginary parts that have the largest or the smallest value of all."""
+    """Share of real and imaginary parts with the largest or the smallest value of all."""
     parts = [pose.signal.view(np.float32) for pose in capture.poses if pose.signal.size]
     high, low = max(part.max() for part in parts), min(part.min() for part in parts)
     full = sum(int(((part == high) | (part == low)).sum()) for part in parts)
@@ -175,9 +177,9 @@ def clipped_share(capture: Capture) -> float:
 def _paths(
     poses: list[Pose], waveform: Waveform, prior: LosPrior
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Shortest and longest two-way path of leakage, and of what the box may send back [m].
+    """Shortest and longest two-way path of leakage, and of echoes of the box [m].
 
-    The box's shortest is that to the box around the prior, which is never longer than the true one.
+    The box's shortest is that to the bounding box of the prior, a lower bound.
     """
     tx, rx = (
         np.concatenate([getattr(p, f"{end}_positions") for p in poses]) for end in ("tx", "rx")
@@ -188,41 +190,43 @@ def _paths(
     nearest, farthest = np.zeros(len(tx)), np.zeros(len(tx))
     for ends in (tx, rx):
         nearest += np.linalg.norm(ends - np.clip(ends, *prior.bounds), axis=1)
-        apart = np.abs(ends - prior.bounds[:, None]).max(axis=0)
-        farthest += np.linalg.norm(apart, axis=1)
+        separation = np.abs(ends - prior.bounds[:, None]).max(axis=0)
+        farthest += np.linalg.norm(separation, axis=1)
     return near, (float(nearest.min()), min(float(farthest.max()) + _BEHIND_M, wraps))
 
 
 def _sinusoids(waveform: Waveform, paths_m: Floats) -> _Complex:
-    """Give samples of one path each, instrument delay added, (n_samples, n_paths)."""
+    """Compute samples of single paths, instrument delay added, (n_samples, n_paths)."""
     seconds = (paths_m + waveform.path_bias_m) / SPEED_OF_LIGHT_M_PER_S
     return np.asarray(np.exp(-2j * np.pi * np.outer(waveform.frequencies_hz, seconds)))
 
 
 def _covariance(waveform: Waveform, low_m: float, high_m: float) -> _Complex:
-    """Mean v v^H of sinusoids v of all paths of an interval, (n_samples, n_samples)."""
+    """Mean v v^H over sinusoids v of all paths in an interval, (n_samples, n_samples)."""
     f = waveform.frequencies_hz
-    apart = (f[:, None] - f) / SPEED_OF_LIGHT_M_PER_S
+    separation = (f[:, None] - f) / SPEED_OF_LIGHT_M_PER_S
     middle = 0.5 * (low_m + high_m) + waveform.path_bias_m
-    return np.asarray(np.exp(-2j * np.pi * apart * middle) * np.sinc(apart * (high_m - low_m)))
+    return np.asarray(
+        np.exp(-2j * np.pi * separation * middle) * np.sinc(separation * (high_m - low_m))
+    )
 
 
 def leakage_operator(
     waveform: Waveform, near_m: tuple[float, float], box_m: tuple[float, float]
 ) -> tuple[_Complex, _Complex] | None:
-    """Weighted least squares of short delays and of a constant, blind to the box's delays.
+    """Weighted least-squares fit of short delays and a constant, insensitive to the box's delays.
 
-    near_m, box_m: two-way paths of leakage and of echoes, instrument delay not counted [m].
+    near_m, box_m: two-way paths of leakage and of echoes, without instrument delay [m].
 
-    Returns an orthonormal basis and what samples are multiplied by to get its coefficients, both
-    (n_samples, rank): as many columns as leave 55 dB less of leakage, or as the box has room for.
-    None where that is fewer than two.
+    Returns an orthonormal basis and the matrix that gives its coefficients from samples, both
+    (n_samples, rank). The rank suppresses leakage by 55 dB, or less if the fit would remove too
+    much of the box's echoes. None if the rank is below two.
     """
     if not near_m[1] < box_m[0] < box_m[1]:
         return None
     cell, period = 2.0 * waveform.range_cell_m, 2.0 * waveform.unambiguous_range_m
     covariance = _covariance(waveform, *near_m)
-    # A converter's constant has no delay at all.
+    # The constant of a converter is not an echo with a delay.
     if (-waveform.path_bias_m - box_m[0] + cell) % period > box_m[1] - box_m[0] + 2.0 * cell:
         covariance += 1.0
     values, vectors = np.linalg.eigh(covariance)
@@ -244,7 +248,7 @@ def leakage_operator(
 def _level(
     capture: Capture, coefficients: tuple[_Complex, ...], basis: _Complex, in_noise: float
 ) -> tuple[float, float]:
-    """Energy of leakage over that of the echoes [dB], and over that of noise in the fit.
+    """Energy of leakage relative to the echoes [dB], and relative to noise in the fit.
 
     in_noise: energy of the coefficients of noise of unit power.
     """
@@ -254,10 +258,10 @@ def _level(
     spectrum, rest, leakage = np.zeros(n_samples), 0.0, 0.0
     for pose, coefficient in zip(capture.poses, coefficients, strict=True):
         leakage += float((np.abs(coefficient) ** 2).sum(dtype=np.float64)) / n
-        left = pose.signal - coefficient @ basis.T
-        rest += float((np.abs(left) ** 2).sum(dtype=np.float64)) / n
-        spectrum += (np.abs(np.fft.fft(left * window, axis=1)) ** 2).sum(axis=0) / n
-    # The quietest tenth of the delays holds noise alone.
+        residual = pose.signal - coefficient @ basis.T
+        rest += float((np.abs(residual) ** 2).sum(dtype=np.float64)) / n
+        spectrum += (np.abs(np.fft.fft(residual * window, axis=1)) ** 2).sum(axis=0) / n
+    # The quietest tenth of the delays contains only noise.
     noise = float(np.quantile(spectrum, 0.1) / (window**2).sum())
     in_fit = noise * in_noise
     leakage, rest = max(leakage - in_fit, 0.0), rest - noise * (n_samples - rank)
@@ -268,8 +272,8 @@ def _level(
 
 
 def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], float]:
-    """Leakage of each antenna as one number, and how steady its size is."""
-    main = _main(coefficients).conj()
+    """Leakage of each antenna as one number, and the steadiness of its amplitude."""
+    main = _strongest_waveform(coefficients).conj()
     found = [np.asarray(coefficient @ main) for coefficient in coefficients]
     size = np.abs(np.concatenate(found)).astype(np.float64)
     return found, float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
@@ -282,12 +286,14 @@ def _with_tail(
     references: list[_Complex],
     in_noise: float,
 ) -> Leakage:
-    """Add what goes with the leakage beyond its delays: ripple of the chirp or of the receiver."""
-    assert found.basis is not None  # or there is no leakage
-    tail = _in_common(without_leakage(capture, found), prior, references)
+    """Add the leakage at other delays: ripple of the chirp or of the receiver."""
+    assert found.basis is not None  # the caller has found leakage
+    tail = _common_signal(without_leakage(capture, found), prior, references)
     if tail is None:
         return found
-    basis = found.basis + np.outer(tail, _main(found.coefficients).conj()).astype(np.complex64)
+    basis = found.basis + np.outer(tail, _strongest_waveform(found.coefficients).conj()).astype(
+        np.complex64
+    )
     level_db, _ = _level(capture, found.coefficients, basis, in_noise)
     tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
     if level_db + tail_db < _MIN_TAIL_DB:
@@ -301,9 +307,9 @@ def _with_tail(
 
 
 def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
-    """Subtract what is the same at all antennas, where no leakage before the box shows it."""
+    """Leakage that all antennas share, if there is none at shorter delays than the box."""
     ones = [np.ones(pose.n_antennas, np.complex64) for pose in capture.poses]
-    common = _in_common(capture, prior, ones)
+    common = _common_signal(capture, prior, ones)
     size = 0.0 if common is None else float(np.linalg.norm(common))
     if common is None or size == 0.0:
         return nothing
@@ -315,20 +321,20 @@ def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
     return replace(
         nothing,
         method="projected",
-        reason="no echo of the box is",
+        reason="echoes of the box differ between antennas",
         level_db=level_db,
         basis=basis,
         coefficients=coefficients,
     )
 
 
-def _in_common(
+def _common_signal(
     capture: Capture, prior: LosPrior, references: list[_Complex]
 ) -> NDArray[np.complex128] | None:
-    """Find samples that all antennas have in proportion to their references, (n_samples,).
+    """Find samples that all antennas share in proportion to their references, (n_samples,).
 
-    They are the same in all parts of all planes. So is nothing of the box but a wall that planes
-    are parallel to, and such planes have no part in it; None where too few others are left.
+    They are the same in all parts of all planes. Of the box, only a wall parallel to a plane has
+    such an echo, so planes parallel to a wall are not used. None if too few planes remain.
     """
     away = [n for n, pose in enumerate(capture.poses) if not _faces_a_wall(pose, prior)]
     if len(away) < _MIN_TAIL_POSES:
@@ -336,19 +342,19 @@ def _in_common(
     parts = []
     for number in away:
         pose, reference = capture.poses[number], references[number]
-        member = _ninths(pose)
+        member = _nine_parts(pose)
         share = (member * np.abs(reference) ** 2).sum(axis=1)
         mean = (member * reference.conj()) @ pose.signal / np.maximum(share, 1e-30)[:, None]
         parts.append(np.fft.fft(mean[share > 0.0]))
     each = np.concatenate(parts)
     common = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
-    # 1.48 is sigma over the median deviation, 1.25 the median's over the mean's uncertainty.
+    # 1.48: standard over median deviation; 1.25: uncertainty of a median over that of a mean.
     sigma = 1.48 * 1.25 * np.median(np.abs(each - common), axis=0) / np.sqrt(len(each))
     return np.asarray(np.fft.ifft(np.where(np.abs(common) > 3.0 * sigma, common, 0.0)))
 
 
-def _ninths(pose: Pose) -> Floats:
-    """Which antennas are in which of three by three parts of the plane, (9, n_antennas)."""
+def _nine_parts(pose: Pose) -> Floats:
+    """Mask of the antennas in each of three by three parts of the plane, (9, n_antennas)."""
     local = pose.phase_centers @ pose.axes[1:].T
     span = np.ptp(local, axis=0) + 1e-9
     third = np.floor(3.0 * (local - local.min(axis=0)) / span).clip(0, 2)
@@ -356,33 +362,33 @@ def _ninths(pose: Pose) -> Floats:
 
 
 def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:
-    """Whether a flat part of the prior is parallel to the plane, to ten degrees."""
+    """Whether a flat part of the prior is parallel to the plane, within ten degrees."""
     corners = prior.vertices[prior.faces]
     cosine = -unit_normals(corners) @ pose.axes[0]
     areas = face_areas(corners)
     return pose.n_antennas == 0 or float(areas[cosine > _FACING].sum()) > _FACING_AREA_M2
 
 
-def _main(coefficients: tuple[_Complex, ...]) -> _Complex:
-    """Coefficients of the strongest waveform, unit, (rank,)."""
+def _strongest_waveform(coefficients: tuple[_Complex, ...]) -> _Complex:
+    """Coefficients of the strongest waveform, normalised, (rank,)."""
     covariance = sum(c.T @ c.conj() for c in coefficients)
     return np.asarray(np.linalg.eigh(covariance)[1][:, -1])
 
 
-def _judged(
+def _test_phase(
     capture: Capture, found: Leakage, references: list[_Complex], peaks: KeptPeaks
 ) -> Leakage:
-    """Decide by the echoes of some poses whether the leakage's phase is that of the antennas.
+    """Test with the echoes of some poses whether to remove the leakage's phase from the antennas.
 
-    The phases are the leakage's alone, so no echo took part in finding them.
+    The phases come from the leakage alone, so all echoes are held out.
     """
     filled = [number for number, pose in enumerate(capture.poses) if pose.n_antennas]
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
     phases = _phases(capture, references)
-    some = [phases[number] for number in chosen]
-    gain, _, _ = phase_gain(clean, some, lambda c: collect_phases(c, peaks.of(c)))
+    chosen_phases = [phases[number] for number in chosen]
+    gain, _, _ = phase_gain(clean, chosen_phases, lambda c: collect_phases(c, peaks.of(c)))
     reason = f"with its phase removed, {gain}"
     if not gain.is_sure:
         return replace(found, reason=reason)
@@ -390,22 +396,22 @@ def _judged(
         found,
         method="reference",
         reason=reason,
-        phase_rms_deg=float(np.rad2deg(_spread(phases))),
+        phase_rms_deg=float(np.rad2deg(_phase_rms(phases))),
         phases_rad=tuple(phases),
     )
 
 
 def _phases(capture: Capture, references: list[_Complex]) -> list[Floats]:
-    """Phase of each antenna; the direct path's own phase stays with the leakage."""
+    """Phase of the leakage at each antenna, without that of the direct path."""
     k = 2.0 * np.pi / capture.waveform.center_wavelength_m
     found = []
     for pose, reference in zip(capture.poses, references, strict=True):
-        apart = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
-        found.append(np.angle(reference * np.exp(1j * k * apart)))
+        separation = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
+        found.append(np.angle(reference * np.exp(1j * k * separation)))
     return found
 
 
-def _spread(phases: list[Floats]) -> float:
-    """Root mean square of phases about the mean of their pose [rad]."""
+def _phase_rms(phases: list[Floats]) -> float:
+    """RMS of phases about the mean of their pose [rad]."""
     units = [np.exp(1j * phase) for phase in phases if len(phase)]
     return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))

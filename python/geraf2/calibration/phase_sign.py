@@ -1,10 +1,10 @@
-"""Which sign the phase of a capture has, found out from how well it focuses.
+"""Sign of the phase of a capture, determined by focusing.
 
-A path of length d gives exp(-j 2 pi (nu + k t) d / c) here. Other software stores the complex
-conjugate. Of the two, only the right one focuses: in the other the curvature of the echo's
-wavefront over the aperture is doubled instead of cancelled, and ranges are mirrored about half
-the unambiguous range. A single plane on a raster is focused at all depths; its strongest echo may
-be a flat one that both signs focus alike, and the sharpest slice of each sign is compared.
+A path of length d gives exp(-j 2 pi (nu + k t) d / c) here; other software stores the complex
+conjugate. Only the right sign focuses. The wrong one doubles the curvature of the echo's wavefront
+over the aperture instead of cancelling it, and mirrors ranges about half the unambiguous range. A
+single plane on a raster is focused at all depths. Its strongest echo may be flat, which both signs
+focus equally, so the sharpest slices of both signs are compared.
 """
 
 from collections import Counter
@@ -24,43 +24,40 @@ from geraf2.ops import matched_filter
 from geraf2.records import RawPose
 from geraf2.scene import Pose, Waveform
 
-# Focused power of one sign over that of the other from which on the answer is trusted. White
-# noise alone stays below 1.25; an object in a carton reaches 220 at 20 dB, 25 at 0, 2.9 at -10 dB.
+# Least ratio of the focused powers of both signs that decides; white noise stays below 1.25.
 _CLEAR_RATIO = 1.5
-# A quick check with few antennas and samples in steps of a whole range cell is an eighth of the
-# work for 64 samples, and a 128th for 256. Where its ratio leaves a doubt, a second one decides.
-# From this ratio on the evidence goes before what the format states, too: the largest power of a
-# real plane is 2.7 times higher with the wrong sign.
+# Antennas, samples and step in range cells of a quick check. If its ratio is below the next value,
+# a full check decides. From that ratio on, the evidence also overrides the sign of the format.
 _QUICK_ANTENNAS, _QUICK_SAMPLES, _QUICK_STEP = 128, 64, 1.0
 _DECIDED_RATIO = 8.0
 _MAX_ANTENNAS, _STEP = 512, 0.5
 _MAX_POSES = 4
-# Antennas of a pose to draw _MAX_ANTENNAS from at random: even steps need more of them, because
-# they may fall in with the rows of a raster.
+# Antennas of a pose from which _MAX_ANTENNAS are drawn at random, since even steps may coincide
+# with the rows of a raster.
 _N_SAMPLED = 4096
-_N_OF_RASTER = 1 << 16  # of a single plane, which needs every position of its raster
+_N_OF_RASTER = 1 << 16  # for a single plane, which needs its whole raster
 _N_DIRECTIONS = 25
 _MAX_COSINE = 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhaseSign:
-    """The sign found, and what speaks for it."""
+    """Sign of the phase, and the evidence for it."""
 
     sign: int
-    """-1 if the capture follows exp(-j 2 pi f d / c), +1 if it has to be conjugated."""
+    """-1 if the capture follows exp(-j 2 pi f d / c), +1 if it must be conjugated."""
     peak_ratio: float
-    """Largest focused power with the sign found over that with the other sign."""
+    """Largest focused power with this sign over that with the other sign."""
     sharpness_ratio: float
-    """The same of sum(power^2) / sum(power)^2, which no gain changes."""
+    """Same ratio of sum(power^2) / sum(power)^2, which no gain changes."""
     n_poses: int
-    """Poses that were looked at."""
+    """Number of poses used."""
     depth_m: float | None = None
-    """Where a single plane is sharpest [m]; then sharpness decides, not power."""
+    """Depth at which a single plane is sharpest [m]; then sharpness decides, not power."""
     stated: int | None = None
-    """Sign by the format or the spectrum; only overwhelming evidence goes before it."""
+    """Sign by the format or the spectrum; only a large ratio overrides it."""
     is_forced: bool = False
-    """Whether `stated` holds whatever the evidence."""
+    """Whether `stated` is used for any evidence."""
 
     @property
     def evidence(self) -> float:
@@ -69,19 +66,19 @@ class PhaseSign:
 
     @property
     def is_clear(self) -> bool:
-        """Whether the evidence decides where nothing is stated."""
+        """Whether the evidence decides if nothing is stated."""
         return self.evidence >= _CLEAR_RATIO
 
     @property
     def is_positive(self) -> bool:
-        """Whether the capture has to be conjugated."""
+        """Whether the capture must be conjugated."""
         if self.stated is None or (self.evidence >= _DECIDED_RATIO and not self.is_forced):
             return self.sign > 0
         return self.stated > 0
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What should be checked: nothing decides, or focusing contradicts what is stated."""
+        """Warnings: the evidence does not decide, or contradicts the stated sign."""
         if self.stated is None and not self.is_clear:
             return (
                 "the sign of the phase is not clear: check the image, or the positions and delay; "
@@ -121,7 +118,7 @@ class PhaseSign:
 
 
 class SignSample:
-    """Some antennas of some poses, by which the sign is found; filled while all are read once.
+    """Some antennas of some poses for the check of the sign, collected while all are read once.
 
     n_antennas: of every pose of the capture, in order.
     """
@@ -134,18 +131,18 @@ class SignSample:
         self._parts: dict[int, list[RawPose]] = {}
 
     def add(self, number: int, part: RawPose) -> None:
-        """Look at the next antennas of pose `number`; copies what it keeps."""
+        """Add the next antennas of pose `number`; copies what it stores."""
         if number not in self._every:
             return
         every = self._every[number]
         rows = np.arange(-self._n_seen[number] % every, part.n_antennas, every)
         self._n_seen[number] += part.n_antennas
         tx, rx = part.tx_positions[rows], part.rx_positions[rows]
-        some = replace(part, signal=part.signal[rows], tx_positions=tx, rx_positions=rx)
-        self._parts.setdefault(number, []).append(some)
+        sample = replace(part, signal=part.signal[rows], tx_positions=tx, rx_positions=rx)
+        self._parts.setdefault(number, []).append(sample)
 
     def poses(self) -> list[Pose]:
-        """Give what was kept."""
+        """Return the collected poses."""
         return [complex_pose(joined(parts)) for parts in self._parts.values()]
 
 
@@ -156,16 +153,16 @@ def find_phase_sign(
     stated: int | None = None,
     num_threads: int | None = None,
 ) -> PhaseSign:
-    """Find out the sign of the phase by focusing with both.
+    """Determine the sign of the phase by focusing with both.
 
-    poses: some poses of the capture; at most four of them, evenly chosen, are used.
-    stated: -1 or +1 where the capture itself states the sign.
+    poses: poses of the capture; at most four, evenly spread, are used.
+    stated: -1 or +1 if the capture itself states the sign.
     num_threads: threads of the matched filter.
     """
     usable = [pose for pose in poses if pose.n_antennas > 1]
     chosen = [usable[i] for i in _evenly(len(usable), _MAX_POSES)]
     if len(poses) == 1 and chosen:
-        with suppress(UserError):  # on no raster, or a coarse one: as for several planes
+        with suppress(UserError):  # irregular or coarse raster: treated like several planes
             plane = replace(_sharpest_of_both(chosen[0], waveform), stated=stated)
             if plane.is_clear or stated is not None:
                 return plane
@@ -180,11 +177,11 @@ def find_phase_sign(
 
 
 def _sharpest_of_both(pose: Pose, waveform: Waveform) -> PhaseSign:
-    """Sharpest slice before a single plane with either sign."""
+    """Sharpest slice in front of a single plane with either sign."""
     farthest = 0.5 * waveform.unambiguous_range_m
     depths, right = search_depth(pose, waveform, farthest)
     conjugated = replace(pose, signal=np.conj(pose.signal))
-    # The delay of the instrument belongs to the sign that the samples are taken to have.
+    # The recorded delay belongs to the assumed sign of the samples.
     _, other = search_depth(conjugated, waveform, farthest)
     both = np.array([[right.max()], [other.max()]])
     ratio, sharper = _mean_ratio(both), right if right.max() >= other.max() else other
@@ -240,15 +237,15 @@ def _evenly(n: int, n_chosen: int) -> list[int]:
 
 
 def _points_in_front(pose: Pose, waveform: Waveform, step_cells: float) -> Floats:
-    """Polar grid before the aperture over half the unambiguous path, (n_points, 3) [m].
+    """Polar grid in front of the aperture over half the unambiguous path, (n_points, 3) [m].
 
-    Range in steps of `step_cells` range cells, and of no more than the depth of focus of the
-    aperture, 2 lambda r^2 / D^2, where that is wider than it is far; directions up to 30 degrees
-    off axis. The other half of the ranges is where the wrong sign puts the echoes; an echo of the
-    right sign from there is farther than a radar scan of a box ever reaches.
+    Ranges have steps of `step_cells` range cells, and at most the depth of focus of the aperture,
+    2 lambda r^2 / D^2, near the antennas. Directions are up to 30 degrees off axis. The wrong sign
+    moves echoes to the other half of the ranges. The right sign has no echo there, since it would
+    be farther than any scan of a box.
     """
     step = 0.5 * step_cells * SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz
-    # The path includes the instrument delay: it shifts what is in front of the antennas.
+    # The path includes the instrument delay, which shifts the ranges.
     farthest = max(0.5 * waveform.unambiguous_range_m, 4 * step)
     ranges = _ranges(step, farthest, waveform.center_wavelength_m, _width_m(pose))
     cosines = np.linspace(-_MAX_COSINE, _MAX_COSINE, _N_DIRECTIONS)
@@ -258,7 +255,7 @@ def _points_in_front(pose: Pose, waveform: Waveform, step_cells: float) -> Float
 
 
 def _ranges(step: float, farthest: float, wavelength: float, width: float) -> Floats:
-    """Ranges in even steps, with more between them where the depth of focus asks for it [m]."""
+    """Ranges in even steps, denser where the depth of focus requires it [m]."""
     even = np.arange(step, farthest, step)
     focused, r = [], max(width, 2 * wavelength)
     while 2 * wavelength * (r / width) ** 2 < step and r < farthest:
@@ -268,5 +265,5 @@ def _ranges(step: float, farthest: float, wavelength: float, width: float) -> Fl
 
 
 def _width_m(pose: Pose) -> float:
-    """Wider side of the aperture [m]."""
+    """Longer side of the aperture [m]."""
     return max(float(np.ptp(pose.phase_centers @ pose.axes[1:].T, axis=0).max()), 1e-9)

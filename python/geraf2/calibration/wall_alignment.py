@@ -1,4 +1,4 @@
-"""One Gauss-Newton estimate of delay, box frame, turntable axis and angles from wall echoes."""
+"""Gauss-Newton estimate of delay, box frame, turntable axis and angles from wall echoes."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
@@ -25,19 +25,19 @@ from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose
 
 # Standard deviations of an echo of a near and of a far wall, whose path crosses the content: of
-# range [m], and of both directions [rad]. A bulge's short waves, which no mode has, make most.
+# range [m], and of both directions [rad]. Most of it is from short waves of a bulge.
 _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01, 0.015])
-_DEGREES_OF_FREEDOM = 4.0  # of the Student-t of an echo: content and clutter are far outliers
-# Neighbouring sub-apertures overlap by a half in both directions: four echoes count as one.
+_DEGREES_OF_FREEDOM = 4.0  # of an echo's Student-t: content and clutter are far outliers
+# Neighbouring sub-apertures overlap by a half in both directions, so four echoes count as one.
 _OVERLAP = 4.0
 _N_ROUNDS = 6
-# Angle to the wall's normal and distance of an echo, in the first and the last round.
+# Largest angle to the wall's normal and distance of an echo, in the first and the last round.
 _MAX_ANGLE_RAD, _MAX_OFFSET_M = (0.2, 0.08), (0.02, 0.004)
-# Two-way path that is searched where a delay was recorded, and where it was not.
+# Searched changes of the two-way path with a recorded delay, and without [m].
 _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
 Group = Literal["delay", "frame", "axis"]
-"""What is accepted on its own: delay; position of the prior; turntable axis and angles."""
+"""Groups that are accepted separately: delay; position of the prior; turntable axis and angles."""
 GROUPS: tuple[Group, ...] = ("delay", "frame", "axis")
 _PARTS: dict[Group, tuple[str, ...]] = {
     "delay": ("delay",),
@@ -48,16 +48,16 @@ _PARTS: dict[Group, tuple[str, ...]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class AlignmentConfig(Bounded):
-    """Prior of the estimate: expected errors, one standard deviation each."""
+    """Prior of the estimate: expected errors as standard deviations."""
 
     delay_search_m: tuple[SignedM, SignedM] | None = None
-    """Change of the instrument delay to search, on the two-way path [m]. When not given, -0.03 to
-    0.03 where a delay was recorded, and -0.3 to 1 where it was not (a delay of 0)."""
+    """Searched changes of the instrument delay, on the two-way path [m]. By default -0.03 to 0.03
+    if a delay was recorded, and -0.3 to 1 if not (a delay of 0)."""
     keep_delay: bool = False
-    """Hold the instrument delay; the axis may then also lie nearer or farther."""
+    """Keep the instrument delay; then the axis may also lie nearer or farther."""
     delay_sigma_m: MarginM = 0.002
     """Expected error of a recorded delay, on the two-way path [m]; an axis that is 1 mm nearer to
-    the radar is the same."""
+    the radar has the same effect."""
     translation_sigma_m: MarginM = 0.01
     """Expected error of the prior's position [m]."""
     rotation_sigma_rad: MarginRad = 0.05
@@ -69,9 +69,9 @@ class AlignmentConfig(Bounded):
     plane_sigma_m: MarginM = 0.00015
     """Expected error of each plane's distance, from drift of positions [m]."""
     wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
-    """Expected error of each wall's distance from the middle of the prior [m]."""
+    """Expected error of each wall's distance from the centre of the prior [m]."""
     least_echoes: Few = MIN_ECHOES
-    """Echoes of near walls that agree, at least."""
+    """Least number of near walls' echoes that agree."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,19 +87,19 @@ class AlignmentConfig(Bounded):
         return _NEAR_SEARCH_M if self.is_recorded(capture) else _WIDE_SEARCH_M
 
     def is_recorded(self, capture: Capture) -> bool:
-        """Whether the capture's delay is a measured one."""
+        """Whether the capture has a measured delay."""
         return capture.waveform.path_bias_m != 0.0 and self.delay_search_m is None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallAlignment:
-    """Estimate from the walls; all corrections are to be added."""
+    """Estimate from the walls; all corrections are added to the recorded values."""
 
     delay_m: float
     """Change of the instrument delay, two-way path [m]."""
     delay_sigma_m: float
     center_m: Floats
-    """Middle of the prior, about which it turns, (3,) [m]."""
+    """Centre of the prior and of its rotation, (3,) [m]."""
     rotation_rad: Floats
     """Rotation vector from the prior to the capture frame, (3,) [rad]."""
     rotation_sigma_rad: Floats
@@ -107,21 +107,21 @@ class WallAlignment:
     """Shift of the prior, (3,) [m]."""
     translation_sigma_m: Floats
     axis_shift_m: Floats
-    """True turntable axis less the recorded one: towards the radar, and across, (2,) [m]."""
+    """True turntable axis minus the recorded one: towards the radar, and across, (2,) [m]."""
     axis_shift_sigma_m: Floats
     angles_rad: Floats
     """Change of each pose's angle, (n_poses,) [rad]."""
     shapes_m: Floats
-    """How far each wall lies outside of the prior, by mode of `wall_faces`, (n_walls, n_modes)."""
+    """Displacement of each wall from the prior, by mode of `wall_faces`, (n_walls, n_modes) [m]."""
     peak: OffsetPeak
     offsets_before_m: Floats
-    """Distance of each echo from its wall, less the median, before calibration [m]."""
+    """Distance of each echo from its wall, minus the median, before calibration [m]."""
     offsets_after_m: Floats
     """Distance of each echo from its wall after calibration, (n_echoes,) [m]."""
 
     @property
     def rms_m(self) -> tuple[float, float]:
-        """Of the middle 95 % of the echoes' distances from the walls, before and after [m]."""
+        """RMS of the inner 95 % of the echoes' distances from the walls, before and after [m]."""
         return _rms(self.offsets_before_m), _rms(self.offsets_after_m)
 
     @property
@@ -131,12 +131,12 @@ class WallAlignment:
 
     @property
     def offset_sigma_m(self) -> float:
-        """Its standard deviation; one of the two is held [m]."""
+        """Standard deviation of that offset; either delay or axis is fixed [m]."""
         return float(np.hypot(0.5 * self.delay_sigma_m, self.axis_shift_sigma_m[0]))
 
     @property
     def bulge_m(self) -> float:
-        """Largest bulge of a wall at its middle [m]; outward is positive."""
+        """Largest bulge at the middle of a wall [m]; outward is positive."""
         bulges = self.shapes_m @ MIDDLE_BULGE
         return float(bulges[np.abs(bulges).argmax()]) if len(bulges) else 0.0
 
@@ -148,13 +148,13 @@ class WallAlignment:
 
 
 def turntable_axis(poses: Sequence[Pose]) -> tuple[Floats, Floats]:
-    """Point on the axis the poses stand around, and its direction, each (3,).
+    """Point on the turntable axis, and its direction, each (3,).
 
-    The point nearest to all viewing axes, and the mean of the poses' vertical axes.
+    The point nearest to the looking axes of all poses, and the mean of their vertical axes.
     """
     centers = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])
-    looking = np.stack([pose.axes[0] for pose in poses])
-    across = np.eye(3) - looking[:, :, None] * looking[:, None, :]
+    directions = np.stack([pose.axes[0] for pose in poses])
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     point = np.linalg.lstsq(
         across.sum(axis=0), np.einsum("pij,pj->i", across, centers), rcond=1e-3
     )[0]
@@ -165,9 +165,9 @@ def turntable_axis(poses: Sequence[Pose]) -> tuple[Floats, Floats]:
 def moved_pose(
     pose: Pose, axis_shift_m: Floats, angle_rad: float, axis: tuple[Floats, Floats]
 ) -> Pose:
-    """Pose whose antennas stand around the shifted axis, turned by a small angle.
+    """Pose around a shifted axis, rotated by a small angle.
 
-    Seen from the object, a radar whose turntable axis lies nearer to it stands nearer itself.
+    In the frame of the object, an axis nearer to the radar moves the radar nearer.
     """
     point, up = axis
     turn = Rotation.from_rotvec(angle_rad * up).as_matrix()
@@ -195,9 +195,9 @@ class WallFit:
 class WallProblem:
     """Unknowns at which the specular returns of near and far walls lie on the prior.
 
-    One vector: half the delay [m], rotation [rad], translation, axis [m], angle [rad] and distance
-    [m] of each pose, optical middles and shapes of the walls [m]; each has a Gaussian prior of
-    mean 0, the delay a Student-t. A standard deviation of 0 holds an unknown.
+    They are one vector: half the delay [m], rotation [rad], translation and axis [m], angle [rad]
+    and distance [m] of each pose, optical middles and shapes of the walls [m]. Each has a Gaussian
+    prior of mean 0, the delay a Student-t. A standard deviation of 0 fixes an unknown.
     """
 
     def __init__(
@@ -213,25 +213,25 @@ class WallProblem:
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
         self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
-        # A delay that was not recorded may be any of those that are searched.
+        # Without a recorded delay, all searched delays are equally likely.
         delay = 0.5 * config.delay_sigma_m if config.is_recorded(capture) else high - low
         parts = self._priors(config, delay)
         self.sigmas = np.concatenate(list(parts.values()))
         ends = np.cumsum([len(part) for part in parts.values()])[:-1]
         self.parts = dict(zip(parts, np.split(np.arange(len(self.sigmas)), ends), strict=True))
         maybe = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
-        off = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
+        offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
-        kinds = [(off[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
+        kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
         self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
-        # Twice as far: the box may be turned or moved.
-        self.maybe = maybe.select(np.abs(off - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
+        # Twice the limit, since the box may be rotated or shifted.
+        self.maybe = maybe.select(np.abs(offset - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
 
     def _priors(self, config: AlignmentConfig, delay_m: float) -> dict[str, Floats]:
-        """Give the standard deviation of each unknown."""
+        """Return the standard deviation of each unknown, by group."""
         n_poses = len(self.axes)
         several = 1.0 if n_poses > 1 else 0.0
-        # Nearer by as much for all poses is a shorter delay: only one of them can be found.
+        # A common change of distance equals a change of the delay: only one can be estimated.
         radial = config.axis_sigma_m * several if config.keep_delay else 0.0
         return {
             "delay": np.array([0.0 if config.keep_delay else delay_m]),
@@ -245,10 +245,10 @@ class WallProblem:
         }
 
     def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:
-        """Maximum a posteriori of the unknowns; covariance by the last normal equations.
+        """Maximum a posteriori of the unknowns; covariance from the last normal equations.
 
-        groups: what may change; planes' distances, middles and shapes of the walls always may.
-        use: peaks that take part, (n_peaks,); all when None.
+        groups: free groups; planes' distances, middles and shapes of the walls are always free.
+        use: mask of the peaks to use, (n_peaks,); all when None.
         """
         free = self.sigmas > 0.0
         for group in GROUPS:
@@ -274,17 +274,17 @@ class WallProblem:
         weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / _OVERLAP
         weighted = (weight[:, None, None] * design).reshape(-1, design.shape[2])
         scaled = values[free] / self.sigmas[free]
-        precision = self._tails(scaled, free) * self.sigmas[free] ** -2.0
+        precision = self._prior_weights(scaled, free) * self.sigmas[free] ** -2.0
         matrix = weighted.T @ design.reshape(weighted.shape) + np.diag(precision)
         return matrix, weighted.T @ residual.ravel() + precision * values[free]
 
-    def _tails(self, scaled: Floats, free: Bools) -> Floats:
-        """Weights of the priors: a delay was recorded wrongly or well, a Student-t."""
+    def _prior_weights(self, scaled: Floats, free: Bools) -> Floats:
+        """Weights of the priors: Student-t for the delay, which may be recorded wrongly."""
         student = (_DEGREES_OF_FREEDOM + 1.0) / (_DEGREES_OF_FREEDOM + scaled**2)
         return np.where(np.flatnonzero(free) == 0, student, 1.0)
 
     def log_prior(self, values: Floats) -> float:
-        """Log-density of the unknowns' prior but for a constant [nats]."""
+        """Log-density of the unknowns' prior up to a constant [nats]."""
         free = self.sigmas > 0.0
         square = (values[free] / self.sigmas[free]) ** 2
         if free[0]:
@@ -292,16 +292,15 @@ class WallProblem:
         return -0.5 * float(square.sum())
 
     def log_likelihood(self, values: Floats, walls: WallEchoes) -> Floats:
-        """Student-t log-likelihood of each echo but for a constant, (n,) [nats]."""
+        """Student-t log-likelihood of each echo up to a constant, (n,) [nats]."""
         residual, _ = self.linearised(values, walls)
         q = (residual**2).sum(axis=1) / _DEGREES_OF_FREEDOM
         return np.asarray(-0.5 * (_DEGREES_OF_FREEDOM + 3.0) / _OVERLAP * np.log1p(q))
 
     def gain(self, groups: Collection[Group], more: Group) -> Gain:
-        """Gain of one more group: each half of the sub-apertures under the fit of the other.
+        """Gain of one more group: each half of the sub-apertures with the fit of the other.
 
-        The halves share the walls' middles and shapes: how far either fit must bend these counts
-        by their prior.
+        The halves share the walls' middles and shapes, whose deviations count by their prior.
         """
         _, number = np.unique(self.echoes.subapertures, return_inverse=True)
         odd = number.ravel() % 2 == 1
@@ -309,14 +308,14 @@ class WallProblem:
         start[0] = self.peak.offset_m
         nats, prior = list[Floats](), 0.0
         for train, test in ((odd, ~odd), (~odd, odd)):
-            before, after = (self.fit(some, train).values for some in (groups, [*groups, more]))
+            before, after = (self.fit(subset, train).values for subset in (groups, [*groups, more]))
             walls = self.walls_of(start, 0.0, test)
             nats.append(self.log_likelihood(after, walls) - self.log_likelihood(before, walls))
             prior += 0.5 * (self.log_prior(after) - self.log_prior(before))
         return Gain.of(np.concatenate(nats), is_modelled=True, prior=prior)
 
-    def placed(self, values: Floats, index: Ints) -> tuple[Floats, Floats]:
-        """Centres and directions of echoes with everything corrected, in the prior's frame."""
+    def corrected(self, values: Floats, index: Ints) -> tuple[Floats, Floats]:
+        """Corrected centres and directions of echoes, in the prior's frame."""
         point, up = self.axis
         rotation, translation, axis_shift, angles, planes = (
             values[self.parts[name]]
@@ -333,35 +332,37 @@ class WallProblem:
         return moved, back.apply(turn.apply(self.echoes.directions[index]))
 
     def walls_of(self, values: Floats, share: float, use: Bools | None = None) -> WallEchoes:
-        """Echoes of walls; share: how far the limits have shrunk, 0 to 1."""
+        """Select echoes of walls; share: progress from the first limits to the last, 0 to 1."""
         maybe = self.maybe if use is None else self.maybe.select(use[self.maybe.index])
         (a, b), (c, d) = _MAX_ANGLE_RAD, _MAX_OFFSET_M
-        centers, directions = self.placed(values, maybe.index)
+        centers, directions = self.corrected(values, maybe.index)
         normals = self.faces.normals[maybe.walls]
         cosine = -maybe.side * np.einsum("ij,ij->i", directions, normals)
         height = np.einsum("ij,ij->i", centers - self.faces.centers[maybe.walls], normals)
         middle = np.array(self.middles.depths_m)[maybe.far]
-        off = self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
-        keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(off) < c + share * (d - c))
+        offset = (
+            self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
+        )
+        keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(offset) < c + share * (d - c))
         axes = self.axes[self.echoes.planes[maybe.index]]
-        # Part of the aperture beyond the rim moves ranges by less than they err anyhow.
+        # An aperture that extends beyond the rim may shift ranges by less than their error.
         keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _RANGE_SIGMAS_M[0]
         return maybe.select(keep)
 
     def linearised(self, values: Floats, walls: WallEchoes) -> tuple[Floats, Floats]:
         """Residuals in standard deviations, (n, 3), and derivatives, (n, 3, n_unknowns).
 
-        Range behind the wall, by the foot of the perpendicular; direction less the wall's normal
-        along both axes of the wall.
+        The first is the range behind the wall, at the foot of the perpendicular. The others are the
+        direction relative to the wall's normal, along both axes of the wall.
         """
-        centers, directions = self.placed(values, walls.index)
+        centers, directions = self.corrected(values, walls.index)
         normals, side, n = self.faces.normals[walls.walls], walls.side, len(walls.index)
         height = np.einsum("ij,ij->i", centers - self.faces.centers[walls.walls], normals)
         across = self.faces.across[walls.walls]
         along = across / np.linalg.norm(across, axis=2, keepdims=True)
         point, up = self.axis
         poses, parts, rows = self.echoes.planes[walls.index], self.parts, np.arange(n)
-        axes, turned = self.axes[poses], np.cross(up, centers - point)
+        axes, rotated = self.axes[poses], np.cross(up, centers - point)
         towards, design = side[:, None] * normals, np.zeros((n, 3, len(values)))
 
         def dot(one: Floats, other: Floats) -> Floats:
@@ -373,7 +374,7 @@ class WallProblem:
         ranges[:, parts["translation"]] = towards
         ranges[:, parts["axis"][0]] = -dot(towards, axes[:, 0])
         ranges[:, parts["axis"][1]] = dot(towards, axes[:, 1])
-        ranges[rows, parts["angles"][poses]] = -dot(towards, turned)
+        ranges[rows, parts["angles"][poses]] = -dot(towards, rotated)
         ranges[rows, parts["planes"][poses]] = -dot(towards, axes[:, 0])
         ranges[rows, parts["middles"][walls.far]] = -1.0
         ranges[:, parts["middles"][2]] = -1.0
@@ -388,15 +389,15 @@ class WallProblem:
         bearings[where] = -side[:, None, None] * slopes
         linear = np.concatenate([parts["middles"], parts["shapes"]])
         middle = np.array(self.middles.depths_m)[walls.far]
-        off = self.echoes.ranges_m[walls.index] - values[0] - side * height - middle
-        known = np.concatenate([off[:, None], dot(along, directions[:, None])], axis=1)
+        offset = self.echoes.ranges_m[walls.index] - values[0] - side * height - middle
+        known = np.concatenate([offset[:, None], dot(along, directions[:, None])], axis=1)
         sigmas = np.full((n, 3), _DIRECTION_SIGMAS_RAD[walls.far][:, None])
         sigmas[:, 0] = _RANGE_SIGMAS_M[walls.far]
         residual = known + design[:, :, linear] @ values[linear]
         return residual / sigmas, design / sigmas[..., None]
 
     def result(self, fit: WallFit) -> WallAlignment:
-        """Estimate in the terms of a user."""
+        """Convert the unknowns to corrections."""
         walls = self.walls_of(fit.values, 1.0)
         scale = _RANGE_SIGMAS_M[walls.far]
         after = scale * self.linearised(fit.values, walls)[0][:, 0]

@@ -1,9 +1,8 @@
 """Echoes of the box's walls, and the instrument delay at which they lie on the prior.
 
-A flat wall answers where it is seen along its normal. Whatever the instrument delay, the direction
-of such an echo is right. Its range less the distance to the prior's wall is common to all of them,
-near and far; echoes of the content have no such common offset
-(docs/math/calibration.md#delay-box-and-axis).
+A flat wall returns a flash along its normal, in a direction that does not depend on the delay. The
+range minus the distance to the prior's wall is common to all near and far walls. Echoes of the
+content have no such common offset (docs/math/calibration.md#delay-box-and-axis).
 """
 
 from dataclasses import dataclass, replace
@@ -19,27 +18,26 @@ from geraf2.scene import Capture, LosPrior, Wall, Waveform
 
 UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
 """Optical middle of a near and of a far wall behind its outer face, each with its standard
-deviation, where nothing is known of the walls: board of 2 to 7 mm, index 1.2 to 1.4 [m]."""
+deviation [m]. For unknown walls: board of 2 to 7 mm with index 1.2 to 1.4."""
 MIDDLE_SIGMA_M = 2e-4
-"""Standard deviation of the middle of a wall whose thickness and permittivity are known, beside
-that of its loss: mirror images that are out of focus move it by as much [m]."""
+"""Standard deviation of the middle of a known wall, in addition to that of its loss [m]: defocused
+mirror images shift it."""
 
-# Of one crossing of cardboard, beside the reflection of its faces.
+# Loss of one pass through cardboard, in addition to the reflection of its faces [dB].
 _LOSSES_DB = (0.0, 0.45, 0.9)
-# The wall's echo is strong, but the content's may be 20 dB stronger; side lobes are weaker.
+# Level of a wall's echo relative to the strongest peak; content may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
-# Half as many sub-apertures as glints need: 4 m of wall give hundreds of echoes.
+# Half as many sub-apertures as for glints: walls have hundreds of echoes.
 _STEP_M = 0.04
-# The offset of the walls stands out as a peak of this width; it covers a prior that is 5 mm off.
+# Width of the walls' offset peak, which allows for a prior that is 5 mm off.
 _OFFSET_SIGMA_M = 0.004
-# Where the content hides the far walls, this part of the largest density of near ones replaces
-# theirs: enough to find a delay from near walls alone, too little for a far wall interpreted as a
-# near one, behind which there is nothing.
+# Share of the near walls' largest density that replaces hidden far walls. It is enough to find a
+# delay from near walls alone, and too small to interpret a far wall as a near one.
 _MISSING_FAR_SHARE = 0.1
-# Near walls alone are the first peak of this share of the highest.
+# Near walls alone are the first peak with this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
 MIN_ECHOES = 12
-"""Echoes within a centimetre of one offset that are walls."""
+"""Least number of wall echoes within a centimetre of one offset."""
 
 
 def wall_peaks(
@@ -50,8 +48,8 @@ def wall_peaks(
 ) -> PeakSet:
     """Peaks of all planes at the prior's distance, or shifted by an unknown delay.
 
-    range_shift_m: how much nearer (negative) and farther than the prior they may lie, one-way [m].
-    peaks: of the capture; farther from the prior than these reach, planes are imaged anew.
+    range_shift_m: largest shift towards (negative) and away from the antennas, one-way [m].
+    peaks: of the capture; planes are imaged again for ranges beyond these.
     """
     if all(pose.n_antennas == 0 for pose in capture.poses):
         raise UserError(what="no plane has antennas")
@@ -72,22 +70,22 @@ def wall_peaks(
 
 @dataclass(frozen=True, kw_only=True)
 class WallMiddles:
-    """How far behind the outer faces walls echo [m].
+    """Positions of the walls' echoes behind their outer faces [m].
 
-    Both faces of a wall lie in one range cell. With thickness t and index n a near wall echoes
-    from n t / 2 behind its outer face, a far one, seen through the near one, from
-    3 n t / 2 - 2 t behind its own: within 0.5 mm of it for all cardboard. Where a loss makes the
-    second face weaker and both nearly cancel, the peak moves by millimetres (`loss_shift`).
+    Both faces of a wall lie in one range cell. With thickness t and index n, a near wall echoes
+    from n t / 2 behind its outer face. A far wall, seen through the near one, echoes from
+    3 n t / 2 - 2 t behind its own, within 0.5 mm of it for all cardboard. A loss weakens the second
+    face; if both nearly cancel, the peak moves by millimetres (`loss_shift`).
     """
 
     depths_m: tuple[float, float]
-    """Of near and of far walls."""
+    """Optical middles of near and of far walls."""
     sigmas_m: tuple[float, float, float]
-    """Standard deviations of both, and of what they have in common."""
+    """Standard deviations of both, and of their common part."""
 
     @classmethod
     def of(cls, walls: tuple[Wall, ...], waveform: Waveform) -> "WallMiddles":
-        """Of the outermost wall, and of boxes within it; what is likely where nothing is known."""
+        """Middles of the outermost wall, with inner boxes; typical values if unknown."""
         if not walls:
             near, far = UNKNOWN_MIDDLES_M
             return cls(depths_m=(near[0], far[0]), sigmas_m=(near[1], far[1], 0.0))
@@ -103,40 +101,42 @@ class WallMiddles:
 
 
 def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
-    """How far a wall's peak lies behind the middle of its faces [m].
+    """Distance of a wall's peak behind the middle of its faces [m].
 
-    The faces send 1 - a exp(-j 4 pi f n t / c): a is the amplitude after two crossings, (1 - r^2)
-    times the loss, r the reflection of a face.
+    The faces return 1 - a exp(-j 4 pi f n t / c). a is the amplitude after two passes, (1 - r^2)
+    times the loss, and r the reflection of a face.
 
-    loss_db: of one crossing, beside the reflection [dB].
+    loss_db: of one pass, in addition to the reflection [dB].
     """
     index = float(np.sqrt(wall.permittivity))
     kept = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
     amplitude = kept * 10.0 ** (-2.0 * loss_db / 20.0)
     path_m = 2.0 * index * wall.thickness_m
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
-    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (1.0 - amplitude * np.exp(-turn * path_m))
+    phase_per_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
+    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (
+        1.0 - amplitude * np.exp(-phase_per_m * path_m)
+    )
     paths = path_m * np.linspace(-3.0, 4.0, 701)
-    best = int(np.abs(np.exp(np.outer(paths, turn)) @ echo).argmax())
+    best = int(np.abs(np.exp(np.outer(paths, phase_per_m)) @ echo).argmax())
     return 0.5 * float(paths[best]) - 0.5 * index * wall.thickness_m
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallEchoes:
-    """Pairs of a peak and a wall that it may be the specular return of."""
+    """Pairs of a peak and a wall whose specular return it may be."""
 
     index: Ints
-    """Which peaks, (n,)."""
+    """Index of the peak, (n,)."""
     walls: Ints
-    """Of `WallFaces`, (n,)."""
+    """Index in `WallFaces`, (n,)."""
     far: Ints
-    """1 where the wall is seen from behind, through the box, else 0, (n,)."""
+    """1 for a far wall, seen from behind through the box, else 0, (n,)."""
     offsets_m: Floats
-    """Range less distance of the wall along the line of sight, (n,) [m]."""
+    """Range minus distance of the wall along the line of sight, (n,) [m]."""
 
     @property
     def side(self) -> Floats:
-        """1 of a near wall, -1 of a far one, (n,)."""
+        """1 for a near wall, -1 for a far one, (n,)."""
         return np.where(self.far > 0, -1.0, 1.0)
 
     def select(self, keep: Bools) -> "WallEchoes":
@@ -145,13 +145,13 @@ class WallEchoes:
 
 
 def wall_echoes(echoes: PeakSet, faces: WallFaces, max_angle_rad: float) -> WallEchoes:
-    """Peaks whose line of sight meets a wall along its normal, from outside or from behind."""
+    """Peaks whose line of sight meets a wall along its normal, from the front or from behind."""
     heights = echoes.centers @ faces.normals.T - (faces.centers * faces.normals).sum(axis=1)
     cosines = -np.sign(heights) * (echoes.directions @ faces.normals.T)
     index, walls = np.nonzero(cosines > np.cos(max_angle_rad))
     distance = np.abs(heights)[index, walls] / cosines[index, walls]
     met = echoes.centers[index] + distance[:, None] * echoes.directions[index]
-    inside = (np.abs(faces.places(walls, met)) <= 1.0).all(axis=1)
+    inside = (np.abs(faces.coordinates(walls, met)) <= 1.0).all(axis=1)
     found = WallEchoes(
         index=index,
         walls=walls,
@@ -163,17 +163,17 @@ def wall_echoes(echoes: PeakSet, faces: WallFaces, max_angle_rad: float) -> Wall
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OffsetPeak:
-    """Offset at which the walls stand out."""
+    """Common offset of the walls' echoes."""
 
     offset_m: float
     n_near: int
-    """Echoes of near walls within 1 cm of it."""
+    """Number of near walls' echoes within 1 cm of it."""
     n_far: int
-    """Of far walls."""
+    """Number of far walls' echoes."""
     candidates_m: Floats
-    """Offsets tried, (n,) [m]."""
+    """Offsets of the search, (n,) [m]."""
     density: Floats
-    """Density of near and far walls together at each, 1 at the best, (n,)."""
+    """Combined density of near and far walls at each, 1 at the best, (n,)."""
 
 
 def find_wall_peak(
@@ -184,16 +184,16 @@ def find_wall_peak(
 ) -> OffsetPeak:
     """Offset at which echoes of near and of far walls are densest together.
 
-    The square root of a magnitude is an echo's weight: between a count, in which many weak ones
-    win, and the power, of which one strong one has most. Densities of near and far walls are
-    multiplied, so that neither wins alone.
+    The weight of an echo is the square root of its magnitude. In a count, many weak echoes would
+    dominate, and in the power a single strong one. Densities of near and far walls are multiplied,
+    so that neither decides alone.
 
-    near: offsets of echoes from near walls, less the wall's middle [m], and magnitudes, each (n,).
+    near: offsets of echoes from near walls, minus the wall's middle [m], and magnitudes, each (n,).
     far: those of far walls.
     search_m: smallest and largest offset [m].
-    least: echoes of near walls that agree.
+    least: least number of near walls' echoes that agree.
 
-    Raises UserError: fewer of them agree, or only at the search's edge.
+    Raises UserError if fewer agree, or only at the edge of the search.
     """
     n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
@@ -209,12 +209,12 @@ def find_wall_peak(
         return [int((np.abs(kind[0] - candidates[best]) < 0.01).sum()) for kind in (near, far)]
 
     best = int(score.argmax())
-    if counts(best)[1] < least:  # the content, which may agree as well, is farther
+    if counts(best)[1] < least:  # content, which may be as dense, is farther away
         rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
         peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
         best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
-    if n_near < least or best in (0, n_steps - 1):  # an edge is no peak
+    if n_near < least or best in (0, n_steps - 1):  # a maximum at the edge is no peak
         raise UserError(
             what="the walls of the box do not stand out",
             expected=f"at least {least} echoes along the prior's faces at one offset between "

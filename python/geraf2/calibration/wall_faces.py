@@ -1,7 +1,7 @@
-"""Walls of a prior: flat groups of its triangles, and the smooth shapes that cardboard takes.
+"""Walls of a prior: flat groups of its triangles, and the smooth shapes of cardboard.
 
-A bulged wall is nearer to the planes that face it, and farther from those that see it from
-behind, through the box: opposite changes of range, where a delay changes both alike
+A bulged wall is nearer to the planes that face it, and farther from those that see it from behind,
+through the box. Ranges change in opposite directions, but a delay changes both equally
 (docs/math/calibration.md#delay-box-and-axis).
 """
 
@@ -15,28 +15,27 @@ from geraf2.scene import LosPrior
 
 _WAVES = np.array([(m, n) for m in (1, 2, 3) for n in (1, 2, 3)])
 MODE_SIGMAS_M = np.array([0.0007, 0.001, 0.001, *(0.003 / (_WAVES**2).sum(axis=1))])
-"""Expected size of each shape [m]: position, two tilts, and the nine longest standing waves of a
-plate that is held at its rim. Cardboard of 0.2 m bulges by 1 to 3 mm; a carton is skewed by up to
-0.5 degrees."""
+"""Standard deviation of each shape of a carton's wall [m]: position, two tilts, and the nine
+longest standing waves of a plate with a fixed rim."""
 N_MODES = len(MODE_SIGMAS_M)
 MIDDLE_BULGE = np.array([0.0, 0.0, 0.0, *np.sin(0.5 * np.pi * _WAVES).prod(axis=1)])
-"""Displacement of a wall's middle against its rim, of each shape."""
-# Triangles are of one wall when their normals and planes differ by less than this.
+"""Displacement of a wall's middle relative to its rim, for each shape."""
+# Least cosine between normals, and largest distance from the plane [m], of one wall's triangles.
 _MAX_TURN_COSINE, _MAX_STEP_M = np.cos(0.25), 0.02
-# Smaller parts of the surface are no walls.
+# Least share of the surface's area of a wall.
 _MIN_AREA_SHARE = 0.03
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallFaces:
-    """Nearly flat parts of a prior, each with two coordinates from -1 to 1 across it."""
+    """Nearly flat parts of a prior, each with two coordinates from -1 to 1 along it."""
 
     centers: Floats
     """(n_walls, 3) [m]."""
     normals: Floats
-    """Outward, unit, (n_walls, 3)."""
+    """Outward unit normals, (n_walls, 3)."""
     across: Floats
-    """Directions along the wall, over half its extent, (n_walls, 2, 3) [1/m]."""
+    """Directions along the wall, divided by half its extent, (n_walls, 2, 3) [1/m]."""
 
     @classmethod
     def of(cls, prior: LosPrior) -> "WallFaces":
@@ -45,16 +44,16 @@ class WallFaces:
         normals, areas = unit_normals(corners), face_areas(corners)
         middles = corners.mean(axis=1)
         walls = list[tuple[Floats, Floats, Floats]]()
-        left = areas > 0.0
-        # There are at most so many walls; a rough surface has parts that are too small before.
+        remaining = areas > 0.0
+        # The areas limit the number of walls; a rough surface also has parts that are too small.
         for _ in range(2 * int(1.0 / _MIN_AREA_SHARE)):
-            if not left.any():
+            if not remaining.any():
                 break
-            seed = int(np.argmax(np.where(left, areas, 0.0)))
+            seed = int(np.argmax(np.where(remaining, areas, 0.0)))
             step = np.abs((middles - middles[seed]) @ normals[seed])
-            own = left & (normals @ normals[seed] > _MAX_TURN_COSINE) & (step < _MAX_STEP_M)
+            own = remaining & (normals @ normals[seed] > _MAX_TURN_COSINE) & (step < _MAX_STEP_M)
             own[seed] = True
-            left &= ~own
+            remaining &= ~own
             if areas[own].sum() >= _MIN_AREA_SHARE * areas.sum():
                 mean = (areas[own, None] * normals[own]).sum(axis=0)
                 height = np.average(middles[own], axis=0, weights=areas[own])
@@ -66,36 +65,37 @@ class WallFaces:
             across=np.asarray(across).reshape(-1, 2, 3),
         )
 
-    def places(self, walls: Ints, points: Floats) -> Floats:
-        """Coordinates across walls of points before or behind them, (n,), (n, 3) [m] -> (n, 2)."""
+    def coordinates(self, walls: Ints, points: Floats) -> Floats:
+        """Coordinates along walls of points in front or behind, (n,), (n, 3) [m] -> (n, 2)."""
         return np.asarray(np.einsum("nki,ni->nk", self.across[walls], points - self.centers[walls]))
 
     def rim_bias(self, walls: Ints, points: Floats, axes: Floats, size_m: float) -> Floats:
-        """Range error of apertures part of which lies beyond a wall's rim, (n,) [m].
+        """Range error of apertures that extend beyond a wall's rim, (n,) [m].
 
-        That part receives no echo, so that the centre of the rest is displaced by up to half of
-        it; the range changes by the sine of the angle of viewing axis and normal times that.
+        The part beyond receives no echo, which shifts the effective centre by up to half of that
+        part. The range changes by this shift times the sine between looking axis and normal.
 
-        points: centres of the apertures, (n, 3) [m]. axes: viewing, horizontal and vertical axis
+        points: centres of the apertures, (n, 3) [m]. axes: looking, horizontal and vertical axis
         of each, (n, 3, 3). size_m: side of each.
         """
         half_m = 1.0 / np.linalg.norm(self.across[walls], axis=2)
         along = np.abs(np.einsum("nki,nai->nka", self.across[walls] * half_m[..., None], axes))
-        reach = half_m * np.abs(self.places(walls, points)) + 0.5 * size_m * along[..., 1:].sum(2)
+        outer = half_m * np.abs(self.coordinates(walls, points))
+        reach = outer + 0.5 * size_m * along[..., 1:].sum(2)
         return np.asarray((0.5 * np.maximum(reach - half_m, 0.0) * along[..., 0]).sum(axis=1))
 
     def modes(self, walls: Ints, points: Floats) -> tuple[Floats, Floats]:
-        """Shapes at points before or behind walls, and their slopes along the wall.
+        """Shapes at points in front of or behind walls, and their slopes along the wall.
 
         walls, points: (n,), (n, 3) [m]. Returns values, (n, n_modes), and derivatives along the
         unit vectors of `across`, (n, 2, n_modes) [1/m].
         """
-        place = np.clip(self.places(walls, points), -1.0, 1.0)
+        position = np.clip(self.coordinates(walls, points), -1.0, 1.0)
         rates = 0.5 * np.pi * _WAVES
-        angles = (place[:, None] + 1.0) * rates
+        angles = (position[:, None] + 1.0) * rates
         sines, cosines = np.sin(angles), rates * np.cos(angles)
-        one, none = np.ones(len(place)), np.zeros(len(place))
-        values = np.column_stack([one, place, sines.prod(axis=2)])
+        one, none = np.ones(len(position)), np.zeros(len(position))
+        values = np.column_stack([one, position, sines.prod(axis=2)])
         slopes = np.stack(
             [
                 np.column_stack([none, one, none, cosines[..., 0] * sines[..., 1]]),
@@ -107,13 +107,13 @@ class WallFaces:
 
 
 def _wall(normal: Floats, middle: Floats, corners: Floats) -> tuple[Floats, Floats, Floats]:
-    """Centre, normal and directions across one wall; middle: a point of its plane, (3,) [m]."""
-    # The axis of the coordinate system nearest to the wall makes one of its directions.
+    """Centre, normal and directions of one wall; middle: a point of its plane, (3,) [m]."""
+    # The frame's axis most nearly parallel to the wall defines one of its directions.
     flat = np.eye(3)[int(np.argmin(np.abs(normal)))]
     second = np.cross(normal, flat)
     second /= np.linalg.norm(second)
     axes = np.stack([np.cross(second, normal), second])
-    places = corners.reshape(-1, 3) @ axes.T
-    low, high = places.min(axis=0), places.max(axis=0)
+    projected = corners.reshape(-1, 3) @ axes.T
+    low, high = projected.min(axis=0), projected.max(axis=0)
     center = 0.5 * (low + high) @ axes + float(middle @ normal) * normal
     return center, normal, axes / np.maximum(0.5 * (high - low), 1e-6)[:, None]

@@ -10,7 +10,8 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.peaks import PeakSet
 from geraf2.scene import Capture, Pose, Waveform
 
-# Relative wavefront curvatures that are tried along each axis: plane (1) to point (0).
+# Shares of a point's wavefront curvature that are removed, in trials along each axis: none for a
+# point (0), all for a plane (1).
 _CURVATURES = np.linspace(0.0, 1.0, 6)
 _MIN_ANTENNAS = 16
 
@@ -29,7 +30,7 @@ class EchoPhases:
     """
     directions: Floats
     """Unit vectors from each antenna to the reflector, (n, 3)."""
-    looking: Floats
+    looking_direction: Floats
     """Looking direction of the pose, (3,)."""
     offsets_m: Floats
     """Antenna positions about the sub-aperture's centre, horizontal and vertical, (n, 2) [m]."""
@@ -75,14 +76,14 @@ def response_at(
     steps, so the sum is a polynomial in a phasor. Horner's rule is twenty times as fast as one
     exponential per sample.
     """
-    turn = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
-    step = np.exp(turn * waveform.bandwidth_hz / waveform.n_samples)
+    phase_per_hz = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
+    step = np.exp(phase_per_hz * waveform.bandwidth_hz / waveform.n_samples)
     weighted = (signal * np.hanning(waveform.n_samples + 2)[1:-1]).T.copy()
     total = np.zeros(path_m.shape, dtype=np.complex128)
     for column in weighted[::-1]:
         total *= step
         total += column
-    return np.asarray(total * np.exp(turn * waveform.frequencies_hz[0]))
+    return np.asarray(total * np.exp(phase_per_hz * waveform.frequencies_hz[0]))
 
 
 class _Antennas:
@@ -114,7 +115,7 @@ class _Antennas:
                 antennas=inside,
                 values=own,
                 directions=direction,
-                looking=pose.axes[0],
+                looking_direction=pose.axes[0],
                 offsets_m=offsets,
             )
             for own, direction in zip(flat, to_points / distances[..., None], strict=True)
@@ -131,8 +132,8 @@ def _without_curvature(
 ) -> NDArray[np.complex128]:
     """Remove the difference between a surface's wavefront curvature and that of a point.
 
-    A surface of radius rho at range R has the path 2 R + s^2 / (R + rho) at the offset s on the
-    aperture, a point 2 R + s^2 / R. Values (n_echoes, n), offsets (n, 2).
+    At the offset s on the aperture, a surface of radius rho at range R has the path
+    2 R + s^2 / (R + rho), and a point 2 R + s^2 / R. Values (n_echoes, n), offsets (n, 2).
     """
     k = 2.0 * np.pi / waveform.center_wavelength_m
     one = np.exp(-1j * k * _CURVATURES[1] / ranges_m[:, None, None] * offsets.T**2)

@@ -64,7 +64,9 @@ def find_candidates(
     wall_margin_m: half thickness of the layer with the wall's own echoes [m].
     range_correction_m: subtracted from every range [m]; None: by the walls.
     """
-    parts = [_of_plane(peaks, number, poses[number].axes) for number in np.unique(peaks.planes)]
+    parts = [
+        _plane_candidates(peaks, number, poses[number].axes) for number in np.unique(peaks.planes)
+    ]
     if not parts:
         nothing = np.zeros(0)
         return Candidates(
@@ -93,7 +95,7 @@ def find_candidates(
     return replace(found, positions=found.positions + correction[:, None] * found.normals)
 
 
-def _of_plane(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, Floats, Bools]:
+def _plane_candidates(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, Floats, Bools]:
     """Peak index, direction and alias flag of each candidate of a plane."""
     own = np.flatnonzero(peaks.planes == number)
     cosines = peaks.directions[own] @ axes[1:].T

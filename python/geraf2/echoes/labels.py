@@ -148,9 +148,9 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
         return np.zeros(0)
     same, other = _neighbours(_Points.of(peaks, found))
     probability = 1.0 / np.bincount(found.peaks, minlength=len(peaks))[found.peaks]
-    rule = _Rule(peaks, found, volume_m3, inside)
+    update = _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
-        probability = rule.shares(probability, same @ probability, other @ probability)
+        probability = update.shares(probability, same @ probability, other @ probability)
     return probability
 
 
@@ -165,25 +165,25 @@ def continuing(
         return np.zeros(0)
     same, other = _neighbours(_Points.of(peaks, found), _Points.of_glints(known))
     support = same @ known.probability, other @ known.probability
-    probability, rule = np.zeros(len(found)), _Rule(peaks, found, volume_m3, inside)
+    probability, update = np.zeros(len(found)), _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
-        probability = rule.shares(probability, *support)
+        probability = update.shares(probability, *support)
     return probability
 
 
-class _Rule:
+class _Update:
     """Update of candidates' probabilities by their support."""
 
     def __init__(self, peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> None:
-        self._n_peaks, self._of = len(peaks), found.peaks
+        self._n_peaks, self._peak_of = len(peaks), found.peaks
         self._prior = _log_prior(peaks, found.peaks, inside)
-        self._shown = np.unique(found.peaks[inside & ~found.is_alias])
+        self._direct_peaks = np.unique(found.peaks[inside & ~found.is_alias])
         self._extent = volume_m3 * np.pi  # solid angle of a hemisphere, projected
 
     def shares(self, probability: Floats, own: Floats, other: Floats) -> Floats:
         """Update probabilities by the densities that neighbours predict, (n,)."""
-        explained = np.bincount(self._of, probability, self._n_peaks)[self._shown]
-        n_clutter = (1.0 - explained).sum() + _FLOOR * max(len(self._shown), 1)
+        explained = np.bincount(self._peak_of, probability, self._n_peaks)[self._direct_peaks]
+        n_clutter = (1.0 - explained).sum() + _FLOOR * max(len(self._direct_peaks), 1)
         cell = self._extent / n_clutter  # volume and solid angle per clutter peak [m^3 sr]
         odds = (
             np.exp(self._prior)
@@ -191,7 +191,9 @@ class _Rule:
             * (1.0 + cell * other / _OTHER_SCALE) ** _OTHER_POWER
             / (cell * _peak_density()) ** _SHARED
         )
-        return np.asarray(odds / (1.0 + np.bincount(self._of, odds, self._n_peaks))[self._of])
+        return np.asarray(
+            odds / (1.0 + np.bincount(self._peak_of, odds, self._n_peaks))[self._peak_of]
+        )
 
 
 def _peak_density() -> float:
@@ -257,14 +259,14 @@ def _neighbours(
             i, j = i[j > i], j[j > i]
         found.append(_densities(points, to, i, j))
     i, j, density = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    alike = points.planes[i] == to.planes[j]
+    same_plane = points.planes[i] == to.planes[j]
     if others is None:
         i, j = np.concatenate([i, j]), np.concatenate([j, i])
-        density, alike = np.tile(density, 2), np.tile(alike, 2)
+        density, same_plane = np.tile(density, 2), np.tile(same_plane, 2)
     shape = len(points.positions), len(to.positions)
     same, other = (
-        sparse.csr_array((density[some], (i[some], j[some])), shape=shape)
-        for some in (alike, ~alike)
+        sparse.csr_array((density[mask], (i[mask], j[mask])), shape=shape)
+        for mask in (same_plane, ~same_plane)
     )
     return same, other
 
@@ -283,8 +285,8 @@ def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, In
         np.sqrt(np.maximum(square - offset**2, 0.0)),
         np.sqrt(square),
     )
-    some = density > _NEGLIGIBLE * _peak_density()
-    return i[some].astype(np.int32), j[some].astype(np.int32), density[some]
+    mask = density > _NEGLIGIBLE * _peak_density()
+    return i[mask].astype(np.int32), j[mask].astype(np.int32), density[mask]
 
 
 def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:

@@ -20,7 +20,8 @@ from geraf2.scene.checks import in_mm
 # Tolerance of the box's surface [m]: a harmless error of the prior plus that of a strong echo.
 _MARGIN_M = 0.015
 # Largest shares of the echo energy in front of the box, and outside of it, where a turntable or a
-# stand may add to it. Properties of a radar in front of a carton: a box within 10 mm has neither.
+# stand may add to it. Properties of a radar in front of a carton; a box that is right within 10 mm
+# has no such energy.
 # Possible grating lobes of a bulged wall's flash do not count.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
@@ -86,10 +87,10 @@ def _maybe_flashes(capture: Capture, prior: LosPrior, peaks: PeakSet, scene: Mes
         periods = of_plane.periods[of_plane.subapertures[0]]
         for others in grating_lobes(of_plane.directions, capture.poses[number].axes, periods):
             known = np.asarray(np.isfinite(others).all(axis=1))
-            some, ahead = of_plane.select(known), others[known]
-            path, face = scene.closest_hit(some.centers, ahead)
+            candidates, ahead = of_plane.select(known), others[known]
+            path, face = scene.closest_hit(candidates.centers, ahead)
             square = np.abs(np.einsum("ij,ij->i", normals[face], ahead)) > _SQUARE
-            found[own[known]] |= square & (np.abs(path - some.ranges_m) < _MARGIN_M)
+            found[own[known]] |= square & (np.abs(path - candidates.ranges_m) < _MARGIN_M)
     return found
 
 

@@ -1,4 +1,4 @@
-"""Fields over space; each beside its Config. Those that learn need torch: see `learned`."""
+"""Signed distance fields over space. Learned fields, which need torch, are in `learned`."""
 
 from geraf2.fields.nested_sets import BoxSolid, MeshSolid, NestedSets, Solid, SphereSolid
 from geraf2.fields.sdf_grid import SdfGrid

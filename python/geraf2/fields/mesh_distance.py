@@ -1,4 +1,4 @@
-"""Signed distance of a mesh on a grid, and sets cut out of a field by a box."""
+"""Signed distance of a mesh on a grid, and operations on the inside of a field."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from geraf2.scene import Grid
 
 _MARGIN_VOXELS = 3.0
 _PARTS = 50
-"""Calls for a grid: a mesh of millions of triangles takes minutes, and progress is shown."""
+"""Number of calls for a grid, so that progress is shown for a mesh of millions of triangles."""
 
 
 def grid_about(bounds: Floats, n_longest: int) -> Grid:
@@ -37,9 +37,9 @@ def mesh_distance(
     """Signed distance to a mesh at the voxels of a grid, negative inside [m].
 
     mesh: surface, wound outwards.
-    grid: where.
-    closed: whether the mesh is; else inside is where the winding number is above one half, which
-        goes across holes smoothly. It costs voxels times triangles.
+    grid: voxels.
+    closed: whether the mesh is closed. Else a point is inside if its winding number is above one
+        half, which closes holes smoothly but takes a time of voxels times triangles.
 
     Not differentiable.
     """
@@ -63,9 +63,9 @@ def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:
     """Intersection of the inside of a field with a box: the larger of both distances.
 
     sdf: field, negative inside [m].
-    bounds: smallest and largest coordinates of the box; infinite ones cut nothing, (2, 3) [m].
+    bounds: smallest and largest coordinates of the box, (2, 3) [m]; infinite ones do not cut.
 
-    The zero level stays closed, and a distance beside the cut is never too large.
+    The zero level stays closed. Beside the cut, values are lower bounds of the distance.
     """
     require_shape("bounds", bounds, (2, 3))
     values = sdf.values
@@ -78,10 +78,7 @@ def cut_by_box(sdf: SdfGrid, bounds: Floats) -> SdfGrid:
 
 
 def largest_body(sdf: SdfGrid) -> SdfGrid:
-    """Field with the largest connected inside only, its cavities filled.
-
-    Elsewhere the sign is turned.
-    """
+    """Field with only the largest connected inside, its cavities filled by changes of the sign."""
     from scipy import ndimage  # noqa: PLC0415 - used here only
 
     labels, n_bodies = ndimage.label(sdf.values < 0.0)

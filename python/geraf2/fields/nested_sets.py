@@ -1,4 +1,4 @@
-"""The unified signed distance of nested sets, analytically: cartons, walls, what is inside."""
+"""Analytic unified signed distance of nested sets: cartons, walls, content."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Solid(Protocol):
         ...
 
     def corners(self) -> Points:
-        """Points whose hull holds the set and that lie in its closure, (n, 3) [m]."""
+        """Points of the closure whose convex hull contains the set, (n, 3) [m]."""
         ...
 
 
@@ -35,7 +35,7 @@ class BoxSolid:
     size_m: tuple[float, float, float]
     """Side lengths [m]."""
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Middle [m]."""
+    """Centre [m]."""
 
     def __post_init__(self) -> None:
         for side in self.size_m:
@@ -59,7 +59,7 @@ class SphereSolid:
     radius_m: float
     """Radius [m]."""
     center_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Middle [m]."""
+    """Centre [m]."""
 
     def __post_init__(self) -> None:
         require_positive("radius_m", self.radius_m)
@@ -92,30 +92,30 @@ class MeshSolid:
 
 
 class NestedSets:
-    r"""Sets M_1, M_2, ... one in the other, and the unified signed distance f of their regions.
+    r"""Nested sets M_1, M_2, ... and the unified signed distance f of their regions.
 
     .. math:: f(x) = \pm \min\left(d(x, \partial M_i), d(x, \partial M_{i+1})\right),
               \quad x \in R_{i,i+1}
 
-    negative where region R_{i,i+1}, which lies in M_i and not in M_{i+1}, interacts strongly with
-    radio waves (carton, metal), positive where it does not (air, also inside the box).
+    Region R_{i,i+1} lies in M_i and not in M_{i+1}. f is negative where the region interacts
+    strongly with radio waves (carton, metal), and positive elsewhere (air, also inside the box).
 
     solids: M_1, M_2, ..., each in the interior of the one before; any number.
-    strong: whether R_{i,i+1}, just inside M_i, interacts strongly; one a solid. R_{0,1}, outside
-        all, is air.
+    strong: whether R_{i,i+1}, just inside M_i, interacts strongly, one entry per solid. R_{0,1},
+        outside all, is air.
 
-    Raises ValueError: where a corner of a solid does not lie inside the one before it.
+    Raises ValueError if a corner of a solid is not inside the one before it.
 
     Notes
     -----
-    Equations 5 to 11 of the paper (nested sets, regions, sign, distance). The path from a point
-    to any other boundary crosses one of its region's own two: the minimum may run over all.
+    Equations 5 to 11 of the paper (nested sets, regions, sign, distance). A path from a point to
+    another boundary crosses one of the two of its region, so the minimum may include all.
     """
 
     def __init__(self, solids: Sequence[Solid], strong: Sequence[bool]) -> None:
         if not solids or len(solids) != len(strong):
             msg = (
-                "solids and strong must hold one entry a set and at least one, "
+                "solids and strong must hold one entry per set and at least one, "
                 f"got {len(solids)} and {len(strong)}"
             )
             raise ValueError(msg)
@@ -132,7 +132,7 @@ class NestedSets:
 
     @classmethod
     def from_walls(cls, walls: Sequence[Wall], content: Solid | None = None) -> "NestedSets":
-        """Make sets of walls, outermost first, strong shells with air inside, and of a content."""
+        """Make sets of walls, outermost first, as strong shells around air, and of a content."""
         solids: list[Solid] = []
         strong: list[bool] = []
         for wall in walls:
@@ -149,7 +149,7 @@ class NestedSets:
         """Unified signed distance at points (n, 3) [m] -> (n,) [m]. Not differentiable."""
         require_shape("points", points, (None, 3))
         distances = np.stack([solid.signed_distance(points) for solid in self.solids])
-        # The number of sets that hold the point is its region.
+        # The region of a point is the number of sets that contain it.
         depth = (distances <= 0.0).sum(axis=0)
         sign = np.where(np.array([False, *self.strong])[depth], -1.0, 1.0)
         return np.asarray(sign * np.abs(distances).min(axis=0))

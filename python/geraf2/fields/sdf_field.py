@@ -24,9 +24,9 @@ class CubeDomain:
     """Cube of the capture frame in which a field is defined."""
 
     center_m: tuple[float, float, float]
-    """Middle [m]."""
+    """Centre [m]."""
     half_side_m: float
-    """Half of a side [m]; one unit of the normalised coordinates."""
+    """Half side length [m], the unit of the normalised coordinates."""
 
     def __post_init__(self) -> None:
         for value in self.center_m:
@@ -48,15 +48,14 @@ class SdfSample(NamedTuple):
     value: Tensor
     """(n,) [m]."""
     gradient: Tensor
-    """(n, 3), of length one for a true distance."""
+    """(n, 3), of length 1 for a true distance."""
 
 
 class SdfField(nn.Module, ABC):
-    """A learned signed distance; negative inside what reflects.
+    """A learned signed distance, negative inside reflectors.
 
-    Points come in metres and values go out in metres; normalisation is internal.
-    Value and gradient are differentiable with respect to the parameters, so that
-    (|gradient| - 1)^2 may enter a loss.
+    Points and values are in metres; normalisation is internal. Value and gradient are
+    differentiable with respect to the parameters, so (|gradient| - 1)^2 may be part of a loss.
     """
 
     def __init__(self, domain: CubeDomain) -> None:
@@ -69,21 +68,21 @@ class SdfField(nn.Module, ABC):
 
     @abstractmethod
     def value(self, points: Tensor) -> Tensor:
-        """Value alone at points (n, 3) [m] -> (n,) [m]."""
+        """Only the value at points (n, 3) [m] -> (n,) [m]."""
 
     @abstractmethod
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
-        """Make the field equal to `target`, as nearly as it can."""
+        """Approximate `target` by the field."""
 
     def leaves(self) -> list[Tensor]:
-        """Return what a loss is differentiated to: parameters, or tensors behind them."""
+        """Return the tensors of a loss's gradient: parameters, or tensors that depend on them."""
         return list(self.parameters())
 
     def refresh(self) -> None:
-        """Recompute tensors that depend on the parameters; none does here."""
+        """Recompute tensors that depend on the parameters; here there are none."""
 
     def pull_back(self) -> None:
-        """Take gradients of the leaves on to the parameters; here they are the same."""
+        """Propagate gradients of the leaves to the parameters; here they are the same."""
 
     @torch.no_grad()
     def sample_grid(self, grid: Grid) -> SdfGrid:
@@ -95,7 +94,7 @@ class SdfField(nn.Module, ABC):
 
 
 def require_points(points: Tensor) -> None:
-    """Raise unless points are a real (n, 3) tensor."""
+    """Raise ValueError or TypeError unless points are a real (n, 3) tensor."""
     require_shape("points", points, (None, 3))
     if not points.is_floating_point():
         msg = f"points must be float32 or float64, got {points.dtype}"

@@ -19,10 +19,10 @@ _LAYOUTS = {"values": "float x y z", "origin_m": "float 3", "spacing_m": "float"
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SdfGrid(Short):
-    """Signed distance at voxel centres; negative inside what reflects [m]."""
+    """Signed distance at voxel centres, negative inside reflectors [m]."""
 
     grid: Grid
-    """Where the samples lie."""
+    """Voxel centres."""
     values: NDArray[np.float32]
     """Signed distance at each voxel centre, grid.shape [m]."""
 
@@ -32,12 +32,12 @@ class SdfGrid(Short):
     def sample(self, points: NDArray[np.floating]) -> Floats:
         """Trilinear signed distance at points (n, 3) [m] -> (n,) [m].
 
-        Outside the grid the value of the nearest face is used. Not differentiable: see
+        Outside the grid the value of the nearest face is used. Not differentiable, unlike
         geraf2.ops.sdf_grid.
         """
         require_shape("points", points, (None, 3))
-        places = np.asarray(points, dtype=np.float64)
-        return np.asarray(sdf_grid(self.values, self.grid, places).value, dtype=np.float64)
+        positions = np.asarray(points, dtype=np.float64)
+        return np.asarray(sdf_grid(self.values, self.grid, positions).value, dtype=np.float64)
 
     def save(self, path: AnyPath) -> None:
         """Write `sdf.npz`: values [m], origin_m and spacing_m of the grid [m]."""
@@ -52,7 +52,7 @@ class SdfGrid(Short):
 
     @classmethod
     def load(cls, path: AnyPath) -> "SdfGrid":
-        """Read what `save` wrote; UserError for any other file."""
+        """Read a file written by `save`; UserError for any other file."""
         arrays = read_arrays(path, _LAYOUTS)
         x, y, z = arrays["origin_m"].tolist()
         nx, ny, nz = arrays["values"].shape

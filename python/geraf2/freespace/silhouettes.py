@@ -35,9 +35,9 @@ from geraf2.io.atomic import write_npz_atomic
 from geraf2.scene import Capture, Pose, Wall
 
 _FOCUSES = 9
-"""Focal lengths that are tried, from waves with one shadow at the wall to two on the path."""
+"""Number of focal lengths that are tried, from one pass of the content to two."""
 _TILTS = 17
-"""Wall tilts that are tried along each side, in each of two rounds."""
+"""Number of wall tilts that are tried along each side, in each of two rounds."""
 _MIN_ANTENNAS = 100
 _FLAT_M = 1e-4
 """A wall with a smaller RMS error of the two-way path counts as flat [m]."""
@@ -47,8 +47,8 @@ _FREE = 0.2
 """Largest deviation from 1 of a free line's transmission, and of a flash that the wall's edges
 attenuate."""
 _THIN, _BLUR_M = 0.7, 0.008
-"""Transmission of a part too thin to block the flash (squared for two passes), and least distance
-[m] of that part from a blocked line of sight: nearer it may be the blur of an edge."""
+"""Largest transmission of a part too thin to block the flash; squared for two passes. Nearer than
+the second value [m] to a blocked line of sight, it may be the blur of an edge."""
 _SAME_EDGE_M = 0.005
 """Largest distance between edges of one outline from opposite sides [m], by focusing errors."""
 _EDGE = 0.5
@@ -144,9 +144,8 @@ class Silhouettes:
         It is the distance to the nearest line of sight along the outline's axis that is not free.
         On a blocked line it is the negative distance to the nearest free one, and -inf where the
         outline is unknown. A free region must touch the border of the known cells or contain the
-        full flash, since other bright lines may be echoes of the content at the wall's range. A
-        line with a reduced flash far from any edge is not free: a wire or a slat blocks only a
-        part.
+        full flash. Other bright lines may be echoes of the content at the wall's range. A line with
+        a reduced flash far from any edge is not free: a wire or a slat blocks only a part.
         """
         by_outline = [self._free_distance(number, points) for number in range(len(self))]
         return np.array(by_outline).reshape(len(self), len(points))
@@ -254,7 +253,9 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             config.spacing_m * np.arange(-n, n + 1)
             for n in (_half_inner_size(wall)[_across(axis)] / config.spacing_m).astype(int)
         ]
-        found, free_share = _focused(flashes, cells, capture.waveform.center_wavelength_m, config)
+        found, free_share = _focus_planes(
+            flashes, cells, capture.waveform.center_wavelength_m, config
+        )
         free_shares.append(free_share)
         if found:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
@@ -402,7 +403,7 @@ def _correct_bulge(flash: _Flash, wavelength_m: float) -> _Flash:
     )
 
 
-def _focused(
+def _focus_planes(
     flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
 ) -> tuple[list[_Outline], float]:
     """Outlines of all planes and of each side at the sharpest focus; largest free share."""

@@ -1,1 +1,1 @@
-"""Triangles, boxes and transforms: pure functions of arrays, used on either side of a scene."""
+"""Triangles, boxes and transforms: pure functions of arrays, without scenes."""

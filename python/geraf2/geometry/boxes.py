@@ -6,7 +6,7 @@ from numpy.typing import ArrayLike
 from geraf2._types import Floats
 
 SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-"""Corners of a box of half sides one, by binary index (x, y, z), (8, 3)."""
+"""Corners of a box with half sides of 1, by binary index (x, y, z), (8, 3)."""
 
 FACES = np.array(
     [
@@ -25,17 +25,17 @@ FACES = np.array(
     ],
     dtype=np.int64,
 )
-"""Two triangles a side of these corners, counter-clockwise from outside, (12, 3)."""
+"""Two triangles per side from these corners, counter-clockwise from outside, (12, 3)."""
 
 
 def box_corners(center_m: ArrayLike, size_m: ArrayLike) -> Floats:
-    """Corners in the order of `SIGNS`, (8, 3) [m], from middle and side lengths (3,) [m]."""
+    """Corners in the order of `SIGNS`, (8, 3) [m], from centre and side lengths (3,) [m]."""
     return np.asarray(np.asarray(center_m) + SIGNS * (0.5 * np.asarray(size_m, dtype=np.float64)))
 
 
 def beyond_sides(points: Floats, center_m: ArrayLike, size_m: ArrayLike) -> Floats:
-    """How far points (n, 3) [m] lie beyond the nearer side along each axis, (n, 3) [m].
+    """Distance of points (n, 3) [m] beyond the nearer side along each axis, (n, 3) [m].
 
-    Negative inside: a point is in the box where none of the three is positive.
+    Negative inside: a point is in the box if none of the three is positive.
     """
     return np.asarray(np.abs(points - np.asarray(center_m)) - 0.5 * np.asarray(size_m))

@@ -9,13 +9,13 @@ from geraf2.geometry.triangles import directed_edges
 
 
 def connected_labels(i: Ints, j: Ints, n: int) -> Ints:
-    """Component of each of n things, (n,), from 0; i and j, (n_pairs,), are pairs that connect."""
+    """Component of each of n nodes, (n,), from 0; i and j, (n_pairs,), are connected pairs."""
     graph = csr_array((np.ones(len(i)), (i, j)), shape=(n, n))
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 
 def face_labels(faces: Ints) -> tuple[Ints, int]:
-    """Piece of each face, (n_faces,), from 0, and how many there are; faces join at vertices."""
+    """Component of each face, (n_faces,), from 0, and their number; faces connect at vertices."""
     if not len(faces):
         return np.zeros(0, dtype=np.int64), 0
     edges = directed_edges(faces)

@@ -1,4 +1,4 @@
-"""Distances to the nearest of many points."""
+"""Distance to the nearest of many points."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -15,16 +15,16 @@ def nearest_distance(
     max_distance_m: float = np.inf,
     num_threads: int | None = None,
 ) -> Floats:
-    """Distance of each point to the nearest of others.
+    """Distance of each point to the nearest of others, (n,) [m]; inf beyond the maximum.
 
-    points: (n, 3) [m]. to: (m, 3), at least one [m], or a tree of them. max_distance_m: what is
-    farther is not looked for. num_threads: all when None.
-
-    Returns (n,) [m], inf where it is farther.
+    points: (n, 3) [m].
+    to: other points, at least one, (m, 3) [m], or a tree of them.
+    max_distance_m: limit of the search [m].
+    num_threads: all cores when None.
     """
     tree = to if isinstance(to, KDTree) else KDTree(to)
-    # Not on the main thread: there a signal ends scipy's wait, while its threads still read arrays
-    # that are freed. 5 of 9 signals in the stage sdf ended in a segmentation fault.
+    # Not in the main thread: there a signal ends scipy's wait while its threads still read arrays
+    # that are then freed, a segmentation fault.
     with ThreadPoolExecutor(1) as pool:
         found = pool.submit(
             tree.query, points, distance_upper_bound=max_distance_m, workers=num_threads or -1

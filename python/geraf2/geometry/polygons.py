@@ -5,18 +5,19 @@ import numpy as np
 from geraf2._types import Bools, Floats, Ints
 
 _MOST_CORNERS = 4096
-"""Of a concave polygon; the time to cut it grows with the square."""
+"""Largest number of corners of a concave polygon; the time grows with its square."""
 _FLAT = 1e-12
+"""Tolerance of a corner's turn, relative to the squared area: guards against rounding."""
 
 
 def triangulated(vertices: Floats, corners: Ints, counts: Ints) -> Ints:
-    """Triangles of polygons in their order and winding, (n_triangles, 3); concave ones cut inside.
+    """Triangles of polygons in their order and winding, (n_triangles, 3).
 
     vertices: (n_vertices, 3).
-    corners: vertex indices of all polygons, one after the other.
-    counts: corners of each; those of fewer than three are dropped.
+    corners: vertex indices of all polygons, concatenated.
+    counts: number of corners of each; polygons with fewer than three are dropped.
 
-    ValueError for a concave polygon of more than 4096 corners.
+    Raises ValueError for a concave polygon with more than 4096 corners.
     """
     starts = np.cumsum(counts) - counts
     known = not corners.size or (corners.min() >= 0 and corners.max() < len(vertices))
@@ -37,7 +38,7 @@ def triangulated(vertices: Floats, corners: Ints, counts: Ints) -> Ints:
 
 
 def strip_triangles(strip: Ints) -> Ints:
-    """Triangles of a strip, (n_triangles, 3); -1 begins another one."""
+    """Triangles of a strip, (n_triangles, 3); -1 starts another strip."""
     parts = []
     for part in np.split(strip, np.flatnonzero(strip < 0)):
         run = part[part >= 0]
@@ -49,7 +50,7 @@ def strip_triangles(strip: Ints) -> Ints:
 
 
 def _normals(polygons: Floats) -> Floats:
-    """Vectors along the normals of polygons (n, n_corners, 3), twice their area long, (n, 3)."""
+    """Polygon normals, (n, n_corners, 3) -> (n, 3), with twice the area as length."""
     spokes = polygons - polygons[:, :1]
     return np.asarray(np.cross(spokes[:, :-1], spokes[:, 1:]).sum(axis=1))
 
@@ -64,7 +65,7 @@ def _concave(polygons: Floats) -> Bools:
 
 
 def _ears(polygon: Floats) -> Ints:
-    """Corners of the triangles of one polygon (n, 3), cut off ear by ear, (n - 2, 3)."""
+    """Triangles of one polygon (n, 3) by ear clipping, (n - 2, 3)."""
     if len(polygon) > _MOST_CORNERS:
         msg = f"a concave polygon has {len(polygon)} corners, more than {_MOST_CORNERS}"
         raise ValueError(msg)
@@ -82,7 +83,7 @@ def _ears(polygon: Floats) -> Ints:
 
 
 def _is_ear(flat: Floats, rest: list[int], at: int) -> bool:
-    """Whether a corner turns inward and no other one lies within its triangle."""
+    """Whether a corner is convex and no other one lies within its triangle."""
     tri = flat[[rest[at - 1], rest[at], rest[(at + 1) % len(rest)]]]
     sides = np.roll(tri, -1, axis=0) - tri
     if not sides[0, 0] * sides[1, 1] - sides[0, 1] * sides[1, 0] > 0:

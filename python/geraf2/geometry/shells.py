@@ -1,4 +1,4 @@
-"""Shells of a mesh, of which some lie inside others."""
+"""Nested shells of a mesh."""
 
 import numpy as np
 
@@ -6,13 +6,13 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.geometry.components import face_labels
 
 _INSIDE = 0.5
-"""Winding number beyond which a point is inside."""
+"""Winding number above which a point is inside."""
 
 
 def outer_shells(vertices: Floats, faces: Ints) -> Bools:
-    """Whether each face is of a shell that no other one encloses, (n_faces,).
+    """Whether each face belongs to a shell that no other one encloses, (n_faces,).
 
-    vertices, faces: closed mesh, (n_vertices, 3) and (n_faces, 3), of any winding.
+    vertices, faces: closed mesh, (n_vertices, 3) and (n_faces, 3), with any winding.
     """
     labels, n_shells = face_labels(faces)
     outer = np.ones(len(faces), dtype=np.bool_)
@@ -35,7 +35,7 @@ def outer_shells(vertices: Floats, faces: Ints) -> Bools:
 
 
 def _winding(point: Floats, corners: Floats) -> float:
-    """Winding number of triangles (n, 3, 3) around a point, by their solid angles."""
+    """Winding number of triangles (n, 3, 3) around a point, from their solid angles."""
     a, b, c = np.moveaxis(corners - point, 1, 0)
     la, lb, lc = (np.linalg.norm(side, axis=1) for side in (a, b, c))
     volume = np.einsum("nk,nk->n", a, np.cross(b, c))

@@ -1,4 +1,4 @@
-"""Rigid transforms, (4, 4) on columns (x, y, z, 1): made, applied and checked."""
+"""Rigid transforms, (4, 4) on columns (x, y, z, 1)."""
 
 from collections.abc import Iterable
 
@@ -7,11 +7,11 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.errors import UserError
 
-# Poses come with as few as four digits; a scale or a mirror image is far beyond.
+# Largest deviation of a scale from 1: poses in files may have only four digits.
 _ROTATION_TOLERANCE = 1e-2
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turns camera axes x right, y up, z backward into x right, y down, z forward, and back."""
+"""Converts camera axes x right, y up, z backward to x right, y down, z forward, and back."""
 
 
 def rigid(rotation: Floats, translation: Floats) -> Floats:
@@ -25,25 +25,25 @@ def rigid(rotation: Floats, translation: Floats) -> Floats:
 def inverse_rigid(rotation: Floats, translation: Floats) -> Floats:
     """Inverse of the transform x -> R x + t, (4, 4).
 
-    A matrix that is no rotation stays none: whoever uses the transform checks it.
+    A matrix that is no rotation is not refused: the caller checks it.
     """
     return rigid(rotation.T, -rotation.T @ translation)
 
 
 def apply_rigid(transform: Floats, points: Floats) -> Floats:
-    """Points (..., 3) [m], moved."""
+    """Transform points (..., 3) [m]."""
     return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
 
 
 def upright_axes(forward: Floats) -> tuple[Floats, Floats]:
-    """Level right and down, seen along a unit vector (3,) with z up; (3,) each."""
+    """Right and down directions of a view along a unit vector (3,), with z up; (3,) each."""
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     return right, np.cross(forward, right)
 
 
 def rotation_of_quaternion(quaternion: Floats) -> Floats:
-    """Rotation matrix of a quaternion (w, x, y, z) of any length but zero; NaN for zero."""
+    """Rotation matrix of a quaternion (w, x, y, z) of any length; NaN for zero."""
     norm = float(np.linalg.norm(quaternion))
     w, x, y, z = quaternion / norm if norm > 0.0 else np.full(4, np.nan)
     return np.array(
@@ -56,7 +56,7 @@ def rotation_of_quaternion(quaternion: Floats) -> Floats:
 
 
 def require_rigid(matrix: Floats, where: object) -> Floats:
-    """4 x 4 rigid transform with the nearest rotation; UserError if it is none, or mirrors."""
+    """Nearest 4 x 4 rigid transform; UserError if the matrix is none, or a reflection."""
     if matrix.shape not in ((4, 4), (3, 4)):
         raise UserError(what="the pose must be a 4 x 4 matrix", where=where, got=matrix.shape)
     if matrix.shape == (4, 4) and not np.allclose(matrix[3], [0.0, 0.0, 0.0, 1.0], atol=1e-6):
@@ -75,7 +75,7 @@ def require_rigid(matrix: Floats, where: object) -> Floats:
         )
     if np.linalg.det(left @ right) < 0.0:
         raise UserError(
-            what="the pose is of another handedness: its axes are a left-handed set",
+            what="the pose has another handedness: its axes are a left-handed set",
             where=where,
             expected="a rotation, determinant 1",
             got="determinant -1",
@@ -85,6 +85,6 @@ def require_rigid(matrix: Floats, where: object) -> Floats:
 
 
 def triple(values: Iterable[float]) -> tuple[float, float, float]:
-    """Three numbers as plain ones, for records."""
+    """Three numbers as a tuple of Python floats."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -6,7 +6,7 @@ from geraf2._memory import require_memory
 from geraf2._types import Bools, Floats, Ints
 
 _BYTES_PER_PIECE = 400.0
-"""Of a facet, while it is halved."""
+"""Memory per facet while triangles are halved."""
 
 Faces = Ints
 
@@ -14,7 +14,7 @@ Faces = Ints
 def face_vectors(corners: Floats) -> Floats:
     """Cross product of two edges, (n, 3, 3) [m] -> (n, 3) [m^2].
 
-    Twice as long as the area, towards where the corners are counter-clockwise from.
+    Its length is twice the area; seen from its tip the corners are counter-clockwise.
     """
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
@@ -30,7 +30,7 @@ def face_areas(corners: Floats) -> Floats:
 
 
 def with_area(corners: Floats) -> Floats:
-    """Triangles (n, 3, 3) less those without area."""
+    """Triangles (n, 3, 3) without those of no area."""
     return corners[face_areas(corners) > 0.0]
 
 
@@ -44,16 +44,16 @@ def vertex_normals(vertices: Floats, faces: Faces) -> Floats:
 
 
 def vertex_areas(vertices: Floats, faces: Faces) -> Floats:
-    """Give each vertex a third of the area of the faces around it, (n_vertices,) [m^2]."""
+    """Area of each vertex, a third of its faces' area, (n_vertices,) [m^2]."""
     thirds = np.repeat(face_areas(vertices[faces]) / 3.0, 3)
     areas = np.bincount(faces.reshape(-1), thirds, minlength=vertices.shape[0])
     return np.asarray(areas, dtype=np.float64)
 
 
 def barycentric(points: Floats, corners: Floats) -> Floats:
-    """Weights of the corners (n, 3, 3) at points (n, 3) in their triangles, (n, 3).
+    """Barycentric weights of points (n, 3) in their triangles (n, 3, 3), (n, 3).
 
-    Not negative, of sum one; thirds where a triangle has no area.
+    They are not negative and sum to 1; thirds where a triangle has no area.
     """
     a, b, c = (corners[:, corner] for corner in range(3))
     normal = face_vectors(corners)
@@ -72,10 +72,10 @@ def split_triangles(corners: Floats, max_edge_m: float) -> Floats:
     corners: (n_triangles, 3, 3) [m].
     max_edge_m: longest edge allowed [m].
 
-    Returns corners of the pieces, same winding, (n_pieces, 3, 3) [m].
+    Returns corners of the pieces with the same winding, (n_pieces, 3, 3) [m].
     """
     rest = np.asarray(corners, dtype=np.float64)
-    # Halves of an equilateral triangle of this side are the smallest pieces that come out.
+    # The smallest pieces are halves of an equilateral triangle with this side.
     n_pieces = len(rest) + float(face_areas(rest).sum()) / (0.2 * max_edge_m**2)
     hint = f"facets of {max_edge_m:g} m are too small for this surface"
     require_memory(_BYTES_PER_PIECE * n_pieces, hint)
@@ -94,9 +94,9 @@ def split_triangles(corners: Floats, max_edge_m: float) -> Floats:
 
 
 def six_fold_volumes(vertices: Floats, faces: Faces) -> Floats:
-    """Six times the signed volume between each face and the mesh's middle, (n_faces,) [m^3].
+    """Six times the signed volume between each face and the mesh's centre, (n_faces,) [m^3].
 
-    From the middle, since far from the origin the terms would cancel.
+    Relative to the centre, since rounding errors would grow with the distance from the origin.
     """
     if faces.shape[0] == 0:
         return np.zeros(0)
@@ -118,7 +118,7 @@ def volume_centroid_m(vertices: Floats, faces: Faces) -> Floats:
 
 
 def directed_edges(faces: Faces) -> Faces:
-    """From and to which vertex: first edges of all faces, then second, then third, (3 n, 2)."""
+    """Start and end vertex of the first edges of all faces, then second, then third, (3 n, 2)."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
@@ -128,8 +128,8 @@ def closed_edges(faces: Faces) -> Bools:
     edges = directed_edges(faces)
     there, back = edges @ step, edges @ step[::-1]
     keys, counts = np.unique(there, return_counts=True)
-    place = np.minimum(np.searchsorted(keys, back), len(keys) - 1)
-    n_partners = np.where(keys[place] == back, counts[place], 0)
+    index = np.minimum(np.searchsorted(keys, back), len(keys) - 1)
+    n_partners = np.where(keys[index] == back, counts[index], 0)
     return np.asarray((n_partners == 1) & (counts[np.searchsorted(keys, there)] == 1))
 
 
@@ -139,7 +139,7 @@ def count_open_edges(faces: Faces) -> int:
 
 
 def used_vertices(faces: Faces) -> tuple[Faces, Faces]:
-    """Vertices that faces use, ascending, and the faces in their numbers, shape of `faces`."""
+    """Ascending indices of the vertices of faces, and the faces renumbered by them."""
     used = np.unique(faces)
     return used, np.searchsorted(used, faces)
 

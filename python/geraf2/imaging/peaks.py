@@ -97,7 +97,7 @@ class PeakSet:
         return replace(self, **{name: getattr(self, name)[keep] for name in _PER_PEAK})
 
     def within(self, spans_m: Floats) -> "PeakSet":
-        """Peaks in a span of ranges of each plane, (n_planes, 2) [m]; `tops` are theirs."""
+        """Peaks in a span of ranges of each plane, (n_planes, 2) [m]; `tops` are recomputed."""
         low, high = spans_m[self.planes].T
         found = self.select((self.ranges_m > low) & (self.ranges_m < high))
         tops = np.zeros(len(self.tops))
@@ -116,7 +116,7 @@ class PeakSet:
         keep = np.zeros(len(self.tops), dtype=bool)
         for number in np.unique(self.subaperture_planes):
             own = np.flatnonzero(self.subaperture_planes == number)
-            keep[own] = _thinned(self.subaperture_coordinates[own], step_m)
+            keep[own] = _select_spaced(self.subaperture_coordinates[own], step_m)
         return self.select(keep[self.subapertures])
 
 
@@ -256,7 +256,7 @@ def _peaks_of(
     )
 
 
-def _thinned(points: Floats, step_m: float) -> Bools:
+def _select_spaced(points: Floats, step_m: float) -> Bools:
     """Select points of a lattice, (n, 2) [m], about a step apart along both axes, (n,)."""
     keep = np.ones(len(points), dtype=bool)
     for along in points.T:

@@ -1,10 +1,10 @@
 """Plane waves of a raster of antennas, and the depth at which its image is sharpest.
 
-Over a plane, the echo of a scatterer is a sum of waves exp(j (k_h y + k_v z)) with the two-way
-wave number k_h^2 + k_v^2 = (4 pi f / c)^2 sin^2(angle). The matched filter gives them equal
-weights. Waves nearly parallel to the plane, which few rasters sample finely enough, are then
-strongest near the antennas. A flat surface in front of the radar, foam or the side of a box, is
-along its normal far stronger than an edge.
+Over a plane, the echo of a scatterer is a sum of waves exp(j (k_h y + k_v z)). Their two-way wave
+number is k_h^2 + k_v^2 = (4 pi f / c)^2 sin^2(angle). The matched filter gives them equal weights.
+Waves nearly parallel to the plane, which few rasters sample finely enough, are then strongest near
+the antennas. The specular return of a flat surface, such as foam or the side of a box, is far
+stronger than an edge.
 """
 
 from dataclasses import replace
@@ -32,9 +32,9 @@ _SLOPE = 0.2
 def keep_angles(pose: Pose, waveform: Waveform, lowest_deg: float, highest_deg: float) -> Pose:
     """Pose with only the waves that arrive between two angles from the plane's normal.
 
-    In the wave number domain of the plane, zero-padded, the signal at each frequency is multiplied
-    by (1 - exp(-(s / sin lowest)^2)) and by a cosine slope that ends at sin highest. s is the sine
-    of the angle, |k| c / (4 pi f).
+    The zero-padded signal at each frequency is filtered in the wave number domain of the plane. The
+    filter is (1 - exp(-(s / sin lowest)^2)) times a cosine slope that ends at sin highest. s is the
+    sine of the angle, |k| c / (4 pi f).
 
     pose: antennas on a regular raster in the plane; transmitter and receiver are close to each
         other relative to the distance.

@@ -34,8 +34,8 @@ _RASTER_MAX_HOLES = 0.05
 # Least number of irregular antennas of an image.
 _MIN_ANTENNAS = 16
 # Two directions are ambiguous if the power response of irregular antennas to their difference
-# exceeds both the first value, which is above windows' side lobes, and a level that random
-# positions exceed with the second probability.
+# exceeds two limits. The first value is above the side lobes of windows. The second is the
+# probability with which random positions exceed the other limit.
 _ALIAS_POWER, _ALIAS_CHANCE = 0.01, 1e-6
 # Number of sub-apertures of a pose whose response is examined.
 _N_ALIAS_CUTS = 4
@@ -369,10 +369,10 @@ def _alias_free(
         chance += float(weight @ weight)
         lobe = np.maximum(lobe, 2.0 * wavelength / np.maximum(np.ptp(offset, axis=0), wavelength))
     by_chance = chance * gammainccinv(max(len(chosen), 1), _ALIAS_CHANCE) / max(len(chosen), 1)
-    alike = power > max(by_chance, _ALIAS_POWER * len(chosen))
-    alike &= power == maximum_filter(power, 3, mode="nearest")
-    alike &= (h[:, None] > lobe[0]) | (np.abs(v) > lobe[1])
-    at = np.nonzero(alike)
+    ambiguous = power > max(by_chance, _ALIAS_POWER * len(chosen))
+    ambiguous &= power == maximum_filter(power, 3, mode="nearest")
+    ambiguous &= (h[:, None] > lobe[0]) | (np.abs(v) > lobe[1])
+    at = np.nonzero(ambiguous)
     return _largest_rectangle(h[at[0]], np.abs(v[at[1]]), reach)
 
 

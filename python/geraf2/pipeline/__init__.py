@@ -1,1 +1,1 @@
-"""The jobs of geraf2 as functions: the command line, Python, benchmarks and clusters call these."""
+"""Functions for the jobs of geraf2, called by command line, Python, benchmarks and clusters."""

@@ -1,4 +1,4 @@
-"""The box of a run as its radar sees it: the prior where none is given, a check of one that is."""
+"""Box of a run by its radar: the prior if none is given, else a check of the given one."""
 
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -15,32 +15,33 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary
 
 BOX_STAGE = "box"
-"""Of a run's record."""
-# Differences from the prior that calibration corrects by itself.
+"""Name of the step in progress messages."""
+# Differences from the prior that calibration corrects: size, centre [m], rotation [degrees].
 _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
-# A box that differs by more is another one.
+# Least difference of a side that means another box [m].
 _OTHER_BOX_M = 0.03
-# Planes with less energy from within belong to a body, not to walls.
+# Share of the energy from within below which planes belong to a body, not to walls.
 _EMPTY = 0.02
+# Coverage factor of the found box's standard deviations.
 _COVER = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoxCheck:
-    """Prior of a run, and what the scan shows of its box."""
+    """Prior of a run, and the box that the scan shows."""
 
     prior: LosPrior
     found: FoundBox | None
-    """None where the scan shows no walls."""
+    """None if the scan shows no walls."""
     text: str
-    """In a line."""
+    """Summary in one line."""
     is_new: bool = False
     """Whether the prior is the found box, or was corrected by it."""
     is_warning: bool = False
-    """Whether the report warns of it: a prior that was corrected, or no box."""
+    """Whether the user is warned: the prior was corrected, or no box was found."""
 
     def placed(self, capture: Capture) -> Capture:
-        """Capture whose walls are where the prior is; none where they are turned."""
+        """Capture with the walls of a new prior; without walls if the prior is rotated."""
         if not self.is_new:
             return capture
         return replace(capture, walls=() if self.prior.is_turned else self.prior.walls)
@@ -49,7 +50,7 @@ class BoxCheck:
 def box_from_radar(
     capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
 ) -> BoxCheck:
-    """Find the box where no prior is given; where the scan shows none, the content's region."""
+    """Find the box if no prior is given; without walls, the region of the content."""
     with listener.step(BOX_STAGE):
         try:
             found = find_box(capture, summary=summary, num_threads=num_threads)
@@ -57,8 +58,8 @@ def box_from_radar(
             prior = content_region(capture, summary=summary, num_threads=num_threads)
             sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
             text = (
-                f"no walls of a box are seen ({error.seen}): all within {sides} mm is taken as "
-                "content in free air; if it stands in a box, give --box X Y Z"
+                f"no walls of a box are seen ({error.seen}): all within {sides} mm is treated as "
+                "content in free air; if it is in a box, give --box X Y Z"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
     prior = with_walls(found.prior, capture.walls)
@@ -73,11 +74,11 @@ def checked_prior(
     listener: Listener,
     num_threads: int | None,
 ) -> BoxCheck:
-    """Compare a given prior with the box of the scan, and correct a cuboid that is off.
+    """Compare a given prior with the box of the scan, and correct a cuboid that differs.
 
     name: of the prior in errors.
 
-    Raises UserError where the scan shows another box.
+    Raises UserError if the scan shows another box.
     """
     with listener.step(BOX_STAGE):
         try:
@@ -90,7 +91,7 @@ def checked_prior(
         text = "no wall is seen squarely: the prior was compared with nothing"
         return BoxCheck(prior=prior, found=None, text=text)
     if prior.cuboid is None:
-        text = f"{found}; the prior is no cuboid and is not compared with it"
+        text = f"{found}; the prior is no cuboid and is not compared"
         return BoxCheck(prior=prior, found=found, text=text)
     difference = Difference.of(found, *prior.cuboid)
     if difference.is_other and difference.is_within and found.content_share < _EMPTY:
@@ -120,25 +121,26 @@ def checked_prior(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Difference:
-    """How far a given cuboid is off a found one, along the found one's axes."""
+    """Difference between a given cuboid and a found one, along the axes of the found one."""
 
     given_size_m: Floats
     """(3,) [m]."""
     given_offsets_m: Floats
-    """Of the given box's faces, as those of `FoundBox`, (3, 2) [m]."""
+    """Distances of the given box's faces, as in `FoundBox`, (3, 2) [m]."""
     both: Ints
-    """Axes of which both faces are seen squarely."""
+    """Axes with both faces seen at a right angle."""
     is_other: bool
+    """Whether a side differs by more than `_OTHER_BOX_M`."""
     is_within: bool
     """Whether all found sides are shorter."""
     text: str
-    """What is off, and by how much; empty where the prior agrees."""
+    """Size of the differences; empty if the prior agrees."""
 
     @classmethod
     def of(cls, found: FoundBox, axes: Floats, size_m: Floats, center_m: Floats) -> "Difference":
-        """Compare; axes, size and middle are the given cuboid's."""
+        """Compare with the axes, size and centre of the given cuboid."""
         square = found.seen == Seen.SQUARELY
-        both, some = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
+        both, either = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
         order = min(
             permutations(range(3)),
             key=lambda o: _misfit(found, axes[list(o)], size_m[list(o)], both),
@@ -150,12 +152,12 @@ class Difference:
         off_size = found.size_m - size
         center = 0.5 * (found.offsets_m[:, 1] - found.offsets_m[:, 0]) - middle
         turn = np.rad2deg(np.arccos(np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)))
-        turn_deg = float(turn[some].max(initial=0.0))
+        turn_deg = float(turn[either].max(initial=0.0))
         parts = []
         if len(both) and (np.abs(off_size[both]) > _SIZE_M + tolerance[both]).any():
             parts.append(f"{1e3 * np.abs(off_size[both]).max():.1f} mm of size")
         if turn_deg > _TURN_DEG + _COVER * found.yaw_sigma_deg:
-            parts.append(f"{turn_deg:.1f} degrees of turn")
+            parts.append(f"{turn_deg:.1f} degrees of rotation")
         shift = float(np.linalg.norm(center[both]))
         if shift > _CENTER_M:
             parts.append(f"{1e3 * shift:.1f} mm of position")
@@ -169,7 +171,7 @@ class Difference:
         )
 
     def corrected(self, found: FoundBox) -> FoundBox:
-        """Found faces where they were seen squarely; else the given size about them."""
+        """Found box with the given size along axes with one face seen at a right angle."""
         offsets = self.given_offsets_m.copy()
         square = found.seen == Seen.SQUARELY
         offsets[square] = found.offsets_m[square]
@@ -180,7 +182,7 @@ class Difference:
 
 
 def _misfit(found: FoundBox, axes: Floats, size_m: Floats, both: Ints) -> float:
-    """Degrees of turn and millimetres of size by which a naming of the axes does not fit."""
+    """Misfit of an assignment of the axes: degrees of rotation plus millimetres of size."""
     cosine = np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)
     size = 1e3 * np.abs(found.size_m - size_m)[both].max(initial=0.0)
     return float(np.rad2deg(np.arccos(cosine)).max() + size)

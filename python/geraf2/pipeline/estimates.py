@@ -1,4 +1,4 @@
-"""Estimated time and memory of a run, from measured rates."""
+"""Estimated time and memory of jobs, from rates measured on one machine."""
 
 import os
 from collections.abc import Sequence
@@ -23,39 +23,35 @@ __all__ = [
     "require_renderable",
 ]
 
-# Processor seconds of `geraf2 reconstruct` with a preset: what threads do not share (imports,
-# pictures), what they do (fits, mesh), and of each antenna sample; 36 planes at 3 mm have 9e6.
+# CPU seconds of `geraf2 reconstruct` by preset: serial part (imports, pictures), parallel part
+# (fits, mesh), and parallel part per antenna sample.
 _RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
-# Python with its libraries and the pictures of a report: 304 MiB were the peak of a small scan.
-# Then bytes per antenna sample.
+# Python with its libraries and the pictures of a report, then bytes per antenna sample.
 _RECONSTRUCT_FIXED_BYTES = 320e6
 _RECONSTRUCT_BYTES_PER_SAMPLE = 32.0
 _BYTES_PER_SAMPLE = 24.0
-# Nanoseconds per voxel-antenna pair of the block kernel with 64 samples and AVX2, one thread.
+# Time per voxel-antenna pair of the block kernel on one thread, for 64 samples and AVX2 [ns].
 _IMAGE_NS_PER_PAIR = 0.9
-# 174 MiB were the peak of an image of 70 thousand voxels, 199 MiB of one of four million.
 _IMAGE_FIXED_BYTES = 190e6
 _BYTES_PER_IMAGE_VOXEL = 12.0
 _RENDER_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
-# The same of the factorised kernel: 3 s for 192^3 voxels and 2025 antennas.
+# Time per voxel-antenna pair of the factorised kernel on one thread [ns].
 _FACTORISED_NS_PER_PAIR = 0.2
-# Python with its libraries and the kernel's nodes: 122, 177 and 369 MiB were the peaks of slabs of
-# 16, 64 and 256 MiB with 900 antennas, within 5 % of this.
+# Python with its libraries and the nodes of the kernel.
 _SLAB_FIXED_BYTES = 115e6
-# Elements of surfaces in the simulator and in the fits to heat maps, with what is computed of them.
+# Per surface element in the simulator and in the fits to heat maps.
 BYTES_PER_ELEMENT = 500.0
-# Of a part of a surface: its echo at a plane, and its images with what a fit makes of them. With
-# 96 parts, 15 planes and 2268 antennas 889 MB were the peak, 885 are expected.
+# Per part of a surface: per sample of its echo, and per target of its images.
 _BYTES_PER_PART_SAMPLE = 8.0
 _BYTES_PER_PART_TARGET = 76.0
-# Of the depths before a single plane.
+# Depths of the default image of a single plane.
 _N_SLICES = 32
 
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """Cost of a run on this machine."""
+    """Cost of a job on this machine."""
 
     seconds: float
     memory_bytes: float
@@ -67,7 +63,7 @@ class Estimate:
 
 
 def n_threads() -> int:
-    """CPUs that this process may use."""
+    """Count the CPUs that this process may use."""
     return len(os.sched_getaffinity(0))
 
 
@@ -77,7 +73,7 @@ def reconstruct_estimate(summary: CaptureSummary) -> Estimate:
 
 
 def reconstruct_cost(n_samples: int, num_threads: int = 1, *, preset: str = "best") -> Estimate:
-    """Cost of `geraf2 reconstruct` of so many samples, over all antennas; other presets as best."""
+    """Cost of `geraf2 reconstruct` for n_samples over all antennas; unknown presets as best."""
     alone, shared, per_sample = _RECONSTRUCT_S.get(preset, _RECONSTRUCT_S["best"])
     return Estimate(
         seconds=alone + (shared + per_sample * n_samples) / num_threads,
@@ -88,12 +84,12 @@ def reconstruct_cost(n_samples: int, num_threads: int = 1, *, preset: str = "bes
 def require_reconstructable(
     summary: CaptureSummary, config: object, size_m: Sequence[float], where: object
 ) -> None:
-    """Raise UserError where a reconstruction in a box of this size does not fit into memory."""
-    if hasattr(config, "paper"):  # its fields are checked by themselves
+    """Raise UserError if a reconstruction in a box of this size does not fit into memory."""
+    if hasattr(config, "paper"):  # the training checks its own memory
         return
     holders = (config, getattr(config, "refine", None))
     fits = [holder.fit for holder in holders if hasattr(holder, "fit")]
-    # The grid is a cube around the content, about as large as the box with room around it.
+    # The grid is a cube around the content, about as large as the box with its margin.
     voxels = [min(fit.max_voxels, (max(size_m) / fit.spacing_m) ** 3) for fit in fits]
     needed = max(reconstruct_estimate(summary).memory_bytes, fit_bytes(max(voxels, default=0.0)))
     hint = "raise the fit's spacing-m, lower its max-voxels, or leave planes out"
@@ -101,7 +97,7 @@ def require_reconstructable(
 
 
 def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Estimate:
-    """Cost of `geraf2 image`; by default of its default grid."""
+    """Cost of `geraf2 image`, for its default grid if n_voxels is None."""
     if n_voxels is None and summary.is_plane:
         n_voxels = _N_SLICES * round(np.prod(summary.aperture_m) / DEFAULT_IMAGE_SPACING_M**2)
     if n_voxels is None:
@@ -129,9 +125,9 @@ def slab_bytes(slabs: Slabs, n_samples: int) -> float:
 def fine_image(
     sides_m: Sequence[float], wavelength_m: float, pose_sizes: Sequence[int], n_samples: int
 ) -> str:
-    """Cost of an image with four voxels a wavelength, by `geraf2 image --tiles`, in words.
+    """Describe the cost of `geraf2 image --tiles` with four voxels per wavelength.
 
-    sides_m: of the volume. pose_sizes: antennas of each pose.
+    sides_m: of the volume. pose_sizes: antennas of each pose. n_samples: of each antenna.
     """
     spacing = 0.25 * wavelength_m
     shape = [int(side / spacing) + 1 for side in sides_m]
@@ -153,7 +149,7 @@ def fine_image(
 def require_renderable(
     prior: LosPrior, capture: Capture, spacing_m: float, echo: SurfaceFitConfig
 ) -> None:
-    """Raise UserError where heat maps of a surface in a box do not fit into memory."""
+    """Raise UserError if heat maps of a surface in a box do not fit into memory."""
     area = box_area_m2(prior.size_m)
     n_antennas = max(pose.n_antennas for pose in capture.poses)
     of_node = _BYTES_PER_PART_SAMPLE * n_antennas * capture.waveform.n_samples
@@ -170,7 +166,7 @@ def require_renderable(
 
 
 def box_area_m2(size_m: tuple[float, float, float]) -> float:
-    """Area of a box [m2]."""
+    """Surface area of a box [m^2]."""
     x, y, z = size_m
     return 2.0 * (x * y + y * z + z * x)
 

@@ -1,4 +1,4 @@
-"""Progress and messages of a job: to a console, a log, a notebook, a scheduler."""
+"""Progress and messages of a job, for a console, a log, a notebook or a scheduler."""
 
 import logging
 from collections.abc import Iterable
@@ -11,11 +11,10 @@ LOGGER = logging.getLogger("geraf2.events")
 
 
 class Listener:
-    """Hears steps, findings, notes and warnings of a job; override what you want to show.
+    """Receives steps, findings, notes and warnings of a job; override what you want to show.
 
-    By default steps are silent, and warnings and findings go to the logger "geraf2.events".
-    Nothing in the package prints, except the command line, whose listener writes to the terminal.
-    What a listener raises ends the job.
+    By default steps are silent, and messages go to the logger "geraf2.events". Only the command
+    line prints: its listener writes to the terminal. An exception of a listener ends the job.
 
     >>> class Loud(geraf2.Listener):
     ...     def step(self, label):
@@ -25,7 +24,7 @@ class Listener:
     """
 
     def step(self, label: str) -> AbstractContextManager[Progress]:
-        """Context of one step of the job; its value is called with the fraction done."""
+        """Context of one step of the job, whose value is called with the fraction done."""
         return nullcontext(lambda _: None)
 
     def warning(self, text: str) -> None:

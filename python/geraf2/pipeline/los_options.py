@@ -1,4 +1,4 @@
-"""Options of photos and meshes of the box, for all jobs that read them."""
+"""Options for photos and meshes of the box, of all jobs that read them."""
 
 import math
 from dataclasses import dataclass
@@ -21,28 +21,28 @@ PhotoPreset = Literal["quick", "default", "paper"]
 
 @dataclass(frozen=True, kw_only=True)
 class LosOptions(Bounded):
-    """Options for reading photos of the box, and for the surface made of them."""
+    """Options for reading photos of the box, and for the surface trained on them."""
 
     unit: str | None = None
-    """Unit of the poses: m, cm, mm, or how many metres it is; that of the source, else metres."""
+    """Unit of the poses: m, cm, mm, or its length in metres. By default the source's, else m."""
     to_radar: Path | None = None
-    """File of the transform from the frame of the poses into the capture's: a 4 x 4 matrix (text,
-    JSON, npy; in metres, with a scale if need be), or a scene calibrated with this prior."""
+    """Transform from the poses' frame to the capture's: a file with a 4 x 4 matrix (text, JSON,
+    npy; in metres, with a scale if needed), or a scene calibrated with this prior."""
     camera_axes: CameraAxes = "format"
-    """Camera axes of the poses, where they are not those of their format."""
+    """Camera axes of the poses, if they differ from those of their format."""
     masks: Path | None = None
-    """Folder of silhouettes of the box named as the photos, bright where the box is."""
+    """Folder of masks with the names of the photos, bright inside the box."""
     mask_threshold: Annotated[float, Interval(ge=0.0, lt=255.0)] | None = None
-    """Or: the background is at most this bright, 0 to 255."""
+    """Or: largest brightness of the background, 0 to 255."""
     bounds: Bounds | None = None
-    """The box lies between these coordinates x0 y0 z0 x1 y1 z1 of the capture frame; `-inf` and
-    `inf` leave a side open. The rest is cut off, e.g. the table below z0 [m]."""
+    """Coordinates x0 y0 z0 x1 y1 z1 of the capture frame around the box [m]; `-inf` and `inf` leave
+    a side open. The rest is cut off, for example the table below z0."""
     preset: PhotoPreset = "default"
-    """What is trained: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
+    """Trained model: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
     hold_out: CountOrZero = 0
-    """Leave every N-th photo out of the training and compare it with the surface; 0: none."""
+    """Exclude every N-th photo from the training and compare it with the surface; 0: none."""
     keep_surface: bool = False
-    """Keep the trained surface with its colours, too (surface.safetensors, some 100 MB), which
+    """Also keep the trained surface with its colours (surface.safetensors, about 100 MB), which
     `geraf2.apps.photos.neural_surface.NeuralSurface.load` reads and renders."""
     seed: Seed = 0
     """Seed of the training."""
@@ -50,15 +50,15 @@ class LosOptions(Bounded):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.unit is not None:
-            _length_of(self.unit)
+            _unit_length_m(self.unit)
         self.limits()
 
     def placement(self) -> tuple[NDArray[np.float64] | None, float | None]:
-        """Transform into the capture frame, None if the same, and the unit before it [m].
+        """Transform to the capture frame, None if it is the same, and the unit before it [m].
 
         The unit is None where the source states it.
         """
-        unit_m = None if self.unit is None else _length_of(self.unit)
+        unit_m = None if self.unit is None else _unit_length_m(self.unit)
         if self.to_radar is None:
             return None, unit_m
         rigid, scale = read_transform(self.to_radar)
@@ -77,8 +77,8 @@ class LosOptions(Bounded):
         return limits
 
 
-def _length_of(unit: str) -> float:
-    """Length of a unit that has a name or is a number of metres [m]."""
+def _unit_length_m(unit: str) -> float:
+    """Length of a unit, which is a name or a number of metres [m]."""
     try:
         value = UNITS_M[unit] if unit in UNITS_M else float(unit)
     except ValueError:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-# Kernel against the direct sum, both in float64 where it counts; the block kernel's contract.
+# Largest relative error of a kernel against the direct sum in float64: the kernels' contract.
 _MAX_ERROR = 1e-3
 
 
@@ -21,7 +21,7 @@ def package_version(name: str) -> str:
 
 
 def cpu() -> str:
-    """Name of the processor, and which instruction sets it has."""
+    """Name of the processor and its instruction sets."""
     names = [
         line.split(":", 1)[1].strip()
         for line in _read("/proc/cpuinfo").splitlines()
@@ -35,11 +35,11 @@ def cpu() -> str:
 
 
 def simd() -> str:
-    """Instruction set that the kernels take."""
-    from geraf2.ops import simd_level  # noqa: PLC0415 - the report should come even without it
+    """Instruction set that the kernels use."""
+    from geraf2.ops import simd_level  # noqa: PLC0415 - the report must work without it
 
-    asked = os.environ.get("GERAF2_SIMD")
-    return simd_level() + (f" (asked for by GERAF2_SIMD={asked})" if asked else "")
+    requested = os.environ.get("GERAF2_SIMD")
+    return simd_level() + (f" (requested by GERAF2_SIMD={requested})" if requested else "")
 
 
 def paths() -> list[tuple[str, str]]:
@@ -53,7 +53,7 @@ def paths() -> list[tuple[str, str]]:
 
 
 def threads() -> str:
-    """Threads and processors."""
+    """Count of OpenMP threads and of CPUs."""
     from geraf2.ops import max_threads  # noqa: PLC0415 - as above
 
     return f"{max_threads()} by OpenMP, {len(os.sched_getaffinity(0))} CPUs to run on"
@@ -79,7 +79,7 @@ def _read(path: str) -> str:
 
 
 def check_matched_filter() -> str:
-    """Both kernels against the direct sum on a small problem."""
+    """Test both kernels against the direct sum on a small problem."""
     from geraf2.constants import SPEED_OF_LIGHT_M_PER_S  # noqa: PLC0415 - as above
     from geraf2.ops import matched_filter  # noqa: PLC0415 - as above
     from geraf2.scene import Grid, Waveform  # noqa: PLC0415 - as above
@@ -105,7 +105,7 @@ def check_matched_filter() -> str:
 
 
 def check_embree() -> str:
-    """Distance to a cube of known size."""
+    """Test the distance to a cube of known size."""
     from geraf2.ops import embree_major  # noqa: PLC0415 - as above
     from geraf2.ops.visibility import MeshScene  # noqa: PLC0415 - as above
     from geraf2.scene import LosPrior  # noqa: PLC0415 - as above
@@ -119,7 +119,7 @@ def check_embree() -> str:
 
 
 def check_temporary_folder() -> str:
-    """Whether a file can be written there."""
+    """Test whether a temporary file can be written."""
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "probe").write_bytes(b"geraf2")
         return f"writable ({Path(folder).parent})"

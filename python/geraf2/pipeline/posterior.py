@@ -1,4 +1,4 @@
-"""Samples of the surface of a run, drawn from what its folder holds."""
+"""Posterior samples of the surface of a finished run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from geraf2.surfaces.samples import SurfaceSamples
 
 
 def require_posterior(config: PresetConfig, n_samples: int) -> None:
-    """Raise UserError for a single sample, or a preset that has no posterior to draw from."""
+    """Raise UserError for a single sample, or for a preset without posterior."""
     if n_samples < 2:
         raise UserError(what="samples must be at least 2", got=n_samples)
     if not isinstance(config, FastPreset | BestPreset):
@@ -45,9 +45,11 @@ def samples_of_run(
     seed: int = 0,
     num_threads: int | None = None,
 ) -> SurfaceSamples:
-    """Draw surfaces that the scan of a finished run allows; UserError where there are none.
+    """Draw surfaces from the posterior of a finished run.
 
     mesh: its content. prior: its box. config: constants of its preset.
+
+    Raises UserError if the run has no posterior.
     """
     require_posterior(config, n_samples)
     evidence, fit, field = _evidence(run, config)
@@ -61,11 +63,11 @@ def samples_of_run(
         seed=seed,
         num_threads=num_threads,
     )
-    return replace(samples, mesh=mesh)  # with the expected error that the run wrote
+    return replace(samples, mesh=mesh)  # keeps the expected error that the run wrote
 
 
 def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
-    """Gather what the surface was fitted to, how, and the name of its field."""
+    """Load the data of the surface's fit, its settings, and the name of its field."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
         return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit, FIT_NAME

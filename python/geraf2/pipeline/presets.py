@@ -1,4 +1,4 @@
-"""Presets: each a list of stages with one typed config."""
+"""Presets: lists of stages, each preset with one typed config."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ from geraf2.surfaces.refinement import RefineConfig
 class FastPreset:
     """Oriented points and a linear fit: seconds. Lengths in metres.
 
-    ValueError for constants out of range.
+    Raises ValueError for constants out of range.
 
     >>> from geraf2.surfaces import FitConfig
     >>> geraf2.FastPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]
@@ -48,9 +48,9 @@ class FastPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class BestPreset:
-    """Finer, and for few planes: rim sub-apertures and shadows too; 8 s of CPU.
+    """More accurate, and for few planes: also rim sub-apertures and shadows; 8 s of CPU.
 
-    ValueError for constants out of range. Lengths in metres.
+    Lengths in metres. Raises ValueError for constants out of range.
 
     >>> geraf2.BestPreset().refine.fit.spacing_m
     0.003
@@ -60,14 +60,14 @@ class BestPreset:
     glints: GlintConfig = field(default_factory=GlintConfig)
     """Detection of glints."""
     refine: RefineConfig = field(default_factory=RefineConfig)
-    """Which glints are selected, and the fit through them."""
+    """Selection of glints and outlines, and the fit to them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperPreset:
     """The learned method of the paper: minutes to an hour. Lengths in metres.
 
-    ValueError for constants out of range.
+    Raises ValueError for constants out of range.
 
     >>> geraf2.PaperPreset().preset
     'paper'
@@ -80,9 +80,9 @@ class PaperPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class CorrectedPaperPreset:
-    """The learned method of the paper with its level corrected. Lengths in metres.
+    """The learned method of the paper with a corrected level. Lengths in metres.
 
-    ValueError for constants out of range.
+    Raises ValueError for constants out of range.
 
     >>> geraf2.CorrectedPaperPreset().paper.two_way
     'unbiased'
@@ -90,23 +90,23 @@ class CorrectedPaperPreset:
 
     preset: Literal["paper-corrected"] = "paper-corrected"
     paper: CorrectedPaperConfig = field(default_factory=CorrectedPaperConfig)
-    """As of the preset paper, but without its bias of the level."""
+    """As in the preset paper, but without its bias of the level."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Geraf1Preset:
-    """To compare with: the learned method before the walls were modelled."""
+    """Baseline: the learned method before the walls were modelled."""
 
     preset: Literal["geraf1"] = "geraf1"
     paper: PaperConfig = field(default_factory=PaperConfig)
-    """As of the preset paper; what GeRaF 1 lacks is switched off."""
+    """As in the preset paper, without the parts that GeRaF 1 lacks."""
     level: LevelConfig = field(default_factory=LevelConfig)
-    """How the level is chosen after the training."""
+    """Choice of the level after the training."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MatchedFilterPreset:
-    """To compare with: summed heat maps, a threshold, a Poisson surface."""
+    """Baseline: summed heat maps, a threshold, a Poisson surface."""
 
     preset: Literal["matched-filter"] = "matched-filter"
     matched_filter: MatchedFilterConfig = field(default_factory=MatchedFilterConfig)
@@ -115,7 +115,7 @@ class MatchedFilterPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class NormalFieldPreset:
-    """To compare with: normals voxel by voxel, integrated."""
+    """Baseline: normals of voxels, integrated."""
 
     preset: Literal["normal-field"] = "normal-field"
     normal_field: NormalFieldConfig = field(default_factory=NormalFieldConfig)
@@ -124,7 +124,7 @@ class NormalFieldPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class BackProjectionPreset:
-    """To compare with: a point cloud of the strongest returns."""
+    """Baseline: a point cloud of the strongest returns."""
 
     preset: Literal["back-projection"] = "back-projection"
     back_projection: BackProjectionConfig = field(default_factory=BackProjectionConfig)
@@ -152,13 +152,13 @@ _STAGES: dict[type[PresetConfig], Stages] = {
     BackProjectionPreset: BACK_PROJECTION_STAGES,
 }
 PRESETS: dict[str, type[PresetConfig]] = {kind().preset: kind for kind in _STAGES}
-"""Config of each preset, by its name."""
+"""Config type of each preset, by name."""
 STAGE_NAMES = frozenset(stage.name for stages in _STAGES.values() for stage in stages)
-"""Of all presets."""
+"""Names of the stages of all presets."""
 
 
 def preset_type(name: str) -> type[PresetConfig]:
-    """Look up the config of a preset; a UserError suggests the name that was meant."""
+    """Config type of a preset; the UserError of an unknown one suggests a name."""
     if name not in PRESETS:
         raise UserError(
             what=former_preset(name) or f"unknown preset {name!r}{nearest(name, PRESETS)}",
@@ -168,9 +168,9 @@ def preset_type(name: str) -> type[PresetConfig]:
 
 
 def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
-    """Constants as config.toml holds them; UserError for what is unknown or wrong in them.
+    """Parse the constants of config.toml; UserError for unknown or wrong ones.
 
-    Tables that change only some constants of a type keep the preset's others.
+    Tables that change only some constants keep the preset's other values.
     """
     name = table.get("preset")
     if isinstance(name, str) and name in PRESETS:
@@ -179,11 +179,11 @@ def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
 
 
 def stages_of(config: PresetConfig) -> Stages:
-    """Stages of a preset, each after those that it reads."""
+    """Stages of a preset, in an order in which each follows its inputs."""
     return _STAGES[type(config)]
 
 
 def versions_of(config: PresetConfig) -> dict[str, int]:
-    """Version of each stage of a preset: what is kept of its results holds as long as these do."""
+    """Version of each stage of a preset; stored results are valid for these versions."""
     own = {stage.name: stage.version for stage in stages_of(config)}
     return {"calibration": CALIBRATION_VERSION, **own}

@@ -1,4 +1,4 @@
-"""The line-of-sight prior: from a mesh, a folder of `geraf2 los`, or a box; kept in a run."""
+"""The line-of-sight prior of a run: from a mesh, a folder of `geraf2 los`, or a box."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,13 +17,13 @@ from geraf2.io.mesh import read_mesh
 from geraf2.pipeline.events import Listener
 from geraf2.scene import LosPrior, Wall
 
-# Cartons are measured to a few millimetres; beyond this, one of the two sizes is wrong.
+# Largest difference between box and prior that the accuracy of a tape measure explains [m].
 _WALL_MISMATCH_M = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class PriorSource:
-    """Where the outside of the box comes from."""
+    """Source of the outside of the box."""
 
     los: Annotated[Path | None, Arg(metavar="MESH|PHOTOS")] = None
     """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
@@ -31,11 +31,11 @@ class PriorSource:
     box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
     """Or the outer side lengths of the box, axes along the frame's [m]. Neither: by radar."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
-    """Where the middle of the box of these sides lies [m]."""
+    """Centre of the box with these sides [m]."""
 
     @classmethod
     def of(cls, prior: "LosPrior | PriorSource | Path | str | Triple | None") -> "PriorSource":
-        """Source of what a user gives; empty for a prior in memory, and for none."""
+        """Source from a user's argument; empty for a prior in memory, and for none."""
         if isinstance(prior, PriorSource):
             return prior
         if prior is None or isinstance(prior, LosPrior):
@@ -44,7 +44,7 @@ class PriorSource:
 
     @property
     def is_given(self) -> bool:
-        """Whether there is a source; UserError where there are two."""
+        """Whether there is a source; UserError if there are two."""
         if self.los is not None and self.box is not None:
             raise UserError(
                 what="give the outside of the box once",
@@ -56,7 +56,7 @@ class PriorSource:
     def load(
         self, walls: tuple[Wall, ...] = (), listener: Listener | None = None
     ) -> tuple[LosPrior, str]:
-        """Prior, and its name in errors; arguments as of :func:`load_prior`."""
+        """Prior, and its name in errors; arguments as those of :func:`load_prior`."""
         if not self.is_given:
             raise UserError(
                 what="give the outside of the box",
@@ -77,14 +77,14 @@ def load_prior(
 ) -> LosPrior:
     """Outside of the box, in the capture frame.
 
-    source: file of a closed mesh in metres, a folder that holds los.ply, or the three outer side
-    lengths of a box, axes along the frame's [m].
-    center_m: middle of the box where `source` is side lengths, (3,) [m].
-    walls: what is known of the walls, outermost first; see :func:`with_walls`.
-    listener: warned where walls and prior differ in size.
+    source: file of a closed mesh in metres, a folder with los.ply, or the three outer side lengths
+        of a box, axes along the frame's [m].
+    center_m: centre of the box if `source` is side lengths, (3,) [m].
+    walls: known walls, outermost first; see :func:`with_walls`.
+    listener: warned if walls and prior differ in size.
 
-    Returns the prior, its mesh closed. Raises UserError where there is no such mesh, it is not
-    closed, or the lengths are not three positive numbers.
+    Returns the prior with a closed mesh. Raises UserError if there is no such mesh, if it is not
+    closed, or if the lengths are not three positive numbers.
 
     >>> geraf2.load_prior((0.22, 0.22, 0.22), center_m=(0.0, 0.0, 0.1)).center_m
     (0.0, 0.0, 0.1)
@@ -105,18 +105,18 @@ def load_prior(
     if size.shape != (3,) or not (np.isfinite(size).all() and size.min() > 0):
         raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
     if center.shape != (3,) or not np.isfinite(center).all():
-        raise UserError(what="the middle of the box must be finite", got=spaced(center_m))
+        raise UserError(what="the centre of the box must be finite", got=spaced(center_m))
     return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, heard)
 
 
 def with_walls(
     prior: LosPrior, walls: tuple[Wall, ...], listener: Listener | None = None
 ) -> LosPrior:
-    """Prior with the walls of a capture, the outermost as large as the prior: that was measured.
+    """Prior with the walls of a capture, the outermost with the measured size of the prior.
 
-    Inner walls that are larger than the prior are left out. A turned cuboid has its own sides.
+    Inner walls larger than the prior are left out. A rotated cuboid has its own sides.
 
-    listener: warned where the scene states another size; none where the prior is its box by radar.
+    listener: warned if the scene states another size; None for a box by radar.
     """
     if not walls:
         return prior
@@ -141,19 +141,19 @@ def with_walls(
 
 
 def spaced(values: Sequence[float]) -> str:
-    """Lengths as written on a command line."""
+    """Format lengths as on a command line."""
     return " ".join(f"{value:g}" for value in values)
 
 
 def save_prior(prior: LosPrior, path: Path) -> None:
-    """Keep a prior and its walls, every bit."""
+    """Write a prior and its walls without loss."""
     rows = [[*w.size_m, w.thickness_m, w.permittivity, *w.center_m] for w in prior.walls]
     walls = np.asarray(rows, dtype=np.float64).reshape(-1, 8)
     write_npz_atomic(path, {"vertices": prior.vertices, "faces": prior.faces, "walls": walls})
 
 
 def read_prior(path: Path) -> LosPrior:
-    """Read what :func:`save_prior` wrote."""
+    """Read a file written by :func:`save_prior`."""
     layouts = {"vertices": "float n 3", "faces": "index:n m 3", "walls": "float k 8"}
     arrays = read_arrays(path, layouts)
     try:

@@ -1,7 +1,7 @@
-"""First stage of a run whose prior has yet to be made, as from photos.
+"""First stage of a run whose prior is made first, for example from photos.
 
-Packages register a maker of priors under the entry-point group `geraf2.priors`; geraf2's own makes
-them of photos. The instrument itself knows none of them.
+Packages register makers of priors under the entry-point group `geraf2.priors`, among them geraf2's
+own for photos. The pipeline itself depends on none of them.
 """
 
 import time
@@ -22,39 +22,38 @@ from geraf2.scene.summary import CaptureSummary
 
 ENTRY_POINT_GROUP = "geraf2.priors"
 PRIOR_STAGE = "los"
-"""Stage of a run, and its folder."""
+"""Name of the stage and of its folder."""
 _N_HEAT_VOXELS = 56
 _N_HEAT_POSES = 8
 
 
 class PriorJob(Protocol):
-    """A source that was read and checked, and how a prior is made of it."""
+    """A source that was read and checked, ready to make a prior."""
 
     @property
     def key(self) -> str:
         """Hash of everything that the prior depends on."""
 
     def make(self, folder: Path, listener: Listener) -> tuple[str, ...]:
-        """Names of the files of the prior that is now in a folder.
+        """Make the prior in a folder, unless it already holds one with this key.
 
-        The one of this key is kept, else it is made. :func:`geraf2.pipeline.prior.load_prior` reads
-        it.
+        Returns the names of its files, for :func:`geraf2.pipeline.prior.load_prior`.
         """
 
 
 class PriorMaker(Protocol):
-    """Makes priors of one kind of source."""
+    """Maker of priors from one kind of source."""
 
     def read(
         self, source: Path, options: LosOptions, summary: CaptureSummary, listener: Listener
     ) -> PriorJob | None:
-        """Read and check a source; None where it is of another kind, UserError where unusable."""
+        """Read and check a source; None if it is of another kind, UserError if unusable."""
 
 
 def find_prior_job(
     source: Path | None, options: LosOptions, summary: CaptureSummary, listener: Listener
 ) -> PriorJob | None:
-    """Job that makes a prior of this source; None for a mesh, a finished prior, or no source."""
+    """Job that makes a prior from a source; None for a mesh, a finished prior, or no source."""
     if source is None or source.is_file():
         return None
     for point in entry_points(group=ENTRY_POINT_GROUP):
@@ -66,7 +65,7 @@ def find_prior_job(
 
 
 def made_prior(run: RunFolder, job: PriorJob, listener: Listener) -> Path:
-    """Folder of the prior in a run: made now, or kept if it has the same key."""
+    """Folder of the prior in a run, made now unless it has the same key."""
     start, folder = time.perf_counter(), run.path / PRIOR_STAGE
     kept = run.is_done(PRIOR_STAGE, job.key)
     if not kept:

@@ -1,4 +1,4 @@
-"""Calls in separate processes, which keep memory and crashes away from the caller."""
+"""Calls in separate processes, so that their memory and crashes do not affect the caller."""
 
 import ctypes
 import os
@@ -25,7 +25,7 @@ _PATIENCE_S = 5.0
 
 
 class Processes:
-    """Calls functions, each in a new process; `stop` ends them."""
+    """Calls functions, each in a new process; `stop` ends the processes."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
@@ -35,10 +35,10 @@ class Processes:
     def call(
         self, function: Callable[_P, _T], *args: _P.args, **kwargs: _P.kwargs
     ) -> tuple[_T, float]:
-        """Call a function of a module -> what it returns, processor time of its process [s].
+        """Call a function of a module -> its result, CPU time of its process [s].
 
-        UserError with one line where it raises or its process dies, KeyboardInterrupt where that
-        was interrupted. Several threads may call.
+        Raises UserError with one line if it raises or its process dies, and KeyboardInterrupt if
+        that was interrupted. Several threads may call.
         """
         with self._lock:
             if self._stopped:
@@ -64,7 +64,7 @@ class Processes:
         return value, seconds
 
     def stop(self) -> None:
-        """End all running processes, and start no more."""
+        """End all running processes, and start no further ones."""
         with self._lock:
             self._stopped = True
             running = list(self._running)
@@ -77,9 +77,9 @@ class Processes:
 
 
 def end_with(parent: int) -> None:
-    """Make the kernel end this process with the thread that started it; at once if that ended.
+    """Make the kernel kill this process when the thread that started it ends.
 
-    parent: number of that thread's process.
+    parent: process id of that thread; exits at once if it has already ended.
     """
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
     if os.getppid() != parent:
@@ -87,11 +87,11 @@ def end_with(parent: int) -> None:
 
 
 def serve() -> None:
-    """Do the one call that comes on stdin; the answer goes to stdout, an error to stderr."""
+    """Execute one call from stdin; the result goes to stdout, an error to stderr."""
     end_with(int(sys.argv[1]))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # cleans up as after Ctrl-C
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # clean up as after Ctrl-C
     answer = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what libraries print is no answer
+    os.dup2(2, 1)  # keep the output of libraries out of the result
     function, args, kwargs = pickle.load(sys.stdin.buffer)
     try:
         with speaking_of_flags():

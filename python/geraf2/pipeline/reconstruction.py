@@ -36,9 +36,9 @@ if TYPE_CHECKING:
 
 
 class Reconstruction:
-    """Result of a run, read from its folder when it is asked for; lengths in metres.
+    """Result of a run, read from its folder on first use; lengths in metres.
 
-    A mesh that is not there yet is a UserError; sdf, glints and report are None.
+    A missing mesh is a UserError; missing sdf, glints and report are None.
 
     >>> result = geraf2.examples.small_run()
     >>> error_m = result.content.vertex_attributes["expected_error_m"]
@@ -63,40 +63,40 @@ class Reconstruction:
 
     @cached_property
     def content(self) -> "trimesh.Trimesh":
-        """What is hidden in the box, in the capture's frame [m].
+        """Mesh of the content, in the capture's frame [m].
 
-        `vertex_attributes` holds, (n_vertices,) each, `expected_error_m`, one standard deviation of
-        the distance to the true surface [m], and `evidence`, what the vertex rests on: 0 not seen,
-        1 outline, 2 seen, and `confidence`, the probability that its piece exists. Presets that
+        `vertex_attributes` holds arrays (n_vertices,). `expected_error_m` is one standard deviation
+        of the distance to the true surface [m]. `evidence` is the basis of a vertex: 0 not seen,
+        1 outline, 2 seen. `confidence` is the probability that its piece exists. Presets that
         cannot estimate them have none.
         """
         return _as_trimesh(self.content_mesh)
 
     @cached_property
     def box(self) -> "trimesh.Trimesh":
-        """The box around it [m]."""
+        """Mesh of the box around it [m]."""
         return _as_trimesh(self._mesh(BOX_NAME))
 
     @cached_property
     def content_mesh(self) -> TriangleMesh:
-        """The content as other modules of geraf2 take it: vertices, faces, expected errors [m]."""
+        """The content as geraf2's own mesh type: vertices, faces, expected errors [m]."""
         return self._mesh(CONTENT_NAME)
 
     @cached_property
     def sdf(self) -> SdfGrid | None:
-        """Signed distance to the content, negative inside [m]; None of an open surface."""
+        """Signed distance to the content, negative inside [m]; None for an open surface."""
         path = self.run.written(SDF_NAME)
         return SdfGrid.load(path) if path else None
 
     @cached_property
     def glints(self) -> Glints | None:
-        """Oriented points; None of a preset without."""
+        """Oriented points; None for a preset without glints."""
         path = self.run.written(GLINTS_NAME)
         return Glints.load(path) if path else None
 
     @cached_property
     def prior(self) -> LosPrior:
-        """Outside of the box as the run read it."""
+        """Outside of the box that the run used."""
         return read_prior(self.path / PRIOR_NAME)
 
     @cached_property
@@ -107,14 +107,14 @@ class Reconstruction:
     def samples(
         self, n: int = 24, *, seed: int = 0, num_threads: int | None = None
     ) -> "SurfaceSamples":
-        """Draw surfaces that the scan allows, all with the triangles of `content_mesh`.
+        """Draw surfaces from the posterior, all with the triangles of `content_mesh`.
 
-        n: number of surfaces, at least 2; each takes 10 to 25 ms of a core.
+        n: number of surfaces, at least 2; each takes 10 to 25 ms on one core.
         seed: of the draws.
 
-        Offsets that echoes share (one of the scan, one a plane, one a face of the box) are in them,
-        so any number of the mesh takes its uncertainty from its values over the samples. UserError
-        of a preset without glints.
+        The samples include offsets that echoes share: of the scan, of a plane, of a face of the
+        box. The uncertainty of any quantity of the mesh is its spread over the samples. Raises
+        UserError for a preset without glints.
 
         >>> samples = geraf2.examples.small_run().samples(8)
         >>> low, high = samples.interval(lambda mesh: mesh.vertices[:, 2].max())  # 95 % [m]
@@ -135,7 +135,7 @@ class Reconstruction:
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
-        """By stage: seconds, cpu_seconds [s], peak_memory_mib [MiB], and what came out."""
+        """By stage: seconds, cpu_seconds [s], peak_memory_mib [MiB], and numbers of the result."""
         return {
             name: {
                 "seconds": record.seconds,
@@ -148,7 +148,7 @@ class Reconstruction:
 
     @property
     def report(self) -> Path | None:
-        """`report.html`, if it was asked for."""
+        """Path of `report.html`, or None."""
         path = self.path / REPORT_NAME
         return path if path.is_file() else None
 
@@ -156,7 +156,7 @@ class Reconstruction:
         """Show the content in 3D: in a notebook below the cell, elsewhere in a browser.
 
         Returns the page that the browser shows, a temporary file; None in a notebook. Raises
-        UserError where there is no surface yet.
+        UserError if there is no surface yet.
         """
         page = self._view()
         if page is None:
@@ -175,7 +175,7 @@ class Reconstruction:
         return path
 
     def _repr_html_(self) -> str:
-        """Frame of a notebook with the 3D view; text where there is no surface."""
+        """Frame of a notebook with the 3D view; text if there is no surface."""
         page = self._view()
         if page is None:
             return f"<pre>{escape(repr(self))}</pre>"
@@ -204,10 +204,10 @@ class Reconstruction:
 def load_run(path: Path | str) -> Reconstruction:
     """Open the folder of a run, finished or not.
 
-    path: what `reconstruct` was given as `out`; nothing in it changes.
+    path: argument `out` of `reconstruct`; nothing in it changes.
 
-    Returns the result, lengths in metres. Raises UserError where the folder is no run, or one of
-    another version.
+    Returns the result, lengths in metres. Raises UserError if the folder is no run, or has another
+    version.
 
     >>> geraf2.load_run(geraf2.examples.small_run().path).box.is_watertight
     True
@@ -216,7 +216,7 @@ def load_run(path: Path | str) -> Reconstruction:
 
 
 def as_triangles(mesh: "TriangleMesh | trimesh.Trimesh", name: str) -> TriangleMesh:
-    """Mesh of this package from one of trimesh, duplicate vertices merged; UserError for others."""
+    """Convert a mesh of trimesh, with duplicate vertices merged; UserError for other types."""
     if isinstance(mesh, TriangleMesh):
         return mesh
     vertices = np.asarray(getattr(mesh, "vertices", ()), dtype=np.float64)

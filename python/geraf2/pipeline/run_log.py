@@ -1,4 +1,4 @@
-"""Log of a run: records and warnings go into its folder and to the listener."""
+"""Log of a run: records and warnings go to its folder and to the listener."""
 
 import logging
 from collections.abc import Iterable, Iterator
@@ -13,14 +13,14 @@ _LOGGERS = ("geraf2", "py.warnings")
 
 
 class _RunLogHandler(logging.Handler):
-    """One JSON line a record; warnings also go into the run's record."""
+    """Writes one JSON line per record; warnings also go to the run's record."""
 
     def __init__(self, run: RunFolder) -> None:
         super().__init__(logging.INFO)
         self._run = run
 
     def emit(self, record: logging.LogRecord) -> None:
-        if record.name == LOGGER.name:  # a listener's: RunListener has it
+        if record.name == LOGGER.name:  # RunListener records these
             return
         message, level = " ".join(record.getMessage().split()), record.levelname.lower()
         if record.levelno >= logging.WARNING:
@@ -47,27 +47,27 @@ def logging_to(run: RunFolder) -> Iterator[None]:
 
 
 class RunListener(Listener):
-    """Keeps warnings, notes and findings in the run, and hands them on to another listener."""
+    """Records warnings, notes and findings in the run, and forwards them to another listener."""
 
     def __init__(self, run: RunFolder, listener: Listener) -> None:
         self._run, self._listener = run, listener
 
     def step(self, label: str) -> AbstractContextManager[Progress]:
-        """Hand the step on."""
+        """Forward the step."""
         return self._listener.step(label)
 
     def warning(self, text: str) -> None:
-        """Keep it and hand it on."""
+        """Record and forward it."""
         self._run.warn(text)
         self._listener.warning(text)
 
     def note(self, text: str) -> None:
-        """Keep it and hand it on."""
+        """Record and forward it."""
         self._run.warn(text, "info")
         self._listener.note(text)
 
     def findings(self, findings: Iterable[Finding]) -> None:
-        """Keep them and hand them on."""
+        """Record and forward them."""
         found = tuple(findings)
         for finding in found:
             self._run.warn(str(finding), finding.severity)

@@ -1,4 +1,4 @@
-"""Request of a run: config.toml of its folder, from which it can be repeated."""
+"""Request of a run: config.toml of its folder, which can repeat it."""
 
 import os
 import shlex
@@ -19,7 +19,7 @@ from geraf2.pipeline.prior import PriorSource
 class RunOptions(Bounded):
     """Options of a run besides capture, prior and the preset's constants.
 
-    UserError for a value out of bounds.
+    Raises UserError for a value out of bounds.
 
     >>> geraf2.RunOptions(hold_out=(60.0, 180.0)).hold_out
     (60.0, 180.0)
@@ -28,14 +28,14 @@ class RunOptions(Bounded):
     hold_out: Annotated[tuple[Degrees, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
     trust_los: bool = False
-    """Take the prior as it is, even if echoes of walls or content contradict it."""
+    """Use the prior unchanged, even if echoes of walls or content contradict it."""
     calibrate: Literal["auto", "no"] = "auto"
-    """auto: find leakage, channels, delay, box, axis and positions that are wrong and correct them,
-    where held-out data confirm it. no: take the scene as it is."""
+    """auto: estimate errors of leakage, channels, delay, box, axis and positions, and correct those
+    that held-out data confirm. no: use the scene unchanged."""
     seed: Seed = 0
-    """Seed of the samples that `evaluate` draws, and of training."""
+    """Seed of the samples of `evaluate`, and of training."""
     samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
-    """Also write so many surfaces that the scan allows, into samples.npz."""
+    """Also write N posterior samples of the surface to samples.npz."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
     """Options of the photos of --los."""
 
@@ -45,18 +45,18 @@ class RunRecord:
     """Complete request of a run."""
 
     scene: Path | None = None
-    """Scene folder; None where the capture was given in memory."""
+    """Scene folder; None for a capture in memory."""
     prior: PriorSource = field(default_factory=PriorSource)
-    """Where the outside of the box came from."""
+    """Source of the outside of the box."""
     options: RunOptions = field(default_factory=RunOptions)
     config: PresetConfig = field(default_factory=BestPreset)
     """Preset and its constants."""
 
     def write(self, path: Path) -> None:
-        """Write config.toml; it can be read from any folder.
+        """Write config.toml, which can be read from any folder.
 
-        Paths are absolute, and once more as seen from the file: a folder that is moved together
-        with what it was made of still finds it. A path that is no text in UTF-8 is left out.
+        Paths are absolute, and also relative to the file, so that a folder moved together with its
+        inputs still finds them. A path that is not UTF-8 text is left out.
         """
         known = {n: absolute(p) for n, p in self._paths().items() if p is not None and _is_text(p)}
         here = path.parent.resolve()
@@ -71,9 +71,9 @@ class RunRecord:
 
     @classmethod
     def read(cls, path: Path) -> "RunRecord":
-        """Read config.toml; a UserError names what is unknown or wrong in it."""
+        """Read config.toml; the UserError names its unknown or wrong entries."""
         table = read_table(path)
-        scene, places = table.pop("scene", None), table.pop("places", {})
+        scene, relative_paths = table.pop("scene", None), table.pop("places", {})
 
         def own(kind: type[PriorSource] | type[RunOptions]) -> dict[str, Any]:
             return {e.name: table.pop(e.name) for e in fields(kind) if e.name in table}
@@ -85,17 +85,17 @@ class RunRecord:
             config=preset_of_table(table, path),
         )
         found = record._paths()
-        for name, place in places.items() if isinstance(places, dict) else ():
-            moved = path.parent / str(place)
+        for name, relative in relative_paths.items() if isinstance(relative_paths, dict) else ():
+            moved = path.parent / str(relative)
             kept = found.get(name)
-            # A store is not asked: the record may be a stranger's.
-            gone = kept is not None and not is_remote(kept) and not kept.exists()
-            if gone and moved.exists():
+            # Remote stores are not contacted: the record may come from an untrusted source.
+            missing = kept is not None and not is_remote(kept) and not kept.exists()
+            if missing and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
 
     def command(self, scene: str) -> str:
-        """Command that repeats the run on a scene of this name; paths are names."""
+        """Command that repeats the run on a scene with this name; paths are reduced to names."""
         words = ["geraf2", "reconstruct", scene, "OUT"]
         if self.prior.los is not None:
             words += ["--los", self.prior.los.name]
@@ -126,7 +126,7 @@ class RunRecord:
 
 
 def _is_text(path: Path) -> bool:
-    """Whether the absolute path can be written into a text file."""
+    """Whether the absolute path can be encoded as text."""
     try:
         str(absolute(path)).encode()
     except UnicodeEncodeError:
@@ -135,7 +135,7 @@ def _is_text(path: Path) -> bool:
 
 
 def _flags(value: Any, default: Any, prefix: str = "--") -> list[str]:
-    """Words of the command line that make a record of the default one."""
+    """Command line flags that turn the default record into this one."""
     words: list[str] = []
     for entry in fields(value):
         mine, usual = getattr(value, entry.name), getattr(default, entry.name)

@@ -10,14 +10,14 @@ from geraf2.scene.store import capture_digest
 
 
 def capture_of(result: Reconstruction, scene: Path | str | Capture | None) -> Capture:
-    """Capture of a run, corrected as its stages saw it.
+    """Capture of a run with its corrections, as the stages used it.
 
-    scene: capture or its folder, where it is no longer where the run found it.
+    scene: capture or its folder; by default the folder in the run's record.
 
-    Raises UserError where it is not there, or another.
+    Raises UserError if it is missing, or another scene.
     """
     path = result.record.scene if scene is None else scene
-    if path is None:  # made of a capture in memory, or of a path that is no text
+    if path is None:  # the capture was in memory, or its path is not UTF-8 text
         raise UserError(
             what="the run does not record where its scene is",
             where=result.path,

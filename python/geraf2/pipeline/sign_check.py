@@ -1,4 +1,4 @@
-"""Errors whose cause is the sign of the phase, which neither box nor surface shows."""
+"""Diagnosis of errors that a wrong sign of the phase causes."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,9 +12,9 @@ from geraf2.scene import Capture
 def naming_the_sign(
     capture: Capture, where: object, num_threads: int | None = None
 ) -> Iterator[None]:
-    """Raise that the phase has the wrong sign where an error inside the block comes from that.
+    """Replace an error inside the block by that of a wrong sign of the phase, if it is the cause.
 
-    where: the capture in the message.
+    where: name of the capture in the message.
     """
     try:
         yield
@@ -24,7 +24,7 @@ def naming_the_sign(
 
 
 def require_sign(capture: Capture, where: object, num_threads: int | None = None) -> None:
-    """Raise UserError for a capture that certainly has the other sign of the phase."""
+    """Raise UserError for a capture whose phase certainly has the wrong sign."""
     sign = find_phase_sign(capture.poses, capture.waveform, num_threads=num_threads)
     if sign.sign > 0 and sign.is_clear:
         raise UserError(

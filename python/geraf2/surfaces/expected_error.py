@@ -80,8 +80,10 @@ def nearness(
     cosine = np.clip(np.einsum("vk,vjk->vj", normals, glints.normals[nearest]), -1.0, 1.0)
     relative = relative_strengths(glints.strengths) * (1.0 if weights is None else weights)
     weights = relative[nearest] * np.exp(-0.5 * (distance / model.reach_m) ** 2)
-    alike = (distance <= model.seen_reach_m) & (cosine >= np.cos(model.seen_angle_rad))
-    return Nearness(support=(weights * np.maximum(cosine, 0.0)).sum(axis=1), seen=alike.any(axis=1))
+    agreeing = (distance <= model.seen_reach_m) & (cosine >= np.cos(model.seen_angle_rad))
+    return Nearness(
+        support=(weights * np.maximum(cosine, 0.0)).sum(axis=1), seen=agreeing.any(axis=1)
+    )
 
 
 def conformal_factor(support: Floats, model: SupportModel | None = None) -> Floats:

@@ -24,7 +24,7 @@ ExcessPath = Callable[[Floats, Floats, Floats], Floats]
 """Excess one-way path in the walls (n,) [m] from antennas, unit directions and ranges."""
 
 N_WALL_PARTS = 2
-"""Wall echoes of the near walls' front faces and of the far walls' back faces."""
+"""Number of parts of the walls: near walls seen from outside, far walls seen from inside."""
 # Least cosine of incidence: the signal tracer's specular factor is zero beyond 45 degrees.
 _LEAST_COSINE = 0.7
 # Rays leave a facet this far above it [m], so that neighbours of a curved surface do not hide it.
@@ -127,8 +127,8 @@ class SurfaceRenderer:
         pose: the plane; its measured signal is not read.
         shares: share of each content facet in each part, (n_parts, n_facets), not negative.
 
-        Returns (n_parts + 2, n_antennas, n_samples): the parts of the content, the walls' front
-        faces, the walls' back faces.
+        Returns (n_parts + 2, n_antennas, n_samples): the parts of the content, then the near walls
+        seen from outside and the far walls seen from inside.
         """
         require_shape("shares", shares, (None, self.content.points.shape[0]))
         n_parts = len(shares)

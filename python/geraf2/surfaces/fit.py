@@ -96,7 +96,7 @@ class Evidence:
     outline_weight: float = 0.0
     """Weight of a tangent point of an outline's edge, relative to a strong glint; 0: not used."""
     outline_clearance_m: float = 0.0
-    """Glints nearer than this override outlines [m]."""
+    """Distance within which glints override outlines [m]."""
     common_sigma_m: float = UNKNOWN_OFFSET_M
     """Standard deviation of the range offset that all glints share [m]. Calibration states it; its
     causes are the radar's delay and the turntable's radius."""

@@ -1,10 +1,9 @@
 """Conjugate gradients for a grid energy, with a multigrid cycle as preconditioner.
 
 Bending is a fourth-order operator. With only the diagonal as preconditioner, the number of
-iterations grows with the square of the grid's side, and 400 of them leave millimetres of error on
-57^3 voxels. A V-cycle of Chebyshev-smoothed levels reaches micrometres in about twelve
-(docs/math/surface-fit.md#solver). Source: Saad, Iterative methods for sparse linear systems, 2003,
-chapters 12 and 13.
+iterations grows with the square of the grid's side. A V-cycle of Chebyshev-smoothed levels reaches
+micrometres in about twelve iterations (docs/math/surface-fit.md#solver). Source: Saad, Iterative
+methods for sparse linear systems, 2003, chapters 12 and 13.
 """
 
 from collections.abc import Callable

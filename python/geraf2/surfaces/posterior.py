@@ -32,13 +32,13 @@ from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resa
 from geraf2.surfaces.samples import SurfaceSamples
 
 N_SAMPLES = 24
-"""Samples of an expected error, whose standard deviation they estimate to 14 %."""
+"""Number of samples of an expected error: they give a standard deviation to 14 %."""
 _CELLS = 36
 """Cells along a side of the samples' grid, of 5 to 8 mm each."""
 _TOLERANCE = 0.03
 """Relative residual of a sample's solve: a tenth of the standard deviation's own error."""
 _LEAST_SLOPE = 0.5
-"""Least gradient of the field: between two close surfaces it is flatter than a distance."""
+"""Lower bound of the field's gradient, which is too small between two close surfaces."""
 _BYTES_PER_DISPLACEMENT = 44.0
 """Memory of one vertex in one sample: temporary float64 arrays and the result [bytes]."""
 _CM = 100.0
@@ -102,7 +102,7 @@ def point_noise(
     glints: all that the surface was fitted to, rim glints too.
     n_outline: number of tangent points of outlines.
     sdf: fitted field.
-    prior: box, whose face a glint's normal meets decides the shared offset.
+    prior: box; glints whose normals meet the same face share an offset.
     """
     model = model or NoiseModel()
     misfit = local_misfit(glints, sdf, model)
@@ -188,11 +188,7 @@ class FieldPosterior:
         root = bending_force(self.grid.shape, spacing, self._bending, rng)
         return np.asarray(right + self._bend * root.ravel())
 
-    def draw(self, n_samples: int, rng: np.random.Generator) -> Floats:
-        """Draw errors of the field, (n_samples, n_voxels) [m]."""
-        return np.stack([self.draw_one(rng) for _ in range(n_samples)])
-
-    def draw_one(self, rng: np.random.Generator) -> Floats:
+    def draw(self, rng: np.random.Generator) -> Floats:
         """Draw one error of the field, (n_voxels,) [m]."""
         return np.asarray(self._respond(self.right_side(rng)) / _CM)
 
@@ -285,7 +281,7 @@ def draw_displacements(
     field = coarse.values.astype(np.float64).ravel()
     slope = np.sqrt(sum((rows @ field) ** 2 for rows in slopes))
     slope = np.maximum(slope, _LEAST_SLOPE)
-    change = np.stack([value @ posterior.draw_one(rng) / slope for _ in range(n_samples)])
+    change = np.stack([value @ posterior.draw(rng) / slope for _ in range(n_samples)])
     common = _spread_draws(n_samples, rng)
     if n_samples > 1:  # remove the chance correlation of few draws, which all vertices would share
         change -= common[:, None] * (common @ change / n_samples)

@@ -42,13 +42,13 @@ class RefineConfig(Bounded):
     """Weight of an outline's tangent point, with an error of 2 mm, relative to a strong glint, with
     an error of 0.4 mm."""
     outline_clearance_m: MarginM = 0.005
-    """Glints nearer than this override outlines [m]."""
+    """Distance within which glints override outlines [m]."""
     shadows: bool = True
     """Whether to remove content on lines of sight that silhouettes show free."""
     max_contradicted: Share = 0.03
-    """Largest share of the glints' amplitude in an outline's free space, of that on its known lines
-    of sight; half of it where the opposite side disagrees. Outlines above are dropped. A property
-    of the simulated population of objects."""
+    """Largest share of the amplitude of glints on an outline's known lines of sight that lies in
+    its free space. Half of it applies if the opposite side disagrees. Outlines above are dropped.
+    A property of the simulated population of objects."""
 
 
 class SelectedGlints(NamedTuple):

@@ -141,9 +141,9 @@ def power_matrix(
         K(x, v) = (1 / N) sum_g V_gv (R_0 / R_gv)^2 D(d_g(x) - d_g(v))
                   sum_(i in g) exp(j k (d_i(x) - d_i(v)))
 
-    for groups g of the N antennas. V is 1 if a group has a line of sight to v, d the two-way path,
-    D the mean of the chirp's phasors at that path difference. D uses the centre of the group, the
-    carrier's phase each antenna.
+    for groups g of the N antennas. V is 1 if a group has a line of sight to v, and d is the two-way
+    path. D is the mean of the chirp's phasors at that path difference, for the centre of the group.
+    The carrier's phase is that of each antenna.
     """
     waveform = renderer.waveform
     wavenumber = 2.0 * np.pi / waveform.center_wavelength_m
@@ -159,8 +159,8 @@ def power_matrix(
         )
         sums = there.T @ (back.conj() * (lit.spreading / pose.n_antennas).astype(np.float32))
         middles = tx.mean(axis=0)[None], rx.mean(axis=0)[None]
-        apart = _paths(*middles, targets).T - _paths(*middles, lit.points)
-        total[:, lit.index] += sums * _chirp_mean(apart, waveform)
+        path_difference = _paths(*middles, targets).T - _paths(*middles, lit.points)
+        total[:, lit.index] += sums * _chirp_mean(path_difference, waveform)
     return np.square(total.real) + np.square(total.imag)
 
 
@@ -170,11 +170,11 @@ def _paths(tx: Floats, rx: Floats, points: Floats) -> Floats:
     return np.asarray(sum(legs))
 
 
-def _chirp_mean(apart: Floats, waveform: Waveform) -> NDArray[np.float32]:
+def _chirp_mean(path_difference: Floats, waveform: Waveform) -> NDArray[np.float32]:
     """Mean over samples t of exp(j 2 pi (f_t - mean f) apart / c)."""
     n = waveform.n_samples
     step = waveform.chirp_slope_hz_per_s / waveform.sample_rate_hz
-    half = np.pi * step / SPEED_OF_LIGHT_M_PER_S * apart
+    half = np.pi * step / SPEED_OF_LIGHT_M_PER_S * path_difference
     sine = np.sin(half)
     whole = np.abs(sine) < 1e-9
     mean = np.where(whole, 1.0, np.sin(n * half) / (n * np.where(whole, 1.0, sine)))

@@ -40,7 +40,7 @@ class SurfaceEcho:
     power: float
     """Amplitude of one square metre of reflectivity 1 in the middle of the scene."""
     walls: NDArray[np.complex128]
-    """Amplitude and phase of the walls' front and back faces relative to power, (2,)."""
+    """Amplitude and phase of near and far walls, as in `SurfaceRenderer`, over power, (2,)."""
 
     def arrays(self) -> dict[str, Floats]:
         """Arrays by name, for a checkpoint."""
@@ -248,7 +248,7 @@ class _MagnitudeFit:
         start = np.sqrt(nnls(np.abs(parts.T) ** 2, magnitudes**2)[0])
         if not start[0] > 0.0:
             raise UserError(
-                what="the surface echoes nowhere where the scan does",
+                what="the surface has no echo at the positions of the scan's echoes",
                 hint="is the run of this scene? Reconstruct it again",
             )
         images = images * start[0]

@@ -1,1 +1,1 @@
-"""Stages of the presets: what is computed, kept and read again."""
+"""Stages of the presets: computation, storage and reading of results."""

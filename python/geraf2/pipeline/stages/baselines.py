@@ -1,4 +1,4 @@
-"""Stages of the presets to compare with: matched-filter, normal-field, back-projection."""
+"""Stages of the baselines: matched-filter, normal-field, back-projection."""
 
 from collections.abc import Callable
 from typing import Any
@@ -65,7 +65,7 @@ def _open_mesh_stage(
     version: int,
     settings: Callable[[Any], Any],
 ) -> Stage[Any]:
-    """Meshes of an open surface, a cloud for example: there is no distance to go with it."""
+    """Stage for meshes of an open surface, for example of a cloud, without a signed distance."""
 
     def compute(job: Job, progress: Progress) -> ExtractedMeshes:
         content, box = content_of(job, progress), box_surface(job.prior)

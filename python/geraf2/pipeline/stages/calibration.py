@@ -1,4 +1,4 @@
-"""Calibration as the first stage of a run; other jobs on the run take its corrections from it."""
+"""Calibration as the first stage of a run; other jobs on the run apply its corrections."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -64,10 +64,10 @@ CALIBRATION = Stage(
 
 
 def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
-    """Corrected capture and prior, and more inputs of the stages.
+    """Corrected capture and prior, and further inputs of the stages.
 
-    Where nothing was found, the capture and prior of the job themselves, and nothing. The listener
-    hears what was applied.
+    Without corrections these are the job's own capture and prior, and {}. Applied corrections are
+    reported to the listener.
     """
     if not job.resume:
         job.run.forget([CALIBRATION_STAGE])
@@ -86,6 +86,6 @@ def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
 
 
 def corrected(run: RunFolder, capture: Capture) -> Capture:
-    """Capture as corrected for the stages of a run."""
+    """Capture with the corrections of a run."""
     path = run.written(CALIBRATION_NAME)
     return capture if path is None else Corrections.load(path).applied(capture)

@@ -1,4 +1,4 @@
-"""Stages of the presets fast and best, and the mesh that ends every preset."""
+"""Stages of the presets fast and best, and the mesh stage of every preset."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -52,26 +52,26 @@ from geraf2.surfaces.refinement import (
     select_glints,
 )
 
-# Fit through first surfaces, only to stop lines of sight.
+# Fit through first surfaces, which only has to block lines of sight.
 _FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1)
 
 
 class FoundGlints(NamedTuple):
-    """Glints of a capture, as the fits read them."""
+    """Glints of a capture for the fits."""
 
     glints: Glints
-    """Of first surfaces."""
+    """Glints of first surfaces."""
     seen_through: SeenThrough | None = None
-    """The body whose back faces were dropped; None of metal, and of a stage that is read back."""
+    """Body whose back faces were dropped; None for metal, and for a stage that was read back."""
     labelled: LabelledPeaks | None = None
-    """All peaks at the ranges of the box; None of a stage that is read back."""
+    """All peaks at the ranges of the box; None for a stage that was read back."""
     back: Glints | None = None
-    """Glints seen through the body; None of metal, and of a stage that is read back."""
+    """Glints seen through the body; None for metal, and for a stage that was read back."""
     metal: MetalLevel | None = None
-    """Strength of metal by the walls' flashes; None too of a stage that is read back."""
+    """Strength of metal by the walls' flashes; None for a stage that was read back, too."""
 
     def numbers(self) -> dict[str, Any]:
-        """For run.json."""
+        """Entry of run.json."""
         found: dict[str, Any] = {"n_glints": len(self.glints)}
         if self.labelled is not None:
             found["labels"] = self.labelled.counts()
@@ -128,7 +128,7 @@ GLINTS = Stage(
 
 
 def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
-    """Writer of a stage's field to a file of this name."""
+    """Return a function that writes a stage's field to a file with this name."""
 
     def save(job: Job, sdf: SdfGrid) -> list[str]:
         sdf.save(job.run.path / name)
@@ -138,7 +138,7 @@ def saver(name: str) -> Callable[[Job, SdfGrid], list[str]]:
 
 
 def loader(name: str) -> Callable[[Job], SdfGrid]:
-    """Reader of a stage's field."""
+    """Return a function that reads a stage's field."""
     return lambda job: SdfGrid.load(job.run.path / name)
 
 
@@ -147,7 +147,7 @@ def _fitted_stage(
     settings: Callable[[Any], Any],
     fit: Callable[[Job, Progress], SdfGrid],
 ) -> Stage[SdfGrid]:
-    """Stage of a fit."""
+    """Stage of a surface fit."""
     return Stage(
         name="sdf",
         version=FIT_VERSION,
@@ -230,9 +230,11 @@ def mesh_stage(
     settings: Callable[[Any], Any] = lambda _: None,
     fit: Callable[[Any], FitConfig | None] = lambda _: None,
 ) -> Stage[Any]:
-    """Meshes of a field with glints, or of one without whose box is cropped by so much [m].
+    """Stage of the meshes of a field.
 
-    evidence: what the field was fitted to. fit: how, of the preset's config.
+    evidence: data of the field's fit; for a field without glints, the margin by which its box is
+        cropped [m].
+    fit: settings of the fit, from the preset's config.
     """
 
     def compute(job: Job, progress: Progress) -> tuple[ExtractedMeshes, SdfGrid]:
@@ -241,7 +243,7 @@ def mesh_stage(
             meshes = extract_meshes(sdf, seen, job.prior, fit(job.config), num_threads=threads)
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, seen, num_threads=threads)
-        if meshes.mesh_content.faces.shape[0]:  # dropped pieces go from the field, too
+        if meshes.mesh_content.faces.shape[0]:  # drop the same pieces from the field
             sdf = redistance(sdf, meshes.mesh_content, num_threads=threads)
         return meshes, sdf
 
@@ -273,9 +275,9 @@ def mesh_numbers(meshes: ExtractedMeshes) -> dict[str, Any]:
 
 
 def write_meshes(job: Job, meshes: ExtractedMeshes) -> list[str]:
-    """Write box, content and both; files that describe another content are removed first.
+    """Write box, content and both; files derived from another content are removed first.
 
-    UserError where there is no content: nothing is written.
+    Raises UserError, and writes nothing, if there is no content.
     """
     run, frame = job.run, job.capture.frame
     if not len(meshes.mesh_content.faces):

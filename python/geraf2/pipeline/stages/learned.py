@@ -1,8 +1,8 @@
 """Stages of the presets paper and geraf1: training with checkpoints, then the mesh.
 
-geraf1 follows the paper's description of its predecessor, without walls: the box is cropped out of
-the radar image, the field is the distance of one region, its transmittance is not corrected, and
-the level is chosen after the training (by hand in the publication).
+geraf1 follows the paper's description of its predecessor, without walls. The box is cropped out of
+the radar image, the field is the distance of one region, and its transmittance is not corrected.
+The level is chosen after the training, in the publication by hand.
 """
 
 import time
@@ -38,7 +38,7 @@ CHECKPOINT_S = 300.0
 
 
 def geraf1_config(config: PaperConfig) -> PaperConfig:
-    """One stage with reflectivity, from a ball, without a vision field."""
+    """Config of geraf1: one stage with reflectivity, from a ball, without a vision field."""
     return replace(
         config,
         start="ball",
@@ -49,14 +49,14 @@ def geraf1_config(config: PaperConfig) -> PaperConfig:
 
 
 def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
-    """Bounding box of the innermost known box, smaller by the crop [m] on every side; no walls."""
+    """Bounding box of the innermost known box, cropped on every side [m], without walls."""
     if len(prior.walls) > 1:
         prior = LosPrior.from_box(prior.walls[-1].size_m, prior.walls[-1].center_m)
     return prior.cropped(crop_m)
 
 
 def _settings(config: PaperConfig) -> dict[str, Any]:
-    """Return the settings that determine the result of a training: all but the device."""
+    """Return the settings that determine the result of a training, without the device."""
     return {name: value for name, value in asdict(config).items() if name != "device"}
 
 
@@ -66,7 +66,7 @@ class _Training:
 
     job: Job
     key: str
-    """A checkpoint of another key is not resumed."""
+    """Hash of the training's inputs; a checkpoint with another hash is not resumed."""
     prior: LosPrior
     config: PaperConfig
 
@@ -156,7 +156,7 @@ TRAIN_GERAF1: Stage[SdfGrid] = Stage(
 
 
 def _at_best_level(job: Job) -> SdfGrid:
-    """Field moved to the level that explains the signals best."""
+    """Field shifted to the level that explains the signals best."""
     sdf, crop_m, threads = job[TRAIN_GERAF1], job.config.paper.crop_m, job.num_threads
     counted = counted_voxels(job.prior, sdf.grid, crop_m, num_threads=threads)
     level = best_level(sdf, counted, job.capture, 0.0, job.config.level, num_threads=threads)
@@ -179,13 +179,13 @@ def _resume(training: _Training, trainer: "PaperTrainer", path: Path) -> None:
 
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
     if checkpoint.header.get("key") != training.key:
-        training.job.listener.warning(f"{path} is of other settings; the training starts again")
+        training.job.listener.warning(f"{path} has other settings; the training starts again")
         return
     load_state(trainer, checkpoint, training.key, path)
 
 
 class _Watcher:
-    """Logs, saves, draws and counts while the training runs."""
+    """Logs, saves and draws during the training, and reports its progress."""
 
     def __init__(
         self,

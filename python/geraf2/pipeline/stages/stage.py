@@ -1,4 +1,4 @@
-"""Stages as data: what each reads, computes and keeps, and how a run goes through them."""
+"""Stages as data: inputs, computation and stored result of each, and their execution in a run."""
 
 import resource
 import time
@@ -18,24 +18,24 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stage(Generic[T]):
-    """One step of a reconstruction, whose result is kept in the run folder."""
+    """One step of a reconstruction, whose result is stored in the run folder."""
 
     name: str
-    """Of the stage in run.json, in the log and on the terminal."""
+    """Name in run.json, in the log and on the terminal."""
     version: int
-    """Of the algorithm; raised when the same inputs give another result."""
+    """Version of the algorithm, increased when the same inputs give another result."""
     compute: Callable[["Job", Progress], T]
-    """Makes the result; reads results of `inputs` by `job[stage]`."""
+    """Computes the result; `job[stage]` gives the results of `inputs`."""
     save: Callable[["Job", T], Sequence[str]]
-    """Writes it into the run folder; names of the files."""
+    """Writes the result to the run folder and returns the names of the files."""
     load: Callable[["Job"], T]
-    """Reads it back."""
+    """Reads the result back."""
     inputs: tuple["Stage[Any]", ...] = ()
-    """Stages whose results are read."""
+    """Stages whose results are used."""
     settings: Callable[[Any], Any] = lambda _: None
-    """What of the preset's config the result depends on."""
+    """Part of the preset's config that the result depends on."""
     seeded: bool = False
-    """Whether it depends on the seed."""
+    """Whether the result depends on the seed."""
     numbers: Callable[[T], Mapping[str, Any]] = lambda _: {}
     """Numbers of the result, for run.json."""
 
@@ -45,32 +45,32 @@ Stages: TypeAlias = tuple[Stage[Any], ...]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Job:
-    """What every stage of one run is given."""
+    """Inputs and state of all stages of one run."""
 
     run: RunFolder
     capture: Capture
     prior: LosPrior
     config: Any
-    """Of the preset."""
+    """Config of the preset."""
     inputs: Mapping[str, Any]
-    """What the first stages depend on besides their config: scene, prior, planes left out."""
+    """Inputs of the first stages besides their config: scene, prior, planes left out."""
     listener: Listener
     peaks: KeptPeaks
-    """Of the capture's planes, imaged when a stage first asks."""
+    """Peaks of the capture's planes, imaged on first use."""
     seed: int = 0
     num_threads: int | None = None
     resume: bool = False
     asked: str = ""
-    """Hash of the request that the run is to answer."""
+    """Hash of the run's request."""
     made_from: Mapping[str, str] = field(default_factory=dict)
-    """Inputs and command, for the meshes."""
+    """Inputs and command, written to the meshes."""
     _done: dict[str, tuple[str, Any]] = field(default_factory=dict)
 
     def __getitem__(self, stage: Stage[T]) -> T:
         return cast("T", self._done[stage.name][1])
 
     def key(self, stage: Stage[Any]) -> str:
-        """Hash of all that a stage's result depends on."""
+        """Hash of all inputs of a stage's result."""
         return stage_key(
             version=stage.version,
             config=stage.settings(self.config),
@@ -80,7 +80,7 @@ class Job:
         )
 
     def do(self, stage: Stage[Any]) -> None:
-        """Read the result of a stage if it is done, else compute, save and record it."""
+        """Load the result of a stage if it is done, else compute, save and record it."""
         key, run = self.key(stage), self.run
         if run.is_done(stage.name, key):
             run.log("reused", level="info", stage=stage.name)
@@ -106,12 +106,12 @@ class Job:
 
 
 def kept_peaks(prior: LosPrior, config: Any, num_threads: int | None) -> KeptPeaks:
-    """Peaks of a run, collected as a preset's glints ask for; as by default where it has none."""
+    """Peaks of a run, collected with the settings of its preset's glints, or with the defaults."""
     return KeptPeaks(prior, *peak_settings(config), num_threads=num_threads)
 
 
 def peak_settings(config: Any) -> tuple[SubapertureConfig | None, float]:
-    """Sub-apertures and detection threshold [dB] of a preset; the usual ones without glints."""
+    """Sub-apertures and detection threshold [dB] of a preset; the defaults without glints."""
     glints = getattr(config, "glints", None)
     if glints is None:
         return None, DETECTION_DB
