@@ -9,6 +9,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
 from geraf2.simulation.object_scene import ObjectScene
+from geraf2.simulation.photo_scene import photograph
 from geraf2.simulation.photos import ring_cameras
 
 RADIUS, CENTER = 0.05, np.array([0.02, 0.0, 0.03])
@@ -53,7 +54,7 @@ def scene():
 
 def test_the_silhouette_is_that_of_the_object(scene):
     for camera in ring_cameras(SPEC, BOUNDS, seed=3):
-        picture = scene.photograph(camera)
+        picture = photograph(scene.trace, camera)
         distance = np.linalg.norm(camera.position - CENTER)
         # A sphere fills a cone; off the axis its outline is an ellipse somewhat larger.
         radius_px = 96.0 * np.tan(np.arcsin(RADIUS / distance))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
 from geraf2.simulation.scan import ScanPlane
@@ -32,8 +33,8 @@ def true_plane(plane: ScanPlane, spec: SceneSpec, seed: int, number: int) -> Sca
         return moved
     tilt = np.deg2rad(world.axis_tilt_deg / np.sqrt(2.0)) * (plane.axes[0] + plane.axes[1])
     off = np.deg2rad(world.plane_angle_rms_deg) * stream(seed, ANGLES, number).normal()
-    turn = rotation(np.array([0.0, 0.0, off])) @ rotation(tilt)
-    return turned_plane(moved, turn)
+    turn = Rotation.from_rotvec([0.0, 0.0, off]) * Rotation.from_rotvec(tilt)
+    return turned_plane(moved, turn.as_matrix())
 
 
 def turned_plane(plane: ScanPlane, turn: Floats, center_m: Floats | float = 0.0) -> ScanPlane:
@@ -49,16 +50,6 @@ def turned_plane(plane: ScanPlane, turn: Floats, center_m: Floats | float = 0.0)
         rx=(plane.rx - center_m) @ turn.T + center_m,
         axes=plane.axes @ turn.T,
     )
-
-
-def rotation(vector: Floats) -> Floats:
-    """Rotation about a vector (3,) by its length [rad], (3, 3); Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
 
 
 def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> Floats:

@@ -253,14 +253,8 @@ def _pipe(rng: np.random.Generator, population: Population, size_m: float) -> So
 
 
 _PARTS: dict[str, Callable[[np.random.Generator, Population, float], Solid]] = {
-    "capsule": _capsule,
-    "ball": _ball,
-    "box": _box,
-    "torus": _torus,
-    "lathe": _lathe,
-    "plate": _plate,
-    "wire": _wire,
-    "pipe": _pipe,
+    make.__name__[1:]: make
+    for make in (_capsule, _ball, _box, _torus, _lathe, _plate, _wire, _pipe)
 }
 
 
@@ -281,15 +275,10 @@ def _body_mesh(body: _Body) -> TriangleMesh:
     vertices = mesh.vertices + points[0, 0, 0] - step
     for _ in range(2):
         vertices, _ = _towards_surface(body.solid, vertices, 0.5 * step)
-    mesh = TriangleMesh(vertices=vertices, faces=mesh.faces)
-    return _largest_piece(merge_duplicate_vertices(mesh))
-
-
-def _largest_piece(mesh: TriangleMesh) -> TriangleMesh:
+    mesh = merge_duplicate_vertices(TriangleMesh(vertices=vertices, faces=mesh.faces))
     labels, _ = face_labels(mesh.faces)
     largest = int(np.argmax(np.bincount(labels, weights=face_areas(mesh.corners))))
-    used, faces = np.unique(mesh.faces[labels == largest], return_inverse=True)
-    return TriangleMesh(vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))
+    return mesh.with_faces(mesh.faces[labels == largest])
 
 
 def _placed(

@@ -4,7 +4,7 @@ Each tube is one ray from the middle of a block of antennas with its derivatives
 Tracing ray differentials, 1999), so that its footprint at the last hit needs no second ray.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -363,11 +363,8 @@ def _received(
         path_m=beam.path_m,
         weights=1j / (4.0 * np.pi) * weights,
     )
-    return _through_walls(_kept(tubes, seen), scene, eye, antennas)
-
-
-def _kept(tubes: Tubes, keep: Bools) -> Tubes:
-    return Tubes(**{name: getattr(tubes, name)[keep] for name in Tubes.__dataclass_fields__})
+    tubes = Tubes(**{name: values[seen] for name, values in vars(tubes).items()})
+    return _through_walls(tubes, scene, eye, antennas)
 
 
 def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
@@ -383,6 +380,4 @@ def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: Antenn
             direction = points - eye
             cosine = direction @ antennas.boresight / np.linalg.norm(direction, axis=1)
             weights *= np.maximum(cosine, 0.0) ** antennas.pattern_exponent
-    return Tubes(
-        tx_points=tubes.tx_points, rx_points=tubes.rx_points, path_m=path_m, weights=weights
-    )
+    return replace(tubes, path_m=path_m, weights=weights)

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats, Ints
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.placement import rotation
 from geraf2.simulation.spec import SceneSpec
 from geraf2.simulation.streams import BULGE, stream
 
@@ -125,8 +125,8 @@ def box_turn(spec: SceneSpec) -> tuple[Floats, Floats]:
     Returns the rotation, (3, 3), and the centre, (3,) [m].
     """
     center = np.asarray(spec.walls[0].center_m) if spec.walls else np.zeros(3)
-    angle = -np.deg2rad(spec.world.box_turn_deg)
-    return rotation(np.array([0.0, 0.0, angle])), center
+    turn = Rotation.from_euler("z", -spec.world.box_turn_deg, degrees=True)
+    return turn.as_matrix(), center
 
 
 def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:
