@@ -10,9 +10,10 @@ from PIL import Image
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.formats.images import read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
+from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import (
     SIZE,
     ring_of_cameras,
@@ -46,7 +47,7 @@ def assert_same_cameras(photos, cameras):
 )
 def test_colmap(tmp_path, binary, model, distortion):
     cameras = write_colmap(tmp_path, binary=binary, model=model, distortion=distortion)
-    loaded = load_photos(tmp_path, PhotoOptions(unit_m=1.0))
+    loaded = load_photos(tmp_path, LosOptions(unit="m"))
     assert (loaded.format, loaded.notes) == ("colmap", ())
     assert_same_cameras(loaded.photos, cameras)
 
@@ -58,7 +59,7 @@ def test_colmap_says_that_its_scale_is_arbitrary(tmp_path):
 
 def test_neus_of_any_sign_and_scale(tmp_path):
     cameras = write_neus(tmp_path)
-    loaded = load_photos(tmp_path, PhotoOptions(unit_m=0.001))
+    loaded = load_photos(tmp_path, LosOptions(unit="mm"))
     assert loaded.format == "neus"
     assert_same_cameras(loaded.photos, cameras)
 
@@ -105,7 +106,7 @@ def test_transforms(tmp_path, per_frame):
 
 def test_transforms_with_the_other_axes(tmp_path):
     cameras, _ = write_transforms_by_hand(tmp_path, opengl=False)
-    assert_same_cameras(load_photos(tmp_path, PhotoOptions(camera_axes="opencv")).photos, cameras)
+    assert_same_cameras(load_photos(tmp_path, LosOptions(camera_axes="opencv")).photos, cameras)
 
 
 def test_transforms_name_their_unit(tmp_path):

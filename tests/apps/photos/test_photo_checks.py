@@ -10,8 +10,9 @@ from geraf2.apps.photos.photo_checks import (
     require_photos_in_view,
     require_plausible_photos,
 )
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene.photos import PhotoSet
 from helpers.scene_photos import SIZE, ring_of_cameras, write_middlebury
 
@@ -168,5 +169,5 @@ def test_photos_and_radar_look_at_the_same():
 
 @pytest.mark.data
 def test_the_temple_is_plausible(shared_data):
-    loaded = load_photos(shared_data / "temple_photos", PhotoOptions(mask_threshold=46))
+    loaded = load_photos(shared_data / "temple_photos", LosOptions(mask_threshold=46.0))
     assert check_photos(loaded.photos) == ()
