@@ -150,7 +150,8 @@ class LenslessRenderer:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
         places = rays.points.reshape(-1, 3).cpu().numpy()
         ends = np.take(places, samples, axis=0).astype(np.float64)
-        secondary = torch.from_numpy(self.sampler.secondary_starts(origins, ends))
+        # Where the straight paths from the antennas enter the scene.
+        secondary = torch.from_numpy(self.sampler.boundary.first_meetings(origins, ends))
         starts = torch.cat([rays.starts, secondary.to(rays.starts)])
         value = self.vision.sample(starts)[0] if self.config.ulos else field.value(starts)
         phi = torch.sigmoid(inv_s * value)
