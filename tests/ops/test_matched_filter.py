@@ -282,48 +282,6 @@ def test_numpy_in_numpy_out():
     assert isinstance(mixed, torch.Tensor)
 
 
-BAD_INPUT = {
-    "signal_rank": ({"signal": np.zeros(32, complex)}, ValueError, r"signal must have shape"),
-    "signal_samples": ({"signal": np.zeros((4, 31), complex)}, ValueError, r"\(4, 32\)"),
-    "signal_antennas": ({"signal": np.zeros((5, 32), complex)}, ValueError, r"got \(5, 32\)"),
-    "signal_real": ({"signal": np.zeros((4, 32))}, TypeError, "complex64 or complex128"),
-    "tx_shape": ({"tx": np.zeros((4, 2))}, ValueError, r"tx must have shape \(\*, 3\)"),
-    "tx_complex": ({"tx": np.zeros((4, 3), complex)}, TypeError, "tx must be real"),
-    "rx_rows": ({"rx": np.zeros((1, 3))}, ValueError, r"rx must have shape \(4, 3\)"),
-    "no_antenna": ({"tx": np.zeros((0, 3)), "rx": np.zeros((0, 3))}, ValueError, "one antenna"),
-    "points_nan": ({"points": np.full((2, 3), np.nan)}, ValueError, "finite.*row 0"),
-    "points_far": ({"points": np.full((2, 3), 1e7)}, ValueError, "within 1e"),
-    "points_flat": ({"points": np.zeros(3)}, ValueError, "points must have shape"),
-    "waveform": ({"waveform": 77e9}, TypeError, "waveform must be a geraf2.scene.Waveform"),
-    "method": ({"method": "fast"}, ValueError, "'block', 'factorised', got 'fast'"),
-    "rtol_zero": ({"rtol": 0.0}, ValueError, "rtol must lie between 0 and 1"),
-    "rtol_nan": ({"rtol": np.nan}, ValueError, "rtol must lie between 0 and 1"),
-    "threads": ({"num_threads": 0}, ValueError, "num_threads must be at least 1"),
-    "threads_float": ({"num_threads": 1.5}, TypeError, "num_threads must be an int"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_INPUT)
-@pytest.mark.parametrize("kind", ["numpy", "torch"])
-def test_bad_input_is_named(name, kind):
-    change, error, message = BAD_INPUT[name]
-    arguments = {
-        "signal": np.zeros((4, 32), complex),
-        "tx": np.zeros((4, 3)),
-        "rx": np.zeros((4, 3)),
-        "points": np.zeros((2, 3)),
-        "waveform": waveform_of(),
-        **change,
-    }
-    if kind == "torch":
-        arguments = {
-            key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
-            for key, value in arguments.items()
-        }
-    with pytest.raises(error, match=message):
-        matched_filter(**arguments)
-
-
 def test_other_devices_are_refused():
     signal, tx, rx, points, waveform = make_case()
     with pytest.raises(ValueError, match="signal must be on the CPU, got device meta"):

@@ -18,12 +18,13 @@ from geraf2.simulation import (
     WorldSpec,
     simulate,
 )
+from geraf2.simulation.dielectric import n_crossings
 from geraf2.simulation.echo import EchoScene, Layer, plane_echo, wall_layers
 from geraf2.simulation.elements import wall_elements
 from geraf2.simulation.simulate import _patch_amplitudes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import AWR1843
-from geraf2.simulation.walls import WallShape, edge_lines, n_crossings, wall_shapes
+from geraf2.simulation.walls import WallShape, edge_lines, wall_shapes
 
 BOX = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0.01, 0, 0))
 INNER = Wall(size_m=(0.12, 0.1, 0.09), thickness_m=0.003, permittivity=1.8)

@@ -13,12 +13,13 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
+from geraf2.simulation.dielectric import n_crossings
 from geraf2.simulation.elements import select, wall_elements
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
 from geraf2.simulation.scan import block_centers
 from geraf2.simulation.wall_waves import box_faces, is_square, shadow_echo
-from geraf2.simulation.walls import BoxScene, WallShape, n_crossings
+from geraf2.simulation.walls import BoxScene, WallShape
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
 # the horizon of the centre may be lit at the block's edge, 2 cm away at 0.3 m.

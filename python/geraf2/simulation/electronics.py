@@ -9,15 +9,7 @@ from numpy.typing import NDArray
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Waveform
-from geraf2.simulation.streams import (
-    CHANNEL_GAINS,
-    DC,
-    LEAKAGE,
-    PLANE_PHASE,
-    RIPPLE,
-    WALK,
-    stream,
-)
+from geraf2.simulation.streams import stream
 from geraf2.simulation.world import WorldSpec
 
 Signals = list[NDArray[np.complex64]]
@@ -42,7 +34,7 @@ def leakage(world: WorldSpec, waveform: Waveform, apart_m: Floats, seed: int) ->
 
     Returns (n_antennas, n_samples).
     """
-    rng = stream(seed, LEAKAGE)
+    rng = stream(seed, "leakage")
     longer = np.concatenate([[0.0], rng.uniform(0.0, _NEAR_PATH_M, _N_NEAR_PATHS)])
     amplitudes = np.ones(1 + _N_NEAR_PATHS, np.complex128)
     parts = rng.normal(size=(2, _N_NEAR_PATHS)) / np.sqrt(2.0)
@@ -73,17 +65,17 @@ def receiver_gains(
     n_antennas, n_samples = shape
     gains: list[_Complex] = []
     if world.channel_gain_rms_db:
-        db = world.channel_gain_rms_db * stream(seed, CHANNEL_GAINS).normal(size=world.n_channels)
+        db = world.channel_gain_rms_db * stream(seed, "channel_gains").normal(size=world.n_channels)
         own = 10.0 ** (db[np.arange(n_antennas) % world.n_channels, None] / 20.0)
         gains.append(own.astype(np.complex128))
     if world.phase_walk_deg:
-        steps = stream(seed, WALK, number).normal(size=n_antennas)
+        steps = stream(seed, "walk", number).normal(size=n_antennas)
         rate = np.deg2rad(world.phase_walk_deg) / np.sqrt(max(1, n_antennas - 1))
         gains.append(np.exp(1j * rate * (np.cumsum(steps) - steps[0]))[:, None])
     if world.random_plane_phase:
-        gains.append(np.exp(2j * np.pi * stream(seed, PLANE_PHASE, number).uniform(size=(1, 1))))
+        gains.append(np.exp(2j * np.pi * stream(seed, "plane_phase", number).uniform(size=(1, 1))))
     if world.ripple_rms:
-        parts = stream(seed, RIPPLE).normal(size=(2, 2 * _N_RIPPLES))
+        parts = stream(seed, "ripple").normal(size=(2, 2 * _N_RIPPLES))
         weights = parts[0] + 1j * parts[1]
         weights *= world.ripple_rms / np.linalg.norm(weights)
         periods = np.delete(np.arange(-_N_RIPPLES, _N_RIPPLES + 1), _N_RIPPLES)
@@ -110,7 +102,7 @@ def convert(world: WorldSpec, signals: Signals, seed: int) -> Signals:
             for s in signals
         ]
     if world.dc_db > -np.inf:
-        phase = 2.0 * np.pi * stream(seed, DC).uniform()
+        phase = 2.0 * np.pi * stream(seed, "dc").uniform()
         offset = np.complex64(10.0 ** (world.dc_db / 20.0) * np.exp(1j * phase))
         signals = [signal + offset for signal in signals]
     if not world.converter_bits:

@@ -14,10 +14,10 @@ from geraf2._types import Bools, Floats
 from geraf2.geometry.transforms import triple
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.scene import Wall
-from geraf2.simulation.dielectric import face_reflection
+from geraf2.simulation.dielectric import face_reflection, n_crossings
 from geraf2.simulation.elements import select
 from geraf2.simulation.scan import block_centers
-from geraf2.simulation.walls import BoxScene, n_crossings
+from geraf2.simulation.walls import BoxScene
 
 _LIFT_M = 2e-5  # rays leave a facet this far above it
 

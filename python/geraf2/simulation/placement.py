@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats
 from geraf2.simulation.scan import ScanPlane
 from geraf2.simulation.spec import ScanSpec, SceneSpec
-from geraf2.simulation.streams import ANGLES, DRIFT, JITTER, stream
+from geraf2.simulation.streams import stream
 
 # A drift is the sum of this many cosines over the antennas of a plane, the slowest a constant.
 _N_DRIFT_TERMS = 5
@@ -32,7 +32,7 @@ def true_plane(plane: ScanPlane, spec: SceneSpec, seed: int, number: int) -> Sca
     if not world.plane_angle_rms_deg and not world.axis_tilt_deg:
         return moved
     tilt = np.deg2rad(world.axis_tilt_deg / np.sqrt(2.0)) * (plane.axes[0] + plane.axes[1])
-    off = np.deg2rad(world.plane_angle_rms_deg) * stream(seed, ANGLES, number).normal()
+    off = np.deg2rad(world.plane_angle_rms_deg) * stream(seed, "angles", number).normal()
     turn = Rotation.from_rotvec([0.0, 0.0, off]) * Rotation.from_rotvec(tilt)
     return turned_plane(moved, turn.as_matrix())
 
@@ -59,8 +59,8 @@ def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> 
     `axis_offset_m`; in the object's frame, the radar is displaced in the opposite direction.
     """
     n = len(plane.tx)
-    jitter = stream(seed, JITTER, number).normal(size=(n, 3))
-    amplitudes = stream(seed, DRIFT, number).normal(size=(_N_DRIFT_TERMS, 3))
+    jitter = stream(seed, "jitter", number).normal(size=(n, 3))
+    amplitudes = stream(seed, "drift", number).normal(size=(_N_DRIFT_TERMS, 3))
     amplitudes /= np.sqrt(1.0 + 0.5 * (_N_DRIFT_TERMS - 1))  # one constant, the others cosines
     phase = np.pi * (np.arange(n)[:, None] + 0.5) / n * np.arange(_N_DRIFT_TERMS)
     radial, across = scan.axis_offset_m

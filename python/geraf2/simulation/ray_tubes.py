@@ -16,7 +16,6 @@ from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.dielectric import phasors, walls_crossed
-from geraf2.simulation.walls import n_crossings
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
@@ -371,11 +370,9 @@ def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: Antenn
     """Let walls and antennas weaken the first and the last leg, and walls delay them."""
     weights, path_m = tubes.weights.copy(), tubes.path_m.copy()
     for points in (tubes.tx_points, tubes.rx_points):
-        transmission, excess_m = walls_crossed(points, eye, scene.walls)
+        transmission, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
         weights *= transmission
         path_m += excess_m
-        if scene.wall_amplitude != 1.0:
-            weights *= scene.wall_amplitude ** n_crossings(eye[None], points, scene.walls)[0]
         if antennas.pattern_exponent:
             direction = points - eye
             cosine = direction @ antennas.boresight / np.linalg.norm(direction, axis=1)

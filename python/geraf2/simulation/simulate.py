@@ -22,15 +22,7 @@ from geraf2.simulation.ray_tubes import SmoothMesh, TubeScene
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import SceneSpec
-from geraf2.simulation.streams import (
-    CHANNELS,
-    LINES,
-    NOISE,
-    PATCHES,
-    ROUGHNESS,
-    SCATTERERS,
-    stream,
-)
+from geraf2.simulation.streams import stream
 from geraf2.simulation.wall_waves import CELL_M
 from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
 
@@ -179,7 +171,7 @@ def _echo_scene(
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
     figure, world, roughness = spec.figure, spec.world, None
     if figure.roughness_rms_m > 0:
-        rng = stream(seed, ROUGHNESS)
+        rng = stream(seed, "roughness")
         roughness = rough_displacement(figure.roughness_rms_m, figure.roughness_length_m, rng)
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
@@ -230,7 +222,7 @@ def _scatterers(
     """Uniform points outside the object, in the innermost box or about the object."""
     if spec.disturbance.scatterer_energy_fraction <= 0:
         return None
-    rng, n = stream(seed, SCATTERERS), spec.disturbance.n_scatterers
+    rng, n = stream(seed, "scatterers"), spec.disturbance.n_scatterers
     if spec.walls:
         center = np.asarray(spec.walls[-1].center_m)
         half = 0.5 * np.asarray(spec.walls[-1].size_m) - spec.walls[-1].thickness_m
@@ -249,14 +241,14 @@ def _lines(spec: SceneSpec, seed: int) -> Points | None:
     if not (spec.world.edge_energy_fraction and spec.walls):
         return None
     parts = edge_lines(spec.walls[0])
-    phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
+    phases = stream(seed, "lines").uniform(0.0, 2.0 * np.pi, len(parts))
     amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
     return SurfaceElements(points=np.concatenate(parts)), amplitudes
 
 
 def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
     """Amplitude factor of each point of the object, (n_points,)."""
-    field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, PATCHES))
+    field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, "patches"))
     weak = field(points)[:, 0] > 0.0
     return np.where(weak, 10.0 ** (-spec.world.patch_loss_db / 20.0), 1.0)
 
@@ -264,7 +256,7 @@ def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
 def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:
     """Phasor of each antenna's channel, (n_antennas, 1)."""
     n_channels = spec.disturbance.n_channels
-    normal = stream(seed, CHANNELS).normal(size=n_channels)
+    normal = stream(seed, "channels").normal(size=n_channels)
     phase = np.deg2rad(spec.disturbance.channel_phase_rms_deg) * normal
     return np.asarray(np.exp(1j * phase[np.arange(n_antennas) % n_channels, None]), np.complex64)
 
@@ -322,6 +314,6 @@ def _add_noise(
     sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-snr_db / 10.0)))
     noisy = []
     for i, signal in enumerate(signals):
-        parts = stream(seed, NOISE, i).standard_normal((*signal.shape, 2), dtype=np.float32)
+        parts = stream(seed, "noise", i).standard_normal((*signal.shape, 2), dtype=np.float32)
         noisy.append((signal + sigma * (parts[..., 0] + 1j * parts[..., 1])).astype(np.complex64))
     return noisy

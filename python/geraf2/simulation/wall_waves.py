@@ -27,7 +27,7 @@ from geraf2.simulation.shadow_waves import (
     lattice_over,
     rim_edges,
 )
-from geraf2.simulation.walls import BoxScene, n_crossings
+from geraf2.simulation.walls import BoxScene
 
 SQUARE = 0.5
 """Cosine of the incidence on a wall above which its shadow is computed by waves; at lower ones the
@@ -286,11 +286,9 @@ def _patch_weights(
     cosine = np.einsum("pi,pi->p", toward, face.normals)
     used = cosine > 0.0
     toward, cosine, points = toward[used], cosine[used], face.points[used]
-    crossed, excess_m = walls_crossed(points, eye, scene.walls)
+    crossed, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
     gain = np.maximum(-toward @ antennas.boresight, 0.0) ** (2 * antennas.pattern_exponent)
     real = areas[used] * cosine * crossed**2 * gain
-    if scene.wall_amplitude != 1.0:
-        real *= scene.wall_amplitude ** (2 * n_crossings(eye[None], points, scene.walls)[0])
     weights = phasors(2.0 * excess_m, frequencies_hz).T
     weights *= slab_reflection(cosine, face.slab, frequencies_hz, crossing=scene.wall_amplitude)
     k = 2.0 * np.pi * frequencies_hz / SPEED_OF_LIGHT_M_PER_S
