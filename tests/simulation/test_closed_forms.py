@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.scene import Wall, Waveform
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
+from geraf2.scene import Wall
 from geraf2.simulation.elements import mesh_elements, wall_elements
+from helpers.antennas import blocks_of
+from helpers.synthetic import waveform_of
 from reference.physical_optics import mie_backscatter_rcs
 
 C = 299792458.0
-WAVEFORM = Waveform(
-    start_frequency_hz=77.3704e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=625e3,
-    n_samples=32,
-)
+WAVEFORM = waveform_of(path_bias_m=0.0)
 FREQUENCIES = WAVEFORM.frequencies_hz
 WAVELENGTHS = C / FREQUENCIES
 LIMIT_M = 0.0012
@@ -27,12 +24,7 @@ LIMIT_M = 0.0012
 def monostatic(elements, areas, places):
     """Signal at antennas that are alone in their block, so that form factors are their own."""
     places = np.atleast_2d(places)
-    antennas = AntennaBlocks(
-        tx=places,
-        rx=places,
-        offsets=np.arange(len(places) + 1),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    antennas = blocks_of(places, offsets=np.arange(len(places) + 1))
     weights = np.broadcast_to(areas, (len(places), len(areas))).astype(np.complex128)
     return physical_optics(elements, weights, antennas, WAVEFORM)
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
-from geraf2.ops.physical_optics import AntennaBlocks, physical_optics
+from geraf2.ops.physical_optics import physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import (
@@ -23,6 +23,7 @@ from geraf2.simulation.placement import position_error
 from geraf2.simulation.scan import antenna_blocks, block_centers, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import AWR1843, RingSpec
+from helpers.antennas import blocks_of
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -157,9 +158,7 @@ def test_without_far_walls_their_flash_alone_is_missing():
     plane, mesh = scan_planes(spec.scan)[0], build_solid(spec.figure)
     blocker = MeshScene(mesh.vertices, mesh.faces)
     order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
-    antennas = AntennaBlocks(
-        tx=plane.tx[order], rx=plane.rx[order], offsets=offsets, boresight=plane.axes[0]
-    )
+    antennas = blocks_of(plane.tx[order], plane.rx[order], offsets=offsets, boresight=plane.axes[0])
     lined = replace(spec, disturbance=replace(spec.disturbance, far_walls=False))
     # The flash by itself, straight from the patches of the inner sides.
     middles = block_centers(antennas)

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from scipy.special import fresnel, jv
 
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation.elements import wall_elements
@@ -15,6 +15,7 @@ from geraf2.simulation.shadow_waves import FaceFrame, Shadow, lattice_over
 from geraf2.simulation.spec import AWR1843
 from geraf2.simulation.wall_waves import box_faces, is_square, shadow_echo
 from geraf2.simulation.walls import BoxScene
+from helpers.antennas import blocks_of
 
 C = 299792458.0
 FREQUENCY = 79e9
@@ -105,12 +106,7 @@ def far_face(box, cell_m=0.0025):
 
 def blocks(places, apart_m=0.0):
     half = np.array([0.0, apart_m / 2, 0.0])
-    return AntennaBlocks(
-        tx=places + half,
-        rx=places - half,
-        offsets=np.arange(len(places) + 1),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    return blocks_of(places + half, places - half, offsets=np.arange(len(places) + 1))
 
 
 def bare_echo(faces, areas, antennas, waveform, walls):
