@@ -3,7 +3,6 @@ import pytest
 import torch
 
 from geraf2.fields import BoxSolid, MeshSolid
-from geraf2.io.mesh import TriangleMesh
 from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
@@ -21,7 +20,7 @@ RADIUS_M = 0.03
 
 
 def vision():
-    outside = MeshSolid(TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces))
+    outside = MeshSolid(PRIOR.mesh)
     return VisionPrior(outside.signed_distance, DOMAIN, 41)
 
 

@@ -5,12 +5,12 @@ Cross-sections follow from abs(s)^2 = lambda^2 sigma / ((4 pi)^3 R^4).
 
 import numpy as np
 import pytest
-import trimesh
 
 from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.scene import Wall
 from geraf2.simulation.elements import mesh_elements, wall_elements
 from helpers.antennas import blocks_of
+from helpers.solids import ball
 from helpers.synthetic import waveform_of
 from reference.physical_optics import mie_backscatter_rcs
 
@@ -31,11 +31,6 @@ def monostatic(elements, areas, places):
 
 def cross_section(signal, range_m):
     return np.abs(signal) ** 2 * (4 * np.pi) ** 3 * range_m**4 / WAVELENGTHS**2
-
-
-def icosphere(radius, rounds):
-    sphere = trimesh.creation.icosphere(subdivisions=rounds, radius=radius)
-    return np.asarray(sphere.vertices), np.asarray(sphere.faces, np.int64)
 
 
 def plate_elements(side):
@@ -60,7 +55,8 @@ def test_mie_series_has_rayleighs_slope_and_factor():
 
 def test_metal_sphere_within_half_a_decibel_of_mie_over_the_band():
     radius, range_m = 0.03, 50.0  # ka = 49: the shadow edge's own echo is 1 / ka = 0.18 dB
-    elements, areas = mesh_elements(*icosphere(radius, 5), LIMIT_M)
+    mesh = ball(radius, 5)
+    elements, areas = mesh_elements(mesh.vertices, mesh.faces, LIMIT_M)
     got = cross_section(monostatic(elements, areas, [range_m, 0.0, 0.0])[0], range_m)
     mie = np.array([mie_backscatter_rcs(radius, f) for f in FREQUENCIES])
     error_db = 10 * np.log10(got / mie)
@@ -143,8 +139,8 @@ def test_wall_patches_are_fine_enough():
 
 
 def test_halving_the_facets_changes_a_sphere_by_less_than_a_tenth_of_a_decibel():
-    vertices, faces = icosphere(0.03, 5)
+    mesh = ball(0.03, 5)
     place = np.array([[0.4, 0.0, 0.0], [0.38, 0.1, 0.1]])
-    coarse = monostatic(*mesh_elements(vertices, faces, LIMIT_M), place)
-    fine = monostatic(*mesh_elements(vertices, faces, LIMIT_M / 2), place)
+    coarse = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M), place)
+    fine = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M / 2), place)
     assert np.abs(20 * np.log10(np.abs(coarse / fine))).max() < 0.1
