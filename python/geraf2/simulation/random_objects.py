@@ -240,14 +240,11 @@ def _pipe(rng: np.random.Generator, population: Population, size_m: float) -> So
     half_wall = 0.5 * rng.uniform(*population.thickness_m)
     radius = 0.4 * size_m * rng.uniform(*population.width_share) + half_wall
     half = 0.4 * size_m * rng.uniform(*population.side_share)
-    rounding = 0.9 * half_wall
+    profile = block((0.0, 0.0, 0.0), (half_wall, half, 1.0), 0.9 * half_wall)
 
     def distance(points: Floats) -> Floats:
         around = np.hypot(points[..., 0] - radius, points[..., 1])
-        q = np.stack([np.abs(around - radius), np.abs(points[..., 2])], axis=-1)
-        q -= np.array([half_wall, half]) - rounding
-        outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-        return np.asarray(outside + np.minimum(q.max(axis=-1), 0.0) - rounding)
+        return profile(np.stack([around - radius, points[..., 2], 0.0 * around], axis=-1))
 
     return distance
 

@@ -175,8 +175,7 @@ def make_los(
         if options.unit is not None or options.to_radar is not None:
             what = "side lengths are metres in the capture's frame: leave out --unit and --to-radar"
             raise UserError(what=what)
-        prior = LosPrior.from_box((x, y, z), box_center_m)
-        kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        kind, mesh = "box", LosPrior.from_box((x, y, z), box_center_m).mesh
     elif is_photo_set(path) or path.is_dir():
         if not is_photo_set(path):
             open_photos(path)  # raises an error that names the missing file
@@ -329,9 +328,8 @@ def write_los(
             hint="do the photos show the box, and do --bounds and masks leave it in?",
         )
     prior = LosPrior.from_mesh(mesh, where=record.source)
-    mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     made_from = {"source": Path(record.source).name, "key": record.key, "command": "geraf2 los"}
-    write_mesh(mesh, folder / MESH_NAME, frame=frame, made_from=made_from)
+    write_mesh(prior.mesh, folder / MESH_NAME, frame=frame, made_from=made_from)
     sdf.save(folder / FIELD_NAME)
     names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *others]
     values = {
@@ -403,18 +401,13 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
     rigid, unit_m = options.placement()
     mesh = read_mesh(path, any_unit=unit_m is not None)
     sides = np.ptp(mesh.vertices, axis=0) * (unit_m or 1.0)
-    if sides.max() < _MIN_BOX_M:
-        raise UserError(
-            what=f"the mesh is {sides.max():.3g} m long",
-            where=path,
-            expected=f"at least {_MIN_BOX_M:g} m",
-        )
-    if sides.max() > _MAX_BOX_M:
+    if not _MIN_BOX_M <= sides.max() <= _MAX_BOX_M:
+        is_long = sides.max() > _MAX_BOX_M
         raise UserError(
             what=f"the mesh is {sides.max():.4g} m long",
             where=path,
-            expected=f"at most {_MAX_BOX_M:g} m",
-            hint="is it in millimetres? then add --unit mm",
+            expected=f"{_MIN_BOX_M:g} to {_MAX_BOX_M:g} m",
+            hint="is it in millimetres? then add --unit mm" if is_long else None,
         )
     if not sides.min() > _FLAT * sides.max():
         raise UserError(what="the mesh is flat and encloses nothing", where=path)

@@ -198,7 +198,9 @@ class NeuralSurface:
     @classmethod
     def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
         """Surface of a `state`."""
-        config = read_config(header["model"], header["config"])
+        kinds = {kind.__name__: kind for kind in (GridPhotoConfig, MlpPhotoConfig)}
+        model = header["model"]
+        config: Any = from_table(header["config"], kinds[model], f"stored {model}")
         region = from_table(header["region"], Region, "stored region")
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
         field: ColouredField
@@ -236,10 +238,3 @@ class NeuralSurface:
 def cube_about(region: Region) -> CubeDomain:
     """Cube about the ball around a region, in which a network is normalised."""
     return CubeDomain(center_m=region.center_m, half_side_m=region.radius_m)
-
-
-def read_config(model: str, values: dict[str, Any]) -> GridPhotoConfig | MlpPhotoConfig:
-    """Config of a class name and a table of `dataclasses.asdict`."""
-    kinds: dict[str, Any] = {"GridPhotoConfig": GridPhotoConfig, "MlpPhotoConfig": MlpPhotoConfig}
-    config: GridPhotoConfig | MlpPhotoConfig = from_table(values, kinds[model], f"stored {model}")
-    return config
