@@ -6,7 +6,7 @@ import pytest
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.photos.los import make_los
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -160,11 +160,11 @@ def test_the_outer_skin_of_a_hollow_carton_is_the_prior(reports, tmp_path):
 
 
 def test_the_largest_model_of_colmap_is_read(reports):
-    loaded = load_photos(reports / "colmap_two_models", PhotoOptions(unit_m=1.0))
+    loaded = load_photos(reports / "colmap_two_models", LosOptions(unit="m"))
     assert len(loaded.photos) == 16
     assert any("'1' (16 photos) is read, not 0 (3)" in note for note in loaded.notes)
 
 
 def test_photos_that_are_stored_upside_down_are_turned(reports):
-    loaded = load_photos(reports / "photo_upside_down", PhotoOptions(unit_m=1.0))
+    loaded = load_photos(reports / "photo_upside_down", LosOptions(unit="m"))
     assert any("8 photos were turned" in note for note in loaded.notes)

@@ -25,13 +25,14 @@ import numpy as np
 import torch
 
 from geraf2.apps.photos.formats.masks import threshold_mask
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.apps.photos.training import GridPhotoConfig, train_neural_surface
 from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import write_mesh
 from geraf2.io.photo_files import write_image
+from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import Wall
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
@@ -124,7 +125,7 @@ def read(options):
     if options.source == "carton":
         wall = Wall(size_m=(SIDE_M,) * 3, thickness_m=0.004, permittivity=1.6)
         return simulate_photos(PhotosSpec(), (wall,), seed=options.seed)
-    read_options = PhotoOptions(mask_threshold=options.mask_threshold)
+    read_options = LosOptions(mask_threshold=options.mask_threshold)
     return load_photos(Path(options.source), read_options).photos
 
 
@@ -154,9 +155,7 @@ def main():
     def tell(progress):
         if progress.step % 100 == 0:
             terms = "  ".join(f"{name} {value:.4f}" for name, value in progress.losses.items())
-            print(
-                f"{progress.step}/{progress.n_steps}  {terms}  {progress.eta_s:.0f} s", flush=True
-            )
+            print(f"{progress.step}/{progress.n_steps}  {terms}", flush=True)
 
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     surface = train_neural_surface(photos.subset(np.nonzero(~held)[0]), config, progress=tell)

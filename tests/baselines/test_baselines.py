@@ -15,11 +15,10 @@ from geraf2.baselines.poisson import poisson_surface, solve_gradient
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.ops import signal_tracer
-from geraf2.scene import Capture, Grid, LosPrior, Pose, Wall, Waveform
+from geraf2.scene import Capture, Grid, LosPrior, Pose, Wall
+from helpers.synthetic import waveform_of
 
-WAVEFORM = Waveform(
-    start_frequency_hz=77e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=32
-)
+WAVEFORM = waveform_of(path_bias_m=0.0)
 AXES = np.array([[-1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, 1.0]])
 TARGET = np.array([0.02, 0.012, -0.012])  # a voxel of the grids below
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from geraf2.apps.benchmark import Choice, load_suite, rows_of
+from geraf2.apps.benchmark import load_suite, rows_of
 from geraf2.cli.main import main
 from geraf2.pipeline.presets import STAGE_NAMES
 
@@ -222,9 +222,8 @@ def test_a_row_depends_on_the_versions_of_its_own_stages():
 def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     suite = load_suite()
     cases = ("everything*", "electronics, hard")
-    chosen = rows_of(
-        suite, ("world",), Choice(scenes=("bunny", "d*"), cases=cases, methods=("fast", "best"))
-    )
+    choice = {"scene": ("bunny", "d*"), "case": cases, "method": ("fast", "best")}
+    chosen = rows_of(suite, ("world",), choice)
     assert {row.case.label for row in chosen} == {
         "everything, plausible",
         "everything, hard",
@@ -233,7 +232,7 @@ def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     assert {row.scene for row in chosen} == {"bunny", "deer"}
     assert {row.method for row in chosen} == {"fast", "best"}
     assert len({row.name for row in chosen}) == len(chosen) == 3 * 2 * 2
-    assert rows_of(suite, ("thin",), Choice()) == rows_of(suite, ("thin",))
+    assert rows_of(suite, ("thin",), {"scene": (), "case": ()}) == rows_of(suite, ("thin",))
 
 
 def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):

@@ -1,9 +1,9 @@
 import json
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from scipy.stats import spearmanr
 
 from geraf2.errors import UserError
@@ -11,14 +11,11 @@ from geraf2.evaluation import describe, evaluate_mesh, sample_surface, write_met
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.evaluation.mesh_metrics import chamfer_1e3_m2, threshold_score
 from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh
+from helpers import solids
 from reference import mesh_metrics as twin
 
+sphere = partial(solids.ball, subdivisions=4)
 SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
-
-
-def sphere(radius, subdivisions=4, **options):
-    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return TriangleMesh(vertices=np.array(ball.vertices), faces=np.array(ball.faces), **options)
 
 
 def square(side, height):
@@ -39,7 +36,7 @@ def test_scores_agree_with_the_slow_twin():
 
 
 def test_whole_evaluation_agrees_with_the_slow_twin_on_the_same_samples():
-    mesh, truth = sphere(0.052, 2), sphere(0.05, 2)
+    mesh, truth = sphere(0.052, subdivisions=2), sphere(0.05, subdivisions=2)
     metrics = evaluate_mesh(mesh, truth, n_samples=150, seed=7, thresholds_m=(0.004,))
     streams = [np.random.default_rng(s) for s in np.random.SeedSequence(7).spawn(2)]
     on_mesh = sample_surface(mesh, 150, streams[0])
@@ -49,7 +46,7 @@ def test_whole_evaluation_agrees_with_the_slow_twin_on_the_same_samples():
 
 
 def test_volume_and_extents_agree_with_the_slow_twin():
-    squashed, truth = sphere(0.05, 2), sphere(0.05, 2)
+    squashed, truth = sphere(0.05, subdivisions=2), sphere(0.05, subdivisions=2)
     mesh = TriangleMesh(vertices=squashed.vertices * [1.1, 0.9, 1.0] + 0.02, faces=squashed.faces)
     size = evaluate_mesh(mesh, truth, n_samples=50, thresholds_m=(0.005,)).size
     ratio = twin.volume(mesh.corners) / twin.volume(truth.corners)
@@ -60,7 +57,7 @@ def test_volume_and_extents_agree_with_the_slow_twin():
 
 
 def test_vertices_without_a_triangle_are_no_extent_and_an_open_surface_has_no_volume():
-    ball = sphere(0.05, 2)
+    ball = sphere(0.05, subdivisions=2)
     far = TriangleMesh(vertices=np.vstack([ball.vertices, [[1.0, 0, 0]]]), faces=ball.faces)
     assert evaluate_mesh(far, ball, n_samples=50).size.extent_errors_m == (0.0, 0.0, 0.0)
     for pair in ((square(0.1, 0.0), ball), (ball, square(0.1, 0.0))):

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-import trimesh
 
 from geraf2.evaluation import evaluate_mesh
 from geraf2.freespace.specular import specular_visibility
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
+from helpers import solids
 
 RADIUS, AWAY, HALF = 0.05, 0.4, (0.06, 0.12)
 
@@ -24,8 +24,7 @@ def plane(angle_deg):
 
 
 def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):
-    made = trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius)
-    return TriangleMesh(vertices=np.array(made.vertices) + center, faces=np.array(made.faces))
+    return solids.ball(radius, subdivisions, center)
 
 
 def in_sight(points, normals, planes, surface):
@@ -57,11 +56,7 @@ def test_a_ball_is_seen_where_its_centre_sees_the_antennas_in_that_direction(ang
 def test_what_stands_in_the_way_hides_it_and_a_ball_behind_does_not():
     point, normal = np.array([[-RADIUS, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
     for x, seen in ((-0.2, False), (0.2, True)):
-        both = [ball(), ball((x, 0.0, 0.0), 0.02)]
-        surface = TriangleMesh(
-            vertices=np.concatenate([b.vertices for b in both]),
-            faces=np.concatenate([both[0].faces, both[1].faces + len(both[0].vertices)]),
-        )
+        surface = TriangleMesh.joined([ball(), ball((x, 0.0, 0.0), 0.02)])
         assert in_sight(point, normal, [plane(0.0)], surface)[0] == seen
 
 

@@ -7,7 +7,7 @@ import trimesh
 from geraf2.freespace.specular import angles_off, specular_visibility
 from geraf2.ops.visibility import MeshScene
 from geraf2.records import Pose
-from geraf2.scene.aperture import Aperture, apertures_of
+from geraf2.scene.aperture import Aperture
 from helpers.specular import antennas, fibonacci_sphere, raster
 from reference.specular import specular_margin
 
@@ -25,7 +25,7 @@ def pose(angle_deg, places):
 def apertures():
     """Seven planes around, of 12 and 24 cm."""
     places = raster(5, 0.03) * [1.0, 2.0]
-    return apertures_of([pose(51.0 * number, places) for number in range(7)])
+    return [Aperture.of_pose(pose(51.0 * number, places)) for number in range(7)]
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import numpy as np
 
 from geraf2.scene.photos import Camera, PhotoSet
+from geraf2.simulation.photos import look_at
 
 CENTER = np.array([0.02, -0.01, 0.03])
 RADIUS_M = 0.08
@@ -20,11 +21,7 @@ def cameras(n_photos, distance=0.45):
     for index in range(n_photos):
         angle, height = 2.0 * np.pi * index / n_photos, 0.15 * (-1) ** index
         eye = CENTER + np.array([distance * np.cos(angle), distance * np.sin(angle), height])
-        forward = (CENTER - eye) / np.linalg.norm(CENTER - eye)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
+        pose = look_at(eye, CENTER)
         made.append(
             Camera(intrinsics=intrinsics, camera_to_world=pose, width=SIZE[0], height=SIZE[1])
         )

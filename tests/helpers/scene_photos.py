@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.io.photo_files import write_image
 from geraf2.scene.photos import Camera
+from geraf2.simulation.photos import look_at
 
 SIZE = (64, 48)
 INTRINSICS = np.array([[60.0, 0.0, 32.5], [0.0, 60.0, 24.5], [0.0, 0.0, 1.0]])
@@ -22,15 +23,10 @@ def ring_of_cameras(n_photos, radius=0.5, height=0.2, distortion=(0.0,) * 5, arc
     cameras = []
     for angle in arc * np.arange(n_photos) / n_photos:
         eye = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
-        forward = -eye / np.linalg.norm(eye)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose = np.eye(4)
-        pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
         cameras.append(
             Camera(
                 intrinsics=INTRINSICS,
-                camera_to_world=pose,
+                camera_to_world=look_at(eye, np.zeros(3)),
                 width=SIZE[0],
                 height=SIZE[1],
                 distortion=distortion,

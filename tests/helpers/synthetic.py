@@ -23,6 +23,11 @@ WAVEFORM = waveform_of()
 TARGETS = np.array([[0.02, 0.01, 0.0], [-0.01, 0.03, 0.02], [0.0, -0.02, -0.03]])
 
 
+def white_noise(shape, dtype=np.complex128, *, scale=1.0, seed=5):
+    rng = np.random.default_rng(seed)
+    return (scale * (rng.normal(size=shape) + 1j * rng.normal(size=shape))).astype(dtype)
+
+
 def point_signal(tx, rx, targets, waveform=WAVEFORM):
     """sum_x exp(-j 2 pi (nu + k t) d / c), d with the instrument delay."""
     path = np.linalg.norm(targets[None] - tx[:, None], axis=2)

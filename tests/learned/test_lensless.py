@@ -3,11 +3,10 @@ import pytest
 import torch
 
 from geraf2.fields import BoxSolid, MeshSolid
-from geraf2.io.mesh import TriangleMesh
 from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
-from geraf2.learned.ray_sampling import LenslessSampler, SamplingConfig
+from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.ops import matched_filter
 from geraf2.scene import LosPrior
 from helpers.synthetic import WAVEFORM, point_pose
@@ -21,7 +20,7 @@ RADIUS_M = 0.03
 
 
 def vision():
-    outside = MeshSolid(TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces))
+    outside = MeshSolid(PRIOR.mesh)
     return VisionPrior(outside.signed_distance, DOMAIN, 41)
 
 
@@ -32,8 +31,8 @@ def ball_field(radius=RADIUS_M, center=(0.0, 0.0, 0.0)):
 
 
 def sampler(n_cells=8, n_samples=16, **options):
-    config = SamplingConfig(n_cells=n_cells, n_samples=n_samples, **options)
-    return LenslessSampler(PRIOR, config, dtype=torch.float64)
+    size = {"n_cells": n_cells, "n_samples": n_samples}
+    return LenslessSampler(PRIOR, dtype=torch.float64, **size, **options)
 
 
 def rays_of(lensless, seed=0, **options):
@@ -73,8 +72,7 @@ def test_rays_are_parallel_jittered_and_within_the_scene():
 
 def test_samples_of_an_inner_box_lie_in_it_and_their_rays_still_start_at_the_scene():
     inner = PRIOR.cropped(0.02)
-    config = SamplingConfig(n_cells=8, n_samples=16)
-    lensless = LenslessSampler(PRIOR, config, inner=inner, dtype=torch.float64)
+    lensless = sampler(inner=inner)
     assert lensless.radius_m == pytest.approx(1.05 * (0.5 * SIDE_M - 0.02))
     rays = rays_of(lensless)
     within = BoxSolid(size_m=inner.size_m).signed_distance(rays.points.reshape(-1, 3).numpy())
@@ -100,7 +98,7 @@ def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
     points = rays_of(lensless).points.reshape(-1, 3).numpy()[::37]
     grown = 0.5 * 1.1 * SIDE_M
     for antenna in POSE.phase_centers[::50]:
-        row = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points)
+        row = lensless.boundary.first_meetings(np.tile(antenna, (len(points), 1)), points)
         way = points - antenna
         with np.errstate(divide="ignore"):
             slabs = np.sort(np.stack([(s * grown - antenna) / way for s in (-1, 1)]), axis=0)
@@ -133,7 +131,7 @@ def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, l
     one_way = np.concatenate([np.ones((len(alpha), 1)), before[:, :-1]], axis=1)
     start = vision()
     first = start.field.sample(rays.starts.numpy()).repeat(rays.step.shape[1])
-    entry = lensless.secondary_starts(np.tile(antenna, (len(points), 1)), points.numpy())
+    entry = lensless.boundary.first_meetings(np.tile(antenna, (len(points), 1)), points.numpy())
     transmittance = one_way.reshape(-1) + phi(start.field.sample(entry)) - phi(first)
     transmittance = np.maximum(transmittance, 0.0) ** (2 if two_way == "squared" else 1)
     normals = n / np.linalg.norm(n, axis=1, keepdims=True)
@@ -226,7 +224,7 @@ def test_ways_through_the_same_face_need_no_correction_and_no_way_more_than_from
     inv_s = torch.tensor(s, dtype=torch.float64)
     shift = renderer._boundary_shift(ball_field(), inv_s, rays, np.arange(n), origins).numpy()
     primary = np.repeat(rays.starts.numpy(), n_samples, axis=0)
-    secondary = lensless.secondary_starts(origins, places)
+    secondary = lensless.boundary.first_meetings(origins, places)
 
     def face(starts):
         """Axis of the face, -1 where the nearest point of the box lies on an edge."""

@@ -13,20 +13,13 @@ import torch
 from geraf2.ops import EchoForm, _threads, matched_filter
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.lensless import facing_samples
-from geraf2.ops.physical_optics import AntennaBlocks
-from geraf2.ops.subaperture import (
-    CosineAxis,
-    Lattice,
-    SubapertureBins,
-    Subapertures,
-    subaperture_images,
-)
+from geraf2.ops.subaperture import Lattice, subaperture_images
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
+from helpers.antennas import bins_of, blocks_of, members_of
 from helpers.synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=4, spacing_m=0.004)
-N = POSE.n_antennas
 
 
 def energy(columns):
@@ -44,32 +37,13 @@ def looks(n_looks):
 
 
 def pattern(exponent):
-    return AntennaBlocks(
-        tx=np.zeros((2, 3)),
-        rx=np.zeros((2, 3)),
-        offsets=np.array([0, 2]),
-        boresight=np.array([1.0, 0.0, 0.0]),
-        pattern_exponent=exponent,
-    )
+    return blocks_of(np.zeros((2, 3)), pattern_exponent=exponent)
 
 
 def images(lattice, scale=1.0):
-    members = Subapertures(
-        offsets=np.array([0, N]),
-        antennas=np.arange(N),
-        weights=np.full(N, 1.0 / N),
-        places=scale * POSE.tx_positions[:, 1:],
-        focus=np.zeros((1, 3)),
-        focus_range_m=np.full(1, 0.4),
-        lattice=lattice,
-    )
-    axis = CosineAxis.symmetric(3, 0.06, wraps=False)
-    bins = SubapertureBins(
-        horizontal=axis, vertical=axis, first_range_m=0.3, range_pitch_m=0.02, n_ranges=4
-    )
-    return subaperture_images(
-        POSE.signal, POSE.tx_positions, POSE.rx_positions, WAVEFORM, members, bins
-    )
+    members = members_of(scale * POSE.tx_positions[:, 1:], lattice=lattice)
+    antennas = POSE.signal, POSE.tx_positions, POSE.rx_positions
+    return subaperture_images(*antennas, WAVEFORM, members, bins_of())
 
 
 @pytest.mark.parametrize(

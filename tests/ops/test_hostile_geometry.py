@@ -16,25 +16,15 @@ from hypothesis import strategies as st
 
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
 from geraf2.ops.grid_energy import GridEnergy
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.ops.subaperture import (
-    CosineAxis,
-    SubapertureBins,
-    Subapertures,
-    subaperture_images,
-    subaperture_peaks,
-)
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
+from geraf2.ops.subaperture import subaperture_images, subaperture_peaks
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Grid, Wall, Waveform
+from geraf2.scene import Grid, Wall
 from helpers import hostile
+from helpers.antennas import bins_of, blocks_of, members_of
+from helpers.synthetic import waveform_of, white_noise
 
-WAVEFORM = Waveform(
-    start_frequency_hz=77.3704e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=1.25e6,
-    n_samples=9,
-    path_bias_m=0.15,
-)
+WAVEFORM = waveform_of(9)
 LEVELS = st.sampled_from(hostile.levels())
 COMPLEX = st.sampled_from((np.complex64, np.complex128))
 SCALES = st.sampled_from((0.0, 1e-42, 1e-30, 1.0, 1e15))
@@ -43,11 +33,6 @@ ROUNDING = 1.01
 """Room for rtol = 1e-3 of each phasor, and rounding."""
 # Seeds are fixed, so that a green run stays green; more examples find more.
 few = settings(max_examples=30, deadline=None, derandomize=True)
-
-
-def white_noise(seed, shape, dtype, scale):
-    rng = np.random.default_rng(seed)
-    return (scale * (rng.normal(size=shape) + 1j * rng.normal(size=shape))).astype(dtype)
 
 
 @st.composite
@@ -77,7 +62,7 @@ def assert_bounded(values, bound):
 )
 def test_matched_filter(geometry, dtype, scale, level, threads, method):
     tx, rx, points = geometry
-    signal = white_noise(1, (len(tx), WAVEFORM.n_samples), dtype, scale)
+    signal = white_noise((len(tx), WAVEFORM.n_samples), dtype, scale=scale)
     with hostile.forced(level):
         if not hostile.allowed(tx, rx, points):
             with pytest.raises(ValueError, match="must be finite and within 1e\\+06 m"):
@@ -101,7 +86,7 @@ def test_matched_filter(geometry, dtype, scale, level, threads, method):
     LEVELS,
 )
 def test_factorised_matched_filter(tx, origin, spacing, shape, dtype, level):
-    signal = white_noise(2, (len(tx), WAVEFORM.n_samples), dtype, 1.0)
+    signal = white_noise((len(tx), WAVEFORM.n_samples), dtype)
     grid = Grid(origin_m=(origin, 0.0, 0.01), spacing_m=spacing, shape=shape)
     with hostile.forced(level):
         if not hostile.allowed(tx, np.abs(grid.points()[-1])):
@@ -117,7 +102,7 @@ def test_factorised_matched_filter(tx, origin, spacing, shape, dtype, level):
 def test_signal_tracer(geometry, dtype, scale, level, threads, specular, own):
     tx, rx, points = geometry
     shape = (len(tx), len(points)) if own else (len(points),)
-    amplitude = white_noise(3, shape, dtype, scale)
+    amplitude = white_noise(shape, dtype, scale=scale)
     normals = None
     if specular:
         rng = np.random.default_rng(4)
@@ -147,9 +132,9 @@ def test_a_sample_that_is_no_number_is_not_hidden(geometry, dtype, level, method
     tx, rx, points = geometry
     if not hostile.allowed(tx, rx, points):
         return
-    signal = white_noise(5, (len(tx), WAVEFORM.n_samples), dtype, 1.0)
+    signal = white_noise((len(tx), WAVEFORM.n_samples), dtype)
     signal[-1, 0] = np.nan
-    amplitude = white_noise(6, len(points), dtype, 1.0)
+    amplitude = white_noise(len(points), dtype)
     amplitude[-1] = np.nan
     with hostile.forced(level):
         assert np.isnan(matched_filter(signal, tx, rx, points, WAVEFORM, method=method)).all()
@@ -164,35 +149,28 @@ def subapertures(draw):
     places = rng.choice(pool, (n, 2))
     if draw(st.integers(0, 4)) == 0:
         places[0, 0] = draw(st.sampled_from((1e3, -1e6, 1e300, np.nan)))
-    return {
+    return places, {
         "offsets": np.array([0, n, n]),
-        "antennas": np.arange(n),
-        "weights": np.full(n, 1.0 / n),
-        "places": places,
         "focus": draw(hostile.positions(2)),
         "focus_range_m": rng.choice((0.0, 0.4, 1e6), 2),
-        "lattice": None,
     }
 
 
 @few
 @given(subapertures(), st.data(), COMPLEX, LEVELS)
 def test_subaperture_images_and_peaks(members, data, dtype, level):
-    n = len(members["antennas"])
-    tx = data.draw(hostile.positions(n, near=members["focus"]))
-    signal = white_noise(7, (n, WAVEFORM.n_samples), dtype, 1.0)
-    axis = CosineAxis.symmetric(5, 0.06, wraps=False)
-    bins = SubapertureBins(
-        horizontal=axis, vertical=axis, first_range_m=0.37, range_pitch_m=0.02, n_ranges=4
-    )
+    places, rest = members
+    n = len(places)
+    tx = data.draw(hostile.positions(n, near=rest["focus"]))
+    signal = white_noise((n, WAVEFORM.n_samples), dtype)
 
     def images():
-        problem = (signal, tx, tx, WAVEFORM, Subapertures(**members), bins)
+        problem = (signal, tx, tx, WAVEFORM, members_of(places, **rest), bins_of())
         return subaperture_images(*problem), subaperture_peaks(
             *problem, thresholds_db=(99.0, -99.0)
         )
 
-    good = hostile.allowed(tx, members["focus"], 1e4 * members["places"])
+    good = hostile.allowed(tx, rest["focus"], 1e4 * places)
     with hostile.forced(level):
         if not good:
             with pytest.raises(ValueError, match=r"must be finite|`places` must lie in"):
@@ -222,10 +200,8 @@ def test_physical_optics(geometry, dtype, level, shape, walled, threads):
         edges=rng.choice([0.0, 5e-324, 1e-3, 2.0], (n, 2, 3)),
         shape=shape,
     )
-    antennas = AntennaBlocks(
-        tx=tx, rx=rx, offsets=np.array([0, len(tx)]), boresight=np.array([1.0, 0.0, 0.0])
-    )
-    weights = white_noise(9, (1, n), dtype, 1e-6)
+    antennas = blocks_of(tx, rx, boresight=np.array([1.0, 0.0, 0.0]))
+    weights = white_noise((1, n), dtype, scale=1e-6)
     walls = [Wall(size_m=(0.02, 0.02, 2.0), thickness_m=1e-3, permittivity=1.6)] if walled else []
     options = {"walls": walls, "num_threads": threads}
     with hostile.forced(level):
@@ -385,20 +361,9 @@ def test_a_direction_may_have_any_length(scale):
 def test_subaperture_waveform_of_one_sample():
     """One sample has no range; its image is still bounded."""
     n = 4
-    members = Subapertures(
-        offsets=np.array([0, n]),
-        antennas=np.arange(n),
-        weights=np.full(n, 0.25),
-        places=np.zeros((n, 2)),
-        focus=np.zeros((1, 3)),
-        focus_range_m=np.zeros(1),
-        lattice=None,
-    )
-    axis = CosineAxis.symmetric(1, 0.1, wraps=False)
-    bins = SubapertureBins(
-        horizontal=axis, vertical=axis, first_range_m=0.0, range_pitch_m=1.0, n_ranges=1
-    )
+    members = members_of(np.zeros((n, 2)), focus_range_m=np.zeros(1))
+    bins = replace(bins_of((1, 0.1), n_ranges=1), first_range_m=0.0, range_pitch_m=1.0)
     waveform = replace(WAVEFORM, n_samples=1)
-    signal = white_noise(11, (n, 1), np.complex64, 1.0)
+    signal = white_noise((n, 1), np.complex64)
     image = subaperture_images(signal, np.zeros((n, 3)), np.zeros((n, 3)), waveform, members, bins)
     assert_bounded(image, np.abs(signal).max())

@@ -3,12 +3,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.scene import Wall
-from helpers.synthetic import WAVEFORM
+from helpers.antennas import blocks_of
+from helpers.synthetic import WAVEFORM, white_noise
 from reference import physical_optics as reference
+from reference.closeness import relative_error
 
 BOX = Wall(size_m=(0.22, 0.24, 0.26), thickness_m=0.004, permittivity=1.6, center_m=(0, 0.01, 0))
+WEIGHTS = white_noise((3, 40))
 INNER = Wall(size_m=(0.1, 0.12, 0.12), thickness_m=0.003, permittivity=2.2)
 
 
@@ -28,21 +31,11 @@ def make_antennas(pattern_exponent=0):
     """23 irregular bistatic antennas in blocks of 20, 0 and 3."""
     rng = np.random.default_rng(2)
     tx = np.array([0.4, 0.0, 0.0]) + rng.uniform(-0.02, 0.02, (23, 3))
-    return AntennaBlocks(
-        tx=tx,
-        rx=tx + np.array([0.01, -0.05, 0.02]),
-        offsets=np.array([0, 20, 20, 23]),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-        pattern_exponent=pattern_exponent,
-    )
+    rx = tx + np.array([0.01, -0.05, 0.02])
+    return blocks_of(tx, rx, offsets=[0, 20, 20, 23], pattern_exponent=pattern_exponent)
 
 
-def make_weights(n=40):
-    rng = np.random.default_rng(3)
-    return rng.normal(size=(3, n)) + 1j * rng.normal(size=(3, n))
-
-
-def expected_signal(elements, weights, antennas, walls):
+def expected_signal(elements, antennas, walls):
     options = {
         "normals": elements.normals,
         "edges": elements.edges,
@@ -56,14 +49,10 @@ def expected_signal(elements, weights, antennas, walls):
     block_of = np.repeat(np.arange(3), np.diff(antennas.offsets))
     return np.array(
         [
-            reference.echo(elements.points, weights[b], tx, rx, WAVEFORM, **options)
+            reference.echo(elements.points, WEIGHTS[b], tx, rx, WAVEFORM, **options)
             for b, tx, rx in zip(block_of, antennas.tx, antennas.rx, strict=True)
         ]
     )
-
-
-def relative_error(got, expected):
-    return np.linalg.norm(got - expected) / np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize(
@@ -79,14 +68,14 @@ def relative_error(got, expected):
     ],
 )
 def test_echo_agrees_with_the_term_by_term_sum(options, walls, exponent):
-    elements, antennas, weights = make_elements(**options), make_antennas(exponent), make_weights()
-    expected = expected_signal(elements, weights, antennas, walls)
-    got_double = physical_optics(elements, weights, antennas, WAVEFORM, walls=walls)
+    elements, antennas = make_elements(**options), make_antennas(exponent)
+    expected = expected_signal(elements, antennas, walls)
+    got_double = physical_optics(elements, WEIGHTS, antennas, WAVEFORM, walls=walls)
     # Left: float64 rounding of 1e3 rad, 32 steps. The form factor of a rectangle is linear in
     # frequency: 1.3 rad change by 2.3 % over half the band, (0.03)^2 / 6 is left out.
     assert relative_error(got_double, expected) < (3e-4 if elements.shape == "rectangle" else 1e-8)
     got_float = physical_optics(
-        elements, weights.astype(np.complex64), antennas, WAVEFORM, walls=walls
+        elements, WEIGHTS.astype(np.complex64), antennas, WAVEFORM, walls=walls
     )
     assert got_float.dtype == np.complex64
     # 32 recurrence steps of 6e-8, 60 rad of offset phase at 6e-8, cancelling sum of 40.
@@ -94,17 +83,12 @@ def test_echo_agrees_with_the_term_by_term_sum(options, walls, exponent):
 
 
 def test_triangle_form_factor_is_that_of_the_block_centre():
-    elements, antennas, weights = make_elements(shape="triangle"), make_antennas(), make_weights()
-    centers = AntennaBlocks(
-        tx=antennas.tx[:1],
-        rx=antennas.rx[:1],
-        offsets=np.array([0, 1]),
-        boresight=antennas.boresight,
-    )
-    got = physical_optics(elements, weights[:1], centers, WAVEFORM)
+    elements, antennas = make_elements(shape="triangle"), make_antennas()
+    centers = blocks_of(antennas.tx[0], antennas.rx[0])
+    got = physical_optics(elements, WEIGHTS[:1], centers, WAVEFORM)
     options = {"normals": elements.normals, "edges": elements.edges, "shape": "triangle"}
     expected = reference.echo(
-        elements.points, weights[0], centers.tx[0], centers.rx[0], WAVEFORM, **options
+        elements.points, WEIGHTS[0], centers.tx[0], centers.rx[0], WAVEFORM, **options
     )
     # The reference cuts a side of up to 5 rad into 200: (5 / 200)^2 / 36 of each term is left.
     assert relative_error(got[0], expected) < 2e-5
@@ -115,9 +99,7 @@ def test_a_wide_triangle_is_the_sum_of_its_parts():
     corners = np.array([[0.0, 0.02, 0.005], [0.0, -0.01, 0.015], [0.0, -0.01, -0.02]])
     n = 32
     tx = 1e5 * np.array([[1.0, 1.0, 0.5]])  # far away, where the phase is linear
-    antennas = AntennaBlocks(
-        tx=tx, rx=tx, offsets=np.array([0, 1]), boresight=np.array([-1.0, 0.0, 0.0])
-    )
+    antennas = blocks_of(tx)
 
     def echo(centroids, edges, weight):
         elements = SurfaceElements(
@@ -148,12 +130,7 @@ def test_a_wide_triangle_is_the_sum_of_its_parts():
 
 def test_a_point_has_exact_range_and_phase():
     point = SurfaceElements(points=np.array([[0.013, -0.021, 0.034]]))
-    antennas = AntennaBlocks(
-        tx=np.array([[0.4, 0.1, 0.05]]),
-        rx=np.array([[0.4, 0.05, 0.05]]),
-        offsets=np.array([0, 1]),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    antennas = blocks_of([0.4, 0.1, 0.05], [0.4, 0.05, 0.05])
     signal = physical_optics(point, np.ones((1, 1), np.complex128), antennas, WAVEFORM)[0]
     r_t = np.linalg.norm(antennas.tx[0] - point.points[0])
     r_r = np.linalg.norm(antennas.rx[0] - point.points[0])
@@ -170,9 +147,7 @@ def test_a_wall_delays_and_weakens_as_fresnel_says(angle_deg):
     angle = np.deg2rad(angle_deg)
     slab = Wall(size_m=(0.2, 5.0, 5.0), thickness_m=0.004, permittivity=1.6)
     place = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
-    antennas = AntennaBlocks(
-        tx=place[None], rx=place[None], offsets=np.array([0, 1]), boresight=-place / 0.5
-    )
+    antennas = blocks_of(place, boresight=-place / 0.5)
     point, one = SurfaceElements(points=np.zeros((1, 3))), np.ones((1, 1), np.complex128)
     free = physical_optics(point, one, antennas, WAVEFORM)[0]
     behind = physical_optics(point, one, antennas, WAVEFORM, walls=(slab,))[0]
@@ -198,11 +173,11 @@ def test_elements_facing_away_and_empty_sets_give_silence():
 
 
 def test_strided_input_changes_nothing():
-    elements, antennas, weights = make_elements(), make_antennas(), make_weights()
-    wide = np.repeat(weights, 2, axis=1)[:, ::2]
+    elements, antennas = make_elements(), make_antennas()
+    wide = np.repeat(WEIGHTS, 2, axis=1)[:, ::2]
     assert np.array_equal(
         physical_optics(elements, wide, antennas, WAVEFORM),
-        physical_optics(elements, weights, antennas, WAVEFORM),
+        physical_optics(elements, WEIGHTS, antennas, WAVEFORM),
     )
 
 
@@ -213,11 +188,6 @@ def test_bad_input_names_the_value():
     with pytest.raises(ValueError, match=r"weights must have shape \(3, 40\), got \(2, 40\)"):
         physical_optics(elements, np.ones((2, 40), complex), antennas, WAVEFORM)
     with pytest.raises(ValueError, match="offsets must rise from 0 to 23"):
-        AntennaBlocks(
-            tx=antennas.tx,
-            rx=antennas.rx,
-            offsets=np.array([0, 20]),
-            boresight=antennas.boresight,
-        )
+        blocks_of(antennas.tx, offsets=[0, 20])
     with pytest.raises(ValueError, match="needs slab and normals"):
         SurfaceElements(points=elements.points, reflector="first_face")

@@ -7,7 +7,6 @@ one product over 64 samples, 64 ulp = 8e-6.
 
 import math
 
-import numpy as np
 import pytest
 import torch
 
@@ -164,21 +163,3 @@ def test_threads_empty_strides_and_arrays():
         assert not out.depth.any()
         out.weight.sum().backward()
         assert empty.grad.shape == shape
-
-
-BAD_INPUT = {
-    "rank": ({"sdf": np.zeros(4)}, ValueError, "sdf must have shape"),
-    "int": ({"sdf": np.zeros((2, 3), int)}, TypeError, "sdf must be float32"),
-    "cos": ({"cos": np.zeros((2, 4))}, ValueError, r"cos must have shape \(2, 3\)"),
-    "step": ({"step": np.zeros((2, 3), np.float32)}, TypeError, "step must be float64 as sdf is"),
-    "inv_s": ({"inv_s": 0.0}, ValueError, "inv_s must be finite and positive, got 0.0"),
-    "two_way": ({"two_way": "both"}, ValueError, "'unbiased', 'squared', 'none', got 'both'"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_INPUT)
-def test_bad_input_is_named(name):
-    change, error, message = BAD_INPUT[name]
-    good = {"sdf": np.zeros((2, 3)), "cos": np.zeros((2, 3)), "step": np.ones((2, 3)), "inv_s": 9.0}
-    with pytest.raises(error, match=message):
-        ray_march(**{**good, **change})

@@ -125,21 +125,3 @@ def test_edges(interpolation):
     assert torch.equal(got.gradient, want.gradient)
     values[2, 2, 2] = torch.nan
     assert torch.isnan(sdf_grid(values, GRID, points, interpolation=interpolation).value).any()
-
-
-BAD_INPUT = {
-    "values": ({"values": np.zeros((5, 4, 5))}, ValueError, r"values must have shape \(5, 4, 6\)"),
-    "int": ({"values": np.zeros(GRID.shape, int)}, TypeError, "values must be float32"),
-    "points": ({"points": np.zeros(3)}, ValueError, "points must have shape"),
-    "nan": ({"points": np.full((1, 3), np.nan)}, ValueError, "finite.*row 0"),
-    "grid": ({"grid": None}, TypeError, "grid must be a geraf2.scene.Grid, got NoneType"),
-    "kind": ({"interpolation": "spline"}, ValueError, "'linear' or 'cubic', got 'spline'"),
-}
-
-
-@pytest.mark.parametrize("name", BAD_INPUT)
-def test_bad_input_is_named(name):
-    change, error, message = BAD_INPUT[name]
-    good = {"values": np.zeros(GRID.shape), "grid": GRID, "points": np.zeros((2, 3))}
-    with pytest.raises(error, match=message):
-        sdf_grid(**{**good, **change})

@@ -7,13 +7,13 @@ from geraf2.ops.subaperture import (
     CosineAxis,
     Lattice,
     SubapertureBins,
-    Subapertures,
     image_peaks,
     noise_floor,
     subaperture_images,
     subaperture_peaks,
 )
-from helpers.synthetic import WAVEFORM
+from helpers.antennas import bins_of, members_of
+from helpers.synthetic import WAVEFORM, white_noise
 from reference import peaks as peaks_twin
 from reference import subaperture as twin
 
@@ -35,30 +35,13 @@ def problem(shape=SHAPE, n_samples=32, places=None, dtype=np.complex128, seed=0)
     n = len(places)
     centers = np.concatenate([np.zeros((n, 1)), places], axis=1)
     baseline = 0.002 * rng.standard_normal((n, 3))
-    signal = rng.standard_normal((2, n, n_samples)).view(np.float64)
-    signal = (signal[0] + 1j * signal[1]).astype(dtype)
+    signal = white_noise((n, n_samples), dtype)
     weights = rng.uniform(0.1, 1.0, n)
     waveform = replace(WAVEFORM, n_samples=n_samples)
-    subapertures = Subapertures(
-        offsets=np.array([0, n]),
-        antennas=np.arange(n),
-        weights=weights / weights.sum(),
-        places=places,
-        focus=TARGET[None],
-        focus_range_m=np.array([0.4]),
-        lattice=lattice,
+    subapertures = members_of(
+        places, weights=weights / weights.sum(), focus=TARGET[None], lattice=lattice
     )
     return signal, centers + baseline, centers - baseline, waveform, subapertures
-
-
-def bins_of(n=5, wraps=False):
-    return SubapertureBins(
-        horizontal=CosineAxis.symmetric(n, 0.06, wraps=wraps),
-        vertical=CosineAxis.symmetric(3, 0.2, wraps=False),
-        first_range_m=0.37,
-        range_pitch_m=0.02,
-        n_ranges=4,
-    )
 
 
 def direct_sum(arguments, bins):
@@ -76,7 +59,7 @@ def direct_sum(arguments, bins):
 )
 def test_images_on_a_lattice_are_the_direct_sum(shape, n_samples, n_cosines, wraps, dtype, atol):
     arguments = problem(shape, n_samples, dtype=dtype)
-    bins = bins_of(n_cosines, wraps)
+    bins = bins_of((n_cosines, 0.06), (3, 0.2), wraps=wraps)
     (image,) = subaperture_images(*arguments, bins)
     assert image.dtype == np.empty(0, dtype).real.dtype
     np.testing.assert_allclose(image, direct_sum(arguments, bins), atol=atol)
@@ -87,13 +70,7 @@ def test_images_of_antennas_anywhere_are_the_direct_sum(dtype, atol):
     # Phases that cancel nowhere: the error is relative to the sum of all magnitudes.
     places = np.random.default_rng(3).uniform(-0.04, 0.04, (60, 2))
     arguments = problem(places=places, dtype=dtype)
-    bins = SubapertureBins(
-        horizontal=CosineAxis.symmetric(9, 0.15, wraps=False),
-        vertical=CosineAxis.symmetric(3, 0.31, wraps=False),
-        first_range_m=0.37,
-        range_pitch_m=0.02,
-        n_ranges=3,
-    )
+    bins = bins_of((9, 0.15), (3, 0.31), n_ranges=3)
     (image,) = subaperture_images(*arguments, bins)
     np.testing.assert_allclose(image, direct_sum(arguments, bins), atol=atol)
 
@@ -148,7 +125,7 @@ def test_peaks_are_those_of_the_images_with_any_threads(scattered):
         focus_range_m=np.full(3, 0.4),
     )
     arguments[4] = half
-    bins = replace(bins_of(21), vertical=CosineAxis.symmetric(21, 0.05, wraps=False), n_ranges=12)
+    bins = bins_of((21, 0.06), (21, 0.05), n_ranges=12)
     images = subaperture_images(*arguments, bins, num_threads=1)
     assert np.array_equal(images, subaperture_images(*arguments, bins, num_threads=3))
     for num_threads in (1, 2, 4):
@@ -193,7 +170,7 @@ def test_no_subaperture_and_an_empty_one_are_no_error():
 def test_an_image_with_nan_has_no_peaks(value):
     signal, tx, rx, waveform, members = problem((9, 9))
     signal[3, 2] = value  # sums of infinities are NaN, on x86 with a sign
-    bins = bins_of(21)
+    bins = bins_of((21, 0.06), (3, 0.2))
     peaks = subaperture_peaks(signal, tx, rx, waveform, members, bins, thresholds_db=(60.0, -60.0))
     assert len(peaks.ranges_m) == 0
     assert np.isnan(peaks.tops).all()

@@ -14,20 +14,14 @@ from threadpoolctl import ThreadpoolController
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
 from geraf2.ops._threads import resolve_num_threads, with_one_blas_thread
 from geraf2.ops.grid_energy import GridEnergy
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.ops.subaperture import (
-    CosineAxis,
-    SubapertureBins,
-    Subapertures,
-    subaperture_images,
-    subaperture_peaks,
-)
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
+from geraf2.ops.subaperture import subaperture_images, subaperture_peaks
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Grid, Waveform
+from geraf2.scene import Grid
+from helpers.antennas import bins_of, blocks_of, members_of
+from helpers.synthetic import waveform_of, white_noise
 
-WAVEFORM = Waveform(
-    start_frequency_hz=77e9, chirp_slope_hz_per_s=7e13, sample_rate_hz=1e6, n_samples=16
-)
+WAVEFORM = waveform_of(16)
 RNG = np.random.default_rng(0)
 N = 200
 ANTENNAS = np.array([-0.4, 0.0, 0.0]) + RNG.uniform(-0.05, 0.05, (N, 3))
@@ -35,28 +29,21 @@ ANTENNAS = np.array([-0.4, 0.0, 0.0]) + RNG.uniform(-0.05, 0.05, (N, 3))
 N_POINTS = 7001
 POINTS = RNG.uniform(-0.02, 0.02, (N_POINTS, 3))
 FEW = POINTS[:900]
-SIGNAL = (RNG.normal(size=(N, 16)) + 1j * RNG.normal(size=(N, 16))).astype(np.complex64)
+SIGNAL = white_noise((N, 16), np.complex64)
 AMPLITUDE = RNG.normal(size=len(FEW)).astype(np.float32)
 GRID = Grid.cube((0.0, 0.0, 0.0), 0.02, 12)
 VALUES = RNG.normal(size=GRID.shape).astype(np.float32)
 RAYS = RNG.normal(size=(3, 1000, 20)).astype(np.float32)
-AXIS = CosineAxis.symmetric(5, 0.06, wraps=False)
-BINS = SubapertureBins(
-    horizontal=AXIS, vertical=AXIS, first_range_m=0.37, range_pitch_m=0.02, n_ranges=4
-)
-MEMBERS = Subapertures(
+MEMBERS = members_of(
+    ANTENNAS[:, 1:],
     offsets=np.array([0, 30, N]),
-    antennas=np.arange(N),
-    weights=np.full(N, 1 / 30),
-    places=ANTENNAS[:, 1:],
     focus=np.zeros((2, 3)),
     focus_range_m=np.full(2, 0.4),
-    lattice=None,
 )
 
 
 def subapertures(threads):
-    problem = (SIGNAL, ANTENNAS, ANTENNAS, WAVEFORM, MEMBERS, BINS)
+    problem = (SIGNAL, ANTENNAS, ANTENNAS, WAVEFORM, MEMBERS, bins_of())
     peaks = subaperture_peaks(*problem, thresholds_db=(99.0, -99.0), num_threads=threads)
     return subaperture_images(*problem, num_threads=threads), peaks.magnitudes, peaks.ranges_m
 
@@ -78,9 +65,7 @@ def energy(threads):
 
 def echo(threads):
     elements = SurfaceElements(points=FEW, normals=np.tile([-1.0, 0, 0], (len(FEW), 1)))
-    blocks = AntennaBlocks(
-        tx=ANTENNAS, rx=ANTENNAS, offsets=np.array([0, 20, N]), boresight=np.array([1.0, 0.0, 0.0])
-    )
+    blocks = blocks_of(ANTENNAS, offsets=[0, 20, N], boresight=np.array([1.0, 0.0, 0.0]))
     weights = np.ones((2, len(FEW)), np.complex64)
     return (physical_optics(elements, weights, blocks, WAVEFORM, num_threads=threads),)
 

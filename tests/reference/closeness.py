@@ -3,6 +3,25 @@
 import torch
 
 
+def relative_error(got, want):
+    """Norm of the difference of arrays or tensors, over the norm of `want`."""
+    got, want = torch.as_tensor(got), torch.as_tensor(want)
+    return float((got.to(want.dtype) - want).norm() / want.norm())
+
+
+def assert_adjoint(x, image, y, back, *, ulp=20):
+    """<y, A x> is <A* y, x> but for `ulp` roundings of |A x| |y|; their real parts, if x is real.
+
+    x and `back` = A* y have one shape, y and `image` = A x another.
+    """
+    x, image, y, back = (torch.as_tensor(a).detach().reshape(-1) for a in (x, image, y, back))
+    assert (image.dtype, back.dtype) == (y.dtype, x.dtype)
+    wide = [a.to(torch.complex128) for a in (x, image, y, back)]
+    difference = torch.vdot(wide[2], wide[1]) - torch.vdot(wide[3], wide[0])
+    difference = difference if x.is_complex() else difference.real
+    assert abs(difference) <= ulp * torch.finfo(y.dtype).eps * float(image.norm() * y.norm())
+
+
 def assert_close(got, want, *, element, norm, cosine, bias):
     """Compare real or complex tensors; every limit is relative to the root mean square of `want`.
 

@@ -46,7 +46,7 @@ def render(renderer, field, power, inv_s, rays, tx, rx, groups):
     for group in groups:
         center = 0.5 * (tx[group] + rx[group]).mean(axis=0)
         origins = np.broadcast_to(center, points.shape).copy()
-        starts = torch.from_numpy(renderer.sampler.secondary_starts(origins, points.numpy()))
+        starts = torch.from_numpy(renderer.sampler.boundary.first_meetings(origins, points.numpy()))
         second = torch.sigmoid(inv_s * renderer.vision.sample(starts)[0])
         shift = (second.reshape(shape) - first[:, None]).reshape(-1).detach()
         form = {

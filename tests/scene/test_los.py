@@ -5,13 +5,11 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import enclosed_volume_m3
-from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import LosPrior, Wall
 
 
 def box_mesh():
-    prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03))
-    return TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+    return LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03)).mesh
 
 
 def test_a_box_knows_its_size_and_centre():

@@ -4,22 +4,16 @@ import numpy as np
 import pytest
 
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
+from geraf2.simulation.photos import look_at
 
 INTRINSICS = np.array([[520.0, 0.0, 322.0], [0.0, 515.0, 238.5], [0.0, 0.0, 1.0]])
 DISTORTION = (-0.21, 0.07, 1.5e-3, -8e-4, -0.01)
 
 
 def looking_at(eye, target, *, distortion=(0.0,) * 5, size=(640, 480), intrinsics=INTRINSICS):
-    forward = np.asarray(target, float) - eye
-    forward /= np.linalg.norm(forward)
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
-    pose[:3, 3] = eye
     return Camera(
         intrinsics=intrinsics,
-        camera_to_world=pose,
+        camera_to_world=look_at(np.asarray(eye, float), np.asarray(target, float)),
         width=size[0],
         height=size[1],
         distortion=distortion,

@@ -5,20 +5,17 @@ Cross-sections follow from abs(s)^2 = lambda^2 sigma / ((4 pi)^3 R^4).
 
 import numpy as np
 import pytest
-import trimesh
 
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
-from geraf2.scene import Wall, Waveform
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
+from geraf2.scene import Wall
 from geraf2.simulation.elements import mesh_elements, wall_elements
+from helpers.antennas import blocks_of
+from helpers.solids import ball
+from helpers.synthetic import waveform_of
 from reference.physical_optics import mie_backscatter_rcs
 
 C = 299792458.0
-WAVEFORM = Waveform(
-    start_frequency_hz=77.3704e9,
-    chirp_slope_hz_per_s=70.15e12,
-    sample_rate_hz=625e3,
-    n_samples=32,
-)
+WAVEFORM = waveform_of(path_bias_m=0.0)
 FREQUENCIES = WAVEFORM.frequencies_hz
 WAVELENGTHS = C / FREQUENCIES
 LIMIT_M = 0.0012
@@ -27,23 +24,13 @@ LIMIT_M = 0.0012
 def monostatic(elements, areas, places):
     """Signal at antennas that are alone in their block, so that form factors are their own."""
     places = np.atleast_2d(places)
-    antennas = AntennaBlocks(
-        tx=places,
-        rx=places,
-        offsets=np.arange(len(places) + 1),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    antennas = blocks_of(places, offsets=np.arange(len(places) + 1))
     weights = np.broadcast_to(areas, (len(places), len(areas))).astype(np.complex128)
     return physical_optics(elements, weights, antennas, WAVEFORM)
 
 
 def cross_section(signal, range_m):
     return np.abs(signal) ** 2 * (4 * np.pi) ** 3 * range_m**4 / WAVELENGTHS**2
-
-
-def icosphere(radius, rounds):
-    sphere = trimesh.creation.icosphere(subdivisions=rounds, radius=radius)
-    return np.asarray(sphere.vertices), np.asarray(sphere.faces, np.int64)
 
 
 def plate_elements(side):
@@ -68,7 +55,8 @@ def test_mie_series_has_rayleighs_slope_and_factor():
 
 def test_metal_sphere_within_half_a_decibel_of_mie_over_the_band():
     radius, range_m = 0.03, 50.0  # ka = 49: the shadow edge's own echo is 1 / ka = 0.18 dB
-    elements, areas = mesh_elements(*icosphere(radius, 5), LIMIT_M)
+    mesh = ball(radius, 5)
+    elements, areas = mesh_elements(mesh.vertices, mesh.faces, LIMIT_M)
     got = cross_section(monostatic(elements, areas, [range_m, 0.0, 0.0])[0], range_m)
     mie = np.array([mie_backscatter_rcs(radius, f) for f in FREQUENCIES])
     error_db = 10 * np.log10(got / mie)
@@ -151,8 +139,8 @@ def test_wall_patches_are_fine_enough():
 
 
 def test_halving_the_facets_changes_a_sphere_by_less_than_a_tenth_of_a_decibel():
-    vertices, faces = icosphere(0.03, 5)
+    mesh = ball(0.03, 5)
     place = np.array([[0.4, 0.0, 0.0], [0.38, 0.1, 0.1]])
-    coarse = monostatic(*mesh_elements(vertices, faces, LIMIT_M), place)
-    fine = monostatic(*mesh_elements(vertices, faces, LIMIT_M / 2), place)
+    coarse = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M), place)
+    fine = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M / 2), place)
     assert np.abs(20 * np.log10(np.abs(coarse / fine))).max() < 0.1

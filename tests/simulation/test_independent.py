@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from geraf2.io.mesh import read_mesh
-from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation.echo import EchoScene, Layer, plane_echo
 from geraf2.simulation.elements import mesh_elements
+from helpers.antennas import blocks_of
 from helpers.synthetic import WAVEFORM
 
 CAPTURE = Path(__file__).parents[3] / "shared" / "data" / "spot_carton"
@@ -32,12 +32,8 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
     )
     keep = np.arange(0, len(tx), 16)  # every sixteenth antenna is enough
     signal = (real + 1j * imaginary)[keep]
-    antennas = AntennaBlocks(
-        tx=tx[keep],
-        rx=rx[keep],
-        offsets=np.append(np.arange(0, len(keep), 6), len(keep)),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    offsets = np.append(np.arange(0, len(keep), 6), len(keep))
+    antennas = blocks_of(tx[keep], rx[keep], offsets=offsets)
     facets, areas = mesh_elements(mesh.vertices, mesh.faces, 0.0012)
     scene = EchoScene(
         waveform=WAVEFORM,

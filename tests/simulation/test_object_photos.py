@@ -5,16 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
 from geraf2.simulation.object_scene import ObjectScene
+from geraf2.simulation.photo_scene import photograph
 from geraf2.simulation.photos import ring_cameras
+from helpers import solids
 
 RADIUS, CENTER = 0.05, np.array([0.02, 0.0, 0.03])
 BOUNDS = Wall(
     size_m=(0.1, 0.1, 0.1), thickness_m=0.02, permittivity=1.0, center_m=(0.02, 0.0, 0.03)
 )
+BALL = solids.ball(RADIUS, 4, CENTER)
 SPEC = PhotosSpec(
     subject="content",
     n_photos=3,
@@ -25,35 +27,14 @@ SPEC = PhotosSpec(
 )
 
 
-def ball():
-    """Sphere as a mesh of rings, closed, wound outward."""
-    n_rings, n_around = 24, 48
-    polar = np.linspace(0.0, np.pi, n_rings + 1)
-    around = 2.0 * np.pi * np.arange(n_around) / n_around
-    grid = np.stack(
-        np.broadcast_arrays(
-            np.sin(polar)[:, None] * np.cos(around),
-            np.sin(polar)[:, None] * np.sin(around),
-            np.cos(polar)[:, None],
-        ),
-        axis=2,
-    )
-    faces = []
-    for ring in range(n_rings):
-        for k in range(n_around):
-            a, b = ring * n_around + k, ring * n_around + (k + 1) % n_around
-            faces += [[a, a + n_around, b], [b, a + n_around, b + n_around]]
-    return TriangleMesh(vertices=CENTER + RADIUS * grid.reshape(-1, 3), faces=np.array(faces))
-
-
 @pytest.fixture(scope="module")
 def scene():
-    return ObjectScene(ball(), seed=1)
+    return ObjectScene(BALL, seed=1)
 
 
 def test_the_silhouette_is_that_of_the_object(scene):
     for camera in ring_cameras(SPEC, BOUNDS, seed=3):
-        picture = scene.photograph(camera)
+        picture = photograph(scene.trace, camera)
         distance = np.linalg.norm(camera.position - CENTER)
         # A sphere fills a cone; off the axis its outline is an ellipse somewhat larger.
         radius_px = 96.0 * np.tan(np.arcsin(RADIUS / distance))
@@ -64,7 +45,7 @@ def test_the_silhouette_is_that_of_the_object(scene):
 def test_the_side_towards_the_lamp_is_brighter(scene):
     # Paint divided out; the lamp stands towards +x, -y and +z.
     light = scene._light.mean(axis=1)
-    normals = (ball().vertices - CENTER) / RADIUS
+    normals = (BALL.vertices - CENTER) / RADIUS
     toward = np.array([0.62, -0.48, 0.95]) / np.linalg.norm([0.62, -0.48, 0.95])
     cosine = normals @ toward
     assert light[cosine > 0.9].mean() > 1.5 * light[cosine < -0.9].mean()
@@ -72,19 +53,18 @@ def test_the_side_towards_the_lamp_is_brighter(scene):
 
 
 def test_paint_belongs_to_places_and_to_the_seed(scene):
-    points = ball().vertices[::7]
+    points = BALL.vertices[::7]
     albedo = scene.albedo(points)
     assert (albedo > 0.0).all()
     assert (albedo < 1.0).all()
     assert albedo.std(axis=0).min() > 0.1
-    assert np.array_equal(albedo, ObjectScene(ball(), seed=1).albedo(points))
-    assert np.abs(albedo - ObjectScene(ball(), seed=2).albedo(points)).max() > 0.1
+    assert np.array_equal(albedo, ObjectScene(BALL, seed=1).albedo(points))
+    assert np.abs(albedo - ObjectScene(BALL, seed=2).albedo(points)).max() > 0.1
 
 
 def test_photos_need_what_they_show():
-    mesh = ball()
-    photos = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=mesh, num_threads=1)
-    again = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=mesh, num_threads=2)
+    photos = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=BALL, num_threads=1)
+    again = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=BALL, num_threads=2)
     assert np.array_equal(photos.images[0], again.images[0])
     assert photos.masks is not None
     assert 0.1 < photos.masks[0].mean() < 0.9

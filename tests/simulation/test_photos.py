@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.scene import Wall
 from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, parse_spec, simulate_photos
-from geraf2.simulation.photo_scene import CartonScene
+from geraf2.simulation.photo_scene import CartonScene, photograph
 from geraf2.simulation.photos import expose, recorded_cameras, ring_cameras
 
 WALL = Wall(
@@ -32,7 +32,7 @@ def carton():
 def test_the_silhouette_is_the_box(carton, distortion):
     spec = replace(EXACT, distortion=distortion)
     for camera in ring_cameras(spec, WALL, seed=3):
-        got = carton.photograph(camera).coverage >= 0.5
+        got = photograph(carton.trace, camera).coverage >= 0.5
         expected = box_outline(camera, BOUNDS)
         # Straight edges between projected corners; a lens bends them by less than a pixel.
         differing = (got != expected).sum() / expected.sum()
@@ -65,7 +65,7 @@ def test_the_same_seed_gives_the_same_photos_and_another_does_not():
 def test_faces_are_lit_differently_and_the_board_has_a_shadow(carton):
     # The lamp stands towards +x and -y; the board is dark on the other side.
     camera = ring_cameras(replace(EXACT, n_photos=1, ring_elevations_deg=(80.0,)), WALL, seed=0)[0]
-    radiance = carton.photograph(camera).radiance.mean(axis=2)
+    radiance = photograph(carton.trace, camera).radiance.mean(axis=2)
     spots = np.array([[0.02, -0.11, -0.02], [0.02, 0.11, -0.02]])
     u, v = camera.project(spots).astype(int).T
     lit, shadowed = radiance[v, u]
@@ -79,7 +79,9 @@ def radiance_of_side(carton, azimuth):
     camera = ring_cameras(spec, WALL, seed=0)[0]
     turn = np.eye(4)
     turn[:2, :2] = [[np.cos(azimuth), -np.sin(azimuth)], [np.sin(azimuth), np.cos(azimuth)]]
-    picture = carton.photograph(replace(camera, camera_to_world=turn @ camera.camera_to_world))
+    picture = photograph(
+        carton.trace, replace(camera, camera_to_world=turn @ camera.camera_to_world)
+    )
     return float(picture.radiance[picture.coverage == 1.0].mean())
 
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
-from geraf2.simulation.placement import position_error, rotation, true_plane
+from geraf2.simulation.placement import position_error, true_plane
 from geraf2.simulation.scan import scan_planes
 
 SPEC = SceneSpec(
@@ -28,11 +27,6 @@ def test_off_the_places_are_the_recorded_ones_but_for_the_scans_own_errors():
     true = true_plane(plane, replace(SPEC, scan=scan), 5, 3)
     assert np.array_equal(true.tx, plane.tx + position_error(plane, scan, 5, 3))
     assert np.array_equal(true.axes, plane.axes)
-
-
-@pytest.mark.parametrize("vector", [(0.0, 0.0, 0.0), (0.3, -0.2, 0.9), (0.0, 0.0, 1e-3)])
-def test_rotation_is_that_of_another_library(vector):
-    assert rotation(np.array(vector)) == pytest.approx(Rotation.from_rotvec(vector).as_matrix())
 
 
 def test_angles_turn_planes_about_the_axis_each_by_its_own():

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
-from geraf2.ops.physical_optics import AntennaBlocks, physical_optics
+from geraf2.ops.physical_optics import physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import (
@@ -18,10 +19,11 @@ from geraf2.simulation import (
     simulate,
 )
 from geraf2.simulation.elements import rough_displacement, wall_elements
-from geraf2.simulation.placement import position_error, rotation
+from geraf2.simulation.placement import position_error
 from geraf2.simulation.scan import antenna_blocks, block_centers, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import AWR1843, RingSpec
+from helpers.antennas import blocks_of
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -156,9 +158,7 @@ def test_without_far_walls_their_flash_alone_is_missing():
     plane, mesh = scan_planes(spec.scan)[0], build_solid(spec.figure)
     blocker = MeshScene(mesh.vertices, mesh.faces)
     order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
-    antennas = AntennaBlocks(
-        tx=plane.tx[order], rx=plane.rx[order], offsets=offsets, boresight=plane.axes[0]
-    )
+    antennas = blocks_of(plane.tx[order], plane.rx[order], offsets=offsets, boresight=plane.axes[0])
     lined = replace(spec, disturbance=replace(spec.disturbance, far_walls=False))
     # The flash by itself, straight from the patches of the inner sides.
     middles = block_centers(antennas)
@@ -255,7 +255,7 @@ def test_a_raised_plane_is_a_turned_one_and_a_tilt_turns_where_it_stands():
     flat = ScanSpec(n_poses=1, start_angle_deg=20.0, aperture_m=(0.03, 0.03), spacing_m=0.006)
     ring = RingSpec(start_angle_deg=20.0, elevation_deg=40.0)
     plane, raised = scan_planes(replace(flat, rings=(ring,)))
-    turn = rotation(-np.deg2rad(40.0) * plane.axes[1])  # about its horizontal, upwards
+    turn = Rotation.from_rotvec(-np.deg2rad(40.0) * plane.axes[1]).as_matrix()  # upwards
     turn = turn if (turn @ plane.tx[0])[2] > 0 else turn.T
     assert raised.tx == pytest.approx(plane.tx @ turn.T, abs=1e-12)
     assert raised.axes == pytest.approx(plane.axes @ turn.T, abs=1e-12)

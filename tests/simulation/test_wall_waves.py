@@ -7,13 +7,15 @@ import pytest
 import trimesh
 from scipy.special import fresnel, jv
 
-from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
+from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation.elements import wall_elements
 from geraf2.simulation.shadow_waves import FaceFrame, Shadow, lattice_over
 from geraf2.simulation.spec import AWR1843
-from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
+from geraf2.simulation.wall_waves import box_faces, is_square, shadow_echo
+from geraf2.simulation.walls import BoxScene
+from helpers.antennas import blocks_of
 
 C = 299792458.0
 FREQUENCY = 79e9
@@ -104,12 +106,7 @@ def far_face(box, cell_m=0.0025):
 
 def blocks(places, apart_m=0.0):
     half = np.array([0.0, apart_m / 2, 0.0])
-    return AntennaBlocks(
-        tx=places + half,
-        rx=places - half,
-        offsets=np.arange(len(places) + 1),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-    )
+    return blocks_of(places + half, places - half, offsets=np.arange(len(places) + 1))
 
 
 def bare_echo(faces, areas, antennas, waveform, walls):
@@ -137,9 +134,7 @@ def test_bare_wall_echoes_as_its_mirror_image_times_fresnel_integrals():
 
 def test_nothing_is_left_of_a_wall_behind_a_larger_plate():
     plate = trimesh.creation.box(extents=[0.002, 0.2, 0.2])
-    scene = WaveScene(
-        blocker=MeshScene(plate.vertices, plate.faces), walls=(BOX,), waveform=AWR1843
-    )
+    scene = BoxScene(blocker=MeshScene(plate.vertices, plate.faces), walls=(BOX,), waveform=AWR1843)
     antennas = blocks(0.01 * np.array([[40.0, y, 0.5] for y in (-0.6, 0.0, 0.6)]), 0.005)
     faces, areas = far_face(BOX)
     bare = bare_echo(faces, areas, antennas, AWR1843, (BOX,))
@@ -185,9 +180,7 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
     face = replace(faces[0], points=points, normals=normals)
     disc = trimesh.creation.cylinder(radius=0.02, height=2e-4, sections=128)
     disc.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
-    scene = WaveScene(
-        blocker=MeshScene(disc.vertices, disc.faces), walls=(), waveform=waveform, cell_m=0.002
-    )
+    scene = BoxScene(blocker=MeshScene(disc.vertices, disc.faces), walls=(), waveform=waveform)
     places = np.array([[0.3, -0.01, 0.0], [0.3, 0.01, 0.005]])
     antennas = blocks(places, 0.005)
     change = shadow_echo(scene, face, areas, antennas)

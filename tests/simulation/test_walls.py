@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.io.mesh import write_mesh
-from geraf2.ops.physical_optics import AntennaBlocks, physical_optics
+from geraf2.ops.physical_optics import physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import (
@@ -18,12 +18,14 @@ from geraf2.simulation import (
     WorldSpec,
     simulate,
 )
+from geraf2.simulation.dielectric import n_crossings
 from geraf2.simulation.echo import EchoScene, Layer, plane_echo, wall_layers
 from geraf2.simulation.elements import wall_elements
 from geraf2.simulation.simulate import _patch_amplitudes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import AWR1843
-from geraf2.simulation.walls import WallShape, edge_lines, n_crossings, wall_shapes
+from geraf2.simulation.walls import WallShape, edge_lines, wall_shapes
+from helpers.antennas import blocks_of
 
 BOX = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0.01, 0, 0))
 INNER = Wall(size_m=(0.12, 0.1, 0.09), thickness_m=0.003, permittivity=1.8)
@@ -134,10 +136,7 @@ def test_the_echo_of_a_bulged_wall_is_the_integral_over_it(inside):
     expected = 1j / (4 * np.pi) * 2.5e-7 * (weights[..., None] * turns).sum(axis=(0, 1))
     layer = wall_layers((BOX,), 0.005, (bulged,))[int(inside)]
     towards = layer.elements[0].normals[:, 0] > 0.5
-    at = np.array([[*place], [*place]])
-    antennas = AntennaBlocks(
-        tx=at, rx=at, offsets=np.array([0, 2]), boresight=np.array([-1.0, 0, 0])
-    )
+    antennas = blocks_of([place, place])
     only = Layer(
         elements=layer.elements[:1],
         areas=layer.areas * towards,
@@ -198,9 +197,7 @@ def test_crossings_are_those_of_samples_along_the_leg():
 
 def test_a_lossy_wall_takes_its_share_at_each_crossing():
     tx = np.array([[0.4, 0.0, 0.0], [0.4, 0.006, 0.0]])
-    antennas = AntennaBlocks(
-        tx=tx, rx=tx - [0, 0.005, 0], offsets=np.array([0, 2]), boresight=np.array([-1.0, 0, 0])
-    )
+    antennas = blocks_of(tx, tx - [0, 0.005, 0])
     outside, inside = wall_layers((BOX,), 0.02)
     scene = EchoScene(
         waveform=AWR1843, walls=(BOX,), blocker=NOTHING, figure=outside, wall_amplitude=0.9

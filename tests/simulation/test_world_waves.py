@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 import geraf2
-from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import WorldSpec, simulate
@@ -16,6 +15,7 @@ from geraf2.simulation.echo import EchoScene, plane_echo, wall_layers
 from geraf2.simulation.spec import AWR1843, FigureSpec, SceneSpec
 from geraf2.simulation.wall_waves import box_faces
 from geraf2.simulation.walls import wall_shapes
+from helpers.antennas import blocks_of
 
 
 def small_spec(**world):
@@ -89,13 +89,7 @@ def test_a_bulged_skewed_lossy_wall_is_dark_behind_a_larger_plate():
     )
     middles = np.array([[0.4, y, z] for y in (-0.006, 0.006) for z in (0.0, 0.004)])
     half = np.array([0.0, 0.0025, 0.0])
-    antennas = AntennaBlocks(
-        tx=middles + half,
-        rx=middles - half,
-        offsets=np.array([0, 4]),
-        boresight=np.array([-1.0, 0.0, 0.0]),
-        pattern_exponent=6,
-    )
+    antennas = blocks_of(middles + half, middles - half, pattern_exponent=6)
     bare = plane_echo(scene, antennas).walls
     left = plane_echo(replace(scene, wall_layers=(layer,)), antennas).walls
     assert np.linalg.norm(left) < 0.03 * np.linalg.norm(bare)

@@ -8,7 +8,6 @@ from typing import Annotated
 
 from geraf2._bounds import Arg, Seed, ThreadCount
 from geraf2.apps.benchmark import (
-    Choice,
     Row,
     RowResult,
     Runner,
@@ -88,12 +87,12 @@ def main(config: Config) -> int:
     _require_unset(config, "is for --only population", _OF_POPULATION)
     threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
-    choice = Choice(scenes=config.scenes, cases=config.cases, methods=config.methods)
+    choice = {"scene": config.scenes, "case": config.cases, "method": config.methods}
     todo = rows_of(suite, config.only, choice)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
     runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
     everything = rows_of(suite, tuple(suite.experiments))
-    is_chosen = bool(config.only) or choice != Choice()
+    is_chosen = bool(config.only) or any(choice.values())
     if config.list:
         rows(listed(suite, costs(runner, todo if is_chosen else everything)))
         return 0

@@ -32,11 +32,6 @@ class MeasuredMaps:
     scale: float
     """Mean over planes of the largest value: one unit of the loss."""
 
-    @property
-    def accumulated(self) -> NDArray[np.float32]:
-        """Sum over the planes, grid.shape."""
-        return np.asarray(self.volumes.sum(axis=0))
-
 
 def measure_maps(
     capture: Capture, domain: CubeDomain, *, num_threads: int | None = None
@@ -81,7 +76,7 @@ def bright_rays(
     points = (origins[:, None] + depths[:, None] * directions[:, None]).reshape(-1, 3)
     shape = (sampler.n_rays, _SAMPLES_OF_A_CELL)
     own = np.asarray(sdf_grid(maps.volumes[plane], maps.grid, points).value).reshape(shape)
-    total = maps.accumulated
+    total = maps.volumes.sum(axis=0)
     scene = np.asarray(sdf_grid(total, maps.grid, points).value).reshape(shape)
     is_dark = own.max(axis=1) < dark_plane * maps.volumes[plane].max()
     is_dark &= scene.max(axis=1) > dark_scene * total.max()

@@ -107,7 +107,14 @@ class LenslessRenderer:
         weight = torch.as_tensor(march.weight)
         depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
-        form = self._form(np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups]))
+        centers = np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups])
+        spreads = self.config.spreading == "two-way"
+        form = EchoForm(
+            centers=centers,
+            lobe_power=self.config.lobe_power,
+            two_way_power=2 if self.config.two_way == "squared" else 1,
+            references=np.linalg.norm(centers - self.sampler.center, axis=1) if spreads else None,
+        )
         # Samples where the distance does not fall along the ray have no opacity.
         places = points.detach().cpu().numpy().astype(np.float64)
         pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
@@ -131,18 +138,6 @@ class LenslessRenderer:
         signal = trace_pairs(amplitude, places, normals, pairs, tx, rx, groups, self._delayed)
         return RenderedSignal(signal, gradient, depth, weight)
 
-    def _form(self, centers: Floats) -> EchoForm:
-        config = self.config
-        references = None
-        if config.spreading == "two-way":
-            references = np.linalg.norm(centers - self.sampler.center, axis=1)
-        return EchoForm(
-            centers=centers,
-            lobe_power=config.lobe_power,
-            two_way_power=2 if config.two_way == "squared" else 1,
-            references=references,
-        )
-
     @torch.no_grad()
     def _boundary_shift(
         self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, samples: Ints, origins: Floats
@@ -150,7 +145,8 @@ class LenslessRenderer:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
         places = rays.points.reshape(-1, 3).cpu().numpy()
         ends = np.take(places, samples, axis=0).astype(np.float64)
-        secondary = torch.from_numpy(self.sampler.secondary_starts(origins, ends))
+        # Where the straight paths from the antennas enter the scene.
+        secondary = torch.from_numpy(self.sampler.boundary.first_meetings(origins, ends))
         starts = torch.cat([rays.starts, secondary.to(rays.starts)])
         value = self.vision.sample(starts)[0] if self.config.ulos else field.value(starts)
         phi = torch.sigmoid(inv_s * value)

@@ -21,7 +21,7 @@ from geraf2.learned.fields import (
     Sharpness,
 )
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior
-from geraf2.learned.ray_sampling import LenslessSampler, SamplingConfig
+from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.scene import LosPrior, Waveform
 
 DOMAIN_MARGIN = 1.25
@@ -113,7 +113,8 @@ def make_renderer(
     return LenslessRenderer(
         LenslessSampler(
             prior,
-            SamplingConfig(n_cells=config.n_cells, n_samples=config.n_samples),
+            n_cells=config.n_cells,
+            n_samples=config.n_samples,
             inner=prior.cropped(config.crop_m) if config.region == "content" else None,
             num_threads=num_threads,
         ),

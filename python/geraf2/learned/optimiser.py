@@ -1,8 +1,6 @@
 """Optimiser of the paper's method: rates of the parameters, gradients on grids."""
 
 import math
-from collections.abc import Iterator
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,20 +10,11 @@ from geraf2.learned.fields import LearnedSdfGrid
 from geraf2.learned.model import PaperModel
 
 
-class _Named(NamedTuple):
-    name: str
-    parameter: Tensor
-    rate: float
-    decay: float
-
-
-def trained_parameters(
-    model: PaperModel, config: PaperConfig, stage: StageConfig
-) -> Iterator[_Named]:
-    """Parameters of a stage, each with its rate and weight decay."""
+def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -> torch.optim.AdamW:
+    """AdamW with one group per parameter of a stage, each with its rate and weight decay."""
+    groups, is_grid = [], config.field == "grid"
     for name, parameter in model.named_parameters():
         part = name.split(".")[0]
-        is_grid = config.field == "grid"
         if part == "reflectivity" and not stage.train_reflectivity:
             continue
         if part == "sharpness" and config.sharpness == "scheduled":
@@ -45,15 +34,9 @@ def trained_parameters(
         else:
             rate = config.other_rate
         is_network = not is_grid and part in ("sdf", "reflectivity")
-        yield _Named(name, parameter, rate, config.weight_decay if is_network else 0.0)
-
-
-def make_optimiser(model: PaperModel, config: PaperConfig, stage: StageConfig) -> torch.optim.AdamW:
-    """AdamW with one group per parameter, each with its rate."""
-    groups = [
-        {"params": [p], "lr": rate, "weight_decay": decay, "name": name, "base_rate": rate}
-        for name, p, rate, decay in trained_parameters(model, config, stage)
-    ]
+        decay = config.weight_decay if is_network else 0.0
+        group = {"params": [parameter], "lr": rate, "weight_decay": decay}
+        groups.append(group | {"name": name, "base_rate": rate})
     return torch.optim.AdamW(groups, eps=1e-10)
 
 

@@ -1,6 +1,5 @@
 """Lensless sampling: parallel primary rays shared by all antennas of a plane."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -8,31 +7,14 @@ import torch
 from torch import Tensor
 
 from geraf2._types import Bools, Floats
-from geraf2._validation import require_least, require_positive
 from geraf2.ops.lensless import sample_rays
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 
-
-@dataclass(frozen=True, kw_only=True)
-class SamplingConfig:
-    """Sampling density of the scene."""
-
-    n_cells: int = 32
-    """Cells along the side of the scene's disc; one ray each: 804 rays for 32."""
-    n_samples: int = 32
-    """Intervals of a ray; their ends are jittered within their share of it."""
-    disc_radius: float = 1.05
-    """Radius of the disc over the prior's largest half side; a carton's corners stay outside."""
-    margin: float = 1.1
-    """Boundary of the scene: the prior grown by this factor about its middle."""
-
-    def __post_init__(self) -> None:
-        require_least(self, n_cells=1, n_samples=2)
-        require_positive("disc_radius", self.disc_radius)
-        if self.margin <= 1.0:
-            msg = f"margin must exceed 1, got {self.margin!r}"
-            raise ValueError(msg)
+_DISC_RADIUS = 1.05
+"""Radius of the disc over the prior's largest half side; a carton's corners stay outside."""
+_MARGIN = 1.1
+"""Boundary of the scene: the prior grown by this factor about its middle."""
 
 
 class PrimaryRays(NamedTuple):
@@ -59,7 +41,8 @@ class PrimaryRays(NamedTuple):
 class LenslessSampler:
     """Primary rays of scan planes around one box.
 
-    config: density.
+    n_cells: cells along the side of the scene's disc; one ray each: 804 rays for 32.
+    n_samples: intervals of a ray; their ends are jittered within their share of it.
     inner: region of the samples; the whole scene when None. Rays start at the scene's boundary.
     dtype: of the samples.
 
@@ -72,25 +55,25 @@ class LenslessSampler:
     def __init__(
         self,
         prior: LosPrior,
-        config: SamplingConfig | None = None,
         *,
+        n_cells: int = 32,
+        n_samples: int = 32,
         inner: LosPrior | None = None,
         dtype: torch.dtype = torch.float32,
         num_threads: int | None = None,
     ) -> None:
-        self.config = config if config is not None else SamplingConfig()
-        self.dtype = dtype
+        self.n_cells, self.n_samples, self.dtype = n_cells, n_samples, dtype
         self.center = np.asarray(prior.center_m)
-        grown = self.center + self.config.margin * (prior.vertices - self.center)
+        grown = self.center + _MARGIN * (prior.vertices - self.center)
         self.boundary = MeshScene(grown, prior.faces, num_threads=num_threads)
         self.sampled = (
             self.boundary
             if inner is None
             else MeshScene(inner.vertices, inner.faces, num_threads=num_threads)
         )
-        self.radius_m = 0.5 * self.config.disc_radius * max((inner or prior).size_m)
+        self.radius_m = 0.5 * _DISC_RADIUS * max((inner or prior).size_m)
         self._reach_m = float(np.linalg.norm(grown - self.center, axis=1).max()) + 0.01
-        side = (np.arange(self.config.n_cells) + 0.5) / self.config.n_cells * 2.0 - 1.0
+        side = (np.arange(n_cells) + 0.5) / n_cells * 2.0 - 1.0
         cells = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
         # Middles of the disc's cells, in its radius, (n_rays, 2).
         self.cells = cells[np.linalg.norm(cells, axis=1) <= 1.0]
@@ -100,19 +83,19 @@ class LenslessSampler:
         """Cells of the disc."""
         return int(self.cells.shape[0])
 
-    def cell_rays(self, axes: Floats) -> tuple[Floats, ...]:
-        """Rays through the middles of all cells for a plane with these axes (3, 3).
+    def cell_rays(self, axes: Floats, at: Floats | None = None) -> tuple[Floats, Floats]:
+        """Rays through all cells for a plane with these axes (3, 3).
+
+        at: positions in the disc, in its radius, (n_rays, 2); the cells' middles when None.
 
         Returns origins (n_rays, 3) [m] and directions (n_rays, 3).
         """
-        return self._rays(axes, self.cells)
-
-    def _rays(self, axes: Floats, places: Floats) -> tuple[Floats, Floats]:
+        at = self.cells if at is None else at
         forward, across, up = np.asarray(axes, dtype=np.float64)
         origins = (
             self.center
             - self._reach_m * forward
-            + self.radius_m * (places[:, :1] * across + places[:, 1:] * up)
+            + self.radius_m * (at[:, :1] * across + at[:, 1:] * up)
         )
         return origins, np.broadcast_to(forward, origins.shape)
 
@@ -125,12 +108,11 @@ class LenslessSampler:
         generator: of the jitter.
         keep: cells to use, (n_rays,); all when None. Rays that miss the scene are left out.
         """
-        config = self.config
-        n_rays = self.n_rays
+        n_rays, n_ends = self.n_rays, self.n_samples + 1
         jitter = torch.rand((n_rays, 2), generator=generator, dtype=torch.float64)
-        ends = torch.rand((n_rays, config.n_samples + 1), generator=generator, dtype=torch.float64)
-        places = self.cells + (2.0 * jitter.numpy() - 1.0) / config.n_cells
-        origins, directions = self._rays(axes, places)
+        ends = torch.rand((n_rays, n_ends), generator=generator, dtype=torch.float64)
+        places = self.cells + (2.0 * jitter.numpy() - 1.0) / self.n_cells
+        origins, directions = self.cell_rays(axes, places)
         # A convex box has one interval a ray; of several, their hull is used.
         enters, leaves = self.boundary.spans(origins, directions)
         near, far = enters, leaves
@@ -156,13 +138,3 @@ class LenslessSampler:
             step=samples.step,
             offset=samples.offset + before.to(self.dtype),
         )
-
-    def secondary_starts(self, antennas: Floats, points: Floats) -> Floats:
-        """Entries into the scene of the straight paths from antennas to points, pair by pair.
-
-        antennas: (n, 3) [m], outside the scene.
-        points: (n, 3) [m]. A point outside the scene is returned itself.
-
-        Returns (n, 3) [m].
-        """
-        return self.boundary.first_meetings(antennas, points)

@@ -1,5 +1,6 @@
 """Positions, grids and waveform as the kernels read them."""
 
+import sys
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,12 @@ from geraf2.scene.grid import Grid
 MAX_COORDINATE_M = 1e6
 """Positions farther from the origin are refused: at 77 GHz double precision then still leaves
 1e-3 of a turn, and anything beyond is a mistake of units."""
+
+
+def any_tensor(*values: Any) -> bool:
+    """Whether a torch tensor is among the values; torch is not imported for that."""
+    torch = sys.modules.get("torch")
+    return torch is not None and any(isinstance(value, torch.Tensor) for value in values)
 
 
 def native_waveform(waveform: Any) -> _core.Waveform:

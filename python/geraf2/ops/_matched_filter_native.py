@@ -1,5 +1,6 @@
 """Matched filter on NumPy arrays: checks of the arguments and calls of the native kernels."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -57,65 +58,59 @@ class Settings:
 
 
 @dataclass(frozen=True, eq=False)
-class Domain:
-    """Points of the image, as the kernels read them."""
-
-    native: "Floats | _core.VoxelGrid"
-    shape: tuple[int, ...]
-    n_points: int
-
-
-@dataclass(frozen=True, eq=False)
 class Problem:
     """A checked geometry: everything but the signal."""
 
     tx: Floats
     rx: Floats
-    domain: Domain
+    points: "Floats | _core.VoxelGrid"
+    shape: tuple[int, ...]
+    """Of an image."""
     waveform: _core.Waveform
     n_samples: int
     options: _core.MatchedFilterOptions
     num_threads: int
 
     @cached_property
-    def plan_single(self) -> _core.MatchedFilterPlanFloat:
-        """Plan of the kernels for complex64, made when first used."""
-        return _core.MatchedFilterPlanFloat(*self._geometry, self.options)
+    def _plans(self) -> dict[np.dtype[Any], Any]:
+        return {}
 
-    @cached_property
-    def plan_double(self) -> _core.MatchedFilterPlanDouble:
-        """Plan of the kernels for complex128, made when first used."""
-        return _core.MatchedFilterPlanDouble(*self._geometry, self.options)
+    def plan(self, dtype: np.dtype[Any]) -> Any:
+        """Plan of the kernels for complex64 or complex128, made when first used."""
+        if dtype not in self._plans:
+            single = dtype == np.complex64
+            make = _core.MatchedFilterPlanFloat if single else _core.MatchedFilterPlanDouble
+            self._plans[dtype] = make(*self._geometry, self.options)
+        return self._plans[dtype]
+
+    @property
+    def n_points(self) -> int:
+        """Points of the image."""
+        return math.prod(self.shape)
 
     @property
     def _geometry(self) -> "tuple[Floats, Floats, Floats | _core.VoxelGrid, _core.Waveform]":
-        return self.tx, self.rx, self.domain.native, self.waveform
+        return self.tx, self.rx, self.points, self.waveform
 
     def image(self, signal: Array, progress: Progress | None = None) -> Array:
         """Image of a signal (n_antennas, n_samples), in the domain's shape."""
-        if progress is None and self.tx.shape[0] * self.domain.n_points >= INTERRUPTIBLE_PAIRS:
+        if progress is None and self.tx.shape[0] * self.n_points >= INTERRUPTIBLE_PAIRS:
             progress = _hear_interrupts
         rows = np.ascontiguousarray(signal)
-        image: Array = (
-            self.plan_single.image(rows, progress)
-            if rows.dtype == np.complex64
-            else self.plan_double.image(rows, progress)
-        )
-        return image.reshape(self.domain.shape)
+        image: Array = self.plan(rows.dtype).image(rows, progress)
+        return image.reshape(self.shape)
 
-    def choice(self, *, single: bool) -> _core.MatchedFilterChoice:
+    def choice(self, dtype: np.dtype[Any]) -> _core.MatchedFilterChoice:
         """Choice of "auto" for this geometry, for complex64 or complex128."""
-        choose = (
-            _core.choose_matched_filter_float32 if single else _core.choose_matched_filter_float64
-        )
-        return choose(*self._geometry, self.options)
+        if dtype == np.complex64:
+            return _core.choose_matched_filter_float32(*self._geometry, self.options)
+        return _core.choose_matched_filter_float64(*self._geometry, self.options)
 
     def adjoint(self, image: Array) -> Array:
         """Adjoint of :meth:`image`."""
         values = np.ascontiguousarray(image).reshape(-1)
-        if values.dtype == np.complex64:
-            return self.plan_single.adjoint(values)
-        return self.plan_double.adjoint(values)
+        signal: Array = self.plan(values.dtype).adjoint(values)
+        return signal
 
     def position_gradients(
         self, image_grad: Array, signal: Array, *, antennas: bool, points: bool
@@ -134,6 +129,8 @@ class Problem:
 def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Settings) -> Problem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)
+    places: Floats | _core.VoxelGrid
+    shape: tuple[int, ...]
     if settings.method == "factorised" and not isinstance(points, Grid):
         msg = (
             f"method 'factorised' needs points on a geraf2.scene.Grid, got {type(points).__name__}"
@@ -141,10 +138,16 @@ def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Setting
         raise TypeError(msg)
     threads = resolve_num_threads(settings.num_threads)
     tx_rows, rx_rows = require_antennas(tx, rx)
+    if isinstance(points, Grid):
+        places, shape = native_grid(points), tuple(points.shape)
+    else:
+        places = require_positions("points", points)
+        shape = (places.shape[0],)
     return Problem(
         tx=tx_rows,
         rx=rx_rows,
-        domain=_domain(points),
+        points=places,
+        shape=shape,
         waveform=native,
         n_samples=waveform.n_samples,
         options=_core.MatchedFilterOptions(
@@ -164,10 +167,3 @@ def require_signal(signal: Array, problem: Problem) -> None:
 
 def _hear_interrupts(_done: float) -> None:
     """Python handles signals where it enters a function of its own."""
-
-
-def _domain(points: Array | Grid) -> Domain:
-    if isinstance(points, Grid):
-        return Domain(native_grid(points), tuple(points.shape), points.n_voxels)
-    rows = require_positions("points", points)
-    return Domain(rows, (rows.shape[0],), rows.shape[0])

@@ -1,7 +1,7 @@
 """Signal tracer on NumPy arrays: checks of the arguments and calls of the native kernels."""
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -12,16 +12,6 @@ from geraf2.ops._geometry import native_waveform, require_antennas, require_posi
 from geraf2.ops._threads import resolve_num_threads
 
 AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
-
-
-class Gradients(NamedTuple):
-    """Gradients in the shapes of what they belong to; those that are not asked for are empty."""
-
-    amplitude: Array
-    normals: Floats
-    points: Floats
-    tx: Floats
-    rx: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,24 +35,18 @@ class TracerProblem:
         signal_grad: Array,
         amplitude: Array,
         normals: Array | None,
-        *,
-        want_amplitude: bool,
-        want_normals: bool,
-        want_points: bool,
-        want_antennas: bool,
-    ) -> Gradients:
-        """Backward of :meth:`signal`."""
+        wants: tuple[bool, bool, bool, bool],
+    ) -> tuple[Array, ...]:
+        """Backward of :meth:`signal`: to amplitude, normals, points, tx and rx, in their shapes.
+
+        wants: whether to amplitude, normals, points, antennas; the others are empty.
+        """
         amplitude_grad, *others = _core.signal_tracer_bwd(
-            np.ascontiguousarray(signal_grad),
-            *self._native(amplitude, normals),
-            want_amplitude,
-            want_normals,
-            want_points,
-            want_antennas,
+            np.ascontiguousarray(signal_grad), *self._native(amplitude, normals), *wants
         )
-        if want_amplitude:
+        if wants[0]:
             amplitude_grad = amplitude_grad.view(amplitude.dtype).reshape(amplitude.shape)
-        return Gradients(amplitude_grad, *others)
+        return amplitude_grad, *others
 
     def _native(
         self, amplitude: Array, normals: Array | None

@@ -59,24 +59,19 @@ class _SignalTracer(torch.autograd.Function):
         amplitude, normals = ctx.saved_tensors
         problem: TracerProblem = ctx.problem
         wants = ctx.needs_input_grad
-        found = problem.gradients(
+        amplitude_grad, normals_grad, *others = problem.gradients(
             to_numpy(signal_grad),
             to_numpy(amplitude),
             None if normals is None else to_numpy(normals),
-            want_amplitude=wants[0],
-            want_points=wants[1],
-            want_antennas=wants[2] or wants[3],
-            want_normals=wants[4],
+            (wants[0], wants[4], wants[1], wants[2] or wants[3]),
         )
         positions = [
             torch.from_numpy(grad).to(dtype) if want else None
-            for grad, dtype, want in zip(
-                (found.points, found.tx, found.rx), ctx.dtypes, wants[1:4], strict=True
-            )
+            for grad, dtype, want in zip(others, ctx.dtypes, wants[1:4], strict=True)
         ]
         return (
-            torch.from_numpy(found.amplitude) if wants[0] else None,
+            torch.from_numpy(amplitude_grad) if wants[0] else None,
             *positions,
-            torch.from_numpy(found.normals).to(normals.dtype) if wants[4] else None,
+            torch.from_numpy(normals_grad).to(normals.dtype) if wants[4] else None,
             None,  # problem
         )

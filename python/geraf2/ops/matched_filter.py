@@ -1,7 +1,6 @@
 """Matched-filter images of raw FMCW samples."""
 
 import math
-import sys
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, cast
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from geraf2._types import Array, Progress
 from geraf2._validation import require_shape
+from geraf2.ops._geometry import any_tensor
 from geraf2.ops._matched_filter_native import (
     DEFAULT_MAX_MEMORY,
     Method,
@@ -93,10 +93,7 @@ def matched_filter(
     ((1,), dtype('complex64'))
     """
     settings = Settings(method, rtol, num_threads, max_memory)
-    torch = sys.modules.get("torch")
-    if torch is not None and any(
-        isinstance(value, torch.Tensor) for value in (signal, tx, rx, points)
-    ):
+    if any_tensor(signal, tx, rx, points):
         from geraf2.ops._matched_filter_torch import matched_filter_tensor  # noqa: PLC0415 - torch
 
         image: Any = matched_filter_tensor(signal, tx, rx, points, waveform, settings, progress)
@@ -146,11 +143,7 @@ class MatchedFilterPlan:
         settings = Settings(method, rtol, num_threads)
         self._problem = make_problem(tx, rx, points, waveform, settings)
         # Made now, so that the first execution takes no longer than the others.
-        _ = self._problem.plan_single if self._is_single else self._problem.plan_double
-
-    @property
-    def _is_single(self) -> bool:
-        return self.dtype == np.complex64
+        _ = self._problem.plan(self.dtype)
 
     @property
     def signal_shape(self) -> tuple[int, int]:
@@ -160,7 +153,7 @@ class MatchedFilterPlan:
     @property
     def image_shape(self) -> tuple[int, ...]:
         """Shape of an image, (n_points,) or the grid's."""
-        return self._problem.domain.shape
+        return self._problem.shape
 
     def execute(self, signal: Array, *, progress: Progress | None = None) -> Array:
         """Image of a signal (n_antennas, n_samples), in `image_shape`.
@@ -213,8 +206,8 @@ def explain_method(
     """
     precision = _precision(dtype)
     problem = make_problem(tx, rx, points, waveform, Settings(rtol=rtol, num_threads=1))
-    choice = problem.choice(single=precision == np.complex64)
-    sizes = f"{problem.tx.shape[0]} antennas and {problem.domain.n_points} points"
+    choice = problem.choice(precision)
+    sizes = f"{problem.tx.shape[0]} antennas and {problem.n_points} points"
     block = choice.exact_cost / choice.block_cost if choice.block_cost > 0 else 1.0
     if choice.method.name == "factorised":
         times = choice.block_cost / choice.factorised_cost

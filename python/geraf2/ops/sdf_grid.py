@@ -1,12 +1,11 @@
 """Values and gradients of a grid at points."""
 
-import sys
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
-from geraf2.ops._geometry import native_grid, require_grid_values, require_positions
+from geraf2.ops._geometry import any_tensor, native_grid, require_grid_values, require_positions
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
 
@@ -64,8 +63,7 @@ def sdf_grid(
         raise TypeError(msg)
     cubic = interpolation == "cubic"
     threads = resolve_num_threads(num_threads)
-    torch = sys.modules.get("torch")
-    if torch is not None and (isinstance(values, torch.Tensor) or isinstance(points, torch.Tensor)):
+    if any_tensor(values, points):
         from geraf2.ops._sdf_grid_torch import sdf_grid_tensor  # noqa: PLC0415 - torch
 
         return GridSample(*sdf_grid_tensor(values, grid, points, cubic, threads))

@@ -1,11 +1,11 @@
 """Signals that antennas receive from reflecting points."""
 
-import sys
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 
 from geraf2._types import Array
+from geraf2.ops._geometry import any_tensor
 from geraf2.ops._signal_tracer_native import make_tracer_problem, require_reflectors
 from geraf2.records import Waveform
 
@@ -77,10 +77,7 @@ def signal_tracer(
     ...                      waveform).shape
     (441, 32)
     """
-    torch = sys.modules.get("torch")
-    if torch is not None and any(
-        isinstance(value, torch.Tensor) for value in (amplitude, points, tx, rx, normals)
-    ):
+    if any_tensor(amplitude, points, tx, rx, normals):
         from geraf2.ops._signal_tracer_torch import signal_tracer_tensor  # noqa: PLC0415 - torch
 
         signal: Any = signal_tracer_tensor(

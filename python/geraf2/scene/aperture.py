@@ -4,7 +4,6 @@ A smooth surface returns a monostatic echo along its normal: the antenna that re
 the normal, prolonged, meets the plane of antennas (docs/math/echoes.md#glints).
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -101,13 +100,12 @@ class Aperture:
     def mirror(self, points: Floats, normals: Floats) -> MirrorPoints:
         """Where the normals of surface points meet the plane, points and normals (n, 3) [m]."""
         local, slope = points @ self.axes.T, normals @ self.axes.T
-        place, edges, distances, received = _meet(local, slope, self.low_m, self.high_m)
-        return MirrorPoints(place @ self.axes, edges, distances, received)
-
-
-def apertures_of(poses: Sequence[RawPose]) -> tuple[Aperture, ...]:
-    """Aperture of each pose."""
-    return tuple(Aperture.of_pose(pose) for pose in poses)
+        steep = np.abs(slope[:, 0]) > _LEAST_COSINE
+        depth = 0.5 * (self.low_m[0] + self.high_m[0])
+        step = (depth - local[:, 0]) / np.where(steep, slope[:, 0], 1.0)
+        at = local + step[:, None] * slope
+        edges = np.concatenate([at[:, 1:] - self.low_m[1:], self.high_m[1:] - at[:, 1:]], axis=1)
+        return MirrorPoints(at @ self.axes, edges, step, steep & (step > 0.0))
 
 
 def _perpendicular(vector: Floats) -> Floats:
@@ -115,15 +113,3 @@ def _perpendicular(vector: Floats) -> Floats:
     if not vector.any():
         return np.array([1.0, 0.0, 0.0])
     return np.asarray(np.cross(vector, np.eye(3)[np.argmin(np.abs(vector))]))
-
-
-def _meet(
-    local: Floats, slope: Floats, low: Floats, high: Floats
-) -> tuple[Floats, Floats, Floats, Bools]:
-    """Points of lines `local + t slope` at the depth of a rectangle, all along its axes."""
-    steep = np.abs(slope[:, 0]) > _LEAST_COSINE
-    depth = 0.5 * (low[..., 0] + high[..., 0])
-    step = (depth - local[:, 0]) / np.where(steep, slope[:, 0], 1.0)
-    place = local + step[:, None] * slope
-    edges = np.concatenate([place[:, 1:] - low[..., 1:], high[..., 1:] - place[:, 1:]], axis=1)
-    return place, edges, step, steep & (step > 0.0)

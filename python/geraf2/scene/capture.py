@@ -7,12 +7,12 @@ from typing import overload
 from geraf2.geometry.boxes import box_corners
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.records import Pose, Wall, Waveform
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.notebook import (
     BOX_COLOR,
     PLANE_COLOR,
     from_above_svg,
     mesh_outline,
-    plane_outline,
     table_html,
     wall_rows,
     waveform_rows,
@@ -100,7 +100,11 @@ class Capture:
         """Table of a notebook; planes and box from above where the poses are in memory."""
         outlines = []
         if isinstance(self.poses, tuple):
-            outlines = [(plane_outline(p), PLANE_COLOR) for p in self.poses if p.n_antennas]
+            outlines = [
+                (Aperture.of_pose(pose).corners_m, PLANE_COLOR)
+                for pose in self.poses
+                if pose.n_antennas
+            ]
             walls = [box_corners(wall.center_m, wall.size_m) for wall in self.walls]
             outlines += [(mesh_outline(corners), BOX_COLOR) for corners in walls]
         sizes = sorted(set(self.pose_sizes))

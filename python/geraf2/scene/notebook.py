@@ -6,7 +6,7 @@ from html import escape
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.records import RawPose, Wall, Waveform
+from geraf2.records import Wall, Waveform
 
 _SIDE_PX = 240
 PLANE_COLOR, BOX_COLOR = "#2a6fbb", "#a87b45"
@@ -50,15 +50,6 @@ def from_above_svg(outlines: Sequence[tuple[Floats, str]]) -> str:
         f'<svg role="img" aria-label="seen from above, {side:.2f} m wide" width="{_SIDE_PX}" '
         f'height="{_SIDE_PX}" viewBox="0 0 {_SIDE_PX} {_SIDE_PX}">{"".join(drawn)}</svg>'
     )
-
-
-def plane_outline(pose: RawPose) -> Floats:
-    """Corners of the rectangle that a pose's phase centres cover, in order, (4, 3) [m]."""
-    places = pose.phase_centers @ pose.axes.T
-    (_, left, low), (_, right, high) = places.min(axis=0), places.max(axis=0)
-    depth = float(places[:, 0].mean())
-    corners = [(depth, left, low), (depth, right, low), (depth, right, high), (depth, left, high)]
-    return np.array(corners) @ pose.axes
 
 
 def mesh_outline(vertices: Floats) -> Floats:

@@ -99,10 +99,6 @@ def capture_digest(capture: Capture) -> str:
     digest = PoseDigest()
     for pose in capture.poses:
         digest.add(pose)
-    return _digest(capture, digest)
-
-
-def _digest(capture: Capture, digest: PoseDigest) -> str:
     about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
 

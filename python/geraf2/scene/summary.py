@@ -15,6 +15,7 @@ from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.capture import Capture
+from geraf2.scene.plan import nyquist_spacing_m
 
 # Antennas nearer to each other than this share one position: a fortieth of a wavelength at 77 GHz.
 _SAME_PLACE_M = 1e-4
@@ -80,10 +81,12 @@ class PoseSummary:
     @property
     def corners_m(self) -> Floats:
         """Middle and corners of the rectangle that the phase centres cover, (5, 3) [m]."""
-        (_, left, low), (_, right, high) = self.bounds_m
-        depth, across, up = self.bounds_m.mean(axis=0)
-        places = [[across, up], [left, low], [left, high], [right, low], [right, high]]
-        return np.insert(np.array(places), 0, depth, axis=1) @ self.axes
+        return np.vstack([self.aperture.middle_m, self.aperture.corners_m])
+
+    @property
+    def aperture(self) -> Aperture:
+        """Rectangle that the phase centres cover."""
+        return Aperture(axes=self.axes, low_m=self.bounds_m[0], high_m=self.bounds_m[1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -162,10 +165,7 @@ class CaptureSummary:
     @property
     def planes(self) -> list[Aperture]:
         """Apertures of the usable poses."""
-        return [
-            Aperture(axes=pose.axes, low_m=pose.bounds_m[0], high_m=pose.bounds_m[1])
-            for pose in self.usable
-        ]
+        return [pose.aperture for pose in self.usable]
 
     @property
     def scene_width_m(self) -> float | None:
@@ -180,10 +180,9 @@ class CaptureSummary:
         phase then needs a step of at most lambda R / (2 W), and lambda / 4 for any scene.
         """
         wavelength = self.waveform.center_wavelength_m
-        width = self.scene_width_m
-        if width is None or not np.isfinite(self.standoff_m):
+        if not self.walls or not np.isfinite(self.standoff_m):
             return wavelength / 4
-        return max(wavelength / 4, wavelength * self.standoff_m / (2 * width))
+        return nyquist_spacing_m(self.walls[0].size_m, self.standoff_m, wavelength)
 
     def echo_range_m(self, pose: PoseSummary) -> float:
         """One-way range of the strongest mean echo of a pose, instrument delay subtracted [m]."""

@@ -1,11 +1,11 @@
 """Dielectric plates: reflection, transmission, and excess path of rays that cross them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats
+from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Wall
 
@@ -67,29 +67,54 @@ def slab_reflection(
     return np.asarray(r * (1.0 - (1.0 - r**2) * turn))
 
 
-def walls_crossed(points: Floats, end: Floats, walls: Sequence[Wall]) -> tuple[Floats, Floats]:
+def walls_crossed(
+    points: Floats, end: Floats, walls: Sequence[Wall], amplitude: float = 1.0
+) -> tuple[Floats, Floats]:
     """Effect of walls on a wave along the straight path between points and one position.
 
     points: (n_points, 3) [m].
     end: (3,) [m].
     walls: closed shells; a path may cross each once or twice.
+    amplitude: factor of one crossing, beside the reflection of the wall's faces.
 
     Returns transmission, (n_points,), and excess path, (n_points,) [m], of the one-way path.
     """
     transmission, excess_m = np.ones(len(points)), np.zeros(len(points))
+    for wall, met, cosine in _crossings(points, end, walls):
+        inner = np.sqrt(wall.permittivity - 1.0 + cosine**2)
+        r = face_reflection(cosine, wall.permittivity)
+        transmission *= np.where(met, amplitude * (1.0 - r**2), 1.0)
+        excess_m += np.where(met, wall.thickness_m * (inner - cosine), 0.0)
+    return transmission, excess_m
+
+
+def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:
+    """Count the walls that each straight leg crosses, (n_starts, n_points).
+
+    starts: outside of all boxes, (n_starts, 3) [m].
+    points: in the air outside, between or inside the boxes, (n_points, 3) [m].
+    walls: the boxes.
+    """
+    counts = np.zeros((len(starts), len(points)), dtype=np.int64)
+    for number, start in enumerate(starts):
+        for _, met, _ in _crossings(points, start, walls):
+            counts[number] += met
+    return counts
+
+
+def _crossings(
+    points: Floats, end: Floats, walls: Sequence[Wall]
+) -> Iterator[tuple[Wall, Bools, Floats]]:
+    """Yield each wall twice: where paths enter and leave it between points and end, and cosines."""
     leg = end - points
     length = np.linalg.norm(leg, axis=1)
     for wall in walls:
         half = 0.5 * np.asarray(wall.size_m)
         start = points - np.asarray(wall.center_m)
+        # A leg along a side divides by zero: its bounds are then infinite, as they should be.
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = np.stack([(-half - start) / leg, (half - start) / leg])
         near, far = np.nanmin(ends, axis=0), np.nanmax(ends, axis=0)
         for share, axis in ((near.max(1), near.argmax(1)), (far.min(1), far.argmin(1))):
             met = (near.max(1) < far.min(1)) & (share > 0.0) & (share < 1.0)
-            cosine = np.abs(np.take_along_axis(leg, axis[:, None], 1)[:, 0]) / length
-            inner = np.sqrt(wall.permittivity - 1.0 + cosine**2)
-            r = face_reflection(cosine, wall.permittivity)
-            transmission *= np.where(met, 1.0 - r**2, 1.0)
-            excess_m += np.where(met, wall.thickness_m * (inner - cosine), 0.0)
-    return transmission, excess_m
+            yield wall, met, np.abs(np.take_along_axis(leg, axis[:, None], 1)[:, 0]) / length

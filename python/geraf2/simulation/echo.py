@@ -3,6 +3,8 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,18 +13,23 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
+from geraf2.simulation.dielectric import n_crossings
 from geraf2.simulation.elements import select, wall_elements
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
 from geraf2.simulation.scan import block_centers
-from geraf2.simulation.wall_waves import WaveScene, box_faces, is_square, shadow_echo
-from geraf2.simulation.walls import BoxScene, WallShape, n_crossings
+from geraf2.simulation.wall_waves import box_faces, is_square, shadow_echo
+from geraf2.simulation.walls import BoxScene, WallShape
 
 # Elements are kept while they face the block's centre to within this cosine: a facet just over
 # the horizon of the centre may be lit at the block's edge, 2 cm away at 0.3 m.
 _HORIZON = -0.15
 # Rays leave a facet this far above it [m]; flat neighbours of a curved surface do not hide it.
 _LIFT_M = 2e-5
+
+
+Points = tuple[SurfaceElements, NDArray[np.complex128]]
+"""Points and their complex areas before scaling, (n_points,)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,14 +54,10 @@ class EchoScene(BoxScene):
     """The object."""
     wall_layers: tuple[Layer, ...] = ()
     """The walls, see :func:`wall_layers`."""
-    lines: SurfaceElements | None = None
+    lines: Points | None = None
     """Points along edges and tape, if any."""
-    line_amplitudes: NDArray[np.complex128] | None = None
-    """Their complex areas before scaling, (n_lines,)."""
-    scatterers: SurfaceElements | None = None
+    scatterers: Points | None = None
     """Random weak points, if any."""
-    scatterer_amplitudes: NDArray[np.complex128] | None = None
-    """Their complex areas before scaling, (n_scatterers,)."""
     wall_waves: bool = False
     """Whether the object's shadow on far walls is that of a wave rather than of rays."""
     multipath: bool = False
@@ -80,12 +83,8 @@ class PlaneEcho:
 
     def reordered(self, rows: Ints) -> "PlaneEcho":
         """Signals of the antennas in another order, (n_antennas,)."""
-        return PlaneEcho(
-            figure=self.figure[rows],
-            walls=self.walls[rows],
-            scatterers=None if self.scatterers is None else self.scatterers[rows],
-            lines=None if self.lines is None else self.lines[rows],
-        )
+        parts: dict[str, Any] = {k: None if v is None else v[rows] for k, v in vars(self).items()}
+        return replace(self, **parts)
 
 
 def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
@@ -105,8 +104,8 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
     return PlaneEcho(
         figure=figure,
         walls=walls,
-        scatterers=_points_echo(scene, antennas, scene.scatterers, scene.scatterer_amplitudes),
-        lines=_points_echo(scene, antennas, scene.lines, scene.line_amplitudes),
+        scatterers=_points_echo(scene, antennas, scene.scatterers),
+        lines=_points_echo(scene, antennas, scene.lines),
     )
 
 
@@ -134,31 +133,23 @@ def _tubes_echo(
 
 
 def _points_echo(
-    scene: EchoScene,
-    antennas: AntennaBlocks,
-    points: SurfaceElements | None,
-    amplitudes: NDArray[np.complex128] | None,
+    scene: EchoScene, antennas: AntennaBlocks, points: Points | None
 ) -> NDArray[np.complex64] | None:
-    if points is None or amplitudes is None:
+    if points is None:
         return None
-    seen = _visibility(scene.blocker, points, antennas)
-    return _echo(scene, antennas, points, seen * amplitudes)
+    elements, amplitudes = points
+    seen = _visibility(scene.blocker, elements, antennas)
+    return _echo(scene, antennas, elements, seen * amplitudes)
 
 
 def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
     if not (scene.wall_waves and layer.can_be_hidden):
         return _layer_echo(scene, antennas, layer)
-    waves = WaveScene(
-        blocker=scene.blocker,
-        walls=scene.walls if layer.walls is None else layer.walls,
-        waveform=scene.waveform,
-        wall_amplitude=scene.wall_amplitude,
-        num_threads=scene.num_threads,
-    )
-    n_samples = scene.waveform.n_samples
-    signal = np.zeros((len(antennas.tx), n_samples), dtype=np.complex64)
+    waves = scene if layer.walls is None else replace(scene, walls=layer.walls)
+    signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
     for rows in box_faces(layer.elements[0]):
-        face = _part(layer, rows)
+        elements = tuple(select(faces, rows) for faces in layer.elements)
+        face = replace(layer, elements=elements, areas=layer.areas[rows])
         if is_square(face.elements[0], antennas, scene.blocker):
             # The unshadowed echo, and its change by the object.
             signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
@@ -168,23 +159,16 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
     return signal
 
 
-def _part(layer: Layer, rows: Bools) -> Layer:
-    elements = tuple(select(faces, rows) for faces in layer.elements)
-    return replace(layer, elements=elements, areas=layer.areas[rows])
-
-
 def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
     blocker = scene.blocker if layer.can_be_hidden else None
     seen = _visibility(blocker, layer.elements[0], antennas)
     used = np.asarray(seen.any(axis=0))
     weights = seen[:, used] * layer.areas[used]
-    first, *rest = (
+    signals = (
         _echo(scene, antennas, select(elements, used), weights, layer.walls)
         for elements in layer.elements
     )
-    for signal in rest:
-        first += signal
-    return first
+    return reduce(np.add, signals)
 
 
 def _echo(

@@ -1,6 +1,7 @@
 """Errors of the receiver: leakage, gains and phases, I and Q imbalance, rounding."""
 
 from collections.abc import Sequence
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,15 +9,7 @@ from numpy.typing import NDArray
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.scene import Waveform
-from geraf2.simulation.streams import (
-    CHANNEL_GAINS,
-    DC,
-    LEAKAGE,
-    PLANE_PHASE,
-    RIPPLE,
-    WALK,
-    stream,
-)
+from geraf2.simulation.streams import stream
 from geraf2.simulation.world import WorldSpec
 
 Signals = list[NDArray[np.complex64]]
@@ -41,7 +34,7 @@ def leakage(world: WorldSpec, waveform: Waveform, apart_m: Floats, seed: int) ->
 
     Returns (n_antennas, n_samples).
     """
-    rng = stream(seed, LEAKAGE)
+    rng = stream(seed, "leakage")
     longer = np.concatenate([[0.0], rng.uniform(0.0, _NEAR_PATH_M, _N_NEAR_PATHS)])
     amplitudes = np.ones(1 + _N_NEAR_PATHS, np.complex128)
     parts = rng.normal(size=(2, _N_NEAR_PATHS)) / np.sqrt(2.0)
@@ -72,28 +65,23 @@ def receiver_gains(
     n_antennas, n_samples = shape
     gains: list[_Complex] = []
     if world.channel_gain_rms_db:
-        db = world.channel_gain_rms_db * stream(seed, CHANNEL_GAINS).normal(size=world.n_channels)
+        db = world.channel_gain_rms_db * stream(seed, "channel_gains").normal(size=world.n_channels)
         own = 10.0 ** (db[np.arange(n_antennas) % world.n_channels, None] / 20.0)
         gains.append(own.astype(np.complex128))
     if world.phase_walk_deg:
-        steps = stream(seed, WALK, number).normal(size=n_antennas)
+        steps = stream(seed, "walk", number).normal(size=n_antennas)
         rate = np.deg2rad(world.phase_walk_deg) / np.sqrt(max(1, n_antennas - 1))
         gains.append(np.exp(1j * rate * (np.cumsum(steps) - steps[0]))[:, None])
     if world.random_plane_phase:
-        gains.append(np.exp(2j * np.pi * stream(seed, PLANE_PHASE, number).uniform(size=(1, 1))))
+        gains.append(np.exp(2j * np.pi * stream(seed, "plane_phase", number).uniform(size=(1, 1))))
     if world.ripple_rms:
-        parts = stream(seed, RIPPLE).normal(size=(2, 2 * _N_RIPPLES))
+        parts = stream(seed, "ripple").normal(size=(2, 2 * _N_RIPPLES))
         weights = parts[0] + 1j * parts[1]
         weights *= world.ripple_rms / np.linalg.norm(weights)
         periods = np.delete(np.arange(-_N_RIPPLES, _N_RIPPLES + 1), _N_RIPPLES)
         waves = np.exp(2j * np.pi * np.outer(periods, np.arange(n_samples) / n_samples))
         gains.append(1.0 + (weights @ waves)[None])
-    if not gains:
-        return None
-    product = gains[0]
-    for gain in gains[1:]:
-        product = product * gain
-    return product
+    return reduce(np.multiply, gains) if gains else None
 
 
 def convert(world: WorldSpec, signals: Signals, seed: int) -> Signals:
@@ -107,41 +95,26 @@ def convert(world: WorldSpec, signals: Signals, seed: int) -> Signals:
     seed: of the offset's phase.
     """
     if world.iq_gain_error or world.iq_phase_error_deg:
-        signals = [_unbalanced(world, signal) for signal in signals]
+        angle, gain = np.deg2rad(world.iq_phase_error_deg), np.float32(1.0 + world.iq_gain_error)
+        cos, sin = np.float32(np.cos(angle)), np.float32(np.sin(angle))
+        signals = [
+            (s.real + 1j * gain * (s.imag * cos + s.real * sin)).astype(np.complex64)
+            for s in signals
+        ]
     if world.dc_db > -np.inf:
-        phase = 2.0 * np.pi * stream(seed, DC).uniform()
+        phase = 2.0 * np.pi * stream(seed, "dc").uniform()
         offset = np.complex64(10.0 ** (world.dc_db / 20.0) * np.exp(1j * phase))
         signals = [signal + offset for signal in signals]
     if not world.converter_bits:
         return signals
     largest = 2.0 ** (world.converter_bits - 1) - 1.0
-    peak = max(float(np.abs(_parts(signal)).max()) for signal in signals)
+    parts = [np.ascontiguousarray(signal).view(np.float32) for signal in signals]
+    peak = max(float(np.abs(part).max()) for part in parts)
     step = np.float32(peak * 10.0 ** (-world.clip_db / 20.0) / largest)
     if not step > 0:
         return signals  # silence
-    return [_rounded(signal, step, largest) for signal in signals]
-
-
-def _unbalanced(world: WorldSpec, signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
-    angle = np.deg2rad(world.iq_phase_error_deg)
-    q = signal.imag * np.float32(np.cos(angle)) + signal.real * np.float32(np.sin(angle))
-    return np.asarray(signal.real + 1j * np.float32(1.0 + world.iq_gain_error) * q, np.complex64)
-
-
-def _parts(signal: NDArray[np.complex64]) -> NDArray[np.float32]:
-    return np.ascontiguousarray(signal).view(np.float32)
-
-
-def _rounded(
-    signal: NDArray[np.complex64], step: np.float32, largest: float
-) -> NDArray[np.complex64]:
-    codes = np.clip(np.rint(_parts(signal) / step), -largest, largest)
-    return np.asarray(codes * step, np.float32).view(np.complex64)
-
-
-def distances(tx: Floats, rx: Floats) -> Floats:
-    """Of each transmitter from its receiver, (n_antennas,) [m]."""
-    return np.asarray(np.linalg.norm(tx - rx, axis=1))
+    codes = (np.clip(np.rint(part / step), -largest, largest) for part in parts)
+    return [np.asarray(code * step, np.float32).view(np.complex64) for code in codes]
 
 
 def amplify(world: WorldSpec, signals: Sequence[NDArray[np.complex64]], seed: int) -> Signals:

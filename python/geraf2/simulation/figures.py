@@ -1,42 +1,57 @@
-"""Procedural objects: smooth unions of simple solids, meshed by marching cubes."""
+"""Procedural objects: smooth unions of simple solids, meshed by marching cubes.
 
+Most are tables of parts in the TOML file beside; those with curves or cuts are functions.
+"""
+
+import itertools
 from collections.abc import Callable
+from functools import partial
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
+from geraf2._types import Floats
 from geraf2.io.mesh import TriangleMesh
-from geraf2.simulation import menagerie, thin
+from geraf2.io.toml import read_table
 from geraf2.simulation.implicit import (
     Figure,
+    Solid,
     ball,
     blend,
     block,
     grid_points,
     limb,
+    ring,
     tube,
     turned,
     zero_level,
 )
 
+# Of each kind of part: how many numbers each argument has, and which of them are coordinates y.
+_PARTS: dict[str, tuple[Callable[..., Solid], tuple[int, ...], tuple[int, ...]]] = {
+    "limb": (limb, (3, 3, 1, 1), (1, 4)),
+    "ball": (ball, (3, 3), (1,)),
+    "block": (block, (3, 3, 1), (1,)),
+    "ring": (ring, (3, 2, 1), (1,)),
+}
 
-def _llama() -> Figure:
-    legs = [
-        part
-        for x, lean in ((-2.4, -0.2), (2.3, 0.15))
-        for y in (-1.05, 1.05)
-        for part in (
-            limb((x, y, 5.6), (x + lean, y, 0.45), 0.95, 0.5),
-            limb((x + lean, y, 0.4), (x + lean + 0.45, y, 0.35), 0.5, 0.4),
-        )
-    ]
-    ears = [limb((3.75, y, 12.0), (3.45, 1.55 * y, 13.35), 0.36, 0.17) for y in (-0.5, 0.5)]
-    body = [
-        ball((-0.2, 0.0, 6.4), (3.9, 1.95, 2.0)),
-        limb((2.7, 0.0, 6.9), (3.9, 0.0, 11.2), 1.35, 0.85),
-        limb((4.0, 0.0, 11.5), (5.7, 0.0, 11.05), 0.98, 0.55),
-        limb((-3.8, 0.0, 7.4), (-4.75, 0.0, 8.3), 0.5, 0.3),
-    ]
-    return Figure(blend([*body, *legs, *ears], 0.7), (-5.6, -2.6, -0.6), (6.8, 2.6, 14.0))
+
+def _part(row: str, side: float) -> Solid:
+    kind, *words = row.split()
+    make, sizes, along_y = _PARTS[kind]
+    numbers = np.array([float(word) for word in words])
+    numbers[list(along_y)] *= side
+    arguments = np.split(numbers, np.cumsum(sizes)[:-1])
+    return make(*(a if a.size > 1 else float(a[0]) for a in arguments))
+
+
+def _of_table(table: dict[str, Any]) -> Figure:
+    parts: list[Solid] = []
+    for entry in table["parts"]:
+        rows, sides = (entry, (-1.0, 1.0)) if isinstance(entry, list) else ([entry], (1.0,))
+        parts += [_part(row, side) for side in sides for row in rows]
+    return Figure(blend(parts, table["fillet"]), tuple(table["low"]), tuple(table["high"]))
 
 
 def _jug() -> Figure:
@@ -48,77 +63,68 @@ def _jug() -> Figure:
     return Figure(blend(parts, 0.5), (-5.2, -3.2, -0.4), (5.7, 3.2, 11.5))
 
 
-def _hammer() -> Figure:
-    parts = [
-        limb((0.0, 0.0, 0.6), (0.0, 0.0, 9.0), 0.65, 0.45),
-        block((0.4, 0.0, 10.0), (1.5, 0.85, 0.85), 0.2),
-        limb((2.0, 0.0, 10.0), (3.0, 0.0, 10.0), 1.05, 1.05),
-        limb((-1.0, 0.0, 10.1), (-3.4, 0.0, 9.3), 0.8, 0.3),
-    ]
-    return Figure(blend(parts, 0.3), (-4.4, -1.8, -0.6), (4.7, 1.8, 11.8))
-
-
-def _dog() -> Figure:
-    parts = [
-        limb((-1.6, 0.0, 2.2), (0.9, 0.0, 6.6), 2.2, 1.5),
-        ball((1.4, 0.0, 9.0), (1.6, 1.45, 1.5)),
-        limb((2.4, 0.0, 8.7), (3.7, 0.0, 8.4), 0.85, 0.6),
-        limb((0.9, 0.0, 6.8), (1.3, 0.0, 8.4), 1.3, 1.2),
-        limb((-3.2, 0.0, 1.2), (-5.2, 0.0, 2.2), 0.5, 0.3),
-    ]
-    for y in (-1.0, 1.0):
-        parts += [
-            limb((1.5, y, 5.6), (2.2, 1.05 * y, 0.5), 0.8, 0.55),
-            limb((2.2, 1.05 * y, 0.45), (2.9, 1.05 * y, 0.4), 0.55, 0.42),
-            ball((-1.3, 1.7 * y, 1.7), (1.7, 0.8, 1.6)),
-            limb((-0.8, 1.9 * y, 0.5), (1.0, 1.9 * y, 0.45), 0.6, 0.45),
-            limb((1.0, 1.25 * y, 9.7), (0.9, 1.7 * y, 8.0), 0.5, 0.4),
-        ]
-    return Figure(blend(parts, 0.5), (-6.0, -3.2, -0.5), (4.8, 3.2, 11.0))
-
-
 def _knot() -> Figure:
     t = np.linspace(0.0, 2.0 * np.pi, 121)
-    ring = 2.0 + np.cos(3.0 * t)
-    path = 1.5 * np.stack([np.sin(3.0 * t), ring * np.cos(2.0 * t), ring * np.sin(2.0 * t)], 1)
+    radius = 2.0 + np.cos(3.0 * t)
+    path = 1.5 * np.stack([np.sin(3.0 * t), radius * np.cos(2.0 * t), radius * np.sin(2.0 * t)], 1)
     return Figure(tube(path, 0.8), (-2.8, -5.8, -5.8), (2.8, 5.8, 5.8))
 
 
-def _chair() -> Figure:
-    seat = block((0.0, 0.0, 5.0), (2.6, 2.6, 0.35), 0.15)
-    parts = [seat, block((-2.3, 0.0, 8.4), (0.3, 2.5, 2.0), 0.15)]
-    for y in (-2.2, 2.2):
-        parts.append(limb((-2.25, y, 0.4), (-2.25, y, 7.0), 0.38, 0.38))
-        parts.append(limb((2.25, y, 0.4), (2.2, y, 5.0), 0.38, 0.38))
-    return Figure(blend(parts, 0.15), (-3.2, -3.2, -0.4), (3.2, 3.2, 11.0))
+def _boat() -> Figure:
+    """Toy boat: pointed hull with a flat keel, cabin, funnel, mast."""
+    heights = np.linspace(0.6, 3.2, 12)
+    hull = [
+        limb((-3.6 - 0.15 * z, 0.0, z), (2.0, 0.0, z), 1.2 + 0.35 * z, 1.0 + 0.3 * z)
+        for z in heights
+    ]
+    hull += [
+        limb((2.0, 0.0, z), (5.0 + 0.35 * z, 0.0, z + 0.3), 1.0 + 0.3 * z, 0.3) for z in heights
+    ]
+    body, flat = blend(hull, 0.3), block((0.6, 0.0, 2.2), (8.0, 3.2, 2.2), 0.2)
+    parts = [
+        lambda points: np.maximum(body(points), flat(points)),
+        block((-1.2, 0.0, 5.4), (2.0, 1.4, 1.4), 0.3),
+        limb((-2.0, 0.0, 6.6), (-2.0, 0.0, 8.8), 0.7, 0.7),
+        limb((2.2, 0.0, 4.2), (2.2, 0.0, 10.0), 0.4, 0.3),
+    ]
+    return Figure(blend(parts, 0.3), (-7.2, -3.6, -0.4), (7.6, 3.6, 10.8))
 
 
-def _shoe() -> Figure:
-    sole = block((0.0, 0.0, 0.5), (5.0, 1.7, 0.5), 0.15)
-    heel = block((-3.2, 0.0, 3.0), (1.8, 1.6, 2.6), 0.4)
-    toe = ball((1.6, 0.0, 1.4), (3.2, 1.65, 1.6))
-    return Figure(blend([sole, heel, toe], 0.8), (-5.6, -2.3, -0.5), (5.6, 2.3, 6.5))
+def _hung_ball() -> Figure:
+    """Christmas ball with a ribbed cap and a ring on top."""
+    places = [
+        (0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)) for a in np.linspace(0.0, 2.0 * np.pi, 25)
+    ]
+    parts = [ball((0.0, 0.0, 4.8), (4.8, 4.8, 4.8)), turned(np.array([[9.0, 1.5], [10.2, 1.3]]))]
+    parts += [limb(start, end, 0.28, 0.28) for start, end in itertools.pairwise(places)]
+    return Figure(blend(parts, 0.25), (-5.4, -5.4, -0.6), (5.4, 5.4, 13.0))
+
+
+def _mug() -> Figure:
+    """Empty mug with a thin wall and a handle."""
+    outside = turned(np.array([[0.9, 3.0], [1.0, 3.1], [7.2, 3.1], [7.3, 3.1]]))
+    inside = turned(np.array([[3.1, 2.8], [12.0, 2.8]]))
+    arc = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
+    handle = np.stack([3.0 + 2.1 * np.cos(arc), 0.0 * arc, 4.4 + 2.2 * np.sin(arc)], axis=1)
+    body = blend([outside, tube(handle, 0.38)], 0.25)
+
+    def hollow(points: Floats) -> Floats:
+        z = points[..., 2]  # cut off below 0 and above 8.4
+        return np.asarray(np.maximum.reduce([body(points), z - 8.4, -z, -inside(points)]))
+
+    return Figure(hollow, (-3.8, -3.8, -0.6), (6.0, 3.8, 9.0))
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
-    "llama": _llama,
+    **{
+        name: partial(_of_table, table)
+        for name, table in read_table(files("geraf2.simulation") / "figures.toml").items()
+    },
     "jug": _jug,
-    "hammer": _hammer,
-    "dog": _dog,
     "knot": _knot,
-    "chair": _chair,
-    "shoe": _shoe,
-    "bunny": menagerie.bunny,
-    "elephant": menagerie.elephant,
-    "deer": menagerie.deer,
-    "chicken": menagerie.chicken,
-    "boat": menagerie.toy_boat,
-    "ball": menagerie.hung_ball,
-    "slatted_chair": thin.slatted_chair,
-    "spectacles": thin.spectacles,
-    "key": thin.key,
-    "mug": thin.mug,
-    "scissors": thin.scissors,
+    "boat": _boat,
+    "ball": _hung_ball,
+    "mug": _mug,
 }
 """Procedural objects by name; each builds its solid."""
 

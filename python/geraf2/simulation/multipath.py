@@ -3,8 +3,9 @@
 Equations: docs/math/echo-models.md#multipath-via-a-wall.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,10 +14,10 @@ from geraf2._types import Bools, Floats
 from geraf2.geometry.transforms import triple
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements, physical_optics
 from geraf2.scene import Wall
-from geraf2.simulation.dielectric import face_reflection
+from geraf2.simulation.dielectric import face_reflection, n_crossings
 from geraf2.simulation.elements import select
 from geraf2.simulation.scan import block_centers
-from geraf2.simulation.walls import BoxScene, n_crossings
+from geraf2.simulation.walls import BoxScene
 
 _LIFT_M = 2e-5  # rays leave a facet this far above it
 
@@ -43,14 +44,6 @@ class Mirror:
         found = places.copy()
         found[..., self.axis] = 2.0 * self.place_m(walls) - found[..., self.axis]
         return found
-
-
-def mirrors(walls: Sequence[Wall]) -> Iterator[Mirror]:
-    """All inner sides."""
-    for wall in range(len(walls)):
-        for axis in range(3):
-            for side in (-1.0, 1.0):
-                yield Mirror(wall=wall, axis=axis, side=side)
 
 
 def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
@@ -90,7 +83,8 @@ def multipath_echo(
     Returns the signal, (n_antennas, n_samples).
     """
     signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
-    for mirror in mirrors(scene.walls):
+    for wall, axis, side in product(range(len(scene.walls)), range(3), (-1.0, 1.0)):
+        mirror = Mirror(wall=wall, axis=axis, side=side)
         height = mirror.side * (mirror.place_m(scene.walls) - antennas.tx[:, mirror.axis])
         if height.min() <= 0.0:  # the antennas lie behind this wall
             continue
@@ -107,9 +101,7 @@ def _seen(
 ) -> Bools:
     """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
     points, normals, walls, blocker = facets.points, facets.normals, scene.walls, scene.blocker
-    if normals is None:
-        msg = "facets need normals, got none"
-        raise ValueError(msg)
+    assert normals is not None
     wall = walls[mirror.wall]
     across = [k for k in range(3) if k != mirror.axis]
     half = 0.5 * np.asarray(wall.size_m)[across] - wall.thickness_m

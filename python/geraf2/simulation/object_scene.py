@@ -12,13 +12,11 @@ from geraf2._types import Bools, Floats
 from geraf2.geometry.triangles import barycentric, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene.photos import Camera
 from geraf2.simulation.photo_scene import (
     LAMP_COLOUR,
-    Picture,
     lamp_position,
-    photograph,
     room_light,
+    sunflower,
 )
 
 _Array = NDArray[np.float32]
@@ -51,10 +49,6 @@ class ObjectScene:
         self._waves = _paint_waves(seed)
         self._light = self._vertex_light()
 
-    def photograph(self, camera: Camera, n_samples: int = 2) -> Picture:
-        """See :func:`geraf2.simulation.photo_scene.photograph`."""
-        return photograph(self._trace, camera, n_samples)
-
     def albedo(self, points: Floats) -> _Array:
         """Albedo of the paint at points (n, 3) [m], (n, 3) colours."""
         vectors, phases = self._waves
@@ -63,7 +57,8 @@ class ObjectScene:
         share = 0.5 + 0.5 * np.tanh(_CONTRAST * height / np.sqrt(0.5 * _N_WAVES))
         return np.asarray(_DARK + (_LIGHT - _DARK) * share, dtype=np.float32)
 
-    def _trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
+    def trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
+        """Radiance along rays, and whether each ends on the object."""
         distance, face = self._scene.closest_hit(origins, directions)
         colour = room_light(directions)
         hit = np.flatnonzero(face >= 0)
@@ -85,7 +80,10 @@ class ObjectScene:
         hidden = self._scene.occluded(starts, ends, margin_m=_OFFSET * self.size_m)
         total = (np.maximum(cosine, 0.0) * ~hidden)[:, None] * LAMP_COLOUR
         # The same directions for all vertices, weighed by the cosine: neighbours agree.
-        sky = _sphere(_N_SKY)
+        share, angle = sunflower(_N_SKY)
+        z = 1.0 - 2.0 * share
+        across = np.sqrt(1.0 - z**2)
+        sky = np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)
         room = room_light(sky)
         bounce = _BOUNCE * room.mean(axis=0)
         for direction, radiance in zip(sky, room, strict=True):
@@ -105,12 +103,3 @@ def _paint_waves(seed: int) -> tuple[Floats, Floats]:
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     lengths = np.exp(rng.uniform(*_LOG_WAVELENGTHS, (3, _N_WAVES, 1)))
     return 2.0 * np.pi * directions / lengths, rng.uniform(0.0, 2.0 * np.pi, (3, _N_WAVES))
-
-
-def _sphere(n: int) -> Floats:
-    """Directions evenly over the sphere (sunflower), (n, 3)."""
-    number = np.arange(n) + 0.5
-    z = 1.0 - 2.0 * number / n
-    angle = np.pi * (1.0 + 5.0**0.5) * number
-    across = np.sqrt(1.0 - z**2)
-    return np.stack([across * np.cos(angle), across * np.sin(angle), z], axis=1)

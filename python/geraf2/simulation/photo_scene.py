@@ -38,6 +38,7 @@ _N_SKY_SAMPLES = 64
 _LIGHT_RASTER = 24
 _BOARD_RASTER = 80
 _GLOSS_EXPONENT = 40.0
+_PIXEL_SAMPLES = 2  # along each side of a pixel
 _OFFSET = 1e-5  # in sizes of the carton: a ray starts this far before its surface
 
 # The board reaches beyond the carton's corners, and lies above the table, in sizes of the carton.
@@ -94,19 +95,18 @@ class Picture(NamedTuple):
     """Share of each pixel that shows the carton, or the object, (height, width)."""
 
 
-def photograph(trace: Trace, camera: Camera, n_samples: int = 2) -> Picture:
+def photograph(trace: Trace, camera: Camera) -> Picture:
     """Radiance that each pixel of a camera receives.
 
     trace: radiance along rays from origins (n, 3) [m] in directions (n, 3), (n, 3), and whether
         each ends on the object, (n,).
     camera: the camera, with its distortion.
-    n_samples: rays along each side of a pixel.
     """
     radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
     coverage = np.empty((camera.height, camera.width), dtype=np.float32)
     # Bands of rows keep the memory small.
-    rows = max(1, 200_000 // (camera.width * n_samples**2))
-    steps = (np.arange(n_samples) + 0.5) / n_samples
+    rows = max(1, 200_000 // (camera.width * _PIXEL_SAMPLES**2))
+    steps = (np.arange(_PIXEL_SAMPLES) + 0.5) / _PIXEL_SAMPLES
     for first in range(0, camera.height, rows):
         last = min(first + rows, camera.height)
         v, u, dv, du = np.meshgrid(
@@ -114,7 +114,7 @@ def photograph(trace: Trace, camera: Camera, n_samples: int = 2) -> Picture:
         )
         origins, directions = camera.rays(np.stack([(u + du).ravel(), (v + dv).ravel()], 1))
         colour, on_object = trace(origins, directions)
-        shape = (last - first, camera.width, n_samples**2)
+        shape = (last - first, camera.width, _PIXEL_SAMPLES**2)
         radiance[first:last] = colour.reshape(*shape, 3).mean(axis=2)
         coverage[first:last] = on_object.reshape(shape).mean(axis=2)
     return Picture(radiance, coverage)
@@ -138,11 +138,8 @@ class CartonScene:
         self._scene = MeshScene(corners, faces, num_threads=num_threads)
         self._rectangles = _lit(rectangles, self._scene, self.center, self.size_m)
 
-    def photograph(self, camera: Camera, n_samples: int = 2) -> Picture:
-        """See :func:`photograph`."""
-        return photograph(self._trace, camera, n_samples)
-
-    def _trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
+    def trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
+        """Radiance along rays, and whether each ends on the carton, see :func:`photograph`."""
         distance, face = self._scene.closest_hit(origins, directions)
         which = np.where(face >= 0, face // 2, -1)
         colour = room_light(directions)
@@ -217,22 +214,25 @@ def _ground_rectangles(wall: Wall, seed: int) -> list[_Rectangle]:
     size = max(wall.size_m)
     x, y, z = np.eye(3)
     foot = np.array([wall.center_m[0], wall.center_m[1], wall.center_m[2] - 0.5 * wall.size_m[2]])
-    sides = (_BOARD_SIDE * size, _TABLE_SIDE * size)
-    # A hair below the carton, so that the two bottoms do not compete for the same rays.
-    drops = (_OFFSET * size, _BOARD_THICKNESS * size)
-    textures = (board(sides[0], seed), table(sides[1], seed))
-    rasters = (_BOARD_RASTER, _BOARD_RASTER)
+    # The board is a hair below the carton, so that both do not compete for the same rays.
+    grounds = ((board, _BOARD_SIDE, _OFFSET), (table, _TABLE_SIDE, _BOARD_THICKNESS))
     return [
         _Rectangle(
-            center=foot - drop * z,
+            center=foot - drop * size * z,
             right=x,
             up=y,
-            half=(0.5 * side, 0.5 * side),
-            texture=texture,
-            raster=raster,
+            half=(0.5 * side * size, 0.5 * side * size),
+            texture=texture(side * size, seed),
+            raster=_BOARD_RASTER,
         )
-        for side, drop, texture, raster in zip(sides, drops, textures, rasters, strict=True)
+        for texture, side, drop in grounds
     ]
+
+
+def sunflower(n: int) -> tuple[Floats, Floats]:
+    """Seeds of a sunflower: shares of its area from 0 to 1, and angles [rad], (n,) each."""
+    number = np.arange(n) + 0.5
+    return number / n, np.pi * (1.0 + 5.0**0.5) * number
 
 
 def lamp_position(center: Floats, size_m: float) -> Floats:
@@ -266,9 +266,8 @@ def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: f
     toward = lamp - rectangle.center
     toward /= np.linalg.norm(toward)
     # Sunflower points on the disc that faces the rectangle.
-    number = np.arange(_N_LAMP_SAMPLES) + 0.5
-    radius = _LAMP_RADIUS * size_m * np.sqrt(number / _N_LAMP_SAMPLES)
-    angle = np.pi * (1.0 + 5.0**0.5) * number
+    share, angle = sunflower(_N_LAMP_SAMPLES)
+    radius = _LAMP_RADIUS * size_m * np.sqrt(share)
     side, third = upright_axes(toward)
     disc = (radius * np.cos(angle))[:, None] * side
     disc += (radius * np.sin(angle))[:, None] * third
@@ -280,8 +279,7 @@ def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: f
     starts = np.repeat(start, _N_LAMP_SAMPLES, axis=0)
     hidden = scene.occluded(starts, ends, margin_m=_OFFSET * size_m).reshape(distance.shape)
     fall_off = (_LAMP_DISTANCE * size_m / distance) ** 2
-    total = (cosine * fall_off * ~hidden).mean(axis=1)
-    light = total[:, None] * LAMP_COLOUR
+    light = (cosine * fall_off * ~hidden).mean(axis=1)[:, None] * LAMP_COLOUR
     raster = (rectangle.raster, rectangle.raster, 3)
     return np.asarray(light.reshape(raster), dtype=np.float32)
 
@@ -295,9 +293,8 @@ def _sky_light(
 ) -> _Array:
     """Light of room and lit surfaces on the raster, over cosine-weighted directions."""
     places = rectangle.places() + _OFFSET * size_m * rectangle.normal
-    number = np.arange(_N_SKY_SAMPLES) + 0.5
-    sine = np.sqrt(number / _N_SKY_SAMPLES)
-    angle = np.pi * (1.0 + 5.0**0.5) * number
+    share, angle = sunflower(_N_SKY_SAMPLES)
+    sine = np.sqrt(share)
     local = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.sqrt(1.0 - sine**2)], axis=1)
     sky = local @ np.stack([rectangle.right, rectangle.up, rectangle.normal])
     origins = np.repeat(places, _N_SKY_SAMPLES, axis=0)
@@ -308,10 +305,8 @@ def _sky_light(
         hit = np.flatnonzero(face // 2 == index)
         u, v = rectangles[index].inside(origins[hit] + distance[hit, None] * rays[hit])
         seen[hit] = _look_up(bounced[index], u, v)
-    total = seen.reshape(-1, _N_SKY_SAMPLES, 3).mean(axis=1)
-    raster = rectangle.raster
+    light = seen.reshape(rectangle.raster, rectangle.raster, _N_SKY_SAMPLES, 3).mean(axis=2)
     # A few directions make steps; neighbours share them out.
-    light = total.reshape(raster, raster, 3)
     return np.asarray(ndimage.gaussian_filter(light, (1.0, 1.0, 0.0), mode="nearest"))
 
 

@@ -13,7 +13,7 @@ from geraf2.io.mesh_colours import to_srgb
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.simulation.object_scene import ObjectScene
-from geraf2.simulation.photo_scene import CartonScene
+from geraf2.simulation.photo_scene import CartonScene, photograph
 from geraf2.simulation.photo_spec import PhotosSpec
 
 # Independent random streams of one seed.
@@ -55,7 +55,7 @@ def simulate_photos(
     noise = np.random.default_rng([seed, _SENSOR])
     images, masks = [], []
     for index, camera in enumerate(cameras):
-        picture = scene.photograph(camera)
+        picture = photograph(scene.trace, camera)
         images.append(expose(picture.radiance, spec, noise))
         masks.append(np.asarray(picture.coverage >= 0.5))
         if progress is not None:

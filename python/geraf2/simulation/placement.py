@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
 from geraf2.simulation.scan import ScanPlane
 from geraf2.simulation.spec import ScanSpec, SceneSpec
-from geraf2.simulation.streams import ANGLES, DRIFT, JITTER, stream
+from geraf2.simulation.streams import stream
 
 # A drift is the sum of this many cosines over the antennas of a plane, the slowest a constant.
 _N_DRIFT_TERMS = 5
@@ -31,9 +32,9 @@ def true_plane(plane: ScanPlane, spec: SceneSpec, seed: int, number: int) -> Sca
     if not world.plane_angle_rms_deg and not world.axis_tilt_deg:
         return moved
     tilt = np.deg2rad(world.axis_tilt_deg / np.sqrt(2.0)) * (plane.axes[0] + plane.axes[1])
-    off = np.deg2rad(world.plane_angle_rms_deg) * stream(seed, ANGLES, number).normal()
-    turn = rotation(np.array([0.0, 0.0, off])) @ rotation(tilt)
-    return turned_plane(moved, turn)
+    off = np.deg2rad(world.plane_angle_rms_deg) * stream(seed, "angles", number).normal()
+    turn = Rotation.from_rotvec([0.0, 0.0, off]) * Rotation.from_rotvec(tilt)
+    return turned_plane(moved, turn.as_matrix())
 
 
 def turned_plane(plane: ScanPlane, turn: Floats, center_m: Floats | float = 0.0) -> ScanPlane:
@@ -51,16 +52,6 @@ def turned_plane(plane: ScanPlane, turn: Floats, center_m: Floats | float = 0.0)
     )
 
 
-def rotation(vector: Floats) -> Floats:
-    """Rotation about a vector (3,) by its length [rad], (3, 3); Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    if angle == 0.0:
-        return np.eye(3)
-    x, y, z = vector / angle
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
-
-
 def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> Floats:
     """Difference of the true from the recorded position of each antenna, (n_antennas, 3) [m].
 
@@ -68,8 +59,8 @@ def position_error(plane: ScanPlane, scan: ScanSpec, seed: int, number: int) -> 
     `axis_offset_m`; in the object's frame, the radar is displaced in the opposite direction.
     """
     n = len(plane.tx)
-    jitter = stream(seed, JITTER, number).normal(size=(n, 3))
-    amplitudes = stream(seed, DRIFT, number).normal(size=(_N_DRIFT_TERMS, 3))
+    jitter = stream(seed, "jitter", number).normal(size=(n, 3))
+    amplitudes = stream(seed, "drift", number).normal(size=(_N_DRIFT_TERMS, 3))
     amplitudes /= np.sqrt(1.0 + 0.5 * (_N_DRIFT_TERMS - 1))  # one constant, the others cosines
     phase = np.pi * (np.arange(n)[:, None] + 0.5) / n * np.arange(_N_DRIFT_TERMS)
     radial, across = scan.axis_offset_m

@@ -51,16 +51,6 @@ class DrawnScene:
     """What was drawn, plain numbers and words for JSON; lengths in metres."""
 
 
-def population_spec(seed: int, population: Population = POPULATION) -> SceneSpec:
-    """Spec of a seed; see :func:`draw_scene`.
-
-    >>> from geraf2.simulation.population import population_spec
-    >>> population_spec(0).figure.name
-    'random-0'
-    """
-    return draw_scene(seed, population).spec
-
-
 def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
     """Draw object, box, planes, radar and world of a seed.
 
@@ -69,6 +59,10 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
     seed: of all draws; the object of the spec is `random-SEED`, which only the default population
     makes.
     population: the distributions.
+
+    >>> from geraf2.simulation.population import draw_scene
+    >>> draw_scene(0).spec.figure.name
+    'random-0'
     """
     rng = np.random.default_rng(seed)
     thing = random_object(rng, population)
@@ -153,16 +147,13 @@ def _scan(rng: np.random.Generator, population: Population, wall: Wall) -> ScanS
     elevation_deg = rng.uniform(*population.raised_deg)
     start_deg, second_deg = rng.uniform(0.0, 360.0, 2)
     has_top = rng.random() < population.top_plane and kind == "raised"
-    rings = [RingSpec(n_poses=1, elevation_deg=90.0)] if has_top else []
-    if n_second > has_top:
-        rings.insert(
-            0,
-            RingSpec(
-                n_poses=n_second - has_top,
-                elevation_deg=elevation_deg,
-                start_angle_deg=second_deg,
-            ),
+    rings, n_raised = [], n_second - has_top
+    if n_raised > 0:
+        rings.append(
+            RingSpec(n_poses=n_raised, elevation_deg=elevation_deg, start_angle_deg=second_deg)
         )
+    if has_top:
+        rings.append(RingSpec(n_poses=1, elevation_deg=90.0))
     clear = 0.5 * float(np.linalg.norm(wall.size_m)) + population.box_distance_m
     return ScanSpec(
         n_poses=n_planes - n_second,

@@ -240,27 +240,18 @@ def _pipe(rng: np.random.Generator, population: Population, size_m: float) -> So
     half_wall = 0.5 * rng.uniform(*population.thickness_m)
     radius = 0.4 * size_m * rng.uniform(*population.width_share) + half_wall
     half = 0.4 * size_m * rng.uniform(*population.side_share)
-    rounding = 0.9 * half_wall
+    profile = block((0.0, 0.0, 0.0), (half_wall, half, 1.0), 0.9 * half_wall)
 
     def distance(points: Floats) -> Floats:
         around = np.hypot(points[..., 0] - radius, points[..., 1])
-        q = np.stack([np.abs(around - radius), np.abs(points[..., 2])], axis=-1)
-        q -= np.array([half_wall, half]) - rounding
-        outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-        return np.asarray(outside + np.minimum(q.max(axis=-1), 0.0) - rounding)
+        return profile(np.stack([around - radius, points[..., 2], 0.0 * around], axis=-1))
 
     return distance
 
 
 _PARTS: dict[str, Callable[[np.random.Generator, Population, float], Solid]] = {
-    "capsule": _capsule,
-    "ball": _ball,
-    "box": _box,
-    "torus": _torus,
-    "lathe": _lathe,
-    "plate": _plate,
-    "wire": _wire,
-    "pipe": _pipe,
+    make.__name__[1:]: make
+    for make in (_capsule, _ball, _box, _torus, _lathe, _plate, _wire, _pipe)
 }
 
 
@@ -281,15 +272,10 @@ def _body_mesh(body: _Body) -> TriangleMesh:
     vertices = mesh.vertices + points[0, 0, 0] - step
     for _ in range(2):
         vertices, _ = _towards_surface(body.solid, vertices, 0.5 * step)
-    mesh = TriangleMesh(vertices=vertices, faces=mesh.faces)
-    return _largest_piece(merge_duplicate_vertices(mesh))
-
-
-def _largest_piece(mesh: TriangleMesh) -> TriangleMesh:
+    mesh = merge_duplicate_vertices(TriangleMesh(vertices=vertices, faces=mesh.faces))
     labels, _ = face_labels(mesh.faces)
     largest = int(np.argmax(np.bincount(labels, weights=face_areas(mesh.corners))))
-    used, faces = np.unique(mesh.faces[labels == largest], return_inverse=True)
-    return TriangleMesh(vertices=mesh.vertices[used], faces=faces.reshape(-1, 3))
+    return mesh.with_faces(mesh.faces[labels == largest])
 
 
 def _placed(

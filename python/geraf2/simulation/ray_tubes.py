@@ -4,7 +4,7 @@ Each tube is one ray from the middle of a block of antennas with its derivatives
 Tracing ray differentials, 1999), so that its footprint at the last hit needs no second ray.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +16,6 @@ from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.dielectric import phasors, walls_crossed
-from geraf2.simulation.walls import n_crossings
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
@@ -363,26 +362,19 @@ def _received(
         path_m=beam.path_m,
         weights=1j / (4.0 * np.pi) * weights,
     )
-    return _through_walls(_kept(tubes, seen), scene, eye, antennas)
-
-
-def _kept(tubes: Tubes, keep: Bools) -> Tubes:
-    return Tubes(**{name: getattr(tubes, name)[keep] for name in Tubes.__dataclass_fields__})
+    tubes = Tubes(**{name: values[seen] for name, values in vars(tubes).items()})
+    return _through_walls(tubes, scene, eye, antennas)
 
 
 def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
     """Let walls and antennas weaken the first and the last leg, and walls delay them."""
     weights, path_m = tubes.weights.copy(), tubes.path_m.copy()
     for points in (tubes.tx_points, tubes.rx_points):
-        transmission, excess_m = walls_crossed(points, eye, scene.walls)
+        transmission, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
         weights *= transmission
         path_m += excess_m
-        if scene.wall_amplitude != 1.0:
-            weights *= scene.wall_amplitude ** n_crossings(eye[None], points, scene.walls)[0]
         if antennas.pattern_exponent:
             direction = points - eye
             cosine = direction @ antennas.boresight / np.linalg.norm(direction, axis=1)
             weights *= np.maximum(cosine, 0.0) ** antennas.pattern_exponent
-    return Tubes(
-        tx_points=tubes.tx_points, rx_points=tubes.rx_points, path_m=path_m, weights=weights
-    )
+    return replace(tubes, path_m=path_m, weights=weights)

@@ -35,27 +35,19 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
 
     scan: the scan; as many antennas as fit into the aperture, centred in it.
     """
-    planes = [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
-    return (_swept(scan.sweeps) if scan.sweeps is not None else []) + planes
+    swept = [] if scan.sweeps is None else list(_swept(scan.sweeps))
+    rings = [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
+    return swept + rings
 
 
-def _swept(scan: ScanFile) -> list[ScanPlane]:
+def _swept(scan: ScanFile) -> Iterator[ScanPlane]:
     """Planes of a scan file."""
-    planes = []
     for plane in scan.planes:
         tx, rx = scan.antennas(plane)
-        axes = np.array(plane.axes)
-        planes.append(
-            ScanPlane(
-                tx=tx,
-                rx=rx,
-                axes=axes,
-                angle_deg=plane.angle_deg,
-                shape=None,
-                spacing_m=scan.spacing_m,
-            )
+        axes, spacing = np.array(plane.axes), scan.spacing_m
+        yield ScanPlane(
+            tx=tx, rx=rx, axes=axes, angle_deg=plane.angle_deg, shape=None, spacing_m=spacing
         )
-    return planes
 
 
 def _ring(ring: RingSpec, tx_rx_distance_m: float) -> Iterator[ScanPlane]:

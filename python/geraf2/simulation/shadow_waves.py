@@ -11,7 +11,7 @@ from scipy.ndimage import binary_dilation, binary_erosion
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.geometry.triangles import unit_normals
+from geraf2.geometry.triangles import directed_edges, unit_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.simulation.dielectric import phasors
 
@@ -74,7 +74,7 @@ def rim_edges(vertices: Floats, faces: Ints, eye: Floats) -> Floats:
     """
     corners = vertices[faces]
     lit = np.einsum("fi,fi->f", eye - corners[:, 0], unit_normals(corners)) > 0
-    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = directed_edges(faces)
     lit_side, dark_side = edges[np.tile(lit, 3)], edges[np.tile(~lit, 3)]
     size = len(vertices)
     # A neighbour runs along the same edge in the opposite direction.

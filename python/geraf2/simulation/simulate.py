@@ -14,28 +14,17 @@ from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
 from geraf2.simulation.dielectric import face_reflection
-from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, plane_echo, wall_layers
-from geraf2.simulation.electronics import amplify, convert, distances, leakage
+from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, Points, plane_echo, wall_layers
+from geraf2.simulation.electronics import amplify, convert, leakage
 from geraf2.simulation.elements import mesh_elements, rough_displacement
 from geraf2.simulation.placement import true_plane, turned_plane
 from geraf2.simulation.ray_tubes import SmoothMesh, TubeScene
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import SceneSpec
-from geraf2.simulation.streams import (
-    CHANNELS,
-    LINES,
-    NOISE,
-    PATCHES,
-    ROUGHNESS,
-    SCATTERERS,
-    stream,
-)
+from geraf2.simulation.streams import stream
 from geraf2.simulation.wall_waves import CELL_M
 from geraf2.simulation.walls import box_turn, edge_lines, wall_shapes
-
-_Points = tuple[SurfaceElements, NDArray[np.complex128]]
-"""Points, and their complex areas before scaling."""
 
 # Fields of the world that other parts of the spec have as well: name, part, field.
 _SHARED = (
@@ -73,7 +62,9 @@ def simulate(
     truth = build_solid(spec.figure)
     walls = spec.walls
     turn, middle = box_turn(spec)  # the echoes are made in the frame of the boxes
-    placed = truth if spec.world.box_turn_deg == 0 else _turned(truth, turn, middle)
+    placed = truth
+    if spec.world.box_turn_deg:
+        placed = replace(truth, vertices=(truth.vertices - middle) @ turn.T + middle)
     _require_inside(placed, walls)
     scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
     planes = scan_planes(spec.scan)
@@ -113,10 +104,6 @@ def _in_world(spec: SceneSpec) -> SceneSpec:
         part_m = world.axis_offset_m / np.sqrt(2.0)
         spec = replace(spec, scan=replace(spec.scan, axis_offset_m=(part_m, part_m)))
     return spec
-
-
-def _turned(mesh: TriangleMesh, turn: Floats, center_m: Floats) -> TriangleMesh:
-    return replace(mesh, vertices=(mesh.vertices - center_m) @ turn.T + center_m)
 
 
 def _capture(
@@ -182,24 +169,19 @@ def _echo_scene(
     spec: SceneSpec, truth: TriangleMesh, walls: tuple[Wall, ...], seed: int, num_threads: int
 ) -> EchoScene:
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
-    roughness = None
-    if spec.figure.roughness_rms_m > 0:
-        roughness = rough_displacement(
-            spec.figure.roughness_rms_m,
-            spec.figure.roughness_length_m,
-            stream(seed, ROUGHNESS),
-        )
+    figure, world, roughness = spec.figure, spec.world, None
+    if figure.roughness_rms_m > 0:
+        rng = stream(seed, "roughness")
+        roughness = rough_displacement(figure.roughness_rms_m, figure.roughness_length_m, rng)
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
     )
-    reflectivity, world = spec.figure.reflectivity, spec.world
+    reflectivity = figure.reflectivity
     if world.figure_permittivity:
         reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))
     areas = reflectivity * areas  # used as weights of the echo only
-    if spec.world.patch_loss_db:
+    if world.patch_loss_db:
         areas = areas * _patch_amplitudes(spec, facets.points, seed)
-    scatterers, amplitudes = _scatterers(spec, truth, blocker, seed)
-    lines, line_amplitudes = _lines(spec, seed)
     wall_amplitude = 10.0 ** (-world.wall_loss_db / 20.0)
     tubes = None
     if world.second_bounce or world.figure_permittivity:
@@ -228,67 +210,53 @@ def _echo_scene(
         second_bounce=reflectivity**2 if world.second_bounce else 0.0,
         permittivity=world.figure_permittivity,
         loss_tangent=world.figure_loss_tangent,
-        lines=lines,
-        line_amplitudes=line_amplitudes,
-        scatterers=scatterers,
-        scatterer_amplitudes=amplitudes,
+        lines=_lines(spec, seed),
+        scatterers=_scatterers(spec, truth, blocker, seed),
         num_threads=num_threads,
     )
 
 
 def _scatterers(
     spec: SceneSpec, truth: TriangleMesh, blocker: MeshScene, seed: int
-) -> _Points | tuple[None, None]:
-    """Random points around the object."""
+) -> Points | None:
+    """Uniform points outside the object, in the innermost box or about the object."""
     if spec.disturbance.scatterer_energy_fraction <= 0:
-        return None, None
-    rng, n = stream(seed, SCATTERERS), spec.disturbance.n_scatterers
-    points = SurfaceElements(points=_free_points(truth, spec.walls, blocker, n, rng))
-    return points, rng.normal(size=n) + 1j * rng.normal(size=n)
+        return None
+    rng, n = stream(seed, "scatterers"), spec.disturbance.n_scatterers
+    if spec.walls:
+        center = np.asarray(spec.walls[-1].center_m)
+        half = 0.5 * np.asarray(spec.walls[-1].size_m) - spec.walls[-1].thickness_m
+    else:
+        low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
+        center, half = 0.5 * (low + high), 0.6 * (high - low)
+    found = np.empty((0, 3))
+    while len(found) < n:
+        points = center + half * rng.uniform(-1.0, 1.0, (2 * n, 3))
+        found = np.concatenate([found, points[~blocker.contains(points)]])
+    return SurfaceElements(points=found[:n]), rng.normal(size=n) + 1j * rng.normal(size=n)
 
 
-def _lines(spec: SceneSpec, seed: int) -> _Points | tuple[None, None]:
+def _lines(spec: SceneSpec, seed: int) -> Points | None:
     """Points along edges and tape; each line has a random phase."""
     if not (spec.world.edge_energy_fraction and spec.walls):
-        return None, None
+        return None
     parts = edge_lines(spec.walls[0])
-    phases = stream(seed, LINES).uniform(0.0, 2.0 * np.pi, len(parts))
+    phases = stream(seed, "lines").uniform(0.0, 2.0 * np.pi, len(parts))
     amplitudes = np.repeat(np.exp(1j * phases), [len(part) for part in parts])
     return SurfaceElements(points=np.concatenate(parts)), amplitudes
 
 
 def _patch_amplitudes(spec: SceneSpec, points: Floats, seed: int) -> Floats:
     """Amplitude factor of each point of the object, (n_points,)."""
-    field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, PATCHES))
+    field = rough_displacement(1.0, spec.world.patch_length_m, stream(seed, "patches"))
     weak = field(points)[:, 0] > 0.0
     return np.where(weak, 10.0 ** (-spec.world.patch_loss_db / 20.0), 1.0)
-
-
-def _free_points(
-    truth: TriangleMesh,
-    walls: tuple[Wall, ...],
-    blocker: MeshScene,
-    n_points: int,
-    rng: np.random.Generator,
-) -> Floats:
-    """Uniform points in the innermost box (or the object's bounding box) outside the object."""
-    if walls:
-        center = np.asarray(walls[-1].center_m)
-        half = 0.5 * np.asarray(walls[-1].size_m) - walls[-1].thickness_m
-    else:
-        low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
-        center, half = 0.5 * (low + high), 0.6 * (high - low)
-    found = np.empty((0, 3))
-    while found.shape[0] < n_points:
-        points = center + half * rng.uniform(-1.0, 1.0, (2 * n_points, 3))
-        found = np.concatenate([found, points[~blocker.contains(points)]])
-    return found[:n_points]
 
 
 def _channel_phasors(spec: SceneSpec, seed: int, n_antennas: int) -> NDArray[np.complex64]:
     """Phasor of each antenna's channel, (n_antennas, 1)."""
     n_channels = spec.disturbance.n_channels
-    normal = stream(seed, CHANNELS).normal(size=n_channels)
+    normal = stream(seed, "channels").normal(size=n_channels)
     phase = np.deg2rad(spec.disturbance.channel_phase_rms_deg) * normal
     return np.asarray(np.exp(1j * phase[np.arange(n_antennas) % n_channels, None]), np.complex64)
 
@@ -315,9 +283,8 @@ def _add_disturbances(
     """Sum of all echoes at unit mean power, with the errors and noise of the receiver."""
     world = spec.world
     signals = [e.figure + e.walls for e in echoes]
-    scatterers = [e.scatterers for e in echoes]
     for parts, fraction in (
-        (scatterers, spec.disturbance.scatterer_energy_fraction),
+        ([e.scatterers for e in echoes], spec.disturbance.scatterer_energy_fraction),
         ([e.lines for e in echoes], world.edge_energy_fraction),
     ):
         clutter = _clutter(echoes, parts, fraction)
@@ -327,7 +294,7 @@ def _add_disturbances(
     unit = np.float32(1.0 / np.sqrt(_energy(signals) / n_samples))
     signals = [unit * s for s in signals]
     if world.leakage_db > -np.inf:
-        apart = [distances(plane.tx, plane.rx) for plane in planes]
+        apart = (np.linalg.norm(plane.tx - plane.rx, axis=1) for plane in planes)
         signals = [
             s + leakage(world, spec.waveform, apart_m, seed).astype(np.complex64)
             for s, apart_m in zip(signals, apart, strict=True)
@@ -347,7 +314,6 @@ def _add_noise(
     sigma = np.float32(np.sqrt(0.5 * 10.0 ** (-snr_db / 10.0)))
     noisy = []
     for i, signal in enumerate(signals):
-        rng = stream(seed, NOISE, i)
-        parts = rng.standard_normal((*signal.shape, 2), dtype=np.float32)
+        parts = stream(seed, "noise", i).standard_normal((*signal.shape, 2), dtype=np.float32)
         noisy.append((signal + sigma * (parts[..., 0] + 1j * parts[..., 1])).astype(np.complex64))
     return noisy

@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices, read_mesh
@@ -42,11 +41,22 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
         mesh = merge_duplicate_vertices(build_figure(str(spec.name)))
         where = spec.name
     vertices, faces = mesh.vertices, mesh.faces
-    _require_closed(faces, where)
+    n_open = count_open_edges(faces)
+    if faces.shape[0] == 0 or n_open:
+        raise UserError(
+            what="the mesh is not watertight",
+            where=where,
+            expected="every edge shared by two faces of the same winding",
+            got=f"{n_open} open edges of {faces.size}",
+            hint="close its holes first",
+        )
     if enclosed_volume_m3(vertices, faces) < 0:
         faces = faces[:, ::-1]
     if spec.smooth_subdivisions:
-        vertices, faces = _smooth(vertices, faces, spec.smooth_subdivisions)
+        from trimesh.remesh import subdivide_loop  # noqa: PLC0415 - heavy, and seldom used
+
+        smooth = subdivide_loop(vertices, faces, iterations=spec.smooth_subdivisions)
+        vertices, faces = np.asarray(smooth[0], float), np.asarray(smooth[1], np.int64)
     vertices = vertices @ _TO_UP[spec.up].T
     turn = np.deg2rad(spec.turn_deg)
     cos, sin = np.cos(turn), np.sin(turn)
@@ -58,22 +68,3 @@ def build_solid(spec: FigureSpec) -> TriangleMesh:
     return TriangleMesh(
         vertices=vertices + np.asarray(spec.center_m), faces=np.ascontiguousarray(faces)
     )
-
-
-def _require_closed(faces: Ints, where: object) -> None:
-    n_open = count_open_edges(faces)
-    if faces.shape[0] == 0 or n_open:
-        raise UserError(
-            what="the mesh is not watertight",
-            where=where,
-            expected="every edge shared by two faces of the same winding",
-            got=f"{n_open} open edges of {faces.size}",
-            hint="close its holes first",
-        )
-
-
-def _smooth(vertices: Floats, faces: Ints, rounds: int) -> tuple[Floats, Ints]:
-    from trimesh.remesh import subdivide_loop  # noqa: PLC0415 - heavy, and seldom used
-
-    smooth_vertices, smooth_faces = subdivide_loop(vertices, faces, iterations=rounds)
-    return np.asarray(smooth_vertices, float), np.asarray(smooth_faces, np.int64)

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-# Another number of a stream changes the captures of a seed.
-JITTER, SCATTERERS, NOISE, DRIFT, CHANNELS, ROUGHNESS = range(6)
-CHANNEL_GAINS, LEAKAGE, WALK, PLANE_PHASE, DC, RIPPLE, ANGLES, BULGE, LINES, PATCHES = range(6, 16)
+# Another order changes the captures of a seed.
+_NAMES = (
+    *("jitter", "scatterers", "noise", "drift", "channels", "roughness"),
+    *("channel_gains", "leakage", "walk", "plane_phase", "dc", "ripple"),
+    *("angles", "bulge", "lines", "patches"),
+)
 
 
-def stream(seed: int, number: int, *part: int) -> np.random.Generator:
+def stream(seed: int, name: str, *part: int) -> np.random.Generator:
     """Return the generator of one stream, or of one part of it, such as a plane."""
-    return np.random.default_rng([seed, number, *part])
+    return np.random.default_rng([seed, _NAMES.index(name), *part])

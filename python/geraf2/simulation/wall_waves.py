@@ -8,7 +8,6 @@ change by the object (docs/math/echo-models.md#far-walls-by-waves).
 import itertools
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -28,7 +27,7 @@ from geraf2.simulation.shadow_waves import (
     lattice_over,
     rim_edges,
 )
-from geraf2.simulation.walls import BoxScene, n_crossings
+from geraf2.simulation.walls import BoxScene
 
 SQUARE = 0.5
 """Cosine of the incidence on a wall above which its shadow is computed by waves; at lower ones the
@@ -47,17 +46,10 @@ _PAIRS_PER_STEP = 60_000
 """Antennas times patches computed at once: their phasors stay in a core's cache."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WaveScene(BoxScene):
-    """Scene of the wave computation."""
-
-    cell_m: float = CELL_M
-    """Cells of sheet and field [m]."""
-
-
 def box_faces(elements: SurfaceElements) -> Iterator[Bools]:
     """Patches of each face of a box that is turned by less than 45 degrees: masks (n_points,)."""
-    normals = _normals(elements)
+    normals = elements.normals
+    assert normals is not None
     along = np.abs(normals).argmax(axis=1)
     side = np.take_along_axis(normals, along[:, None], axis=1)[:, 0] > 0.0
     label = 2 * along + side
@@ -78,7 +70,7 @@ def is_square(face: SurfaceElements, antennas: AntennaBlocks, blocker: MeshScene
 
 
 def shadow_echo(
-    scene: WaveScene, face: SurfaceElements, areas: Floats, antennas: AntennaBlocks
+    scene: BoxScene, face: SurfaceElements, areas: Floats, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
     """Echo that the object adds to that of an unshadowed face: r (V^2 - 1) U0^2 over the face.
 
@@ -99,8 +91,8 @@ def shadow_echo(
     frequencies = node_frequencies(scene.waveform, spread_m)
     blocks = list(_small_blocks(middles, BLOCK_M))
     local = frame.local(face.points)
-    margin = 6.0 * scene.cell_m + BLOCK_M * height_m / (frame.local(middles)[:, 2].min() - height_m)
-    lattice = lattice_over(local[:, :2].min(0) - margin, local[:, :2].max(0) + margin, scene.cell_m)
+    margin = 6.0 * CELL_M + BLOCK_M * height_m / (frame.local(middles)[:, 2].min() - height_m)
+    lattice = lattice_over(local[:, :2].min(0) - margin, local[:, :2].max(0) + margin, CELL_M)
     work = partial(
         _block_echo,
         scene=scene,
@@ -124,28 +116,16 @@ def shadow_echo(
 
 def face_frame(face: SurfaceElements) -> FaceFrame:
     """Plane of a face's patches, its normal their mean's."""
-    normal = _normals(face).mean(axis=0)
+    assert face.normals is not None
+    assert face.edges is not None
+    normal = face.normals.mean(axis=0)
     normal /= np.linalg.norm(normal)
-    along = _edges(face)[:, 0].mean(axis=0)
+    along = face.edges[:, 0].mean(axis=0)
     along -= (along @ normal) * normal
     along /= np.linalg.norm(along)
     rows = np.stack([along, np.cross(normal, along), normal])
     local = face.points @ rows.T
     return FaceFrame(origin=0.5 * (local.min(axis=0) + local.max(axis=0)) @ rows, rows=rows)
-
-
-def _normals(elements: SurfaceElements) -> Floats:
-    if elements.normals is None:
-        msg = "elements need normals, got none"
-        raise ValueError(msg)
-    return elements.normals
-
-
-def _edges(elements: SurfaceElements) -> Floats:
-    if elements.edges is None:
-        msg = "elements need edges, got none"
-        raise ValueError(msg)
-    return elements.edges
 
 
 def _shadow_paths(
@@ -188,7 +168,7 @@ def _interpolation(nodes: Floats, wanted: Floats) -> Floats:
     return np.asarray(np.linalg.solve(there.T, here.T))
 
 
-def _sheet(scene: WaveScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice, float]:
+def _sheet(scene: BoxScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice, float]:
     """Cells that hold the shadow on a plane through the rim, for all antennas, and its height."""
     eye = middles.mean(axis=0)
     rim = frame.local(rim_edges(scene.blocker.vertices, scene.blocker.faces, eye))
@@ -202,7 +182,7 @@ def _sheet(scene: WaveScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice
         cast = there[:2] + share * (vertices[:, :2] - there[:2])
         low.append(cast.min(axis=0))
         high.append(cast.max(axis=0))
-    lattice = lattice_over(np.min(low, axis=0), np.max(high, axis=0), scene.cell_m / REFINE)
+    lattice = lattice_over(np.min(low, axis=0), np.max(high, axis=0), CELL_M / REFINE)
     return lattice, height_m
 
 
@@ -221,7 +201,7 @@ def _small_blocks(middles: Floats, side_m: float) -> Iterator[Ints]:
 def _block_echo(
     rows: Ints,
     *,
-    scene: WaveScene,
+    scene: BoxScene,
     face: SurfaceElements,
     areas: Floats,
     frame: FaceFrame,
@@ -290,7 +270,7 @@ def _sampled(
 
 
 def _patch_weights(
-    scene: WaveScene,
+    scene: BoxScene,
     face: SurfaceElements,
     areas: Floats,
     antennas: AntennaBlocks,
@@ -298,23 +278,21 @@ def _patch_weights(
     frequencies_hz: Floats,
 ) -> tuple[NDArray[np.complex64], Bools]:
     """Integrand without ranges and shadow, for a block's middle, (n_used, n_nodes)."""
-    if face.slab is None:
-        msg = "face needs a slab, got none"
-        raise ValueError(msg)
+    assert face.slab is not None
+    assert face.normals is not None
+    assert face.edges is not None
     toward = eye - face.points
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    cosine = np.einsum("pi,pi->p", toward, _normals(face))
+    cosine = np.einsum("pi,pi->p", toward, face.normals)
     used = cosine > 0.0
     toward, cosine, points = toward[used], cosine[used], face.points[used]
-    crossed, excess_m = walls_crossed(points, eye, scene.walls)
+    crossed, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
     gain = np.maximum(-toward @ antennas.boresight, 0.0) ** (2 * antennas.pattern_exponent)
     real = areas[used] * cosine * crossed**2 * gain
-    if scene.wall_amplitude != 1.0:
-        real *= scene.wall_amplitude ** (2 * n_crossings(eye[None], points, scene.walls)[0])
     weights = phasors(2.0 * excess_m, frequencies_hz).T
     weights *= slab_reflection(cosine, face.slab, frequencies_hz, crossing=scene.wall_amplitude)
     k = 2.0 * np.pi * frequencies_hz / SPEED_OF_LIGHT_M_PER_S
-    for edge in np.moveaxis(_edges(face)[used], 1, 0):
+    for edge in np.moveaxis(face.edges[used], 1, 0):
         # The phase is linear over a patch; sin(x) / x varies little over the band: two nodes do.
         at = [np.sinc(2.0 / np.pi * q * np.einsum("pi,pi->p", edge, toward)) for q in (k[0], k[-1])]
         share = np.linspace(0.0, 1.0, len(k), dtype=np.float32)

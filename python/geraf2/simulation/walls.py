@@ -1,16 +1,15 @@
 """Walls of real boxes: bulged, skewed, turned, lossy, with edges and tape that echo."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.placement import rotation
 from geraf2.simulation.spec import SceneSpec
-from geraf2.simulation.streams import BULGE, stream
+from geraf2.simulation.streams import stream
 
 # Half waves of a bulge along each side of a wall; weights fall as a clamped plate's do, with the
 # square of their number.
@@ -99,7 +98,7 @@ def wall_shapes(spec: SceneSpec, seed: int) -> tuple[WallShape | None, ...]:
     return tuple(
         WallShape(
             half_m=0.5 * np.asarray(wall.size_m),
-            weights_m=world.wall_bulge_m * _unit_bulges(stream(seed, BULGE, number)),
+            weights_m=world.wall_bulge_m * _unit_bulges(stream(seed, "bulge", number)),
             skew=float(np.tan(np.deg2rad(world.box_skew_deg))),
         )
         for number, wall in enumerate(spec.walls)
@@ -125,34 +124,8 @@ def box_turn(spec: SceneSpec) -> tuple[Floats, Floats]:
     Returns the rotation, (3, 3), and the centre, (3,) [m].
     """
     center = np.asarray(spec.walls[0].center_m) if spec.walls else np.zeros(3)
-    angle = -np.deg2rad(spec.world.box_turn_deg)
-    return rotation(np.array([0.0, 0.0, angle])), center
-
-
-def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:
-    """Count the walls that each straight leg crosses, (n_starts, n_points).
-
-    starts: outside of all boxes, (n_starts, 3) [m].
-    points: in the air outside, between or inside the boxes, (n_points, 3) [m].
-    walls: the boxes.
-    """
-    counts = np.zeros((len(starts), len(points)), dtype=np.int64)
-    for wall in walls:
-        center, half = np.asarray(wall.center_m), 0.5 * np.asarray(wall.size_m)
-        ends_inside = (np.abs(points - center) < half).all(axis=1)
-        counts += ends_inside
-        others = np.flatnonzero(~ends_inside)
-        if not others.size:
-            continue
-        for row, start in enumerate(starts):
-            leg = points[others] - start
-            # A leg along a side divides by zero: its bounds are then infinite, as they should be.
-            with np.errstate(divide="ignore", invalid="ignore"):
-                low, high = (center - half - start) / leg, (center + half - start) / leg
-            enters = np.fmax.reduce(np.minimum(low, high), axis=1)
-            leaves = np.fmin.reduce(np.maximum(low, high), axis=1)
-            counts[row, others] += 2 * ((enters < leaves) & (leaves > 0.0) & (enters < 1.0))
-    return counts
+    turn = Rotation.from_euler("z", -spec.world.box_turn_deg, degrees=True)
+    return turn.as_matrix(), center
 
 
 def edge_lines(wall: Wall) -> list[Floats]:

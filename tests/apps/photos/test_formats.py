@@ -10,9 +10,10 @@ from PIL import Image
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.formats.images import read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
+from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import (
     SIZE,
     ring_of_cameras,
@@ -46,20 +47,27 @@ def assert_same_cameras(photos, cameras):
 )
 def test_colmap(tmp_path, binary, model, distortion):
     cameras = write_colmap(tmp_path, binary=binary, model=model, distortion=distortion)
-    loaded = load_photos(tmp_path, PhotoOptions(unit_m=1.0))
+    loaded = load_photos(tmp_path, LosOptions(unit="m"))
     assert (loaded.format, loaded.notes) == ("colmap", ())
     assert_same_cameras(loaded.photos, cameras)
 
 
-def test_colmap_says_that_its_scale_is_arbitrary(tmp_path):
-    write_colmap(tmp_path, binary=True)
-    assert "arbitrary scale" in load_photos(tmp_path).notes[0]
-
-
-def test_neus_of_any_sign_and_scale(tmp_path):
-    cameras = write_neus(tmp_path)
-    loaded = load_photos(tmp_path, PhotoOptions(unit_m=0.001))
-    assert loaded.format == "neus"
+@pytest.mark.parametrize(
+    ("name", "write", "unit", "note"),
+    [
+        ("colmap", lambda folder: write_colmap(folder, binary=True), None, "arbitrary scale"),
+        ("neus", write_neus, "mm", None),
+        ("middlebury", write_middlebury, None, None),
+        ("llff", write_llff, None, "arbitrary scale"),
+        ("llff", lambda folder: write_llff(folder, scale=2), None, "arbitrary scale"),
+    ],
+)
+def test_other_formats(tmp_path, name, write, unit, note):
+    cameras = write(tmp_path)
+    loaded = load_photos(tmp_path, LosOptions(unit=unit))
+    assert loaded.format == name
+    assert len(loaded.notes) == (note is not None)
+    assert note is None or note in loaded.notes[0]
     assert_same_cameras(loaded.photos, cameras)
 
 
@@ -68,13 +76,6 @@ def test_neus_does_not_unpickle(tmp_path):
     np.savez(tmp_path / "cameras_sphere.npz", world_mat_0=np.array([{}], dtype=object))
     with pytest.raises(UserError):
         open_photos(tmp_path)
-
-
-def test_middlebury(tmp_path):
-    cameras = write_middlebury(tmp_path)
-    loaded = load_photos(tmp_path)
-    assert (loaded.format, loaded.notes) == ("middlebury", ())
-    assert_same_cameras(loaded.photos, cameras)
 
 
 def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
@@ -95,17 +96,15 @@ def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
     return cameras, values
 
 
-@pytest.mark.parametrize("per_frame", [False, True])
-def test_transforms(tmp_path, per_frame):
-    cameras, _ = write_transforms_by_hand(tmp_path, per_frame=per_frame)
-    loaded = load_photos(tmp_path)
+@pytest.mark.parametrize(
+    ("form", "axes"),
+    [({}, "format"), ({"per_frame": True}, "format"), ({"opengl": False}, "opencv")],
+)
+def test_transforms(tmp_path, form, axes):
+    cameras, _ = write_transforms_by_hand(tmp_path, **form)
+    loaded = load_photos(tmp_path, LosOptions(camera_axes=axes))
     assert "metres are assumed" in loaded.notes[0]
     assert_same_cameras(loaded.photos, cameras)
-
-
-def test_transforms_with_the_other_axes(tmp_path):
-    cameras, _ = write_transforms_by_hand(tmp_path, opengl=False)
-    assert_same_cameras(load_photos(tmp_path, PhotoOptions(camera_axes="opencv")).photos, cameras)
 
 
 def test_transforms_name_their_unit(tmp_path):
@@ -235,7 +234,6 @@ def test_find_photos(tmp_path):
 
 
 def test_images_of_other_kinds(tmp_path):
-
     grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
     Image.fromarray(grey).save(tmp_path / "grey.png")
     Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
@@ -357,16 +355,6 @@ def test_two_frames_are_not_one_image(tmp_path):
         load_photos(tmp_path)
 
 
-def test_llff(tmp_path):
+def test_the_file_of_the_poses_may_be_named_itself(tmp_path):
     cameras = write_llff(tmp_path)
-    loaded = load_photos(tmp_path)
-    assert loaded.format == "llff"
-    assert "arbitrary scale" in loaded.notes[0]
-    assert_same_cameras(loaded.photos, cameras)
     assert_same_cameras(load_photos(tmp_path / "poses_bounds.npy").photos, cameras)
-
-
-def test_llff_with_smaller_copies_of_its_images(tmp_path):
-    cameras = write_llff(tmp_path, scale=2)
-    loaded = load_photos(tmp_path)
-    assert_same_cameras(loaded.photos, cameras)

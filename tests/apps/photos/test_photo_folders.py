@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image, ImageOps
 
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
+from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import (
     image_of,
     ring_of_cameras,
@@ -17,7 +18,7 @@ from helpers.scene_photos import (
     write_neus,
 )
 
-UNIT = PhotoOptions(unit_m=1.0)
+UNIT = LosOptions(unit="m")
 
 
 def two_models(folder, *, binary, few="0", many="1"):

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.photos.photo_store import PhotoOptions, box_outline, load_photos
+from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
+from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import image_of, write_middlebury
 
 TEMPLE_BOUNDS = np.array([[-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]])
@@ -44,7 +45,9 @@ def test_photos_without_poses_are_an_error(tmp_path):
 def test_unit_and_frame(tmp_path):
     cameras = write_middlebury(tmp_path, n_photos=2)
     move = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
-    photos = load_photos(tmp_path, PhotoOptions(unit_m=0.001, to_capture=move)).photos
+    np.savetxt(tmp_path / "move.txt", move)
+    options = LosOptions(unit="mm", to_radar=tmp_path / "move.txt")
+    photos = load_photos(tmp_path, options).photos
     expected = move[:3, :3] @ (0.001 * cameras[1].position) + move[:3, 3]
     np.testing.assert_allclose(photos.cameras[1].position, expected, atol=1e-9)
 
@@ -57,9 +60,10 @@ def test_photos_may_differ_in_size(tmp_path):
     assert (photos.cameras[0].width, photos.cameras[1].width) == (cameras[0].width, 32)
 
 
-def test_large_photos_are_read_smaller(tmp_path):
+def test_large_photos_are_read_smaller(tmp_path, monkeypatch):
+    monkeypatch.setattr("geraf2.apps.photos.photo_store._MAX_SIDE_PX", 32)
     cameras = write_middlebury(tmp_path, n_photos=2)
-    photos = load_photos(tmp_path, PhotoOptions(max_side_px=32, mask_threshold=1.0)).photos
+    photos = load_photos(tmp_path, LosOptions(mask_threshold=1.0)).photos
     assert photos.images[0].shape == (24, 32, 3)
     assert photos.masks[0].shape == (24, 32)
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
@@ -75,19 +79,18 @@ def test_masks_from_a_folder(tmp_path):
     half[: height // 2] = 255
     for name in ("photo0.png", "photo1.png"):
         write_image(tmp_path / "masks" / name, half)
-    masks = load_photos(tmp_path, PhotoOptions(mask_folder=tmp_path / "masks")).photos.masks
+    masks = load_photos(tmp_path, LosOptions(masks=tmp_path / "masks")).photos.masks
     assert masks[0][: height // 2].all()
     assert not masks[0][height // 2 :].any()
     write_image(tmp_path / "masks" / "photo1.png", half[:, :-1])
-    notes = load_photos(tmp_path, PhotoOptions(mask_folder=tmp_path / "masks")).notes
+    notes = load_photos(tmp_path, LosOptions(masks=tmp_path / "masks")).notes
     assert "the mask has another size" in notes[-1]
 
 
 @pytest.mark.data
 def test_the_temple_s_masks_fill_its_published_box(shared_data):
-    loaded = load_photos(
-        shared_data / "temple_photos", PhotoOptions(mask_threshold=46, bounds=TEMPLE_BOUNDS)
-    )
+    options = LosOptions(mask_threshold=46.0, bounds=tuple(TEMPLE_BOUNDS.ravel().tolist()))
+    loaded = load_photos(shared_data / "temple_photos", options)
     photos = loaded.photos
     assert len(photos) == 16
     assert loaded.notes == ()

@@ -1,9 +1,11 @@
+from dataclasses import replace
+
 import numpy as np
 
 from geraf2.apps.photos.unseen import close_unseen, seen_nodes
 from geraf2.fields import BoxSolid
 from geraf2.scene import Grid
-from geraf2.scene.photos import Camera
+from geraf2.simulation.photos import look_at
 from helpers import photo_sphere
 
 GRID = Grid.cube((0.0, 0.0, 0.0), 0.16, 41)
@@ -13,14 +15,9 @@ def cameras_above(n=8):
     """Around the origin, from 40 degrees above the ground."""
     made = []
     for camera in photo_sphere.cameras(n):
-        pose = camera.camera_to_world.copy()
-        eye = pose[:3, 3] - photo_sphere.CENTER
+        eye = camera.position - photo_sphere.CENTER
         eye[2] = 0.4
-        forward = -eye / np.linalg.norm(eye)
-        right = np.cross(forward, [0.0, 0.0, 1.0])
-        right /= np.linalg.norm(right)
-        pose[:3] = np.stack([right, np.cross(forward, right), forward, eye], axis=1)
-        made.append(Camera(intrinsics=camera.intrinsics, camera_to_world=pose, width=48, height=36))
+        made.append(replace(camera, camera_to_world=look_at(eye, np.zeros(3))))
     return tuple(made)
 
 

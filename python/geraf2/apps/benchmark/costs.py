@@ -1,7 +1,8 @@
 """Processor time of a benchmark: spent, and estimated for the remaining rows."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 
 from geraf2.apps.benchmark.rows import Row
 from geraf2.apps.benchmark.runner import Runner
@@ -24,42 +25,31 @@ class Cost:
     """Number of remaining rows and scenes without an estimate."""
 
 
-@dataclass
-class _Means:
-    """Mean of measured times, by kind."""
-
-    sums: dict[str, float] = field(default_factory=dict)
-    counts: dict[str, float] = field(default_factory=dict)
-
-    def add(self, kind: str, seconds: float, share: float = 1.0) -> None:
-        self.sums[kind] = self.sums.get(kind, 0.0) + seconds
-        self.counts[kind] = self.counts.get(kind, 0.0) + share
-
-    def of(self, kind: str) -> float | None:
-        return self.sums[kind] / self.counts[kind] if self.counts.get(kind) else None
-
-
 def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
     """Cost of each experiment, in the order of the rows; failed rows count as remaining."""
-    means = _Means()
     known: dict[str, float] = {}
+    sums: dict[str, float] = defaultdict(float)
+    counts: dict[str, float] = defaultdict(float)
     for row in rows:
         scene, run = (folder.name for folder in runner.place(row))
         result, scene_s = runner.known(row), runner.known_scene_seconds(row)
         if result is not None and result.error is None and run not in known:
             known[run] = result.all_cpu_seconds or 0.0
-            means.add(f"method {row.method}", known[run])
+            sums[row.method] += known[run]
+            counts[row.method] += 1.0
         if scene_s is not None and scene not in known:
             known[scene] = scene_s
-            means.add(_kind_of_scene(row), scene_s, _size_of_scene(row))
+            sums[_kind_of_scene(row)] += scene_s
+            counts[_kind_of_scene(row)] += _size_of_scene(row)
+    means = {kind: sums[kind] / count for kind, count in counts.items() if count}
     total: dict[str, Cost] = {}
     seen: set[str] = set()
     for row in rows:
         scene, run = (folder.name for folder in runner.place(row))
         cost = total.setdefault(row.experiment, Cost())
-        per_size, size = means.of(_kind_of_scene(row)), _size_of_scene(row)
+        per_size, size = means.get(_kind_of_scene(row)), _size_of_scene(row)
         scene_guess = 0.0 if size == 0.0 else None if per_size is None else per_size * size
-        guesses = ((scene, scene_guess), (run, means.of(f"method {row.method}")))
+        guesses = ((scene, scene_guess), (run, means.get(row.method)))
         for folder, guess in guesses:
             if folder in seen:
                 continue
@@ -76,7 +66,7 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
 
 
 def _kind_of_scene(row: Row) -> str:
-    return "scene" if row.spec.photos is None else "scene with photos"
+    return "a scene" if row.spec.photos is None else "a scene with photos"  # no method's name
 
 
 def _size_of_scene(row: Row) -> float:

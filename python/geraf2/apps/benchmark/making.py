@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter
-from geraf2.evaluation.oracle import COARSE_M
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import CHECKPOINT_NAME, CONTENT_NAME
@@ -128,26 +126,27 @@ def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowRes
     prior = LosPrior.from_box(wall.size_m, wall.center_m, capture.walls)
     grid, truth = grid_inside(prior, config.spacing_m), read_mesh(scene / TRUTH_NAME)
     total = sum_heat(capture, grid, num_threads=num_threads)
-    best = oracle_matched_filter(
-        total.heat, grid, prior, truth, crop_m=config.crop_m, seed=seed, num_threads=num_threads
-    )
-    scores = [(best.f1_15mm, best.f1_5mm, best.chamfer_1e3_m2)]
-    f1_2mm = best.f1_2mm
     counted = counted_voxels(prior, grid, config.crop_m, num_threads=num_threads)
     otsu = float(threshold_otsu(total.heat[counted]))
     hottest = float(total.heat[counted].max())
-    for threshold in (scale * otsu for scale in _ORACLE_SCALES if scale * otsu < hottest):
-        sdf = surface_above(capture, total, counted, threshold, config.normal_reach_m)
-        mesh = cropped_content(sdf, prior, config.crop_m, num_threads=num_threads)
-        if mesh.faces.shape[0]:
-            score = partial(evaluate_mesh, mesh, truth, seed=seed, num_threads=num_threads)
-            metrics = score(thresholds_m=COARSE_M)
-            if metrics.f1(0.005) > max(other[1] for other in scores):
-                f1_2mm = score().f1(0.002)
-            scores.append((metrics.f1(0.015), metrics.f1(0.005), metrics.chamfer_1e3_m2))
-    f1_15mm, f1_5mm, chamfer = zip(*scores, strict=True)
+    fields = (
+        surface_above(capture, total, counted, scale * otsu, config.normal_reach_m)
+        for scale in _ORACLE_SCALES
+        if scale * otsu < hottest
+    )
+    own = (cropped_content(f, prior, config.crop_m, num_threads=num_threads) for f in fields)
+    best = oracle_matched_filter(
+        *(total.heat, grid, prior, truth),
+        crop_m=config.crop_m,
+        seed=seed,
+        others=own,
+        num_threads=num_threads,
+    )
     return RowResult(
-        f1_15mm=max(f1_15mm), f1_5mm=max(f1_5mm), f1_2mm=f1_2mm, chamfer_1e3_m2=min(chamfer)
+        f1_15mm=best.f1_15mm,
+        f1_5mm=best.f1_5mm,
+        f1_2mm=best.f1_2mm,
+        chamfer_1e3_m2=best.chamfer_1e3_m2,
     )
 
 

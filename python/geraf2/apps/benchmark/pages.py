@@ -182,28 +182,32 @@ def _best_cells(
     return frozenset(best)
 
 
+def _ours(results: Results) -> dict[tuple[str, str, str], RowResult]:
+    """Return the default's results by table, scene and setting."""
+    return {
+        (row.experiment, row.scene, row.case.label): result
+        for row, result in results
+        if row.method == _OURS and result.f1_5mm is not None
+    }
+
+
 def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
     """Wins of the default over each method: (method, rows, by F1 5 mm, by CD).
 
     Counted over all common rows of the same table, scene and setting.
     """
-    ours = {
-        (row.experiment, row.scene, row.case.label): result
-        for row, result in results
-        if row.method == _OURS and result.f1_5mm is not None
-    }
-    counts: dict[str, list[int]] = {}
+    ours, counts_of = _ours(results), dict[str, list[int]]()
     for row, result in results:
         own = ours.get((row.experiment, row.scene, row.case.label))
         if row.method == _OURS or own is None or result.f1_5mm is None:
             continue
-        count = counts.setdefault(row.method, [0, 0, 0])
+        count = counts_of.setdefault(row.method, [0, 0, 0])
         count[0] += 1
         count[1] += (own.f1_5mm or 0.0) > result.f1_5mm
         count[2] += (own.chamfer_1e3_m2 or 0.0) < (result.chamfer_1e3_m2 or 0.0)
     return [
         (suite.methods[method].title, str(n), f"{f1} of {n}", f"{chamfer} of {n}")
-        for method, (n, f1, chamfer) in counts.items()
+        for method, (n, f1, chamfer) in counts_of.items()
     ]
 
 
@@ -212,13 +216,14 @@ def lost_rows(suite: Suite, results: Results) -> list[str]:
 
     It loses to another method on the same scene, or to itself with other settings.
     """
-    plain: dict[str, RowResult] = {}
-    ours: dict[tuple[str, str, str], RowResult] = {}
-    for row, result in results:
-        if row.method == _OURS and result.f1_5mm is not None:
-            ours[row.experiment, row.scene, row.case.label] = result
-            if row.case == Case(label=row.case.label):
-                plain[row.scene] = result
+    plain = {
+        row.scene: result
+        for row, result in results
+        if row.method == _OURS
+        and result.f1_5mm is not None
+        and row.case == Case(label=row.case.label)
+    }
+    ours = _ours(results)
     lines = []
     for row, result in results:
         own = ours.get((row.experiment, row.scene, row.case.label))

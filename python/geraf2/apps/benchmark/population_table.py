@@ -34,6 +34,7 @@ _ZERO_IF_FAILED = ("f1_5mm", "f1_3mm", "f1_2mm")
 VOLUME_TOLERANCE, EXTENT_TOLERANCE_MM = 0.05, 2.0
 """Errors of volume, relative, and of an extent [mm] that an inspection accepts."""
 _EXTENTS = ("extent_x_mm", "extent_y_mm", "extent_z_mm")
+_GROUP_SCORES = ("within_one", "within_two", "rank", "f1_5mm", "f1_2mm")
 _GROUPS = (("world", ("none", "plausible", "hard")), ("material", ("metal", "plastic")))
 
 
@@ -114,17 +115,12 @@ def preset_table(
         f"  {'':38}{'mean':>9}{'95 % interval':>21}{'5 %':>9}{'95 %':>9}{'seeds':>7}",
     ]
     for name, title, digits in METRICS:
-        values = np.array([result.score(name) for result in results])
-        values = values[np.isfinite(values)]
+        values = _known(results, name)
         if not len(values):
             continue
-        mean = mean_interval(values)
-        within = f"{mean.low:.{digits}f} to {mean.high:.{digits}f}"
         low, high = np.quantile(values, (0.05, 0.95))
-        lines.append(
-            f"  {title:38}{mean.value:9.{digits}f}{within:>21}{low:9.{digits}f}{high:9.{digits}f}"
-            f"{len(values):7d}"
-        )
+        ends = f"{low:9.{digits}f}{high:9.{digits}f}"
+        lines.append(f"  {title:38}{_text(mean_interval(values), digits)}{ends}{len(values):7d}")
     lines += _size_lines(results)
     lines += _group_lines(results, records or {})
     if errors or poor:
@@ -136,8 +132,7 @@ def _size_lines(results: Sequence[SeedResult]) -> list[str]:
     """Shares of scenes with the right volume and extents, a failure counts as a miss; |offset|."""
     volume = np.array([abs(r.score("volume_ratio") - 1.0) for r in results])
     extents = np.abs([[r.score(name) for name in _EXTENTS] for r in results])
-    offset = np.abs([r.score("offset_mm") for r in results])
-    offset = offset[np.isfinite(offset)]
+    offset = np.abs(_known(results, "offset_mm"))
     small = extents <= EXTENT_TOLERANCE_MM
     rows = [
         (f"share with volume within {VOLUME_TOLERANCE:.0%}", volume <= VOLUME_TOLERANCE),
@@ -147,13 +142,12 @@ def _size_lines(results: Sequence[SeedResult]) -> list[str]:
     lines = []
     for title, hits in rows:
         mean = mean_interval(np.asarray(hits, dtype=float))
-        within = f"{mean.low:.3f} to {mean.high:.3f}"
-        lines.append(f"  {title:38}{mean.value:9.3f}{within:>21}{'':18}{len(hits):7d}")
+        lines.append(f"  {title:38}{_text(mean, 3)}{'':18}{len(hits):7d}")
     if len(offset):
         medians = np.median(offset[_draws(len(offset), N_RESAMPLES)], axis=1)
-        within = "{:.2f} to {:.2f}".format(*_bounds(medians))
-        title, value = "median of |offset| [mm]", np.median(offset)
-        lines.append(f"  {title:38}{value:9.2f}{within:>21}{'':18}{len(offset):7d}")
+        median = Interval(float(np.median(offset)), *_bounds(medians))
+        title = "median of |offset| [mm]"
+        lines.append(f"  {title:38}{_text(median, 2)}{'':18}{len(offset):7d}")
     return lines
 
 
@@ -165,24 +159,25 @@ def _group_lines(results: Sequence[SeedResult], records: Records) -> list[str]:
         for value in values:
             own = [r for r in results if records.get(r.seed, {}).get(key) == value]
             if own:
-                cells = [_mean(own, name) for name in ("within_one", "within_two", "rank")]
-                cells.append(_median_size(own, "offset_mm"))
-                cells += [_mean(own, name) for name in ("f1_5mm", "f1_2mm")]
+                offset = np.abs(_known(own, "offset_mm"))
+                of_own = [_known(own, name) for name in _GROUP_SCORES]
+                cells = [f"{values.mean():.3f}" if len(values) else "-" for values in of_own]
+                cells.insert(3, f"{np.median(offset):.2f}" if len(offset) else "-")
                 text = "".join(f"{cell:>10}" for cell in [*cells, str(len(own))])
                 lines.append(f"  {f'{key} {value}':20}{text}")
     return [f"  {'':20}" + "".join(f"{name:>10}" for name in head), *lines] if lines else []
 
 
-def _mean(results: Sequence[SeedResult], name: str) -> str:
+def _known(results: Sequence[SeedResult], name: str) -> Floats:
+    """Return one score of all results that have it, (n,)."""
     values = np.array([result.score(name) for result in results])
-    values = values[np.isfinite(values)]
-    return f"{values.mean():.3f}" if len(values) else "-"
+    return np.asarray(values[np.isfinite(values)])
 
 
-def _median_size(results: Sequence[SeedResult], name: str) -> str:
-    values = np.abs([result.score(name) for result in results])
-    values = values[np.isfinite(values)]
-    return f"{np.median(values):.2f}" if len(values) else "-"
+def _text(interval: Interval, digits: int, sign: str = "") -> str:
+    number = f"{sign}.{digits}f"
+    within = f"{interval.low:{number}} to {interval.high:{number}}"
+    return f"{interval.value:{number}}".rjust(9) + within.rjust(21)
 
 
 def paired_table(
@@ -204,12 +199,7 @@ def paired_table(
             continue
         first, second = values.T
         mean, quantile = mean_interval(second - first), quantile_change(first, second)
-        cells = "".join(_change(change, digits) for change in (mean, quantile))
+        cells = _text(mean, digits, "+") + _text(quantile, digits, "+")
         higher = f"{int((second > first).sum())}/{len(values)}"
         lines.append(f"  {label:38}{cells}{higher:>9}")
     return lines
-
-
-def _change(change: Interval, digits: int) -> str:
-    within = f"{change.low:+.{digits}f} to {change.high:+.{digits}f}"
-    return f"{change.value:+9.{digits}f}{within:>21}"

@@ -1,6 +1,6 @@
 """Rows of tables: scene, setting and method, with their results."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from itertools import product
@@ -111,34 +111,14 @@ class RowResult:
         return ", ".join([*parts, *psnr])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Choice:
-    """Selection of rows by patterns of their parts.
-
-    `*` matches any letters, `?` one; empty patterns match everything.
-    """
-
-    scenes: tuple[str, ...] = ()
-    """Patterns of scenes' names."""
-    cases: tuple[str, ...] = ()
-    """Patterns of cases' labels."""
-    methods: tuple[str, ...] = ()
-    """Patterns of methods' names."""
-
-    def takes(self, row: Row) -> bool:
-        """Whether a row is selected."""
-        parts = (row.scene, self.scenes), (row.case.label, self.cases), (row.method, self.methods)
-        return all(
-            not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)
-            for name, patterns in parts
-        )
-
-
-def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = None) -> list[Row]:
+def rows_of(
+    suite: Suite, only: tuple[str, ...] = (), choice: Mapping[str, tuple[str, ...]] | None = None
+) -> list[Row]:
     """List the selected rows in the order of the tables; UserError for a pattern without a match.
 
     only: names of experiments; empty: all but those that run by name only.
-    choice: selection of their rows; all when None.
+    choice: patterns of the names of "scene", "case" and "method", of each of which one must match;
+        `*` matches any letters, `?` one; none are as if all matched.
     """
     in_form = " in --quick" if suite.is_quick else ""
     unknown = [name for name in only if name not in suite.experiments]
@@ -162,25 +142,23 @@ def rows_of(suite: Suite, only: tuple[str, ...] = (), choice: Choice | None = No
         if name in only or not (only or experiment.by_name)
         for scene, case, method in product(experiment.scenes, experiment.cases, experiment.methods)
     ]
-    if choice is None:
-        return rows
-    _require_matches("scene", choice.scenes, [row.scene for row in rows], in_form)
-    _require_matches("case", choice.cases, [row.case.label for row in rows], in_form)
-    _require_matches("method", choice.methods, [row.method for row in rows], in_form)
-    chosen = [row for row in rows if choice.takes(row)]
-    if not chosen:
+    names = {
+        "scene": [row.scene for row in rows],
+        "case": [row.case.label for row in rows],
+        "method": [row.method for row in rows],
+    }
+    left = list(range(len(rows)))
+    for what, patterns in (choice or {}).items():
+        known = [name for name in dict.fromkeys(names[what]) if name]
+        unknown = [p for p in patterns if not any(fnmatchcase(name, p) for name in known)]
+        if unknown:
+            raise UserError(
+                what=f"no such {what}{in_form}",
+                expected="some of " + "; ".join(known) if known else f"none: no {what} has a name",
+                got="; ".join(unknown),
+            )
+        if patterns:
+            left = [n for n in left if any(fnmatchcase(names[what][n], p) for p in patterns)]
+    if choice is not None and not left:
         raise UserError(what="no row matches scene, case and method together" + in_form)
-    return chosen
-
-
-def _require_matches(
-    what: str, patterns: tuple[str, ...], names: Sequence[str], in_form: str
-) -> None:
-    known = [name for name in dict.fromkeys(names) if name]
-    unknown = [p for p in patterns if not any(fnmatchcase(name, p) for name in known)]
-    if unknown:
-        raise UserError(
-            what=f"no such {what}{in_form}",
-            expected="some of " + "; ".join(known) if known else f"none: no {what} has a name",
-            got="; ".join(unknown),
-        )
+    return [rows[number] for number in left]

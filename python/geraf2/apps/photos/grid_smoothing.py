@@ -5,6 +5,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from torch import Tensor
 
+from geraf2._types import Bools, Floats
+
 _NEAR_VOXELS = 2.5
 """Limit of the first-order distance, value over slope; beyond, voxel distances are used."""
 _SMALLEST_SLOPE = 0.1
@@ -29,6 +31,15 @@ def binomial_blur(values: Tensor, passes: int = 1) -> Tensor:
     return values
 
 
+def steps_to_outline(inside: Bools) -> Floats:
+    """Signed distance of cells from the outline of a set, negative inside, `inside.shape` [cells].
+
+    From middle to middle; the outline runs between them. The set is neither empty nor everything.
+    """
+    outward = ndimage.distance_transform_edt(~inside) - 0.5
+    return np.asarray(np.where(inside, 0.5 - ndimage.distance_transform_edt(inside), outward))
+
+
 def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
     """Signed distance with the same zero level, to first order near it.
 
@@ -41,12 +52,7 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
     inside = values < 0.0
     if inside.all() or not inside.any():
         return values
-    far = np.where(
-        inside,
-        0.5 - ndimage.distance_transform_edt(inside),
-        ndimage.distance_transform_edt(~inside) - 0.5,
-    )
-    far *= spacing_m
+    far = spacing_m * steps_to_outline(inside)
     bound = _NEAR_VOXELS * spacing_m
     # the larger of the two beyond the bound, so that no second zero level appears
     keep = (np.abs(near) < bound) & (np.abs(far) < 2.0 * bound)

@@ -29,8 +29,6 @@ _MARGIN_VOXELS = 3.0
 """Margin around the surface when the region shrinks, in voxels of the coarser grid."""
 _UNSEEN_VOXELS = 64
 """Voxels along the longest side of the grid on which unseen parts are closed."""
-_VOXELS_LIKE_RAYS = 1e6
-"""Voxels whose filters cost as much as the rays of a step, for the remaining time."""
 
 
 class GridTrainer(PhotoTrainer):
@@ -99,15 +97,6 @@ class GridTrainer(PhotoTrainer):
             {"params": networks},
         ]
         self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
-
-    def work(self, step: int) -> float:
-        """Work of the steps before this one; grids cost by their voxels, rays by their number."""
-        total = 0.0
-        for stage in self.config.stages:
-            n_voxels = self.surface.region.grid(stage.n_longest).n_voxels
-            total += min(step, stage.n_steps) * (1.0 + n_voxels / _VOXELS_LIKE_RAYS)
-            step = max(0, step - stage.n_steps)
-        return total
 
     def _stage(self) -> tuple[int, int]:
         """Return the current stage, and the step within it."""
@@ -215,14 +204,11 @@ class GridTrainer(PhotoTrainer):
     @torch.no_grad()
     def precondition(self) -> None:
         """Smooth the gradient of the values, and draw them to their neighbours' mean."""
-        field, config = self.field, self.config
-        if field.distance.values.grad is not None:
-            field.distance.values.grad = binomial_blur(
-                field.distance.values.grad, config.blur_passes
-            )
+        values, config = self.field.distance.values, self.config
+        if values.grad is not None:
+            values.grad = binomial_blur(values.grad, config.blur_passes)
         bends = config.bending > 0.0 and self.optimiser.param_groups[0]["lr"] > 0.0
         if bends and self.step_number % _BENDING_EVERY == 0:
-            values = field.distance.values
             values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
 
 

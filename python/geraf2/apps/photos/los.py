@@ -13,7 +13,7 @@ from geraf2 import __version__
 from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
-from geraf2.apps.photos.photo_store import PhotoOptions, load_photos
+from geraf2.apps.photos.photo_store import load_photos
 from geraf2.calibration.found_box import find_box
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
@@ -39,7 +39,6 @@ from geraf2.scene.summary import CaptureSummary
 if TYPE_CHECKING:
     from geraf2.apps.photos.config import PhotoConfig
     from geraf2.apps.photos.neural_surface import NeuralSurface
-    from geraf2.apps.photos.training import PhotoProgress
 
 MESH_NAME = "los.ply"
 FIELD_NAME = "los.npz"
@@ -176,8 +175,7 @@ def make_los(
         if options.unit is not None or options.to_radar is not None:
             what = "side lengths are metres in the capture's frame: leave out --unit and --to-radar"
             raise UserError(what=what)
-        prior = LosPrior.from_box((x, y, z), box_center_m)
-        kind, mesh = "box", TriangleMesh(vertices=prior.vertices, faces=prior.faces)
+        kind, mesh = "box", LosPrior.from_box((x, y, z), box_center_m).mesh
     elif is_photo_set(path) or path.is_dir():
         if not is_photo_set(path):
             open_photos(path)  # raises an error that names the missing file
@@ -196,30 +194,12 @@ def is_photo_set(path: Path) -> bool:
     return not (path / LOS_RECORD_NAME).is_file() and find_photos(path) is not None
 
 
-def photo_options(options: LosOptions) -> PhotoOptions:
-    """Options of :func:`load_photos`; UserError where they contradict each other."""
-    rigid, unit_m = options.placement()
-    if options.mask_threshold is not None and options.masks is not None:
-        raise UserError(what="give either --masks or --mask-threshold", got="both")
-    if options.masks is not None and not options.masks.is_dir():
-        raise UserError(what="--masks must be a folder", got=options.masks)
-    bounds = options.limits()
-    return PhotoOptions(
-        unit_m=unit_m,
-        to_capture=rigid,
-        camera_axes=options.camera_axes,
-        mask_folder=options.masks,
-        mask_threshold=options.mask_threshold,
-        bounds=bounds if bounds is not None and np.isfinite(bounds).all() else None,
-    )
-
-
 def read_photos(source: Path, options: LosOptions, listener: Listener | None = None) -> LosPhotos:
     """Read and check a photo set; findings go to the listener, UserError if it is unusable."""
     listener = listener or Listener()
     if options.hold_out < 0 or options.hold_out == 1:
         raise UserError(what="--hold-out must be 0 or at least 2", got=options.hold_out)
-    loaded = load_photos(source, photo_options(options))
+    loaded = load_photos(source, options)
     for note in loaded.notes[:_MAX_NOTES]:
         listener.warning(f"{source}: {note}")
     if len(loaded.notes) > _MAX_NOTES:
@@ -264,7 +244,6 @@ def train_los(
     import torch  # noqa: PLC0415 - takes 2 s
 
     from geraf2.apps.photos import los_views  # noqa: PLC0415 - needs torch
-    from geraf2.apps.photos.held_out import compare_views, hold_out  # noqa: PLC0415 - needs torch
     from geraf2.report.los import surface_views  # noqa: PLC0415 - matplotlib takes 0.5 s
 
     if num_threads is not None:
@@ -276,7 +255,7 @@ def train_los(
         with listener.step("surface from photos (done before)"):
             los_views.warn_unexplained(kept.record.numbers, job.source, listener)
             return kept
-    trained, held = hold_out(job.photos, options.hold_out)
+    trained, held = los_views.hold_out(job.photos, options.hold_out)
     checkpoint = folder / f"training-{job.key[:12]}.safetensors"
     folder.mkdir(parents=True, exist_ok=True)
     with listener.step("surface from photos") as report:
@@ -292,7 +271,7 @@ def train_los(
     if held is None:
         numbers |= {f"{los_views.TRAINED}{name}": value for name, value in seen.items()}
     else:
-        numbers |= compare_views(surface, held)
+        numbers |= los_views.compare_views(surface, held)[1]
     refused = los_views.is_refuted(numbers)
     surface_views(views, folder / (REFUSED_NAME if refused else VIEWS_NAME))
     if refused:
@@ -310,9 +289,6 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
     from geraf2.apps.photos.training import train_neural_surface  # noqa: PLC0415 - torch takes 2 s
     from geraf2.apps.photos.visual_hull import Region  # noqa: PLC0415 - with it
 
-    def on_step(progress: "PhotoProgress") -> None:
-        report(progress.step / progress.n_steps)
-
     limits, region = job.options.limits(), None
     if limits is not None and np.isfinite(limits).all():
         margin = 0.05 * (limits[1] - limits[0]).max()
@@ -321,7 +297,7 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
         photos,
         photo_config(job.options.preset, job.options.seed),
         region=region,
-        progress=on_step,
+        progress=lambda progress: report(progress.step / progress.n_steps),
         checkpoint=checkpoint,
         resume=True,
     )
@@ -352,9 +328,8 @@ def write_los(
             hint="do the photos show the box, and do --bounds and masks leave it in?",
         )
     prior = LosPrior.from_mesh(mesh, where=record.source)
-    mesh = TriangleMesh(vertices=prior.vertices, faces=prior.faces)
     made_from = {"source": Path(record.source).name, "key": record.key, "command": "geraf2 los"}
-    write_mesh(mesh, folder / MESH_NAME, frame=frame, made_from=made_from)
+    write_mesh(prior.mesh, folder / MESH_NAME, frame=frame, made_from=made_from)
     sdf.save(folder / FIELD_NAME)
     names = [MESH_NAME, MESH_NAME + ".json", FIELD_NAME, *others]
     values = {
@@ -375,17 +350,25 @@ def write_los(
 
 def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
-    try:
-        values = parse_json(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
-        files = dict(values["files"])
-        record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
-    except (OSError, ValueError, KeyError, TypeError):
+    stored = _stored(folder)
+    if stored is None:
         return None
+    record, files = stored
     whole = all(file_digest(folder / name) == digest for name, digest in files.items())
     if not (record.key == key and whole and {MESH_NAME, *others} <= set(files)):
         return None
     prior = LosPrior.from_mesh(read_mesh(folder / MESH_NAME), where=folder)
     return LosResult(path=folder, prior=prior, record=record, files=(*files, LOS_RECORD_NAME))
+
+
+def _stored(folder: Path) -> tuple[LosRecord, dict[str, str]] | None:
+    """Record of a finished prior and the digests of its files; None where there is none."""
+    try:
+        values = parse_json(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
+        record = LosRecord(**{name: values[name] for name in LosRecord.__dataclass_fields__})
+        return record, dict(values["files"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 def _from_mesh(
@@ -418,18 +401,13 @@ def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
     rigid, unit_m = options.placement()
     mesh = read_mesh(path, any_unit=unit_m is not None)
     sides = np.ptp(mesh.vertices, axis=0) * (unit_m or 1.0)
-    if sides.max() < _MIN_BOX_M:
-        raise UserError(
-            what=f"the mesh is {sides.max():.3g} m long",
-            where=path,
-            expected=f"at least {_MIN_BOX_M:g} m",
-        )
-    if sides.max() > _MAX_BOX_M:
+    if not _MIN_BOX_M <= sides.max() <= _MAX_BOX_M:
+        is_long = sides.max() > _MAX_BOX_M
         raise UserError(
             what=f"the mesh is {sides.max():.4g} m long",
             where=path,
-            expected=f"at most {_MAX_BOX_M:g} m",
-            hint="is it in millimetres? then add --unit mm",
+            expected=f"{_MIN_BOX_M:g} to {_MAX_BOX_M:g} m",
+            hint="is it in millimetres? then add --unit mm" if is_long else None,
         )
     if not sides.min() > _FLAT * sides.max():
         raise UserError(what="the mesh is flat and encloses nothing", where=path)
@@ -451,10 +429,6 @@ def _require_own(out: Path) -> None:
 
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of another source."""
-    try:
-        values = parse_json(read_regular(out / LOS_RECORD_NAME, RECORD_BYTES))
-        other, source = values["key"] != key, values["source"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return
-    if other:
-        require_consent(out, f"a finished prior of {source!r}", overwrite=overwrite)
+    stored = _stored(out)
+    if stored is not None and stored[0].key != key:
+        require_consent(out, f"a finished prior of {stored[0].source!r}", overwrite=overwrite)

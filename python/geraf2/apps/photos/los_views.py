@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from geraf2.apps.photos.held_out import ComparedView, agreement
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
@@ -26,21 +25,59 @@ _GOOD_OVERLAP, _LEAST_OVERLAP = 0.95, 0.8
 _GOOD_GAIN_DB, _LEAST_GAIN_DB = 3.0, 0.0
 
 
+def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
+    """Photos to train with, and every `every`-th, which is held out; None of them at 0."""
+    if every == 0:
+        return photos, None
+    index = np.arange(len(photos))
+    held = index % every == every - 1
+    return photos.subset(index[~held]), photos.subset(index[held])
+
+
 def compare_some(
     surface: NeuralSurface, photos: PhotoSet
 ) -> tuple[list[SurfaceView], dict[str, float]]:
-    """Render some photos' views; returns them and :func:`geraf2.apps.photos.held_out.agreement`."""
-    views, compared = [], []
-    for index in np.linspace(0, len(photos) - 1, min(_N_VIEWS, len(photos))).round().astype(int):
-        camera, image = photos.cameras[index], photos.images[index]
-        step = max(1, camera.height // _VIEW_HEIGHT)
+    """Smaller views of some of the photos, and their agreement, see :func:`compare_views`."""
+    chosen = np.linspace(0, len(photos) - 1, min(_N_VIEWS, len(photos))).round().astype(int)
+    return compare_views(surface, photos.subset(chosen), _VIEW_HEIGHT)
+
+
+def compare_views(
+    surface: NeuralSurface, photos: PhotoSet, height: int | None = None
+) -> tuple[list[SurfaceView], dict[str, float]]:
+    """Render a surface from the cameras of photos, and measure the agreement.
+
+    height: of the views, about; that of the photos when None [pixel].
+
+    Numbers: psnr_db over the object (the whole picture without masks); one_colour_db, the same for
+    the mean colour of all these pixels; and with masks silhouette_iou, the intersection over union
+    of the silhouettes.
+    """
+    views, errors, overlaps, colours = [], [], [], []
+    for index, camera in enumerate(photos.cameras):
+        step = 1 if height is None else max(1, camera.height // height)
         view = surface.render(camera.binned(step))
-        small = bin_pixels(image, step).round().astype(np.uint8)
-        mask = None if photos.masks is None else bin_pixels(photos.masks[index], step) >= 0.5
+        image = bin_pixels(photos.images[index], step).round().astype(np.uint8)
         name = photos.names[index]
-        views.append(SurfaceView(name, small, view.colour, view.normal, view.opacity))
-        compared.append(ComparedView(small, view.colour, view.opacity, mask))
-    return views, agreement(compared)
+        views.append(SurfaceView(name, image, view.colour, view.normal, view.opacity))
+        photo, seen = image.astype(np.float32) / 255.0, view.opacity > 0.5
+        mask = np.ones(seen.shape, dtype=bool)
+        if photos.masks is not None:
+            mask = bin_pixels(photos.masks[index], step) >= 0.5
+            overlaps.append(float((mask & seen).sum() / max((mask | seen).sum(), 1)))
+        error = (view.colour - photo)[mask] ** 2
+        errors.append(float(np.mean(error)) if mask.any() else 0.0)
+        colours.append(photo[mask])
+    flat = np.concatenate(colours)
+    spread = float(np.var(flat, axis=0, dtype=np.float64).mean()) if len(flat) else 0.0
+    numbers = {"psnr_db": _decibel(float(np.mean(errors))), "one_colour_db": _decibel(spread)}
+    if overlaps:
+        numbers["silhouette_iou"] = float(np.mean(overlaps))
+    return views, numbers
+
+
+def _decibel(error: float) -> float:
+    return float(-10.0 * np.log10(max(error, 1e-12)))
 
 
 def is_refuted(numbers: Mapping[str, Any]) -> bool:

@@ -13,16 +13,10 @@ from geraf2._types import AnyPath, Array
 from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.neus.background import NerfBackground
-from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.neus.ray_samples import intersect_ball, intersect_box
-from geraf2.apps.photos.neus.rendering import (
-    PhotoSamplingConfig,
-    Rendering,
-    place_samples,
-    render_rays,
-)
+from geraf2.apps.photos.neus.rendering import ColouredField, Rendering, place_samples, render_rays
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
@@ -111,27 +105,24 @@ class NeuralSurface:
         self,
         rays: tuple[Tensor, Tensor],
         *,
-        sampling: PhotoSamplingConfig | None = None,
         inv_s: Tensor | None = None,
         anneal: float = 1.0,
         generator: torch.Generator | None = None,
     ) -> Rendering:
         """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
-        sampling = self.config.sampling if sampling is None else sampling
+        sampling, radius_m = self.config.sampling, self.region.radius_m
         near, far = self.span(*rays)
         # A ray that misses is rendered close to the camera, in empty space: entry and exit are
         # unbounded for a ray parallel to a face.
         missed = far <= near
         near = torch.where(missed, 0.0, near)
-        far = torch.where(missed, _MISSED_SPAN * self.region.radius_m, far)
-        edges = place_samples(
-            self.field,
-            rays,
-            (near, far),
-            sampling,
-            (self._first_inv_s(sampling), self.inv_s),
-            generator,
-        )
+        far = torch.where(missed, _MISSED_SPAN * radius_m, far)
+        first_inv_s = sampling.first_inv_s / radius_m
+        if isinstance(self.field, ColouredGrid):
+            # No sharper than the coarse intervals are long, or one of them gets all samples.
+            first_inv_s = min(self.inv_s, 0.5 * sampling.n_coarse / radius_m)
+        inv_s_range = (first_inv_s, self.inv_s)
+        edges = place_samples(self.field, rays, (near, far), sampling, inv_s_range, generator)
         return render_rays(
             self.field,
             rays,
@@ -141,16 +132,10 @@ class NeuralSurface:
             background=self.background,
         )
 
-    def _first_inv_s(self, sampling: PhotoSamplingConfig) -> float:
-        if isinstance(self.field, ColouredGrid):
-            # No sharper than the coarse intervals are long, or one of them gets all samples.
-            return min(self.inv_s, 0.5 * sampling.n_coarse / self.region.radius_m)
-        return sampling.first_inv_s / self.region.radius_m
-
     @torch.no_grad()
-    def render(self, camera: Camera, sampling: PhotoSamplingConfig | None = None) -> RenderedView:
+    def render(self, camera: Camera) -> RenderedView:
         """Picture of the surface as a camera sees it; deterministic."""
-        sampling = self.config.sampling if sampling is None else sampling
+        sampling = self.config.sampling
         origins, directions = camera.rays(camera.pixel_centers())
         first = torch.from_numpy(origins).to(torch.float32)
         towards = torch.from_numpy(directions).to(torch.float32)
@@ -159,7 +144,7 @@ class NeuralSurface:
         out = torch.zeros((first.shape[0], 8))
         chunk = max(1, _CHUNK_SAMPLES // (sampling.n_coarse + sampling.n_fine))
         for part in torch.split(torch.nonzero(meets)[:, 0], chunk):
-            seen = self.render_rays((first[part], towards[part]), sampling=sampling)
+            seen = self.render_rays((first[part], towards[part]))
             rest = torch.stack([seen.opacity, seen.depth], dim=1)
             out[part] = torch.cat([seen.colour, seen.normal, rest], dim=1)
         image = out.reshape(camera.height, camera.width, 8).numpy()
@@ -177,24 +162,24 @@ class NeuralSurface:
         The grid is that of the field, or has `n_longest` voxels along its longest side. Near the
         zero level the distance is exact to first order, farther out to half a voxel.
         """
-        raw = self._raw(n_longest)
-        values = quick_redistance(close_body(raw.values, raw.grid.spacing_m), raw.grid.spacing_m)
-        return SdfGrid(grid=raw.grid, values=values)
+        closed = self._closed(n_longest)
+        values = quick_redistance(closed.values, closed.grid.spacing_m)
+        return SdfGrid(grid=closed.grid, values=values)
 
     def mesh(self, n_longest: int | None = None) -> TriangleMesh:
         """Zero level of the closed main parts, outward winding [m]."""
-        raw = self._raw(n_longest)
-        closed = close_body(raw.values, raw.grid.spacing_m)
-        return extract_surface(SdfGrid(grid=raw.grid, values=closed))
+        return extract_surface(self._closed(n_longest))
 
     @torch.no_grad()
-    def _raw(self, n_longest: int | None) -> SdfGrid:
+    def _closed(self, n_longest: int | None) -> SdfGrid:
         if n_longest is None and isinstance(self.field, ColouredGrid):
-            return SdfGrid(grid=self.field.grid, values=self.field.distance.values.detach().numpy())
-        grid = self.region.grid(_MESH_VOXELS if n_longest is None else n_longest)
-        points = torch.from_numpy(grid.points()).to(torch.float32)
-        parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
-        return SdfGrid(grid=grid, values=torch.cat(parts).reshape(grid.shape).numpy())
+            grid, values = self.field.grid, self.field.distance.values.detach()
+        else:
+            grid = self.region.grid(_MESH_VOXELS if n_longest is None else n_longest)
+            points = torch.from_numpy(grid.points()).to(torch.float32)
+            parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
+            values = torch.cat(parts).reshape(grid.shape)
+        return SdfGrid(grid=grid, values=close_body(values.numpy(), grid.spacing_m))
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays by name and plain values, the input of `from_state`."""
@@ -213,7 +198,9 @@ class NeuralSurface:
     @classmethod
     def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
         """Surface of a `state`."""
-        config = read_config(header["model"], header["config"])
+        kinds = {kind.__name__: kind for kind in (GridPhotoConfig, MlpPhotoConfig)}
+        model = header["model"]
+        config: Any = from_table(header["config"], kinds[model], f"stored {model}")
         region = from_table(header["region"], Region, "stored region")
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
         field: ColouredField
@@ -251,10 +238,3 @@ class NeuralSurface:
 def cube_about(region: Region) -> CubeDomain:
     """Cube about the ball around a region, in which a network is normalised."""
     return CubeDomain(center_m=region.center_m, half_side_m=region.radius_m)
-
-
-def read_config(model: str, values: dict[str, Any]) -> GridPhotoConfig | MlpPhotoConfig:
-    """Config of a class name and a table of `dataclasses.asdict`."""
-    kinds: dict[str, Any] = {"GridPhotoConfig": GridPhotoConfig, "MlpPhotoConfig": MlpPhotoConfig}
-    config: GridPhotoConfig | MlpPhotoConfig = from_table(values, kinds[model], f"stored {model}")
-    return config

@@ -81,25 +81,17 @@ def require_photos_in_view(
 
 
 def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
-    to_focus = focus - photos.positions
-    ahead = np.array(
-        [
-            float(camera.looking @ line)
-            for camera, line in zip(photos.cameras, to_focus, strict=True)
-        ]
-    )
-    n_away = int((ahead <= 0.0).sum())
+    n_away = sum(float(c.looking @ (focus - c.position)) <= 0.0 for c in photos.cameras)
     if n_away > 0.5 * len(photos):
         yield error(
             f"{n_away} of {len(photos)} cameras face away from their common focus; the "
             "camera axes are probably of the other convention (--camera-axes opencv or opengl)"
         )
         return
-    pixels = [camera.project(focus[None])[0] for camera in photos.cameras]
     outside = [
         name
-        for name, camera, pixel in zip(photos.names, photos.cameras, pixels, strict=True)
-        if not ((pixel >= 0.0).all() and (pixel <= [camera.width, camera.height]).all())
+        for name, camera in zip(photos.names, photos.cameras, strict=True)
+        if not camera.shown(camera.project(focus[None])).all()
     ]
     if len(outside) > 0.5 * len(photos):
         yield error(

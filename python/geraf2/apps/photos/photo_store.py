@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Array, Bools, Floats
-from geraf2._validation import require_positive
 from geraf2.apps.photos.formats import PhotoRecord, PhotoSource, open_photos
 from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
@@ -14,36 +13,11 @@ from geraf2.apps.photos.orientation import exif_turns
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import SIGNS
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV, require_rigid
-from geraf2.pipeline.los_options import CameraAxes
+from geraf2.pipeline.los_options import CameraAxes, LosOptions
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PhotoOptions:
-    """Options of a photo set."""
-
-    unit_m: float | None = None
-    """Length of the unit of the poses [m]; None: that of the source, else 1."""
-    to_capture: Floats | None = None
-    """Rigid transform from the frame of the poses, after the unit, (4, 4) [m]; None: the same."""
-    camera_axes: CameraAxes = "format"
-    """Camera axes of the source: of its format, or `opencv` (z forward), `opengl` (z backward)."""
-    mask_folder: Path | None = None
-    """Folder of masks named as the photos, bright where the object is."""
-    mask_threshold: float | None = None
-    """Largest brightness of a dark background, 0 to 255; brighter pixels are the object."""
-    bounds: Floats | None = None
-    """Box of the object in the capture frame, smallest and largest corner, (2, 3) [m]."""
-
-    max_side_px: int = 1600
-    """Larger photos are read as means of 2 x 2, 3 x 3, ... pixels."""
-
-    def __post_init__(self) -> None:
-        if self.unit_m is not None:
-            require_positive("unit_m", self.unit_m)
-        if self.mask_threshold is not None and not 0.0 <= self.mask_threshold < 255.0:
-            msg = f"mask_threshold must be at least 0 and below 255, got {self.mask_threshold}"
-            raise ValueError(msg)
+_MAX_SIDE_PX = 1600
+"""Larger photos are read as means of 2 x 2, 3 x 3, ... pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,17 +32,23 @@ class LoadedPhotos:
     """One line each on omissions and assumptions."""
 
 
-def load_photos(path: Path | str, options: PhotoOptions | None = None) -> LoadedPhotos:
+def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPhotos:
     """Read a photo set of any known format.
 
     path: folder or file, see :func:`geraf2.apps.photos.formats.open_photos`.
     options: unit, frame, masks.
 
-    Missing or broken photos are left out with a note; UserError if none is usable.
+    Missing or broken photos are left out with a note; UserError if none is usable, and for options
+    that contradict each other.
     """
-    options = PhotoOptions() if options is None else options
+    options = LosOptions() if options is None else options
+    rigid, given_m = options.placement()
+    if options.mask_threshold is not None and options.masks is not None:
+        raise UserError(what="give either --masks or --mask-threshold", got="both")
+    if options.masks is not None and not options.masks.is_dir():
+        raise UserError(what="--masks must be a folder", got=options.masks)
     source = open_photos(Path(path))
-    unit_m, unit_notes = _unit(source, options)
+    unit_m, unit_notes = _unit(source, given_m)
     names: list[str] = []
     cameras: list[Camera] = []
     images: list[Array] = []
@@ -78,12 +58,12 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
     for record, turn in zip(source.records, turns, strict=True):
         try:
             image = read_image(record.path, record.size, turn=turn)
-            camera = _camera(record, image, unit_m, options, source.format)
+            camera = _camera(record, image, unit_m, rigid, source.format, options.camera_axes)
             mask = _mask(record, image, camera, options)
         except UserError as error:
             notes.append(f"left out: {error}")
             continue
-        step = -(-max(image.colour.shape[:2]) // options.max_side_px)
+        step = -(-max(image.colour.shape[:2]) // _MAX_SIDE_PX)
         names.append(record.name)
         cameras.append(camera.binned(step))
         images.append(bin_pixels(image.colour, step).round().astype(np.uint8))
@@ -102,31 +82,35 @@ def load_photos(path: Path | str, options: PhotoOptions | None = None) -> Loaded
         cameras=tuple(cameras),
         images=tuple(images),
         masks=tuple(known) if len(known) == len(masks) else None,
-        frame=source.frame if source.frame and options.to_capture is None else "capture",
+        frame=source.frame if source.frame and rigid is None else "capture",
     )
     return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
 
 
-def _unit(source: PhotoSource, options: PhotoOptions) -> tuple[float, list[str]]:
-    if options.unit_m is not None:
-        return options.unit_m, []
-    if source.unit_m is not None:
-        return source.unit_m, []
+def _unit(source: PhotoSource, given_m: float | None) -> tuple[float, list[str]]:
+    known_m = source.unit_m if given_m is None else given_m
+    if known_m is not None:
+        return known_m, []
     if source.format in ("colmap", "llff"):
         return 1.0, ["poses of COLMAP have an arbitrary scale; --unit sets their unit in metres"]
     return 1.0, ["the poses name no unit; metres are assumed (--unit sets another)"]
 
 
 def _camera(
-    record: PhotoRecord, image: ReadImage, unit_m: float, options: PhotoOptions, format_name: str
+    record: PhotoRecord,
+    image: ReadImage,
+    unit_m: float,
+    rigid: Floats | None,
+    format_name: str,
+    axes: CameraAxes,
 ) -> Camera:
     transform = require_rigid(record.camera_to_world, record.name)
     transform[:3, 3] *= unit_m
     native = "opengl" if format_name == "transforms" else "opencv"
-    if options.camera_axes not in ("format", native):
+    if axes not in ("format", native):
         transform = transform @ OPENGL_TO_OPENCV
-    if options.to_capture is not None:
-        transform = require_rigid(options.to_capture, "to_capture") @ transform
+    if rigid is not None:
+        transform = require_rigid(rigid, "to_capture") @ transform
     height, width = image.colour.shape[:2]
     stored_width, stored_height = record.size or (width, height)
     k1, k2, p1, p2, k3 = (float(value) for value in record.distortion)
@@ -156,11 +140,13 @@ def _camera(
 
 
 def _mask(
-    record: PhotoRecord, image: ReadImage, camera: Camera, options: PhotoOptions
+    record: PhotoRecord, image: ReadImage, camera: Camera, options: LosOptions
 ) -> Bools | None:
-    within = None if options.bounds is None else box_outline(camera, options.bounds)
-    if options.mask_folder is not None:
-        mask = read_mask(_mask_file(options.mask_folder, record))
+    limits = options.limits()
+    is_closed = limits is not None and np.isfinite(limits).all()
+    within = box_outline(camera, limits) if limits is not None and is_closed else None
+    if options.masks is not None:
+        mask = read_mask(_mask_file(options.masks, record))
     elif options.mask_threshold is not None:
         return threshold_mask(image.colour, options.mask_threshold, within)
     elif record.mask_path is not None:

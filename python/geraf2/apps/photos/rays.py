@@ -59,10 +59,9 @@ class PhotoRays:
         self._positions = torch.tensor(photos.positions, dtype=torch.float32)
         rng = np.random.default_rng(seed)
         parts = [self._of_photo(photos, index, rng) for index in range(len(photos))]
-        self._directions = torch.from_numpy(np.concatenate([p[0] for p in parts]))
-        self._colours = torch.from_numpy(np.concatenate([p[1] for p in parts]))
-        self._inside = torch.from_numpy(np.concatenate([p[2] for p in parts]))
-        self._known = torch.from_numpy(np.concatenate([p[3] for p in parts]))
+        self._directions, self._colours, self._inside, self._known = (
+            torch.from_numpy(np.concatenate(column)) for column in zip(*parts, strict=True)
+        )
         counts = torch.tensor([p[2].size for p in parts])
         numbers = torch.arange(len(parts), dtype=torch.int32)
         self._photo = torch.repeat_interleave(numbers, counts)

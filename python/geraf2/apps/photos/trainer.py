@@ -43,10 +43,6 @@ class PhotoTrainer(ABC):
     def losses(self, batch: RayBatch) -> dict[str, Tensor]:
         """Weighted terms of the loss, by name."""
 
-    def work(self, step: int) -> float:
-        """Work of the steps before this one, in any unit."""
-        return float(step)
-
     def precondition(self) -> None:  # noqa: B027 - some trainers change nothing
         """Change gradients and parameters before the optimiser does."""
 

@@ -21,6 +21,7 @@ from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
+from geraf2.apps.photos.photo_checks import MIN_PHOTOS
 from geraf2.apps.photos.rays import PhotoRays, fit_resolution
 from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
@@ -32,7 +33,6 @@ from geraf2.scene.photos import PhotoSet
 
 _START_BALL = 0.5
 """Radius of the first ball over the region's smallest half side, as in NeuS."""
-_MIN_PHOTOS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,8 +45,6 @@ class PhotoProgress:
     """Steps in all."""
     losses: dict[str, float]
     """Weighted terms of the loss at this step."""
-    eta_s: float
-    """Remaining time at the pace so far, weighted by the size of later grids [s]."""
 
 
 def train_neural_surface(
@@ -77,10 +75,10 @@ def train_neural_surface(
         term and the step), or a checkpoint of other settings or photos.
     """
     config = GridPhotoConfig() if config is None else config
-    if len(photo_set) < _MIN_PHOTOS:
+    if len(photo_set) < MIN_PHOTOS:
         raise UserError(
             what="too few photos for a surface",
-            expected=f"at least {_MIN_PHOTOS}",
+            expected=f"at least {MIN_PHOTOS}",
             got=len(photo_set),
         )
     photos = fit_resolution(photo_set)
@@ -144,22 +142,13 @@ def _run(
     progress: Callable[[PhotoProgress], None] | None,
     writer: "_Writer",
 ) -> None:
-    begun, first = time.perf_counter(), trainer.work(trainer.step_number)
     with _between_steps() as stops:
         while trainer.step_number < trainer.n_steps and not stops:
             losses = trainer.step(n_rays)
             writer.write(trainer)
             if progress is not None:
-                done, total = trainer.work(trainer.step_number), trainer.work(trainer.n_steps)
-                pace = (time.perf_counter() - begun) / (done - first)
-                progress(
-                    PhotoProgress(
-                        step=trainer.step_number,
-                        n_steps=trainer.n_steps,
-                        losses=losses,
-                        eta_s=pace * (total - done),
-                    )
-                )
+                step, n_steps = trainer.step_number, trainer.n_steps
+                progress(PhotoProgress(step=step, n_steps=n_steps, losses=losses))
         writer.write(trainer, now=True)
         if stops:
             raise KeyboardInterrupt(stops[0])

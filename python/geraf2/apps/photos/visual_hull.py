@@ -9,6 +9,7 @@ from scipy import ndimage
 from geraf2._types import Bools, Floats
 from geraf2._validation import require_positive
 from geraf2.apps.photos.formats.masks import close_cracks
+from geraf2.apps.photos.grid_smoothing import steps_to_outline
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
 from geraf2.scene import Grid
@@ -95,11 +96,8 @@ class VisualHull:
 
     def distance(self, points: Floats) -> NDArray[np.float32]:
         """Signed distance at points (n, 3) [m], (n,) [m]."""
-        parts = [
-            self._distance(points[first : first + _CHUNK])
-            for first in range(0, points.shape[0], _CHUNK)
-        ]
-        return np.concatenate(parts) if parts else np.empty(0, dtype=np.float32)
+        parts = np.array_split(points, range(_CHUNK, len(points), _CHUNK))
+        return np.concatenate([self._distance(part) for part in parts])
 
     def _distance(self, points: Floats) -> NDArray[np.float32]:
         left = np.stack(
@@ -130,10 +128,7 @@ def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
     size = float(max(mask.shape))
     if mask.all() or not mask.any():
         return np.full(mask.shape, -size if mask.any() else size, dtype=np.float32)
-    outside = ndimage.distance_transform_edt(~mask)
-    inside = ndimage.distance_transform_edt(mask)
-    # from pixel to pixel; the outline runs between them
-    return np.asarray(np.where(mask, 0.5 - inside, outside - 0.5), dtype=np.float32)
+    return steps_to_outline(mask).astype(np.float32)
 
 
 def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:

@@ -7,7 +7,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from geraf2.apps.photos.neus.background import BackgroundConfig, NerfBackground
-from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid, ColouredGridConfig
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp, ColouredMlpConfig
 from geraf2.apps.photos.neus.rendering import (
@@ -29,7 +28,7 @@ SMALL_MLP = ColouredMlpConfig(
 )
 
 
-class Plane(ColouredField):
+class Plane(torch.nn.Module):
     """Half space z < 0, white."""
 
     def value(self, points):

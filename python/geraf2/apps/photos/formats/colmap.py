@@ -100,7 +100,7 @@ def read_colmap(folder: Path) -> PhotoSource:
         )
     is_text = files[0].suffix.lower() == ".txt"
     cameras = (_read_cameras_text if is_text else _read_cameras_binary)(files[0])
-    images = _read_images(files[1])
+    images = (_read_images_text if is_text else _read_images_binary)(files[1])
     if not images:
         raise UserError(
             what="the COLMAP model holds no photo",
@@ -169,17 +169,6 @@ def _camera_model(model: str, size: tuple[int, int], values: Floats, where: str)
     return _CameraModel(size, intrinsics, distortion)
 
 
-def _require_count(model: str, values: Floats, where: str) -> None:
-    counts = dict(_MODELS.values())
-    if model in counts and values.size != counts[model]:
-        raise UserError(
-            what=f"wrong number of parameters of {model}",
-            where=where,
-            expected=counts[model],
-            got=values.size,
-        )
-
-
 def _read_cameras_text(path: Path) -> dict[int, _CameraModel]:
     cameras = {}
     for number, line in enumerate(read_lines(path), start=1):
@@ -194,7 +183,10 @@ def _read_cameras_text(path: Path) -> dict[int, _CameraModel]:
             raise UserError(
                 what="must be CAMERA_ID MODEL WIDTH HEIGHT PARAMS", where=where, got=repr(line[:60])
             ) from None
-        _require_count(parts[1], values, where)
+        count = dict(_MODELS.values()).get(parts[1], values.size)
+        if values.size != count:
+            what = f"wrong number of parameters of {parts[1]}"
+            raise UserError(what=what, where=where, expected=count, got=values.size)
         cameras[camera_id] = _camera_model(parts[1], (width, height), values, where)
     return cameras
 
@@ -207,10 +199,6 @@ def _count_images(path: Path) -> int:
         return int(_Bytes(path).take("Q")[0])
     except UserError:
         return 0
-
-
-def _read_images(path: Path) -> list[_ImagePose]:
-    return (_read_images_text if path.suffix.lower() == ".txt" else _read_images_binary)(path)
 
 
 def _read_images_text(path: Path) -> list[_ImagePose]:

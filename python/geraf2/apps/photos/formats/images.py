@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
-from geraf2._types import Bools, Floats
+from geraf2._types import Bools
 from geraf2.io.pictures import broken_picture, opened_picture
 
 _EIGHT_BITS = 255.0
@@ -41,8 +41,11 @@ def read_image(
             stored.load()
             image = _turned(stored, size, turn)
             if image.mode in ("I", "I;16", "I;16B", "F"):
-                grey = _to_eight_bits(np.asarray(image, dtype=np.float64))
-                return ReadImage(np.repeat(grey[:, :, None], 3, axis=2), None)
+                grey = np.asarray(image, dtype=np.float64)
+                # 16-bit files are full scale at 65535; floats at 1.
+                scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
+                colour = np.clip(_EIGHT_BITS * grey / scale, 0, 255).round().astype(np.uint8)
+                return ReadImage(np.repeat(colour[:, :, None], 3, axis=2), None)
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             array = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
         except (OSError, ValueError, SyntaxError, EOFError) as error:
@@ -84,9 +87,3 @@ def _turned(image: Image.Image, size: tuple[int, int] | None, turn: bool | None)
         return image
     lies = (image.width - image.height) * (size[0] - size[1]) < 0
     return ImageOps.exif_transpose(image) if lies else image
-
-
-def _to_eight_bits(grey: Floats) -> NDArray[np.uint8]:
-    # 16-bit files are full scale at 65535; floats at 1.
-    scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
-    return np.asarray(np.clip(_EIGHT_BITS * grey / scale, 0, 255).round(), dtype=np.uint8)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geraf2._types import Floats
 from geraf2.apps.photos.formats.records import PhotoSource, found
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid
@@ -34,7 +33,8 @@ def read_middlebury(path: Path) -> PhotoSource:
     """Photo set of a `_par.txt`; images lie in its folder."""
     lines = [line for line in read_lines(path) if line.strip()]
     records = [_record(path, number, line) for number, line in enumerate(lines[1:], start=2)]
-    if not lines or not _is_count(lines[0], len(records)):
+    count = lines[0].strip() if lines else ""
+    if not count.isdigit() or int(count) != len(records):
         raise UserError(
             what="the first line must be the number of photos",
             where=path,
@@ -42,10 +42,6 @@ def read_middlebury(path: Path) -> PhotoSource:
             got=repr(lines[0][:40]) if lines else "an empty file",
         )
     return PhotoSource(format="middlebury", records=tuple(records), unit_m=1.0)
-
-
-def _is_count(text: str, count: int) -> bool:
-    return text.strip().isdigit() and int(text) == count
 
 
 def _record(path: Path, number: int, line: str) -> PhotoRecord:
@@ -61,15 +57,11 @@ def _record(path: Path, number: int, line: str) -> PhotoRecord:
         raise UserError(
             what="needs 21 numbers after the name (K, R, t)", where=where, got=values.size
         )
+    intrinsics = values[:9].reshape(3, 3).copy()
+    intrinsics[:2, 2] += _HALF_PIXEL
     return PhotoRecord(
         name=name,
         path=found(path.parent, name) or path.parent / name,
-        intrinsics=_with_half_pixel(values[:9].reshape(3, 3)),
+        intrinsics=intrinsics,
         camera_to_world=inverse_rigid(values[9:18].reshape(3, 3), values[18:]),
     )
-
-
-def _with_half_pixel(intrinsics: Floats) -> Floats:
-    shifted = intrinsics.copy()
-    shifted[:2, 2] += _HALF_PIXEL
-    return shifted

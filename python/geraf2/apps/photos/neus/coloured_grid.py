@@ -8,7 +8,6 @@ from torch import Tensor, nn
 from torch.nn.functional import normalize
 
 from geraf2._validation import require_each, require_least, require_positive
-from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.apps.photos.neus.feature_grid import FeatureGrid
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
@@ -43,7 +42,7 @@ class ColouredGridConfig:
         require_each(require_positive, self, "nodes_per_voxel", "band_voxels", "later_band_voxels")
 
 
-class ColouredGrid(ColouredField):
+class ColouredGrid(nn.Module):
     """Signed distance and features on grids; one small network a ray, not a sample.
 
     The features of a ray's samples are averaged by weight, and the network turns their mean, the
@@ -114,7 +113,7 @@ class ColouredGrid(ColouredField):
     def shade(
         self, points: Tensor, directions: Tensor, sample: FeatureSample, weight: Tensor
     ) -> Tensor:
-        """See ColouredField; the normal has no gradient from the colour."""
+        """See :meth:`ColouredMlp.shade`; the normal has no gradient from the colour."""
         n_rays, n_samples = weight.shape
         flat = weight.reshape(-1)
         kept = torch.nonzero(flat.detach() > _LEAST_WEIGHT)[:, 0]

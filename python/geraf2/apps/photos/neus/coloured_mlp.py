@@ -7,7 +7,6 @@ from torch import Tensor, nn
 from torch.nn.utils.parametrizations import weight_norm
 
 from geraf2._validation import require_least
-from geraf2.apps.photos.neus.coloured import ColouredField
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
@@ -30,7 +29,7 @@ class ColouredMlpConfig:
         require_least(self, n_layers=1, width=1, n_octaves=0)
 
 
-class ColouredMlp(ColouredField):
+class ColouredMlp(nn.Module):
     """Perceptron of the signed distance, and one that gives each sample its colour.
 
     The colour depends on position, direction, gradient and features (Yariv et al. 2020, as NeuS has
@@ -66,7 +65,15 @@ class ColouredMlp(ColouredField):
     def shade(
         self, points: Tensor, directions: Tensor, sample: FeatureSample, weight: Tensor
     ) -> Tensor:
-        """See ColouredField; one run of the network a sample."""
+        """Colour of rays, not yet composed with the background; one run of the network a sample.
+
+        points: samples of each ray, (n_rays, n, 3) [m].
+        directions: unit vectors from the camera, (n_rays, 3).
+        sample: `surface_sample` at these points, ray by ray.
+        weight: weight of each sample, (n_rays, n).
+
+        Returns (n_rays, 3), each at most the sum of the ray's weights.
+        """
         n_rays, n_samples = weight.shape
         towards = positional_encoding(directions, self.config.n_octaves)
         towards = towards[:, None].expand(-1, n_samples, -1).reshape(n_rays * n_samples, -1)

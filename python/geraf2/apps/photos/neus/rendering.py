@@ -7,13 +7,16 @@ from typing import NamedTuple
 import torch
 
 from geraf2._validation import require_least, require_positive
-from geraf2.apps.photos.neus.coloured import ColouredField
+from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
+from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.neus.ray_samples import even_edges, importance_edges, middle_and_step
 from geraf2.ops import ray_march
 
 _LAST_ROUND = 0.5
 """Sharpness of the last round over that of the rendering: samples reach to 7 / s."""
 
+ColouredField = ColouredGrid | ColouredMlp
+"""Signed distance with a view-dependent colour, a torch module."""
 Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 """Colour (n_rays, 3) behind the scene for origins and directions (n_rays, 3)."""
 
