@@ -22,7 +22,7 @@ from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
-from geraf2.scene.aperture import apertures_of
+from geraf2.scene.aperture import Aperture
 
 # Standard deviation of a strong glint's normal; weak ones are less accurate. A property of the
 # simulated population of objects.
@@ -154,7 +154,11 @@ def find_echoes(
     metal = metal_level(
         near,
         Windows.of(
-            apertures_of(capture.poses), near.planes, near.centers, prior, config.subaperture.size_m
+            [Aperture.of_pose(pose) for pose in capture.poses],
+            near.planes,
+            near.centers,
+            prior,
+            config.subaperture.size_m,
         ),
         MeshScene(prior.vertices, prior.faces, num_threads=num_threads),
         prior.walls or capture.walls,

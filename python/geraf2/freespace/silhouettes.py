@@ -422,8 +422,7 @@ def _focus_planes(
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
         image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
-        is_free = np.abs(image[known] - 1.0) < _FREE
-        free_shares.append(float(is_free.mean()) if known.any() else 0.0)
+        free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()) if known.any() else 0)
         if free_shares[-1] >= config.min_free:
             total[int(flash.side > 0.0), known] += image.real[known]
             count[int(flash.side > 0.0), known] += 1.0
@@ -467,24 +466,22 @@ def _hologram(
     zone_m = aperture * np.sqrt(wavelength_m * focal_m)
     u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
     seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T
-    # Far from all antennas, between two groups of them too, nothing but rounding is left.
+    # Elsewhere, also between distant antennas, the weights are rounding errors.
     near = np.abs(whole) > np.finfo(np.float32).eps
     image = np.zeros(whole.shape, dtype=np.complex128)
     np.divide(seen, whole, out=image, where=near)
-    known = near & _covered(flash, cells)
-    if not known.any():
+    if not (known := near & _covered(flash, cells)).any():
         return image, known
     # Unblocked lines of sight are the bright ones; their median is the reference.
-    size = np.abs(image[known])
-    bright = image[known][size >= np.quantile(size, 0.6)]
+    bright = image[known][(size := np.abs(image[known])) >= np.quantile(size, 0.6)]
     return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
 
 
 def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
     """Mask of the cells in front of antennas, (n_u, n_v)."""
     low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
-    covered = [(c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells)]
-    return np.asarray(covered[0][:, None] & covered[1][None, :])
+    u, v = ((c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells))
+    return np.asarray(u[:, None] & v)
 
 
 def _chirp(

@@ -198,9 +198,8 @@ def open_recording(
         *describe(evidence, n_tx, n_chirps, n_frames),
         describe_peak(chirps, evidence, radar, config),
         *([("transmitters", str(config.transmitters))] if config.transmitters else []),
+        *([("dead receivers", ", ".join(f"{rx} ({why})" for rx, why in dead))] if dead else []),
     ]
-    if dead:
-        facts.append(("dead receivers", ", ".join(f"{rx} ({reason})" for rx, reason in dead)))
     return Recording(
         source=source,
         stream=stream,

@@ -88,14 +88,7 @@ def import_capture(
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
-    require_scene_folder(
-        Path(scene),
-        overwrite=overwrite,
-        may_be_same=lambda old: (
-            old.manifest.waveform == scan.manifest.waveform
-            and tuple(old.n_antennas) == tuple(scan.n_antennas)
-        ),
-    )
+    _require_target(scan, Path(scene), overwrite=overwrite)
     summarize = partial(
         summarize_in_parts,
         n_antennas=scan.n_antennas,
@@ -135,6 +128,18 @@ def import_capture(
         facts=scan.facts,
         notes=notes,
         unchanged=writer.unchanged,
+    )
+
+
+def _require_target(scan: Scan, folder: Path, *, overwrite: bool) -> None:
+    """Raise UserError if the folder holds something other than this scan."""
+    require_scene_folder(
+        folder,
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == scan.manifest.waveform
+            and tuple(old.n_antennas) == tuple(scan.n_antennas)
+        ),
     )
 
 
