@@ -1,5 +1,6 @@
 """A given prior against the box that the radar sees."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from geraf2 import examples, simulate
 from geraf2.calibration.found_box import FoundBox, Seen
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
+from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline import box_check
 from geraf2.pipeline.box_check import checked_prior
 from geraf2.pipeline.commands import reconstruct as reconstruct_command
@@ -169,3 +171,16 @@ def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):
         box = box_check.box_from_radar(capture, None, Listener(), None)
         assert len(box.placed(capture).walls) == n_walls
         np.testing.assert_allclose(box.prior.walls[0].size_m, SIZE)
+
+
+@pytest.mark.parametrize(
+    ("box", "error_mm", "is_refused"),
+    [({}, 55.0, True), ({}, 5.0, False), ({"size_m": [0.2] * 3}, 55.0, False)],
+)
+def test_content_in_free_air_needs_a_certain_surface(tmp_path, box, error_mm, is_refused):
+    run = RunFolder(tmp_path, "digest", "crate")
+    run.mark_done(box_check.BOX_STAGE, "key", [], 1.0, numbers={"by_radar": "none", **box})
+    run.mark_done("mesh", "key", [], 1.0, numbers={"expected_error_median_mm": error_mm})
+    refused = pytest.raises(UserError, match="no certain surface")
+    with refused if is_refused else nullcontext():
+        box_check.require_determined(run)

@@ -9,6 +9,7 @@ from geraf2._types import Floats, Ints
 from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError, find_box
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
+from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import with_walls
 from geraf2.scene import Capture, LosPrior
@@ -22,6 +23,8 @@ _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
 _OTHER_BOX_M = 0.03
 # Share of the energy from within below which planes belong to a body, not to walls.
 _EMPTY = 0.02
+# Largest typical expected error of content without a box: half a range cell of 4 GHz [m].
+_MOST_ERROR_M = 0.02
 # Coverage factor of the found box's standard deviations.
 _COVER = 2.0
 
@@ -117,6 +120,20 @@ def checked_prior(
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
     prior = with_walls(corrected.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
+
+
+def require_determined(run: RunFolder) -> None:
+    """Raise UserError if content in free air has no certain surface: walls may be part of it."""
+    mesh = run.stages["mesh"].numbers if "mesh" in run.stages else {}
+    error_mm = mesh.get("expected_error_median_mm", 0.0)
+    if "size_m" not in run.stages[BOX_STAGE].numbers and error_mm > 1e3 * _MOST_ERROR_M:
+        raise UserError(
+            what="no walls of a box are seen, and the content has no certain surface",
+            where=run.path,
+            expected=f"a typical expected error below {1e3 * _MOST_ERROR_M:.0f} mm",
+            got=f"{error_mm:.0f} mm",
+            hint="give the outside of the box with --box X Y Z or --los MESH",
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -31,7 +31,13 @@ from geraf2.io.run_folder import (
     stage_key,
 )
 from geraf2.ops._threads import with_one_blas_thread
-from geraf2.pipeline.box_check import BOX_STAGE, BoxCheck, box_from_radar, checked_prior
+from geraf2.pipeline.box_check import (
+    BOX_STAGE,
+    BoxCheck,
+    box_from_radar,
+    checked_prior,
+    require_determined,
+)
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
@@ -361,6 +367,8 @@ def _run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bo
                 job.listener.warning(str(error))
     for stage in stages:
         job.do(stage)
+    if prior_name == BY_RADAR:
+        require_determined(run)
     run.drop_stale()
     if report:
         job.do(_report_stage(stages_of(job.config)[-1]))
