@@ -45,6 +45,8 @@ class PieceModel:
     """Least probability of the main piece."""
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
+    least_glints: int = 10
+    """Least number of glints of a small body, which several sub-apertures see; a point has fewer."""
     least_density: float = 0.1
     """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
@@ -100,9 +102,9 @@ def separate_pieces(
 ) -> Separated:
     """Separate the pieces that likely exist from likely ghosts.
 
-    Pieces without glints, pieces that bridge air (`PieceModel.least_density`) and closed surfaces
-    that face inwards are in neither: a radar does not see the inside of a reflector. The main
-    piece, with most glints, always remains.
+    Points (`PieceModel.least_glints`), pieces that bridge air (`PieceModel.least_density`) and
+    closed surfaces that face inwards are in neither: a radar does not see the inside of a
+    reflector. The main piece, with most glints, always remains.
 
     mesh: surface that was fitted to the glints.
     glints: all of them, rim glints too.
@@ -125,7 +127,7 @@ def separate_pieces(
     main = int(np.lexsort((areas, counts, outward | is_open))[-1])
     probability[main] = max(probability[main], model.main)
     dense = counts * areas[main] >= model.least_density * counts[main] * areas
-    shown = (outward | is_open) & dense & (counts > 0)
+    shown = (outward | is_open) & dense & (counts >= model.least_glints)
     shown[main] = True
     marked = replace(mesh, confidence=probability[of_vertex])
     content, ghosts = (
