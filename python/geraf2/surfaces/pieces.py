@@ -46,7 +46,7 @@ class PieceModel:
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
     least_glints: int = 10
-    """Least number of glints of a small body, which several sub-apertures see; a point has fewer."""
+    """Least number of glints: several sub-apertures see a small body, fewer see a point."""
     least_density: float = 0.1
     """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
