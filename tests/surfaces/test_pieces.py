@@ -20,10 +20,10 @@ from helpers.glint_sets import glints_on_sphere
 from helpers.solids import ball
 
 
-def scene(planes, probability=0.9):
+def scene(planes, probability=0.9, radius_m=0.004):
     """A large ball with many glints, and a small one seen from some planes."""
     large = ball(0.03)
-    small = ball(0.004)
+    small = ball(radius_m)
     small = TriangleMesh(vertices=small.vertices + np.array([0.0, 0.0, 0.06]), faces=small.faces)
     both = TriangleMesh.joined([large, small])
     n = len(large.vertices)
@@ -65,9 +65,9 @@ def test_a_likely_ghost_is_apart_with_its_position_and_probability():
     assert 0.0 < piece.probability < LIKELY
 
 
-@pytest.mark.parametrize("planes", [[], [0, 0], [0, 1, 2, 3]])
-def test_points_that_few_sub_apertures_see_are_in_neither(planes):
-    both, _ = scene(planes=planes)
+@pytest.mark.parametrize(("planes", "radius_m"), [([], 0.004), ([0, 1, 2, 3] * 4, 0.002)])
+def test_points_and_pieces_without_glints_are_in_neither(planes, radius_m):
+    both, _ = scene(planes=planes, radius_m=radius_m)
     assert not len(both.ghosts.faces)
     assert len(pieces_of(both.content)) == 1
 

@@ -45,8 +45,8 @@ class PieceModel:
     """Least probability of the main piece."""
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
-    least_glints: int = 10
-    """Least number of glints: several sub-apertures see a small body, fewer see a point."""
+    least_size_m: float = 0.005
+    """Least diameter of the ball with the area of a piece [m]; smaller ones are point scatterers."""
     least_density: float = 0.1
     """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
@@ -102,9 +102,9 @@ def separate_pieces(
 ) -> Separated:
     """Separate the pieces that likely exist from likely ghosts.
 
-    Points (`PieceModel.least_glints`), pieces that bridge air (`PieceModel.least_density`) and
-    closed surfaces that face inwards are in neither: a radar does not see the inside of a
-    reflector. The main piece, with most glints, always remains.
+    Point scatterers (`PieceModel.least_size_m`), pieces without glints, pieces that bridge air
+    (`PieceModel.least_density`) and closed surfaces that face inwards are in neither: a radar does
+    not see the inside of a reflector. The main piece, with most glints, always remains.
 
     mesh: surface that was fitted to the glints.
     glints: all of them, rim glints too.
@@ -127,7 +127,7 @@ def separate_pieces(
     main = int(np.lexsort((areas, counts, outward | is_open))[-1])
     probability[main] = max(probability[main], model.main)
     dense = counts * areas[main] >= model.least_density * counts[main] * areas
-    shown = (outward | is_open) & dense & (counts >= model.least_glints)
+    shown = (outward | is_open) & dense & (counts > 0) & (areas > np.pi * model.least_size_m**2)
     shown[main] = True
     marked = replace(mesh, confidence=probability[of_vertex])
     content, ghosts = (
