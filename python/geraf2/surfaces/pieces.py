@@ -46,7 +46,7 @@ class PieceModel:
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
     least_size_m: float = 0.005
-    """Least diameter of the ball with the area of a piece [m]; smaller ones are point scatterers."""
+    """Least diameter of the ball with a piece's area [m]; smaller ones are point scatterers."""
     least_density: float = 0.1
     """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
