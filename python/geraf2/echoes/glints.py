@@ -82,7 +82,7 @@ def find_glints(
     peaks: PeakSet | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
-    tell: Callable[[str], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> Glints:
     """Glints of the content of the prior's box.
 
@@ -92,7 +92,7 @@ def find_glints(
     peaks: of the capture's planes; collected when None.
     num_threads: when None, torch's number if torch is loaded, else all cores.
     progress: called with the fraction done.
-    `tell`: called with messages for the user, about grating lobes of a coarse raster.
+    note: called with messages for the user, about grating lobes of a coarse raster.
 
     Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
     inside the box; the message states which echoes there are.
@@ -109,7 +109,7 @@ def find_glints(
         peaks=peaks,
         num_threads=num_threads,
         progress=progress,
-        tell=tell,
+        note=note,
     ).glints
 
 
@@ -121,7 +121,7 @@ def find_echoes(
     peaks: PeakSet | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
-    tell: Callable[[str], None] | None = None,
+    note: Callable[[str], None] | None = None,
 ) -> FoundEchoes:
     """Glints, and the label of every peak at the ranges of the box.
 
@@ -145,8 +145,8 @@ def find_echoes(
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
     n_moved = int((labelled.labels == Label.ALIAS).sum())
-    if tell is not None and n_moved > _REPORTED_SHARE * len(near):
-        tell(
+    if note is not None and n_moved > _REPORTED_SHARE * len(near):
+        note(
             f"grating lobes of sparse sampling: of {len(near)} peaks {n_moved} were moved to "
             "their true direction"
         )

@@ -7,8 +7,8 @@ from torch.autograd.function import once_differentiable
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2.ops import _device_ops, _tensors
+from geraf2.ops._geometry import require_samples
 from geraf2.ops._tensors import to_numpy, to_tensor
-from geraf2.ops.ray_march import require_samples
 
 
 def ray_march_tensor(

@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
-from geraf2._types import Array
-from geraf2._validation import require_positive, require_shape
-from geraf2.ops._geometry import any_tensor
+from geraf2.ops._geometry import any_tensor, require_samples
 from geraf2.ops._threads import resolve_num_threads
 
 if TYPE_CHECKING:
     import torch
+
+    from geraf2._types import Array
 
 TwoWay = Literal["unbiased", "squared", "none"]
 
@@ -78,20 +78,3 @@ def ray_march(
     f, c, delta = (np.ascontiguousarray(v) for v in (sdf, cos, step))
     require_samples(f, c, delta, inv_s)
     return RayMarch(*_core.ray_march_fwd(f, c, delta, float(inv_s), power, threads))
-
-
-def require_samples(sdf: Array, cos: Array, step: Array, inv_s: float) -> None:
-    """Raise unless the arrays agree in type and shape and inv_s is positive."""
-    if sdf.dtype not in (np.float32, np.float64):
-        msg = f"sdf must be float32 or float64, got {sdf.dtype}"
-        raise TypeError(msg)
-    require_shape("sdf", sdf, (None, None))
-    for name, array in (("cos", cos), ("step", step)):
-        if array.dtype != sdf.dtype:
-            msg = f"{name} must be {sdf.dtype} as sdf is, got {array.dtype}"
-            raise TypeError(msg)
-        require_shape(name, array, sdf.shape)
-    require_positive("inv_s", float(inv_s))
-    if float(inv_s) > np.finfo(sdf.dtype).max:
-        msg = f"inv_s must be finite as {sdf.dtype}, got {float(inv_s)!r}"
-        raise ValueError(msg)

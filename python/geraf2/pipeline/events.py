@@ -14,7 +14,7 @@ class Listener:
     """Receives steps, findings, notes and warnings of a job; override what you want to show.
 
     By default steps are silent, and messages go to the logger "geraf2.events". Only the command
-    line prints: its listener writes to the terminal. An exception of a listener ends the job.
+    line prints: its listener writes to the terminal. What a listener raises ends the job.
 
     >>> class Loud(geraf2.Listener):
     ...     def step(self, label):

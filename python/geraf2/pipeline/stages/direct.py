@@ -88,7 +88,7 @@ def _find(job: Job, progress: Progress) -> FoundGlints:
         job.config.glints,
         peaks=job.peaks.of(capture, progress=progress),
         num_threads=threads,
-        tell=job.listener.note,
+        note=job.listener.note,
     )
 
     def surface_through(first: Glints) -> tuple[Floats, Ints]:

@@ -113,7 +113,7 @@ class ColouredGrid(nn.Module):
     def shade(
         self, points: Tensor, directions: Tensor, sample: FeatureSample, weight: Tensor
     ) -> Tensor:
-        """See :meth:`ColouredMlp.shade`; the normal has no gradient from the colour."""
+        """Colour of each ray, as of `ColouredMlp`; the normal has no gradient from the colour."""
         n_rays, n_samples = weight.shape
         flat = weight.reshape(-1)
         kept = torch.nonzero(flat.detach() > _LEAST_WEIGHT)[:, 0]
