@@ -102,7 +102,7 @@ ROWS = [
             ("--box 0.2 0.2 0.2 --minutes 5 --array iwr1843 --channels 2", "got both"),
             ("--box 0.2 0.2 0.2 --minutes 5 --like a", "one of --minutes, --like and --after"),
             ("--box 0.2 0.2 0.2 --out scan.json", "--out writes what --minutes"),
-            ("--box 0.2 0.2 0.2 --minutes 5 --out scan.txt", "ends in .json or .csv"),
+            ("--box 0.2 0.2 0.2 --minutes 5 --out scan.txt", "ending in .json or .csv"),
             ("--like absent", "no such scene"),
             ("--after absent", "absent"),
         )

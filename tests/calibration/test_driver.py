@@ -44,7 +44,7 @@ def test_a_scan_without_errors_does_not_change(capture):
     assert found.corrections.are_none
     names = [judgement.name for judgement in found.judgements]
     assert names == ["leakage", "channels", "delay", "frame", "axis", "positions"]
-    assert all(str(j).endswith(f"left, {j.against}") for j in found.judgements if j.against)
+    assert all(str(j).endswith(f"not applied, {j.against}") for j in found.judgements if j.against)
 
 
 def test_interleaved_channels_are_found_and_corrected(capture):

@@ -268,7 +268,8 @@ def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):
     noise = rng.normal(size=(2, *capture.poses[0].signal.shape)).astype(np.float32)
     poses = tuple(replace(pose, signal=noise[0] + 1j * noise[1]) for pose in capture.poses)
     save_capture(replace(capture, poses=poses), tmp_path / "noise")
-    assert run(tmp_path / "noise", tmp_path / "out", *BOX) == 2
+    # Without the checks of the box, which by chance find echoes of noise outside of it.
+    assert run(tmp_path / "noise", tmp_path / "out", *BOX, "--trust-los") == 2
     error = the_error(capsys)
     assert "no glint inside the box" in error
     assert "check" in error

@@ -17,7 +17,7 @@ from geraf2.echoes.reflectivity import (
     window_gain,
 )
 from geraf2.scene import LosPrior, Wall, Waveform
-from geraf2.scene.aperture import apertures_of
+from geraf2.scene.aperture import Aperture
 from geraf2.simulation import FigureSpec, NumericsSpec, ScanSpec, SceneSpec, simulate
 from geraf2.simulation.spec import AWR1843
 
@@ -121,7 +121,7 @@ def test_a_ball_in_a_carton_has_its_reflectivity(tmp_path, reflectivity):
     glints, metal = found.glints, found.metal
     assert metal is not None
     assert metal.n_flashes >= 8
-    apertures = apertures_of(capture.poses)
+    apertures = [Aperture.of_pose(pose) for pose in capture.poses]
     met = apertures[0].mirror(glints.positions, glints.normals)
     bend = (np.eye(3) - glints.normals[:, :, None] * glints.normals[:, None, :]) / a
     seen = Windows.of(apertures, glints.poses, met.positions_m, prior, 0.08)

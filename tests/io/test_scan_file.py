@@ -148,7 +148,7 @@ def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):
         ):
             joined = np.concatenate([getattr(pose, found) for pose in own])
             assert joined == pytest.approx(expected, abs=1e-9)
-    assert any("12 of 39 frames between the lines" in note for note in scan.notes)
+    assert any("12 of 39 frames lie between the lines" in note for note in scan.notes)
     far = [[*offset[:2], offset[2] + 0.002] for offset in BOARD_RX.tolist()]
     elsewhere = radar.model_copy(update={"antennas": AntennaManifest(rx_offsets_m=far)})
     with pytest.raises(UserError, match="contradict those of radar, expected rx_offsets_m with"):

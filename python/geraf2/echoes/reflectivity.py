@@ -27,6 +27,8 @@ _WALL_REACH_M = 0.010
 _WALL_ROOM_M = 0.025
 """Wall around the foot of a flash, for all of its first Fresnel zone [m]."""
 _FEWEST_FLASHES = 8
+_FAINTEST = 0.01
+"""Least reflection of a wall that is a reference: fainter ones depend on tenths of a millimetre."""
 _THICKNESS_SHARE = 0.02
 """Standard uncertainty of a stated wall thickness, as a share of it."""
 _N_POINTS = 17
@@ -168,7 +170,7 @@ def metal_level(
     walls: Sequence[Wall],
     waveform: Waveform,
 ) -> MetalLevel | None:
-    """Strength of metal by the flashes of the near walls; None where too few are seen.
+    """Strength of metal by the flashes of the near walls; None where too few or too faint.
 
     peaks: all peaks. windows: their sub-apertures. scene: outside of the box.
     """
@@ -183,6 +185,8 @@ def metal_level(
     metal = spreading(found.ranges_m, flat) * window_gain(few, found.ranges_m, flat, wave_number)
     shares = [1.0 - _THICKNESS_SHARE, 1.0, 1.0 + _THICKNESS_SHARE]
     flash = np.array([wall_flash(walls[0], waveform, share) for share in shares])
+    if not flash.min() > _FAINTEST:
+        return None
     levels = db(found.magnitudes / metal)
     level, spread = (
         float(np.median(levels)),

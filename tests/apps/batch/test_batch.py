@@ -201,6 +201,7 @@ def test_a_worker_that_is_killed_leaves_no_process_and_costs_nothing_but_time(cl
 
 @pytest.mark.parametrize("per_thread", [1, WINDOW])
 def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
+    client.wait_for_workers(2)
     made, n_threads = [], sum(client.nthreads().values())
 
     def tasks():

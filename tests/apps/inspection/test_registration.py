@@ -52,7 +52,7 @@ def test_errors_of_the_pose_are_as_large_as_stated():
         vertices = clean.mesh.vertices + shift[:, None] * normals
         body = measured(model)
         moved = TriangleMesh(vertices=vertices, faces=clean.mesh.faces)
-        body = type(body)(mesh=moved, sigma_m=body.sigma_m, seen=body.seen)
+        body = replace(body, mesh=moved)
         found = register(surface_evidence_of(body, None), model, start=POSE, seed=seed)
         off = found.middle_m - apply_rigid(
             POSE, apply_rigid(np.linalg.inv(found.pose), found.middle_m)
