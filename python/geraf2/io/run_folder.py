@@ -198,7 +198,7 @@ class RunFolder:
             run = cls(Path(path), str(values["scene"]["digest"]), str(values["scene"]["name"]))
             if known:
                 run._take(values)
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             raise UserError(
                 what=f"is no run folder: it has no {RUN_NAME}",
                 where=path,

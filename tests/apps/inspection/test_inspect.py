@@ -141,8 +141,10 @@ def test_the_search_reports_its_progress_after_each_model(tmp_path, any_of):
 
 
 def test_a_folder_that_is_no_run_and_a_run_without_surface(run, tmp_path, capsys):
-    assert main(["inspect", str(tmp_path)]) == 2
-    assert "is no run folder" in capsys.readouterr().err
+    (tmp_path / "file").write_text("no folder")
+    for path in (tmp_path, tmp_path / "file"):
+        assert main(["inspect", str(path)]) == 2
+        assert "is no run folder" in capsys.readouterr().err
     empty = tmp_path / "empty"
     shutil.copytree(run, empty)
     nothing = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
