@@ -4,8 +4,8 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from geraf2._types import Ints
-from geraf2.geometry.triangles import directed_edges
+from geraf2._types import Bools, Floats, Ints
+from geraf2.geometry.triangles import closed_edges, directed_edges, six_fold_volumes
 
 
 def connected_labels(i: Ints, j: Ints, n: int) -> Ints:
@@ -22,3 +22,13 @@ def face_labels(faces: Ints) -> tuple[Ints, int]:
     of_vertex = connected_labels(edges[:, 0], edges[:, 1], int(faces.max()) + 1)
     present, labels = np.unique(of_vertex[faces[:, 0]], return_inverse=True)
     return labels.astype(np.int64), len(present)
+
+
+def are_voids(vertices: Floats, faces: Ints, labels: Ints, n_components: int) -> Bools:
+    """Whether each component is closed and faces inwards, (n_components,).
+
+    labels: component of each face, (n_faces,).
+    """
+    volumes = np.bincount(labels, six_fold_volumes(vertices, faces), n_components)
+    n_open = np.bincount(np.tile(labels, 3), ~closed_edges(faces), n_components)
+    return np.asarray((volumes < 0.0) & (n_open == 0))

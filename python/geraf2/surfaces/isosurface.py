@@ -7,12 +7,11 @@ from scipy.interpolate import make_interp_spline
 
 from geraf2._types import Bools, Floats
 from geraf2.fields import SdfGrid
-from geraf2.geometry.components import face_labels
+from geraf2.geometry.components import are_voids, face_labels
 from geraf2.geometry.triangles import (
     closed_edges,
     enclosed_volume_m3,
     face_areas,
-    six_fold_volumes,
 )
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
@@ -180,11 +179,8 @@ def largest_components(
     if n_components == 0:
         return mesh
     areas = np.bincount(labels, face_areas(mesh.corners), minlength=n_components)
-    six_fold = six_fold_volumes(mesh.vertices, mesh.faces)
-    volumes = np.bincount(labels, six_fold, minlength=n_components)
-    is_open = ~closed_edges(mesh.faces)
-    n_open = np.bincount(np.tile(labels, 3), is_open, minlength=n_components)
-    areas[(volumes < 0) & (n_open == 0)] = 0.0  # a radar does not see the inside of a reflector
+    # A radar does not see the inside of a reflector.
+    areas[are_voids(mesh.vertices, mesh.faces, labels, n_components)] = 0.0
     keep = areas >= min_area_fraction * max(areas.max(), 1e-300)
     return mesh.with_faces(mesh.faces[keep[labels]])
 

@@ -10,12 +10,10 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.echoes.glint_set import Glints
-from geraf2.geometry.components import face_labels
+from geraf2.geometry.components import are_voids, face_labels
 from geraf2.geometry.triangles import (
-    closed_edges,
     enclosed_volume_m3,
     face_areas,
-    six_fold_volumes,
     used_vertices,
     volume_centroid_m,
 )
@@ -113,8 +111,7 @@ def separate_pieces(
     labels, n_pieces = face_labels(mesh.faces)
     if n_pieces == 0:
         return Separated(mesh, mesh)
-    outward = np.bincount(labels, six_fold_volumes(mesh.vertices, mesh.faces), n_pieces) > 0.0
-    is_open = np.bincount(np.tile(labels, 3), ~closed_edges(mesh.faces), n_pieces) > 0
+    solid = ~are_voids(mesh.vertices, mesh.faces, labels, n_pieces)
     areas = np.bincount(labels, face_areas(mesh.corners), n_pieces)
     of_vertex = np.zeros(len(mesh.vertices), dtype=np.int64)
     of_vertex[mesh.faces] = labels[:, None]
@@ -124,10 +121,10 @@ def separate_pieces(
     piece = of_vertex[used[nearest[near]]]
     counts = np.bincount(piece, minlength=n_pieces)
     probability = model.probability(n_pieces, piece, glints.poses[near], glints.probability[near])
-    main = int(np.lexsort((areas, counts, outward | is_open))[-1])
+    main = int(np.lexsort((areas, counts, solid))[-1])
     probability[main] = max(probability[main], model.main)
     dense = counts * areas[main] >= model.least_density * counts[main] * areas
-    shown = (outward | is_open) & dense & (counts > 0) & (areas > np.pi * model.least_size_m**2)
+    shown = solid & dense & (counts > 0) & (areas > np.pi * model.least_size_m**2)
     shown[main] = True
     marked = replace(mesh, confidence=probability[of_vertex])
     content, ghosts = (
