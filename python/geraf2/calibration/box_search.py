@@ -295,15 +295,13 @@ class _Search:
                 start = self.unmoved if pair else 0
                 for near, far in sides:
                     n, f = _shifted(near.score(pair), start), _shifted(far.score(pair), -start)
-                    for row, shift in enumerate(shifts):
+                    for number, shift in enumerate(shifts):
                         both = n[least - shift : end - shift] + f[least + shift : end + shift]
-                        total[row] += both.max(axis=0)
+                        total[number] += both.max(axis=0)
                 lowest = _LOWEST_PAIR_DB if pair else _LOWEST_DB
                 total[:, : _N_LEVELS + int(lowest / _LEVEL_STEP_DB)] = -np.inf
-                row, level = np.unravel_index(int(total.argmax()), total.shape)
-                tries.append(
-                    _Hypothesis(float(total.max()), yaw, start + shifts[int(row)], pair, int(level))
-                )
+                row, level = divmod(int(total.argmax()), _N_LEVELS)
+                tries.append(_Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
             found.append(max(tries))
         return found
 
