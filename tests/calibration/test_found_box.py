@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
-from geraf2.calibration.box_search import Flashes, rough_faces
 from geraf2.calibration.found_box import Seen, find_box
 from geraf2.calibration.free_air import content_region
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 
 SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
@@ -111,19 +111,21 @@ def test_content_without_a_box_has_no_walls():
         find_box(simulate(replace(spec, walls=()), seed=0)[0])
 
 
-def test_a_far_wall_is_not_interpreted_as_a_near_one_beyond_the_middle():
-    """Two near flashes at -x, and one of the far side of +x, which reads as near at +x, too."""
-    normals = np.array([[-1.0, 0, 0], [-1, 0, 0], [-1, 0, 0]])
-    offsets, far = np.array([0.12, 0.12, -0.117]), np.array([False, False, False])
-    flashes = Flashes(
-        normals=np.concatenate([normals, -normals]),
-        offsets_m=np.concatenate([offsets, 0.002 - offsets]),
-        far=np.concatenate([far, ~far]),
-        weights=np.array([1.0, 1.0, 0.9] * 2),
+def test_a_box_whose_wall_faces_cancel_is_found(scan):
+    """Two round trips in the wall are three wavelengths: each wall has two weak echoes."""
+    spec = examples.small_scene()
+    index = np.sqrt(spec.walls[0].permittivity)
+    middle_hz = scan.waveform.frequencies_hz.mean()
+    thickness_m = 1.5 * SPEED_OF_LIGHT_M_PER_S / middle_hz / index
+    wall = replace(
+        spec.walls[0], size_m=tuple(SIZE_M), center_m=tuple(CENTER_M), thickness_m=thickness_m
     )
-    box = rough_faces(flashes, np.eye(3))
-    np.testing.assert_allclose(box.offsets_m[0], [0.12, 0.119], atol=2e-3)
-    assert np.isnan(box.offsets_m[1:]).all()
+    planes = replace(spec.scan, n_poses=8, start_angle_deg=10.0)
+    capture = simulate(replace(spec, walls=(wall,), scan=planes), seed=0)[0]
+    for walls in (capture.walls, ()):
+        box = find_box(replace(capture, walls=walls))
+        np.testing.assert_allclose(box.size_m[:2], SIZE_M[:2], atol=5e-3)
+        assert abs(box.yaw_deg) < 0.5
 
 
 def test_the_region_of_content_in_free_air_contains_it():

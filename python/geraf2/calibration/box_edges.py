@@ -72,7 +72,7 @@ def find_edge(
 
     It is the outermost position of several echoes on seen walls that are not flashes.
 
-    least_m: bound by the flashes [m].
+    least_m: bound by the flashes and the content [m].
     """
     k, side = face
     along, toward, strength = _projected(peaks, axes)

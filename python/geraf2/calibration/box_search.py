@@ -1,22 +1,24 @@
-"""Search for the box of a scan by its walls' flashes: a cuboid of any yaw, size and position.
+"""Planes of a box's walls, from peaks of a scan.
 
-A flat wall returns a flash along its normal, from the foot of the perpendicular, so each such peak
-defines a plane. Planes at right angles form the box; those of the content lie inside
+A flat wall that antennas face squarely returns a flash along its normal, from the front or through
+the box from behind. Hypotheses of a cuboid are compared by how many sub-apertures have its flashes
 (docs/math/calibration.md#box-from-the-scan).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.calibration.wall_echoes import UNKNOWN_MIDDLES_M
+from geraf2.calibration.wall_echoes import WallMiddles
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.scene import Capture, LosPrior
+from geraf2.scene import Capture, LosPrior, Waveform
 
 # Half as many sub-apertures and directions as for glints, in a fifth of the time.
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
@@ -24,15 +26,34 @@ _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 _REGION = 1.3
 # Largest angle between a flash and its wall's normal, by noise and the slopes of a bulge [rad].
 _MAX_ANGLE_RAD = 0.06
-_YAW_STEP_RAD = np.deg2rad(0.5)
+# Steps of the yaw in the first search and around its best.
+_YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
-# Standard deviation of the flashes of one wall, which may bulge by 1 to 3 mm.
-_OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.001, 0.0025
-# Least strength of a wall relative to the strongest flash; flashes of content are 20 dB stronger.
-_WEAKEST_DB = -15.0
-# Least density relative to the densest plane of a direction; side lobes have less.
-_LEAST_SHARE = 0.25
+# Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
+_OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.002, 0.003
+# Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
+# strongest peak [dB].
+_LEVEL_STEP_DB, _LEVEL_SIGMA_DB, _N_LEVELS = 2.0, 4.0, 20
+# Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
+_LOWEST_DB, _LOWEST_PAIR_DB = -22.0, -32.0
+# Largest error of the recorded delay, one-way, and its standard deviation [m].
+_MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
+# Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
+# and directions [nats]. Counts below are in flashes, of which four overlap.
+_FLASH_NATS, _OVERLAP = 7.0, 4.0
+# Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
+_MISS = 0.3
+# Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
+# the scan [m], which the smallest boxes exceed.
+_FACING_COSINE, _FOOT_M = 0.98, 0.06
+# Least count of a wall, and least share of the largest count on its side.
+_LEAST_COUNT, _LEAST_SHARE = 1.0, 0.5
+# Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
+# without loss. The null may lie off the middle.
+_PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
+# Width of the profile along which edges are searched [m].
+_EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 # Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
 # [rad], range tolerance [m], least share and number of planes with the same range.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
@@ -58,28 +79,109 @@ class Flashes:
     """Offset of the outer face along the normal, from the origin, (n,) [m]."""
     far: Bools
     """Whether it is a far wall, seen from behind through the box, (n,)."""
+    levels_db: Floats
+    """Strength relative to the strongest; a flat wall's is that of its reflectivity, (n,)."""
     weights: Floats
-    """Square root of the reflectivity of a large flat wall, up to a factor, (n,)."""
+    """1, or less for one of several directions of a peak, (n,)."""
+    subapertures: Ints
+    """Sub-aperture of the peak, (n,)."""
+    centers: Floats
+    """Centre of each sub-aperture, (n_subapertures, 3) [m]."""
+    ahead: Floats
+    """Looking direction of each sub-aperture, (n_subapertures, 3)."""
+    loss_shift_m: float
+    """Part of the offsets by which a loss in the walls moves a single peak [m]."""
 
     @classmethod
-    def of(cls, peaks: PeakSet) -> "Flashes":
-        """Both interpretations of each peak, as a near and as a far wall."""
-        along = np.einsum("ij,ij->i", peaks.centers, peaks.directions)
-        (near_m, _), (far_m, _) = UNKNOWN_MIDDLES_M
-        near = near_m - along - peaks.ranges_m
-        far = far_m + along + peaks.ranges_m
-        weights = np.sqrt(peaks.strengths)
+    def of(cls, capture: Capture, peaks: PeakSet, lobes: PeakSet, index: Ints) -> "Flashes":
+        """Both interpretations, as a near and as a far wall, of each peak in each direction.
+
+        lobes, index: from `with_lobes`.
+        """
+        along = np.einsum("ij,ij->i", lobes.centers, lobes.directions)
+        middles = WallMiddles.of(capture.walls, capture.waveform)
+        near_m, far_m = middles.depths_m
+        level = 20.0 * np.log10(lobes.strengths / lobes.strengths.max(initial=1e-300))
+        n_directions = np.bincount(index, minlength=len(peaks))[index]
+        weight = np.maximum(1.0 - np.log(n_directions) / _FLASH_NATS, 0.0)
         return cls(
-            normals=np.concatenate([-peaks.directions, peaks.directions]),
-            offsets_m=np.concatenate([near, far]),
-            far=np.repeat([False, True], len(peaks)),
-            weights=np.tile(weights, 2),
+            normals=np.concatenate([-lobes.directions, lobes.directions]),
+            offsets_m=np.concatenate(
+                [near_m - along - lobes.ranges_m, along + lobes.ranges_m - far_m]
+            ),
+            far=np.repeat([False, True], len(lobes)),
+            levels_db=np.tile(level, 2),
+            weights=np.tile(weight, 2),
+            subapertures=np.tile(lobes.subapertures, 2),
+            centers=peaks.subaperture_centers,
+            ahead=np.stack([pose.axes[0] for pose in capture.poses])[peaks.subaperture_planes],
+            loss_shift_m=middles.loss_shift_m,
         )
 
-    def along(self, direction: Floats) -> "Flashes":
-        """Flashes of walls with this outward normal, (3,)."""
-        keep = self.normals @ direction > np.cos(_MAX_ANGLE_RAD)
-        return Flashes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
+    def counts(self, normal: Floats, n_offsets: int) -> tuple["_Counts", "_Counts"]:
+        """Flashes of near and of far walls with this outward normal, (3,)."""
+        cosine = self.normals @ normal
+        own = np.flatnonzero(
+            (cosine > np.cos(_MAX_ANGLE_RAD))
+            & (self.offsets_m > 0.0)
+            & (self.offsets_m < n_offsets * _OFFSET_STEP_M)
+        )
+        angle = np.arccos(np.clip(cosine[own], -1.0, 1.0))
+        weights = self.weights[own] * (1.0 - (angle / _MAX_ANGLE_RAD) ** 2)
+        across = self.centers - np.outer(self.centers @ normal, normal)
+        is_near = np.linalg.norm(across, axis=1) < _FOOT_M
+        toward = self.ahead @ normal
+        found = []
+        for far, facing in ((False, toward < -_FACING_COSINE), (True, toward > _FACING_COSINE)):
+            kind = self.far[own] == far
+            density = self._density(own[kind], weights[kind], n_offsets)
+            found.append(_Counts(density, int((is_near & facing).sum())))
+        return found[0], found[1]
+
+    def _density(self, own: Ints, weights: Floats, n_offsets: int) -> Floats:
+        """Smoothed count over offset and level, one flash of each sub-aperture in a few cells."""
+        offset = (self.offsets_m[own] / _OFFSET_STEP_M).astype(np.int64)
+        level = (self.levels_db[own] / _LEVEL_STEP_DB).astype(np.int64) + _N_LEVELS - 1
+        level = np.maximum(level, 0)
+        cell = (self.subapertures[own] * n_offsets + offset // 4) * _N_LEVELS + level // 4
+        order = np.lexsort((-weights, cell))
+        first = order[np.unique(cell[order], return_index=True)[1]]
+        shape = n_offsets, _N_LEVELS
+        count = np.bincount(
+            (offset * _N_LEVELS + level)[first], weights[first], n_offsets * _N_LEVELS
+        )
+        widths = _OFFSET_SIGMA_M / _OFFSET_STEP_M, _LEVEL_SIGMA_DB / _LEVEL_STEP_DB
+        smooth = gaussian_filter(count.reshape(shape), widths, mode="constant")
+        return np.asarray(2.0 * np.pi * widths[0] * widths[1] * smooth)
+
+
+class _Counts(NamedTuple):
+    """Flashes of walls with one normal, from one side."""
+
+    density: Floats
+    """Count over offset and level, (n_offsets, n_levels)."""
+    n_facing: int
+    """Number of sub-apertures that face such a wall."""
+
+    def score(self, pair: int) -> Floats:
+        """Count of flashes less missed ones, (n_offsets, n_levels).
+
+        pair: half the distance of a wall's two echoes, in cells; 0 for a single one.
+        """
+        count, expected = self.density, self.n_facing
+        if pair:
+            count = 2.0 * np.minimum(_shifted(count, pair), _shifted(count, -pair))
+            expected = 2 * expected
+        usual = 0.75  # mean weight of a flash by its angle
+        return np.maximum(count - _MISS * np.maximum(expected - count / usual, 0.0), 0.0)
+
+
+def _shifted(values: Floats, cells: int) -> Floats:
+    """Values moved along the first axis by a number of cells, zero beyond the ends."""
+    moved = np.zeros_like(values)
+    low, high = max(cells, 0), len(values) + min(cells, 0)
+    moved[low:high] = values[low - cells : high - cells]
+    return moved
 
 
 def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
@@ -97,30 +199,6 @@ def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
     chosen = np.concatenate(index)
     directions = np.concatenate([part.directions for part in parts])
     return replace(peaks.select(chosen), directions=directions), chosen
-
-
-def without_lobes(
-    peaks: PeakSet, lobes: PeakSet, index: Ints, rough: "RoughFaces"
-) -> tuple[PeakSet, Bools]:
-    """Peaks in the direction of a wall's flash, and mask of those that are a flash.
-
-    lobes, index: from `with_lobes`.
-    """
-    flashes = Flashes.of(lobes)
-    deviation = np.full(len(flashes.offsets_m), np.inf)
-    for k, side in np.ndindex(3, 2):
-        normal = rough.axes[k] * (1.0 if side else -1.0)
-        along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
-        found = np.abs(flashes.offsets_m - rough.offsets_m[k, side])
-        deviation = np.where(
-            along & (found < 3.0 * _OFFSET_SIGMA_M), np.minimum(deviation, found), deviation
-        )
-    deviation = deviation.reshape(2, -1).min(axis=0)  # each lobe as a near and as a far wall
-    order = np.lexsort((deviation, index))
-    first = order[np.unique(index[order], return_index=True)[1]]
-    is_flash = np.isfinite(deviation[first])
-    best = np.where(is_flash, first, np.arange(len(peaks)))
-    return replace(peaks, directions=lobes.directions[best]), is_flash
 
 
 def leaking(capture: Capture, peaks: PeakSet) -> Bools:
@@ -146,48 +224,6 @@ def upward(capture: Capture) -> Floats:
     return np.asarray(np.eye(3)[nearest] * np.sign(mean[nearest]))
 
 
-def _profile(offsets_m: Floats, weights: Floats) -> tuple[Floats, Floats]:
-    """Density of planes over their offset, and its sampling positions [m]."""
-    reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
-    cells = ((offsets_m + reach) / _OFFSET_STEP_M).astype(np.int64)
-    counts = np.bincount(cells, weights, int(2.0 * reach / _OFFSET_STEP_M) + 1)
-    middles = np.asarray(_OFFSET_STEP_M * (np.arange(len(counts)) + 0.5) - reach)
-    return np.asarray(gaussian_filter1d(counts, _OFFSET_SIGMA_M / _OFFSET_STEP_M)), middles
-
-
-def find_axes(flashes: Flashes, up: Floats, like: Floats | None = None) -> Floats:
-    """Axes of the box, at the yaw with the densest planes on the four sides, (3, 3).
-
-    like: axes that are preferred if nearly as many planes agree, (3, 3).
-    """
-    first = np.abs(np.roll(up, 1))
-    second = np.cross(up, first)
-    level = np.abs(flashes.normals @ up) < np.sin(_MAX_ANGLE_RAD)
-    yaw = np.arctan2(flashes.normals[level] @ second, flashes.normals[level] @ first)
-    offsets, weights = flashes.offsets_m[level], flashes.weights[level]
-    steps = np.arange(0.0, 0.5 * np.pi, _YAW_STEP_RAD)
-    scores = np.zeros(len(steps))
-    for number, step in enumerate(steps):
-        quarter = np.rint((yaw - step) / (0.5 * np.pi))
-        deviation = yaw - step - 0.5 * np.pi * quarter
-        share = np.maximum(1.0 - (deviation / _MAX_ANGLE_RAD) ** 2, 0.0)
-        for side in range(4):
-            own = (quarter % 4 == side) & (share > 0.0)
-            if own.any():
-                scores[number] += _profile(offsets[own], (weights * share)[own])[0].max()
-    if like is not None:
-        side_axis = like[int(np.abs(like @ up).argmin())]
-        deviation = steps - np.arctan2(side_axis @ second, side_axis @ first)
-        near = np.abs(deviation - 0.5 * np.pi * np.rint(deviation / (0.5 * np.pi))) < _LIKE_RAD
-        if scores[near].max() > _LIKE_SHARE * scores.max():
-            scores = np.where(near, scores, 0.0)
-    yaw_rad = float(steps[int(scores.argmax())])
-    # Four yaws describe the same box: choose the nearest to the frame's axes.
-    yaw_rad -= 0.5 * np.pi * (yaw_rad > 0.25 * np.pi)
-    x = np.cos(yaw_rad) * first + np.sin(yaw_rad) * second
-    return np.stack([x, np.cross(up, x), up])
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoughFaces:
     """Planes of a cuboid from flashes."""
@@ -196,40 +232,183 @@ class RoughFaces:
     """Unit vectors in rows, (3, 3)."""
     offsets_m: Floats
     """Offsets of the faces against and along each axis, outward, (3, 2) [m]; NaN: unseen."""
-    strength: float
-    """Weight of the strongest flash of these faces, as in `Flashes`."""
-
-    @property
-    def mean_m(self) -> float:
-        """Mean of the offsets; -inf without any [m]."""
-        known = self.offsets_m[np.isfinite(self.offsets_m)]
-        return float(known.mean()) if len(known) else -np.inf
+    shift_m: float = 0.0
+    """All ranges are longer by it: error of the delay, and of the walls' depth, one-way [m]."""
+    pair_m: float = 0.0
+    """Half the distance between the two echoes of each wall, whose faces cancel; 0: one [m]."""
+    level_db: float = 0.0
+    """Level of the walls relative to the strongest peak [dB]."""
 
 
-def rough_faces(flashes: Flashes, axes: Floats) -> RoughFaces:
-    """Outermost strong planes along the axes around the origin, near walls before far ones."""
-    offsets = np.full((3, 2), np.nan)
-    own = [[flashes.along(sign * axis) for sign in (-1.0, 1.0)] for axis in axes]
-    top = max((float(f.weights.max(initial=0.0)) for pair in own for f in pair), default=0.0)
-    least = top * 10.0 ** (_WEAKEST_DB / 40.0)
-    for far in (False, True):
-        for k, side in np.argwhere(np.isnan(offsets)):
-            planes = own[k][side]
-            # Each near wall's flash is also interpreted as a far wall, beyond the origin.
-            kind = (planes.far == far) & (planes.offsets_m > 0.5 * LEAST_SIDE_M)
-            found = _outermost(planes, kind, least)
-            if found is not None:
-                offsets[k, side] = found
-    return RoughFaces(axes=axes, offsets_m=offsets, strength=top)
+class _Hypothesis(NamedTuple):
+    """Score of a cuboid, for the best level and delay at a yaw."""
+
+    score: float
+    yaw_rad: float
+    shift: int
+    """Error of the delay, in cells of the offset."""
+    pair: int
+    """Half the distance of a wall's two echoes, in cells."""
+    level: int
 
 
-def _outermost(planes: Flashes, kind: Bools, least: float) -> float | None:
-    """Offset of the outermost plane with a strong flash [m]."""
-    offsets, weights = planes.offsets_m[kind], planes.weights[kind]
-    for position, members in densest_planes(offsets, weights, _LEAST_SHARE):
-        if (weights[members] > least).any():
-            return position
-    return None
+class _Search:
+    """Search for the cuboid with most flashes at one level and one delay."""
+
+    def __init__(self, flashes: Flashes, up: Floats, reach_m: float, pair_m: float) -> None:
+        self.flashes, self.up = flashes, up
+        self.first = np.abs(np.roll(up, 1))
+        self.second = np.cross(up, self.first)
+        self.n_offsets = max(int(reach_m / _OFFSET_STEP_M), 2)
+        shares = [round(share * pair_m / _OFFSET_STEP_M) for share in _PAIR_SHARES]
+        self.pairs = sorted({0, *shares})
+        # A pair of echoes lies around the middle of the faces.
+        self.unmoved = -round(flashes.loss_shift_m / _OFFSET_STEP_M)
+        self.upright = [flashes.counts(normal, self.n_offsets) for normal in (-up, up)]
+
+    def axes(self, yaw_rad: float) -> Floats:
+        """Axes of a box, (3, 3)."""
+        x = np.cos(yaw_rad) * self.first + np.sin(yaw_rad) * self.second
+        return np.stack([x, np.cross(self.up, x), self.up])
+
+    def sides(self, yaw_rad: float) -> list[tuple[_Counts, _Counts]]:
+        """Flashes of the faces against and along each axis."""
+        x, y, _ = self.axes(yaw_rad)
+        return [self.flashes.counts(n, self.n_offsets) for n in (-x, x, -y, y)] + self.upright
+
+    def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[_Hypothesis]:
+        """Best hypothesis at each yaw.
+
+        shifts: of the delay, in cells of the offset.
+        """
+        sigma = _SHIFT_SIGMA_M / _OFFSET_STEP_M
+        penalty = 0.5 * (np.array(shifts) / sigma) ** 2 * _OVERLAP / _FLASH_NATS
+        most = max(abs(shift) for shift in shifts)
+        least = max(round(0.5 * LEAST_SIDE_M / _OFFSET_STEP_M), most)
+        end = self.n_offsets - most
+        found = []
+        for yaw in yaws:
+            sides = self.sides(yaw)
+            tries = []
+            for pair in self.pairs:
+                total = np.repeat(-penalty[:, None], _N_LEVELS, axis=1)
+                start = self.unmoved if pair else 0
+                for near, far in sides:
+                    n, f = _shifted(near.score(pair), start), _shifted(far.score(pair), -start)
+                    for number, shift in enumerate(shifts):
+                        both = n[least - shift : end - shift] + f[least + shift : end + shift]
+                        total[number] += both.max(axis=0)
+                lowest = _LOWEST_PAIR_DB if pair else _LOWEST_DB
+                total[:, : _N_LEVELS + int(lowest / _LEVEL_STEP_DB)] = -np.inf
+                row, level = divmod(int(total.argmax()), _N_LEVELS)
+                tries.append(_Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
+            found.append(max(tries))
+        return found
+
+    def faces(self, found: _Hypothesis) -> Floats:
+        """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
+        offsets = np.full(6, np.nan)
+        for face, (near, far) in enumerate(self.sides(found.yaw_rad)):
+            score = _shifted(near.score(found.pair), found.shift)
+            score += _shifted(far.score(found.pair), -found.shift)
+            count = score[:, found.level]
+            count[: round(0.5 * LEAST_SIDE_M / _OFFSET_STEP_M)] = 0.0
+            least = max(_LEAST_COUNT, _LEAST_SHARE * float(count.max()))
+            rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
+            peaks = np.flatnonzero(rises & falls & (count >= least))
+            if len(peaks):
+                offsets[face] = (peaks[-1] + 0.5) * _OFFSET_STEP_M
+        return offsets.reshape(3, 2)
+
+
+def rough_faces(
+    flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform, like: Floats | None = None
+) -> RoughFaces:
+    """Cuboid around the origin of which most sub-apertures show flashes.
+
+    The walls of a box have one level, and one error of the delay moves near and far walls apart. A
+    flat face of content is seen from few sides, or differs in level.
+
+    up: the box's vertical, an axis of the frame, (3,).
+    reach_m: distance of the planes, beyond which no wall lies [m].
+    like: axes that are preferred if nearly as many flashes agree, (3, 3).
+    """
+    search = _Search(flashes, up, reach_m, pair_distance_m(waveform))
+    most = round(_MOST_SHIFT_M / _OFFSET_STEP_M)
+    coarse, fine = _YAW_STEPS_RAD
+    found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
+    best = max(found)
+    if like is not None:
+        side = like[int(np.abs(like @ up).argmin())]
+        turn = np.array([each.yaw_rad for each in found])
+        turn -= np.arctan2(side @ search.second, side @ search.first)
+        near = np.abs(turn - 0.5 * np.pi * np.rint(turn / (0.5 * np.pi))) < _LIKE_RAD
+        alike = max(each for each, is_near in zip(found, near, strict=True) if is_near)
+        best = alike if alike.score > _LIKE_SHARE * best.score else best
+    yaws = best.yaw_rad + np.arange(-coarse, coarse + 0.5 * fine, fine)
+    best = max(search.best(yaws, range(-most, most + 1)))
+    offsets = search.faces(best)
+    # Four yaws describe the same box: choose the nearest to the frame's axes.
+    quarters = round(best.yaw_rad / (0.5 * np.pi) - 1e-9)
+    axes = search.axes(best.yaw_rad - 0.5 * np.pi * quarters)
+    for _ in range(quarters % 4):
+        offsets = offsets[[1, 0, 2]]
+        offsets[0] = offsets[0, ::-1]
+    return RoughFaces(
+        axes=axes,
+        offsets_m=offsets,
+        shift_m=best.shift * _OFFSET_STEP_M,
+        pair_m=best.pair * _OFFSET_STEP_M,
+        level_db=_LEVEL_STEP_DB * (best.level + 1 - _N_LEVELS),
+    )
+
+
+def pair_distance_m(waveform: Waveform) -> float:
+    """Distance from a wall of its two echoes, if its faces cancel at the middle of the band [m].
+
+    The echo is then proportional to the frequency's distance from the middle.
+    """
+    frequencies = waveform.frequencies_hz - waveform.frequencies_hz.mean()
+    echo = np.hanning(waveform.n_samples + 2)[1:-1] * frequencies
+    ranges = np.linspace(0.0, 3.0 * waveform.range_cell_m, 301)
+    turns = 2.0 / SPEED_OF_LIGHT_M_PER_S * np.outer(ranges, frequencies)
+    return float(ranges[np.abs(np.exp(2j * np.pi * turns) @ echo).argmax()])
+
+
+def explained(
+    peaks: PeakSet, lobes: PeakSet, index: Ints, flashes: Flashes, rough: RoughFaces
+) -> PeakSet:
+    """Peaks with the walls' flashes in their true direction and at the wall's range.
+
+    All ranges are corrected for the error of the delay. Both echoes of a wall whose faces cancel
+    are moved to their middle.
+
+    lobes, index: from `with_lobes`.
+    """
+    deviation = np.full(len(flashes.offsets_m), np.inf)
+    outward = np.zeros(len(deviation))
+    shift = np.where(flashes.far, rough.shift_m, -rough.shift_m)
+    for k, side in np.ndindex(3, 2):
+        normal = rough.axes[k] * (1.0 if side else -1.0)
+        along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
+        beyond = flashes.offsets_m - shift - rough.offsets_m[k, side]
+        for pair in {-rough.pair_m, rough.pair_m}:
+            closer = along & (np.abs(beyond - pair) < np.minimum(deviation, 3.0 * _OFFSET_SIGMA_M))
+            deviation[closer] = np.abs(beyond - pair)[closer]
+            outward[closer] = pair
+    n, rows = len(lobes), np.arange(len(lobes))
+    kind = deviation.reshape(2, n).argmin(axis=0)  # each lobe as a near and as a far wall
+    deviation, outward = deviation.reshape(2, n)[kind, rows], outward.reshape(2, n)[kind, rows]
+    order = np.lexsort((deviation, index))
+    first = order[np.unique(index[order], return_index=True)[1]]
+    is_flash = np.isfinite(deviation[first])
+    best = np.where(is_flash, first, np.arange(len(peaks)))
+    longer = np.where(kind[best] == 0, outward[best], -outward[best]) * is_flash
+    return replace(
+        peaks,
+        directions=lobes.directions[best],
+        ranges_m=peaks.ranges_m + longer - rough.shift_m,
+    )
 
 
 def densest_planes(
@@ -241,9 +420,13 @@ def densest_planes(
     """
     if not len(offsets_m):
         return
-    density, middles = _profile(offsets_m, weights)
+    reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
+    cells = ((offsets_m + reach) / _EDGE_STEP_M).astype(np.int64)
+    counts = np.bincount(cells, weights, int(2.0 * reach / _EDGE_STEP_M) + 1)
+    middles = _EDGE_STEP_M * (np.arange(len(counts)) + 0.5) - reach
+    density = gaussian_filter1d(counts, _EDGE_SIGMA_M / _EDGE_STEP_M)
     peaks = 1 + np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
     for peak in peaks[::-1]:
-        near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _OFFSET_SIGMA_M)
+        near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _EDGE_SIGMA_M)
         if len(near) and density[peak] >= least_share * density.max():
             yield float(np.average(offsets_m[near], weights=weights[near])), near

@@ -6,19 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Bools, Floats, Ints
+from geraf2._types import Floats, Ints
 from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
     LEAST_SIDE_M,
     Flashes,
     RoughFaces,
-    find_axes,
+    explained,
     leaking,
     rough_faces,
     scene_peaks,
     upward,
     with_lobes,
-    without_lobes,
 )
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
@@ -30,7 +29,7 @@ from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 2
+BOX_VERSION = 3
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
@@ -40,10 +39,6 @@ _SEEN_SHARE, _FEWEST = 0.5, 2
 _MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
 # Margin around the walls [m], and largest share of energy outside: grating lobes and multipath.
 _MARGIN_M, _MOST_OUTSIDE = 0.01, 0.3
-# Least mean distance of a box's walls from planes of its content [m].
-_OUTSIDE_M = 0.02
-# Least weight of walls relative to content, 22 dB below metal; multipath is weaker.
-_FAINTEST = 0.28
 # Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = -45.0
 # Level relative to the walls below which leakage does not shift their echoes [dB].
@@ -219,12 +214,12 @@ def find_box(
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    rough, seen, leakage_db = _initial_faces(capture, peaks, like)
+    rough, seen, leakage_db = _initial_faces(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
         leakage = find_leakage(capture, _initial_box(rough).prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-            rough, seen, _ = _initial_faces(capture, peaks, like)
+            rough, seen, _ = _initial_faces(capture, peaks, reach, like)
     box = _initial_box(rough)
     if not box.size_m.min() > LEAST_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
@@ -243,37 +238,24 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
 
 
 def _initial_faces(
-    capture: Capture, peaks: KeptPeaks, like: Floats | None
+    capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
 ) -> tuple[RoughFaces, PeakSet, float]:
-    """Faces before the fit, peaks without leakage, and the leakage relative to the walls [dB]."""
+    """Faces before the fit, corrected peaks, and the leakage's level relative to walls [dB]."""
     found = peaks.of(capture)
     leaks = leaking(capture, found)
-    strength = found.strengths
-    strong = 20.0 * np.log10(strength / strength.max(initial=1e-300)) > _DYNAMIC_RANGE_DB
-    kept = found.select(~leaks & strong)
-    rough, known, is_flash = _planes(capture, kept, like)
-    # The densest planes may be flat content, with walls around them.
-    around, outer, _ = _planes(capture, kept.select(~is_flash), like)
-    if around.mean_m > rough.mean_m + _OUTSIDE_M and around.strength > _FAINTEST * rough.strength:
-        rough, known = around, outer
-    if rough.mean_m == -np.inf:
+    kept = found.select(~leaks)
+    top = float(kept.strengths.max(initial=0.0))
+    kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
+    if not len(kept):
+        raise WallsNotFoundError(seen="no echo above the noise")
+    lobes, index = with_lobes(capture, kept)
+    flashes = Flashes.of(capture, kept, lobes, index)
+    rough = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
+    if np.isnan(rough.offsets_m).all():
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
-    walls = rough.strength**2
-    leakage = float(np.median(strength[leaks])) if leaks.any() else 0.0
-    return rough, known, 20.0 * float(np.log10(max(leakage, 1e-300) / max(walls, 1e-300)))
-
-
-def _planes(
-    capture: Capture, peaks: PeakSet, like: Floats | None
-) -> tuple[RoughFaces, PeakSet, Bools]:
-    """Faces of planes at right angles; peaks in their true direction, and mask of flashes."""
-    if not len(peaks):
-        nothing = RoughFaces(axes=np.eye(3), offsets_m=np.full((3, 2), np.nan), strength=0.0)
-        return nothing, peaks, np.zeros(0, dtype=bool)
-    lobes, index = with_lobes(capture, peaks)
-    flashes = Flashes.of(lobes)
-    rough = rough_faces(flashes, find_axes(flashes, upward(capture), like))
-    return rough, *without_lobes(peaks, lobes, index, rough)
+    leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
+    level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - rough.level_db
+    return rough, explained(kept, lobes, index, flashes, rough), level_db
 
 
 def _initial_box(rough: RoughFaces) -> FoundBox:
@@ -384,9 +366,9 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
         known = (seen != Seen.NOT).all(axis=1)
         usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
         least = flash_reach(peaks, box.axes, box.offsets_m, square, face)
-        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, least)
+        content = content_reach(peaks, box.axes, box.offsets_m, square, face)
+        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, max(least, content))
         if edge is None:
-            content = content_reach(peaks, box.axes, box.offsets_m, square, face)
             offsets[face] = max(least, content, usual)
             bounds[face] = least, np.inf
         else:

@@ -82,6 +82,8 @@ class WallMiddles:
     """Optical middles of near and of far walls."""
     sigmas_m: tuple[float, float, float]
     """Standard deviations of both, and of their common part."""
+    loss_shift_m: float = 0.0
+    """Part of both depths by which a loss moves the peak."""
 
     @classmethod
     def of(cls, walls: tuple[Wall, ...], waveform: Waveform) -> "WallMiddles":
@@ -97,6 +99,7 @@ class WallMiddles:
         return cls(
             depths_m=(near_m + shift, far_m + shift),
             sigmas_m=(MIDDLE_SIGMA_M, MIDDLE_SIGMA_M, spread),
+            loss_shift_m=shift,
         )
 
 

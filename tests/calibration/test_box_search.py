@@ -1,0 +1,161 @@
+"""Hypotheses of a box against flashes made by mirror images of its walls."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from geraf2 import examples
+from geraf2.calibration import box_search
+from geraf2.calibration.box_search import Flashes, pair_distance_m, rough_faces
+
+HALF_M = np.array([0.08, 0.10, 0.09])
+REACH_M = 0.4
+UP = np.array([0.0, 0.0, 1.0])
+WAVEFORM = examples.small_scene().waveform
+
+
+@dataclass
+class Scan:
+    """Sub-apertures on rings around the box, and planes that answer them."""
+
+    degrees: float = 0.0
+    delay_m: float = 0.0
+    pair_m: float = 0.0
+
+    def __post_init__(self):
+        turn = np.deg2rad(self.degrees + np.arange(0, 360, 45))
+        ahead = -np.column_stack([np.cos(turn), np.sin(turn), 0.0 * turn])
+        steps = [-0.04, 0.0, 0.04]
+        centers = [
+            -REACH_M * a + side * np.cross(UP, a) + up * UP
+            for a in ahead
+            for side in steps
+            for up in steps
+        ]
+        self.centers, self.ahead = np.array(centers), np.repeat(ahead, 9, axis=0)
+        self.rows = []
+
+    def add(self, normal, offset_m, half_width_m=1.0, level_db=-6.0):
+        """Flashes of a plane, from the front and from behind, at the feet on the plane."""
+        height = self.centers @ normal - offset_m
+        feet = self.centers - np.outer(height, normal)
+        sees = np.abs(self.ahead @ normal) > 0.9
+        sees &= np.linalg.norm(feet - offset_m * normal, axis=1) < half_width_m
+        for k in np.flatnonzero(sees):
+            direction = -np.sign(height[k]) * normal
+            for beyond in {self.pair_m, -self.pair_m}:
+                range_m = abs(height[k]) + self.delay_m + beyond
+                self.rows.append((k, direction, range_m, level_db))
+        return self
+
+    def box(self, degrees=0.0, **settings):
+        """Flashes of the four sides."""
+        turn = np.deg2rad(degrees)
+        x, y = np.array([np.cos(turn), np.sin(turn), 0]), np.array([-np.sin(turn), np.cos(turn), 0])
+        for axis, half in ((x, HALF_M[0]), (y, HALF_M[1])):
+            self.add(axis, half, **settings)
+            self.add(-axis, half, **settings)
+        return self
+
+    def flashes(self):
+        """Both interpretations of each echo."""
+        index, directions, ranges, levels = (np.array(c) for c in zip(*self.rows, strict=True))
+        along = np.einsum("ij,ij->i", self.centers[index], directions)
+        return Flashes(
+            normals=np.concatenate([-directions, directions]),
+            offsets_m=np.concatenate([-along - ranges, along + ranges]),
+            far=np.repeat([False, True], len(index)),
+            levels_db=np.tile(levels, 2),
+            weights=np.ones(2 * len(index)),
+            subapertures=np.tile(index, 2),
+            centers=self.centers,
+            ahead=self.ahead,
+            loss_shift_m=0.0,
+        )
+
+    def found(self, like=None):
+        return rough_faces(self.flashes(), UP, REACH_M, WAVEFORM, like)
+
+
+def yaw_deg(axes):
+    return np.rad2deg(np.arctan2(axes[0, 1], axes[0, 0]))
+
+
+@pytest.mark.parametrize("degrees", [0.0, 20.0, -44.0])
+def test_all_sides_are_found_at_any_yaw(degrees):
+    found = Scan(degrees).box(degrees).found()
+    assert abs(yaw_deg(found.axes) - degrees) < 0.5
+    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=3e-3)
+    assert np.isnan(found.offsets_m[2]).all()
+    assert abs(found.shift_m) < 3e-3
+    assert found.pair_m == 0.0
+
+
+@pytest.mark.parametrize("delay_m", [0.016, -0.012])
+def test_an_error_of_the_delay_is_apart_from_the_size(delay_m):
+    found = Scan(delay_m=delay_m).box().found()
+    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=3e-3)
+    np.testing.assert_allclose(found.shift_m, delay_m, atol=3e-3)
+
+
+def test_two_echoes_of_a_wall_are_one_wall_between_them():
+    pair_m = 0.9 * pair_distance_m(WAVEFORM)
+    found = Scan(pair_m=pair_m).box(level_db=-16.0).found()
+    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=4e-3)
+    np.testing.assert_allclose(found.pair_m, pair_m, atol=4e-3)
+
+
+def test_a_brighter_flat_face_of_content_is_no_wall():
+    """A metal plate within the box, seen from two sides, 12 dB above the walls."""
+    scan = Scan().box(level_db=-12.0)
+    turn = np.deg2rad(45.0)
+    scan.add(np.array([np.cos(turn), np.sin(turn), 0.0]), 0.03, half_width_m=0.05, level_db=0.0)
+    found = scan.found()
+    assert abs(yaw_deg(found.axes)) < 0.5
+    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=3e-3)
+
+
+def test_a_far_wall_is_not_a_near_one_beyond_the_middle():
+    """The antennas see one pair of walls from one side only."""
+    scan = Scan()
+    x = np.array([1.0, 0.0, 0.0])
+    scan.add(-x, HALF_M[0]).add(x, HALF_M[0])
+    scan.rows = [row for row in scan.rows if scan.centers[row[0]] @ x < 0.0]
+    found = scan.found()
+    np.testing.assert_allclose(found.offsets_m[0], HALF_M[[0, 0]], atol=3e-3)
+    assert np.isnan(found.offsets_m[1:]).all()
+
+
+def test_an_expected_orientation_decides_between_equals():
+    """Walls at right angles, and others 30 degrees aside: a scan that allows both."""
+    scan = Scan().box()
+    other = replace(scan).box(30.0)
+    scan.rows += other.rows
+    for degrees in (0.0, 30.0):
+        turn = np.deg2rad(degrees)
+        like = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], UP])
+        assert abs(yaw_deg(scan.found(like).axes) - degrees) < 0.5
+
+
+def test_counts_are_the_sum_of_flashes_over_offset_and_level():
+    """Twin: each flash is a Gaussian with a peak of its angular weight."""
+    rng = np.random.default_rng(1)
+    flashes = Scan().add(np.array([1.0, 0.0, 0.0]), 0.081, level_db=-7.0).flashes()
+    normals = flashes.normals + rng.normal(0.0, 0.01, flashes.normals.shape)
+    flashes = replace(flashes, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    normal = np.array([1.0, 0.0, 0.0])
+    near, far = flashes.counts(normal, 150)
+    for counts, kind in ((near, False), (far, True)):
+        expected = np.zeros_like(counts.density)
+        offsets = box_search._OFFSET_STEP_M * (0.5 + np.arange(len(expected)))
+        levels = box_search._LEVEL_STEP_DB * (0.5 + np.arange(expected.shape[1]) - 20)
+        for k in np.flatnonzero((flashes.far == kind) & (flashes.offsets_m > 0.0)):
+            angle = np.arccos(min(flashes.normals[k] @ normal, 1.0))
+            if angle < box_search._MAX_ANGLE_RAD:
+                offset = (offsets - flashes.offsets_m[k]) / box_search._OFFSET_SIGMA_M
+                level = (levels - flashes.levels_db[k]) / box_search._LEVEL_SIGMA_DB
+                weight = 1.0 - (angle / box_search._MAX_ANGLE_RAD) ** 2
+                expected += weight * np.exp(-0.5 * np.add.outer(offset**2, level**2))
+        assert expected.max() > 5.0
+        assert np.abs(counts.density - expected).max() < 0.02 * expected.max()
