@@ -56,15 +56,21 @@ def _spheres(*radius_height_mm: tuple[float, float]) -> tuple[Meridian, ...]:
     return tuple(Meridian.circle(1e-3 * r, 1e-3 * z) for r, z in radius_height_mm)
 
 
+_VASE = (0, -25), (10, -25), (17, -12), (17, -2), (8, 10), (8, 16), (12, 20), (12, 25), (0, 25)
+_HEAD = (0, -25), (11, -25), (11, -12), (7, -8), (7, 8), (11, 12), (11, 25), (0, 25)
+_TOP = (0, -25), (5, -25), (20, 0), (20, 6), (5, 11), (5, 24), (0, 24)
+_EGG = (0, -25), (13, -25), (18, -8), (17, 5), (9, 22), (4, 25), (0, 25)
+_CUP = (0, -21), (17, -21), (17, 21), (13, 21), (13, -17), (0, -17)
+
 BODIES = {
     "ball": Body(curves=_spheres((20, 0))),
-    "egg": Body(curves=_turned((0, -25), (13, -25), (18, -8), (17, 5), (9, 22), (4, 25), (0, 25), sigma_mm=4.0)),
+    "egg": Body(curves=_turned(*_EGG, sigma_mm=4.0)),
     "drum": Body(curves=_turned((0, -18), (17, -18), (17, 18), (0, 18), sigma_mm=1.5)),
-    "vase": Body(curves=_turned((0, -25), (10, -25), (17, -12), (17, -2), (8, 10), (8, 16), (12, 20), (12, 25), (0, 25))),
+    "vase": Body(curves=_turned(*_VASE)),
     "bottle": Body(curves=_turned((0, -25), (13, -25), (13, 5), (5, 13), (5, 25), (0, 25))),
-    "top": Body(curves=_turned((0, -25), (5, -25), (20, 0), (20, 6), (5, 11), (5, 24), (0, 24), sigma_mm=1.5)),
-    "cup": Body(curves=_turned((0, -21), (17, -21), (17, 21), (13, 21), (13, -17), (0, -17)), n_nodes=20, per_wavelength=12.0),
-    "hammer": Body(curves=_turned((0, -25), (11, -25), (11, -12), (7, -8), (7, 8), (11, 12), (11, 25), (0, 25)), tilt_deg=90.0),
+    "top": Body(curves=_turned(*_TOP, sigma_mm=1.5)),
+    "cup": Body(curves=_turned(*_CUP), n_nodes=20, per_wavelength=12.0),
+    "hammer": Body(curves=_turned(*_HEAD), tilt_deg=90.0),
     "snowman": Body(curves=_spheres((14, -10), (9, 15))),
     "chain": Body(curves=_spheres((6, -20), (4, -8), (6, 4), (5, 17)), n_nodes=16),
-}  # fmt: skip
+}

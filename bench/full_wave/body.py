@@ -14,8 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-
-from waves import cylindrical_waves, outgoing_radial, regular_radial
+from waves import cylindrical_waves, regular_radial
 
 
 class Ring(NamedTuple):

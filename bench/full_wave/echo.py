@@ -1,9 +1,9 @@
 """Echo of a scatterer between dipoles, from its scattering matrices.
 
 With T of the scatterer and the Green's function of `waves`, the field of a dipole p at r_t that
-reaches a dipole q at r_r by the scatterer is i k sum over m of w_m(r_r, q)^T T_m w_-m(r_t, p), where
-w holds the dipole's products with the outgoing waves M and N. It is exact outside the sphere that
-circumscribes the scatterer. A unit dipole's direct field is exp(i k r) / r here, so that a mirror
+reaches a dipole q at r_r by the scatterer is i k sum over m of w_m(r_r, q)^T T_m w_-m(r_t, p).
+Here w holds the dipole's products with the outgoing waves M and N. It is exact outside the sphere
+that circumscribes the scatterer. A unit dipole's direct field is exp(i k r) / r here, so that a mirror
 echoes as -exp(2 i k r) / (2 r).
 """
 
@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
 from body import Scatterer
 from waves import harmonics, outgoing_radial
 
@@ -75,14 +74,16 @@ def _echoes(scatterers: Sequence[Scatterer], tx: Dipoles, rx: Dipoles) -> np.nda
     out = np.zeros((len(tx.positions), len(scatterers)), dtype=complex)
     for m in range(n_max + 1):
         for signed in (m, -m) if m else (0,):
-            modes = [end.mode(signed * side, n_max) for (end, _), side in zip(ends, (1, -1))]
+            modes = [
+                end.mode(signed * side, n_max) for (end, _), side in zip(ends, (1, -1), strict=True)
+            ]
             for i, s in enumerate(scatterers):
                 if m > s.n_max:
                     continue
                 n = s.n_max - max(1, m) + 1
                 received, sent = (
                     _waves([part[:, :n] for part in mode], values[i], s.k * r, max(1, m))
-                    for mode, values, (_, r) in zip(modes, radial, ends)
+                    for mode, values, (_, r) in zip(modes, radial, ends, strict=True)
                 )
                 out[:, i] += np.einsum("an,an->a", received @ s.block(signed), sent)
     return out * 4j * np.pi * np.array([s.k for s in scatterers])
