@@ -1,6 +1,6 @@
 """Bodies of the full-wave captures: meridians in millimetres, all of metal but the last."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from body import Scatterer, metal_body
@@ -8,6 +8,7 @@ from meridian import Meridian, joined
 from waves import C0, highest_order
 
 from geraf2.io.mesh import TriangleMesh
+from geraf2.scene import Wall
 
 _SHORTEST_M = C0 / 81e9
 _TRUTH_EDGE_M = 0.0008
@@ -18,6 +19,8 @@ class Body:
     """One or several meridians on one axis, and how they stand."""
 
     curves: tuple[Meridian, ...]
+    box: Wall | None = None
+    """Box around it."""
     tilt_deg: float = 0.0
     """Turn about the y axis, which lays the axis of revolution down."""
     n_nodes: int = 10
@@ -38,13 +41,14 @@ class Body:
         return TriangleMesh(vertices=whole.vertices @ self.turn.T, faces=whole.faces)
 
     def scatterer(self, k: float) -> Scatterer:
+        """Scattering matrices at a wavenumber, of the same orders up to 81 GHz."""
         spacing = _SHORTEST_M / self.per_wavelength
         counts = [int(np.ceil(curve.length_m / spacing)) for curve in self.curves]
         pairs = list(zip(self.curves, counts, strict=True))
         at = joined([curve.ring(int(1.5 * n) + 1) for curve, n in pairs])
         source = joined([curve.ring(n, self.depth * spacing) for curve, n in pairs])
         reach = max(curve.reach_m for curve in self.curves)
-        return metal_body(at, source, k, highest_order(k * reach))
+        return metal_body(at, source, k, highest_order(2 * np.pi / _SHORTEST_M * reach))
 
 
 def _turned(*corners_mm: tuple[float, float], sigma_mm: float = 1.0) -> tuple[Meridian, ...]:
@@ -69,8 +73,10 @@ BODIES = {
     "vase": Body(curves=_turned(*_VASE)),
     "bottle": Body(curves=_turned((0, -25), (13, -25), (13, 5), (5, 13), (5, 25), (0, 25))),
     "top": Body(curves=_turned(*_TOP, sigma_mm=1.5)),
-    "cup": Body(curves=_turned(*_CUP), n_nodes=20, per_wavelength=12.0),
+    "cup": Body(curves=_turned(*_CUP), n_nodes=14, per_wavelength=12.0),
     "hammer": Body(curves=_turned(*_HEAD), tilt_deg=90.0),
     "snowman": Body(curves=_spheres((14, -10), (9, 15))),
-    "chain": Body(curves=_spheres((6, -20), (4, -8), (6, 4), (5, 17)), n_nodes=16),
+    "chain": Body(curves=_spheres((6, -20), (4, -8), (6, 4), (5, 17)), n_nodes=12),
 }
+_CARTON = Wall(size_m=(0.16, 0.16, 0.16), thickness_m=0.004, permittivity=1.6)
+BODIES |= {f"{name}-box": replace(BODIES[name], box=_CARTON) for name in ("drum", "bottle")}

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from waves import cylindrical_waves, regular_radial
+from waves import cylindrical_waves, highest_order, regular_radial
 
 
 class Ring(NamedTuple):
@@ -36,7 +36,7 @@ class Scatterer:
     k: float
     n_max: int
     blocks: list[np.ndarray]
-    """For m = 0, 1, ...: (2 n, 2 n), orders of M before those of N."""
+    """For m = 0, 1, ...: (2 n, 2 n), orders of M before those of N; those not held are zero."""
     residual: float = 0.0
     """Root mean square of the tangential field on the surface over the incident one."""
 
@@ -69,7 +69,7 @@ def _kernels(at: Ring, source: Ring, k: complex, n_modes: int, n_phi: int) -> np
     weight = np.full(n_phi + 1, 2 * np.pi / n_phi)
     weight[[0, -1]] /= 2
     turns = np.outer(phi, np.arange(n_modes))
-    even, odd = weight[:, None] * np.cos(turns), 1j * weight[:, None] * np.sin(turns)
+    even, odd = weight[:, None] * np.cos(turns), weight[:, None] * np.sin(turns)
     c, s = np.cos(phi), np.sin(phi)
     out = np.empty((n_modes, 2, at.rho.size, 2, source.rho.size), dtype=complex)
     q = [getattr(source, name)[:, None] for name in Ring._fields]
@@ -91,11 +91,16 @@ def _kernels(at: Ring, source: Ring, k: complex, n_modes: int, n_phi: int) -> np
         normal_t, normal_phi = ar * nr * c + az * nz, nr * s  # t . n', phi . n'
         dot_tt, dot_tp, dot_pt = ar * tr * c + az * tz, -ar * s, tr * s
         ad = a + d * to_n
-        out[:, 0, i, 0] = ((ad * dot_tt + (b * at_t - d * normal_t) * to_t) @ even).T
-        out[:, 0, i, 1] = ((ad * dot_tp + (b * at_t - d * normal_t) * to_phi) @ odd).T
-        out[:, 1, i, 0] = ((ad * dot_pt + (b * at_phi - d * normal_phi) * to_t) @ odd).T
-        out[:, 1, i, 1] = ((ad * c + (b * at_phi - d * normal_phi) * to_phi) @ even).T
+        by_t, by_phi = b * at_t - d * normal_t, b * at_phi - d * normal_phi
+        out[:, 0, i, 0] = _transform(ad * dot_tt + by_t * to_t, even)
+        out[:, 0, i, 1] = 1j * _transform(ad * dot_tp + by_t * to_phi, odd)
+        out[:, 1, i, 0] = 1j * _transform(ad * dot_pt + by_phi * to_t, odd)
+        out[:, 1, i, 1] = _transform(ad * c + by_phi * to_phi, even)
     return out
+
+
+def _transform(values: np.ndarray, waves: np.ndarray) -> np.ndarray:
+    return (values.real @ waves + 1j * (values.imag @ waves)).T
 
 
 def _incident(m: int, at: Ring, k: float, radial: tuple) -> np.ndarray:
@@ -130,10 +135,11 @@ def metal_body(at: Ring, source: Ring, k: float, n_max: int, n_phi: int = 256) -
     """
     at_radial = regular_radial(n_max, k * np.hypot(at.rho, at.z))
     source_radial = regular_radial(n_max, k * np.hypot(source.rho, source.z))
-    fields = _kernels(at, source, k, n_max + 1, n_phi)
+    n_modes = min(n_max, highest_order(k * at.rho.max())) + 1
+    fields = _kernels(at, source, k, n_modes, n_phi)
     weight = np.tile(np.sqrt(at.ds * at.rho), 2)[:, None]
     blocks, left, total = [], 0.0, 0.0
-    for m in range(n_max + 1):
+    for m in range(n_modes):
         matrix = weight * fields[m].reshape(2 * at.rho.size, -1)
         scale = np.linalg.norm(matrix, axis=0)
         scale = np.where(scale > 1e-12 * scale.max(), scale, np.inf)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from bodies import BODIES, Body
+from box import Leg, direct, flashes, legs
 from echo import Dipoles, echoes, interpolated, nodes
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
@@ -46,24 +47,40 @@ class Echoes:
     wavenumbers: np.ndarray
 
     def __post_init__(self) -> None:
-        self.nodes = nodes(self.wavenumbers.min(), self.wavenumbers.max(), self.body.n_nodes)
-        self.scatterers = [self.body.scatterer(k) for k in self.nodes]
+        at = nodes(self.wavenumbers.min(), self.wavenumbers.max(), self.body.n_nodes)
+        self.scatterers = [self.body.scatterer(k) for k in at]
         self._known: dict[bytes, np.ndarray] = {}
 
     def of(self, plane: ScanPlane) -> np.ndarray:
         """Echoes of a plane's antennas, vertical dipoles, (n_antennas, n_wavenumbers)."""
-        upright = self.body.tilt_deg == 0.0
-        back = np.deg2rad(-plane.angle_deg) if upright else 0.0
+        # A turn about the vertical changes nothing: any turn in free air, a quarter in a box.
+        quarter = 0.5 * np.pi
+        back = -np.deg2rad(plane.angle_deg) if self.body.tilt_deg == 0.0 else 0.0
+        back = back if self.body.box is None else -quarter * np.floor(-back / quarter)
         c, s = np.cos(back), np.sin(back)
-        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]).T @ self.body.turn
-        tx, rx, up = (v @ turn for v in (plane.tx, plane.rx, plane.axes[2:]))
-        key = np.round(1e9 * np.concatenate([tx, rx, up])).astype(np.int64).tobytes()
+        turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]]).T
+        tx, rx, (up,) = (v @ turn for v in (plane.tx, plane.rx, plane.axes[2:]))
+        key = np.round(1e9 * np.concatenate([tx, rx, up[None]])).astype(np.int64).tobytes()
         if key not in self._known:
-            ends = [Dipoles(p, np.broadcast_to(up, p.shape)) for p in (tx, rx)]
-            found = echoes(self.scatterers, *ends)
-            delay = ends[0].ranges + ends[1].ranges
-            self._known[key] = interpolated(found, self.nodes, self.wavenumbers, delay)
+            self._known[key] = self._of_antennas(tx, rx, up)
         return self._known[key]
+
+    def _of_antennas(self, tx: np.ndarray, rx: np.ndarray, up: np.ndarray) -> np.ndarray:
+        box, at = self.body.box, np.array([s.k for s in self.scatterers])
+        ends = [
+            [self._dipoles(leg) for leg in (legs(p, up, box, at) if box else [direct(p, up, at)])]
+            for p in (rx, tx)
+        ]
+        found = echoes(self.scatterers, *ends)
+        total = flashes(tx, rx, up, box, self.wavenumbers) if box else 0.0
+        for i, one in enumerate(ends[0]):
+            for j, two in enumerate(ends[1]):
+                delay = one.ranges + two.ranges
+                total = total + interpolated(found[i, j], at, self.wavenumbers, delay)
+        return total
+
+    def _dipoles(self, leg: Leg) -> Dipoles:
+        return Dipoles(leg.positions @ self.body.turn, leg.directions @ self.body.turn)
 
 
 def spec_of(body: Body, truth: Path) -> SceneSpec:
@@ -76,6 +93,7 @@ def spec_of(body: Body, truth: Path) -> SceneSpec:
             height_m=float(high[2] - low[2]),
             center_m=tuple(np.round(0.5 * (low + high), 9).tolist()),
         ),
+        walls=() if body.box is None else (body.box,),
         scan=SCAN,
         disturbance=DisturbanceSpec(snr_db=20.0),
         numerics=NumericsSpec(max_facet_edge_m=0.001),
@@ -138,7 +156,8 @@ def make(name: str, out: Path) -> None:
 
     def write_extras(inside: Path) -> None:
         write_mesh(truth, inside / TRUTH_NAME, frame=capture.frame)
-        prior = LosPrior.from_box((PRIOR_SIDE_M,) * 3, (0.0, 0.0, 0.0))
+        sides = (PRIOR_SIDE_M,) * 3 if body.box is None else body.box.size_m
+        prior = LosPrior.from_box(sides, (0.0, 0.0, 0.0))
         write_mesh(prior.mesh, inside / LOS_NAME, frame=capture.frame)
 
     save_capture(capture, folder / "scene", extras=write_extras)

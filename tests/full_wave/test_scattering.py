@@ -38,8 +38,8 @@ def test_a_sphere_away_from_the_origin_conserves_energy_and_echoes_as_one_at_it(
     n_max = wave.waves.highest_order(0.005 * moved.k)
     mie = wave.body.sphere_scatterer(wave.waves.sphere(0.005, moved.k, n_max), moved.k)
     there, here = wave.echo.Dipoles(at, up), wave.echo.Dipoles(at - [0, 0, shift], up)
-    expected = wave.echo.echoes([mie], here, here)
-    found = wave.echo.echoes([moved], there, there)
+    expected = wave.echo.echoes([mie], [here], [here])[0, 0]
+    found = wave.echo.echoes([moved], [there], [there])[0, 0]
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 
@@ -61,7 +61,7 @@ def test_a_mirror_image_gives_the_modes_of_negative_order(wave):
     at, direction = np.array([[0.2, 0.1, 0.1]]), np.array([[0.3, 0.8, 0.5]])
     flip = np.array([1.0, -1.0, 1.0])
     ends = [wave.echo.Dipoles(at, direction), wave.echo.Dipoles(at * flip, direction * flip)]
-    one, two = (wave.echo.echoes([moved], end, end)[0, 0] for end in ends)
+    one, two = (wave.echo.echoes([moved], [end], [end])[0, 0, 0, 0] for end in ends)
     assert one == pytest.approx(two, rel=1e-9)
 
 
@@ -90,7 +90,7 @@ def test_far_echoes_have_mies_cross_section(wave):
     at = range_m * np.array([[0.48, 0.6, 0.64]])
     across = np.array([[0.8, 0.0, -0.6]])
     end = wave.echo.Dipoles(at, across)
-    echo = wave.echo.echoes([wave.body.sphere_scatterer(sphere, K)], end, end)[0, 0]
+    echo = wave.echo.echoes([wave.body.sphere_scatterer(sphere, K)], [end], [end])[0, 0, 0, 0]
     found = 4 * np.pi * range_m**4 * abs(echo) ** 2
     expected = mie_backscatter_rcs(radius, K * wave.waves.C0 / (2 * np.pi))
     assert found == pytest.approx(expected, rel=1e-4)
@@ -100,7 +100,7 @@ def test_a_large_near_sphere_echoes_as_physical_optics(wave):
     radius, range_m = 0.02, 0.4
     sphere = wave.waves.sphere(radius, K, wave.waves.highest_order(K * radius))
     end = wave.echo.Dipoles(np.array([[range_m, 0, 0]]), np.array([[0, 0, 1.0]]))
-    echo = wave.echo.echoes([wave.body.sphere_scatterer(sphere, K)], end, end)[0, 0]
+    echo = wave.echo.echoes([wave.body.sphere_scatterer(sphere, K)], [end], [end])[0, 0, 0, 0]
     gap = range_m - radius
     expected = -radius / (2 * gap * range_m) * np.exp(2j * K * gap)
     # The next term of the asymptotic series is 1 / (2 k a), 0.015 here.
@@ -121,9 +121,9 @@ def test_echoes_between_the_computed_frequencies_are_exact_to_1e_5(wave):
 
     wanted = np.linspace(1620, 1696, 9)
     nodes = wave.echo.nodes(1620, 1696, 8)
-    few = wave.echo.echoes(spheres(nodes), end, end)
+    few = wave.echo.echoes(spheres(nodes), [end], [end])[0, 0]
     found = wave.echo.interpolated(few, nodes, wanted, 2 * end.ranges)
-    exact = wave.echo.echoes(spheres(wanted), end, end)
+    exact = wave.echo.echoes(spheres(wanted), [end], [end])[0, 0]
     assert np.abs(found - exact).max() < 1e-5 * np.abs(exact).max()
 
 
