@@ -3,12 +3,14 @@
 Each wall is a plate whose reflection and transmission are those of a plane wave in the direction
 of the straight path: Airy's sums, TE and TM. A far wall shows images of the antennas. Scattering
 between images and antennas holds the body's echo over the wall and its shadow on it. A wall ends
-as a plate of Kirchhoff's integral (Born and Wolf, Principles of Optics, 1999, 8.7). Not held: the
-curvature of the wave in a wall, paths over two far walls, and waves that a wall returns to the body.
+as a plate of Kirchhoff's integral (Born and Wolf, Principles of Optics, 1999, 8.7).
+
+Not held: the curvature of the wave in a wall, and paths over two far walls. What a wall returns to
+the body is in `mirror`.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fresnel
@@ -26,6 +28,8 @@ class Leg:
     """(n, 3) [m]."""
     directions: np.ndarray
     """Moments by wavenumber, (n_k, n, 3), complex."""
+    face: tuple[int, int] | None = None
+    """Axis and side of the far wall of the path."""
 
 
 def direct(antennas: np.ndarray, moment: np.ndarray, k: np.ndarray) -> Leg:
@@ -47,7 +51,7 @@ def legs(antennas: np.ndarray, moment: np.ndarray, wall: Wall, k: np.ndarray) ->
         if is_far.any():
             leg = _image(antennas, np.zeros(3), moments * is_far[:, None], wall, k, (axis, inner))
             if np.abs(leg.directions).max() > _LEAST:
-                found.append(leg)
+                found.append(replace(leg, face=(axis, side)))
     return found
 
 
@@ -95,7 +99,7 @@ def _image(
     meeting = image + ((at - image[:, axis]) / across)[:, None] * step
     found = _through(antennas, meeting, moments, wall, k)
     found = found - 2 * found[..., axis, None] * normal
-    found = _split(found, step, normal, _plate(step, axis, wall, k)[0])
+    found = split(found, step, normal, plate(cosine_to(axis, step), wall, k)[0])
     found = found * _window(image, meeting, target, wall, axis, k)[..., None]
     if np.ndim(target) == 2:
         found = _through(target, meeting, found, wall, k)
@@ -116,13 +120,13 @@ def _through(
     for of_axis in range(3):
         rows = (axis == of_axis) & (share > 0) & (share < 1 - 1e-9)
         if rows.any():
-            plate = _plate(step[rows], of_axis, wall, k)[1]
-            found[:, rows] = _split(found[:, rows], step[rows], np.eye(3)[of_axis], plate)
+            passed = plate(cosine_to(of_axis, step[rows]), wall, k)[1]
+            found[:, rows] = split(found[:, rows], step[rows], np.eye(3)[of_axis], passed)
     return found
 
 
-def _split(
-    moments: np.ndarray, step: np.ndarray, normal: np.ndarray, plate: list[np.ndarray]
+def split(
+    moments: np.ndarray, step: np.ndarray, normal: np.ndarray, coefficients: list[np.ndarray]
 ) -> np.ndarray:
     """Moments whose TE and TM parts about a path are multiplied by a plate's coefficients."""
     unit = step / np.linalg.norm(step, axis=1, keepdims=True)
@@ -133,18 +137,21 @@ def _split(
     parts = [(moments * axis).sum(-1) for axis in (te, tm)]
     return sum(
         (coefficient * part)[..., None] * axis
-        for coefficient, part, axis in zip(plate, parts, (te, tm), strict=True)
+        for coefficient, part, axis in zip(coefficients, parts, (te, tm), strict=True)
     )
 
 
-def _plate(
-    step: np.ndarray, axis: int, wall: Wall, k: np.ndarray
+def cosine_to(axis: int, step: np.ndarray) -> np.ndarray:
+    return np.abs(step[:, axis]) / np.linalg.norm(step, axis=1)
+
+
+def plate(
+    cosine: np.ndarray, wall: Wall, k: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Reflection at the first face, and transmission over that of air; TE and TM, (n_k, n) each.
 
     TM is signed as a mirror image: -1 for metal, equal to TE at normal incidence.
     """
-    cosine = np.abs(step[:, axis]) / np.linalg.norm(step, axis=1)
     inner = np.sqrt(wall.permittivity - 1 + cosine**2)
     turn = np.exp(1j * np.outer(k, wall.thickness_m * inner))
     air = np.exp(-1j * np.outer(k, wall.thickness_m * cosine))

@@ -16,6 +16,7 @@ import numpy as np
 from bodies import BODIES, Body
 from box import Leg, direct, flashes, legs
 from echo import Dipoles, echoes, interpolated, nodes
+from mirror import Mirror, returned
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
@@ -67,17 +68,35 @@ class Echoes:
 
     def _of_antennas(self, tx: np.ndarray, rx: np.ndarray, up: np.ndarray) -> np.ndarray:
         box, at = self.body.box, np.array([s.k for s in self.scatterers])
-        ends = [
-            [self._dipoles(leg) for leg in (legs(p, up, box, at) if box else [direct(p, up, at)])]
-            for p in (rx, tx)
-        ]
+        paths = [legs(p, up, box, at) if box else [direct(p, up, at)] for p in (rx, tx)]
+        ends = [[self._dipoles(leg) for leg in own] for own in paths]
         found = echoes(self.scatterers, *ends)
         total = flashes(tx, rx, up, box, self.wavenumbers) if box else 0.0
+        total = total + self._by_mirrors(ends, [leg.face for leg in paths[0][1:]])
         for i, one in enumerate(ends[0]):
             for j, two in enumerate(ends[1]):
                 delay = one.ranges + two.ranges
                 total = total + interpolated(found[i, j], at, self.wavenumbers, delay)
         return total
+
+    def _by_mirrors(self, ends: list[list[Dipoles]], faces: list[tuple[int, int]]) -> np.ndarray:
+        """Echoes of waves that meet the body on their way to a far wall, and after it."""
+        box, at = self.body.box, np.array([s.k for s in self.scatterers])
+        mirrors = [
+            Mirror(
+                side * np.eye(3)[axis] @ self.body.turn,
+                0.5 * box.size_m[axis] - box.thickness_m,
+                box,
+            )
+            for axis, side in faces
+        ]
+        delay = ends[0][0].ranges + ends[1][0].ranges
+        found = returned(self.scatterers, ends[0][0], ends[1][0], mirrors)
+        paths = [
+            interpolated(own, at, self.wavenumbers, delay + 2 * mirror.distance_m)
+            for own, mirror in zip(found, mirrors, strict=True)
+        ]
+        return sum(paths, np.zeros((len(delay), len(self.wavenumbers))))
 
     def _dipoles(self, leg: Leg) -> Dipoles:
         return Dipoles(leg.positions @ self.body.turn, leg.directions @ self.body.turn)

@@ -14,7 +14,7 @@ import numpy as np
 from body import Scatterer
 from waves import Harmonics, harmonics, outgoing_radial
 
-_BLOCK = 512  # antennas at a time; keeps the waves of a block in the cache
+BLOCK = 256  # antennas at a time; keeps the waves of a block in the cache
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class Dipoles:
         return np.linalg.norm(self.positions, axis=1)
 
 
-class _Waves:
+class Waves:
     """Products of dipoles with the outgoing waves of each frequency, mode by mode."""
 
     def __init__(self, at: Dipoles, scatterers: Sequence[Scatterer]) -> None:
@@ -77,7 +77,7 @@ def echoes(
     rx, tx: the antennas; where waves take several paths, images of them for each path.
     """
     n = len(rx[0].positions)
-    blocks = [slice(i, i + _BLOCK) for i in range(0, n, _BLOCK)]
+    blocks = [slice(i, i + BLOCK) for i in range(0, n, BLOCK)]
     parts = [
         _echoes(scatterers, [leg[rows] for leg in rx], [leg[rows] for leg in tx]) for rows in blocks
     ]
@@ -87,7 +87,7 @@ def echoes(
 def _echoes(
     scatterers: Sequence[Scatterer], rx: Sequence[Dipoles], tx: Sequence[Dipoles]
 ) -> np.ndarray:
-    received, sent = ([_Waves(leg, scatterers) for leg in end] for end in (rx, tx))
+    received, sent = ([Waves(leg, scatterers) for leg in end] for end in (rx, tx))
     out = np.zeros((len(rx), len(tx), len(rx[0].positions), len(scatterers)), dtype=complex)
     for m in range(max(len(s.blocks) for s in scatterers)):
         for signed in (m, -m) if m else (0,):
