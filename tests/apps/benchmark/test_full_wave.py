@@ -1,0 +1,92 @@
+"""Comparison of full-wave captures with physical optics, on captures of the simulator."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import geraf2
+from geraf2.apps.benchmark import full_wave
+from geraf2.cli.main import main
+from geraf2.io.mesh import read_mesh, write_mesh
+from geraf2.io.toml import write_toml
+from geraf2.pipeline.commands.simulate import simulate_scene
+from geraf2.scene.store import load_capture, save_capture
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    """A body whose capture is the simulator's own."""
+    folder = tmp_path_factory.mktemp("captures") / "thing"
+    folder.mkdir()
+    spec = geraf2.examples.small_scene()
+    simulate_scene(spec, folder / full_wave.SCENE_NAME)
+    write_toml(folder / full_wave.TWIN_NAME, spec)
+    return folder.parent
+
+
+def test_equal_captures_have_equal_scores_and_no_difference(captures, tmp_path, capsys):
+    command = ["benchmark", str(tmp_path), "--only", "full_wave", "--captures", str(captures)]
+    assert main([*command, "--presets", "fast"]) == 0
+    table = capsys.readouterr().out.splitlines()
+    header, full, own, _, heat_header, heat = table
+    assert header.startswith("body")
+    assert full.split()[:4] == ["thing", "fast", "full", "wave"]
+    assert own.split()[:4] == ["thing", "fast", "physical", "optics"]
+    assert full.split()[4:] == own.split()[4:]
+    assert float(full.split()[4]) > 0.8
+    assert heat_header.startswith("heat maps")
+    assert float(heat.split()[1]) < -80
+    result = next(tmp_path.glob("runs/thing-full-wave-fast/result.json"))
+    before = result.stat().st_mtime_ns
+    assert main([*command, "--presets", "fast"]) == 0
+    assert result.stat().st_mtime_ns == before  # what is done is kept
+    assert capsys.readouterr().out.splitlines() == table
+
+
+def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path):
+    scene = captures / "thing" / full_wave.SCENE_NAME
+    capture, truth = load_capture(scene), read_mesh(scene / "truth.ply")
+    beside = np.array([0.0, 0.0, truth.vertices[:, 2].max() + 0.008])
+    k = 2 * np.pi * capture.waveform.frequencies_hz / 299792458.0
+    poses = []
+    for pose in capture.poses:
+        path = np.linalg.norm(pose.tx_positions - beside, axis=1)
+        path += np.linalg.norm(pose.rx_positions - beside, axis=1) + capture.waveform.path_bias_m
+        echo = np.exp(-1j * k * path[:, None]).astype(np.complex64)
+        poses.append(replace(pose, signal=pose.signal + echo))
+    changed = tmp_path / "scene"
+    save_capture(
+        replace(capture, poses=tuple(poses)),
+        changed,
+        extras=lambda folder: write_mesh(truth, folder / "truth.ply"),
+    )
+    same = full_wave.heat_difference(scene, scene)
+    heat = full_wave.heat_difference(changed, scene)
+    assert same.difference_db < -60
+    assert heat.difference_db > -15
+    assert heat.outside_share > 0.5
+    assert np.linalg.norm(np.array(heat.at_m) - beside) < 0.004
+
+
+def test_without_captures_one_line_says_how_to_make_them(tmp_path, capsys):
+    assert main(["benchmark", str(tmp_path / "out"), "--only", "full_wave"]) == 2
+    error = capsys.readouterr().err
+    assert "no full-wave captures" in error
+    assert "bench/full_wave/captures.py" in error
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "flags",
+    [
+        ["--only", "full_wave", "table1"],
+        ["--only", "full_wave", "--quick"],
+        ["--only", "table1", "--captures", "x"],
+        ["--only", "full_wave", "--presets", "fats"],
+    ],
+)
+def test_flags_that_do_not_go_together_are_refused(flags, tmp_path, capsys):
+    assert main(["benchmark", str(tmp_path / "out"), *flags]) == 2
+    assert not (tmp_path / "out").exists()
+    assert len(capsys.readouterr().err.strip().splitlines()) <= 4

@@ -1,0 +1,18 @@
+"""Modules of bench/full_wave, by their names."""
+
+import importlib
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+_NAMES = ("waves", "body", "echo", "meridian", "box", "mirror", "bodies", "captures")
+
+
+@pytest.fixture(scope="session")
+def wave(project_root):
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(project_root / "bench" / "full_wave"))
+        yield SimpleNamespace(**{name: importlib.import_module(name) for name in _NAMES})
+        for name in _NAMES:
+            sys.modules.pop(name, None)
