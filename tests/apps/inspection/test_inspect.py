@@ -87,6 +87,25 @@ def test_another_part_and_a_missing_one_fail(run):
     assert found.verdict == "fail"
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
     assert "3 models, but only 2 parts in the box" in found.notes
+    assert found.failures[0].startswith("'model 2' is swapped: part 2 is there instead, ")
+    assert found.failures[1:] == ("'model 3' is missing",)
+
+
+def test_models_at_the_poses_of_each_other_are_swapped(tmp_path):
+    parts = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0)), block((0.03, 0.02, 0.012))
+    run = run_of(tmp_path / "run", *parts, pose=np.eye(4))
+    models = [block((0.02, 0.015, 0.03)), block((0.03, 0.02, 0.012), (0.07, 0.0, 0.0))]
+    with few_starts():
+        options = geraf2.InspectOptions(placed=True)
+        found = geraf2.inspect(run, models, options=options, write=False)
+    assert found.failures == ("'model 1' and 'model 2' are swapped",)
+
+
+def test_the_same_cad_file_twice_is_one_line(run, cad, capsys):
+    assert main(["inspect", str(run), "--cad", str(cad), str(cad)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "the same CAD file is given twice" in error
+    assert len(error.splitlines()) == 1
 
 
 def test_faults_are_sentences_and_the_page_gives_the_reason(run, cad, tmp_path, capsys):
