@@ -41,10 +41,10 @@ BODIES = Population(
 """Content of a box: bodies of 3 to 6 cm."""
 _HEAD_RADIUS_M, _HEAD_HEIGHT_M = 0.004, 0.005
 _MOVED_M, _SHIFT_M, _TURN_DEG = 0.002, 0.005, 3.0
-_WALL_M, _CLEARANCE_M = 0.004, 0.016
+WALL_M, CLEARANCE_M = 0.004, 0.016
 _FREE_M = np.array([[3, 2], [8, 5], [14, 8], [25, 8], [40, 8], [60, 8]]) * 1e-3
 """Distance of points ahead of a head, and least distance of the content from each [m]."""
-_SLOW = ("waves", "second_bounce", "dielectric")
+_SLOW, _OF_CONTENT = ("waves", "second_bounce"), ("roughness", "patches", "dielectric")
 
 
 def bodies_of(mesh: TriangleMesh) -> list[TriangleMesh]:
@@ -94,6 +94,50 @@ def swapped(body: TriangleMesh, seed: int) -> TriangleMesh:
     return TriangleMesh(vertices=0.5 * (low + high) + scale * other.vertices, faces=other.faces)
 
 
+def scan_spec(
+    mesh: TriangleMesh,
+    size_m: np.ndarray,
+    folder: Path,
+    options: argparse.Namespace,
+    *,
+    shift_m: np.ndarray,
+    turn_deg: float,
+    permittivity: float = 0.0,
+) -> SceneSpec:
+    """Spec of a scan of a box at a shift and a turn, with a content (metal without permittivity).
+
+    The content's roughness and patches are left out: the simulator draws them anew for each scan.
+    """
+    write_mesh(mesh, folder / "truth.ply")
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    effects = (e for e in EFFECTS if (options.waves or e not in _SLOW) and e not in _OF_CONTENT)
+    world = WorldSpec(preset="plausible", effects=tuple(effects), box_turn_deg=turn_deg)
+    if permittivity:
+        world = replace(world, figure_permittivity=permittivity, figure_loss_tangent=0.01)
+    return SceneSpec(
+        figure=FigureSpec(
+            mesh=str(folder / "truth.ply"),
+            height_m=float(high[2] - low[2]),
+            center_m=triple(0.5 * (low + high)),
+        ),
+        walls=(
+            geraf2.Wall(
+                size_m=triple(size_m),
+                thickness_m=WALL_M,
+                permittivity=1.6,
+                center_m=triple(shift_m),
+            ),
+        ),
+        scan=ScanSpec(
+            n_poses=options.planes,
+            spacing_m=options.spacing_m,
+            aperture_m=(0.14, 0.14),
+            standoff_m=0.30,
+        ),
+        world=world,
+    )
+
+
 class PackedBox:
     """Content of a seed, whole and changed."""
 
@@ -106,7 +150,7 @@ class PackedBox:
         angle = rng.uniform(0, 2 * np.pi)
         self.shift_m = _MOVED_M * np.array([np.cos(angle), np.sin(angle), 0.0])
         extents = np.ptp(TriangleMesh.joined([*self.bodies, self.head]).vertices, axis=0)
-        self.size_m = extents + 2.0 * (_WALL_M + _CLEARANCE_M)
+        self.size_m = extents + 2.0 * (WALL_M + CLEARANCE_M)
 
     def content(self, change: str) -> TriangleMesh:
         bodies, head = list(self.bodies), [self.head]
@@ -129,31 +173,7 @@ class PackedBox:
         turn = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
         mesh = self.content(change)
         placed = TriangleMesh(vertices=mesh.vertices @ turn.T + shift, faces=mesh.faces)
-        write_mesh(placed, folder / "truth.ply")
-        low, high = placed.vertices.min(axis=0), placed.vertices.max(axis=0)
-        effects = tuple(e for e in EFFECTS if options.waves or e not in _SLOW)
-        spec = SceneSpec(
-            figure=FigureSpec(
-                mesh=str(folder / "truth.ply"),
-                height_m=float(high[2] - low[2]),
-                center_m=triple(0.5 * (low + high)),
-            ),
-            walls=(
-                geraf2.Wall(
-                    size_m=triple(self.size_m),
-                    thickness_m=_WALL_M,
-                    permittivity=1.6,
-                    center_m=triple(shift),
-                ),
-            ),
-            scan=ScanSpec(
-                n_poses=options.planes,
-                spacing_m=options.spacing_m,
-                aperture_m=(0.14, 0.14),
-                standoff_m=0.30,
-            ),
-            world=WorldSpec(preset="plausible", effects=effects, box_turn_deg=turn_deg),
-        )
+        spec = scan_spec(placed, self.size_m, folder, options, shift_m=shift, turn_deg=turn_deg)
         return spec, 1000 * self.seed + number
 
     def run(self, change: str, options: argparse.Namespace) -> Path | None:

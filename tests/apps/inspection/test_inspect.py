@@ -33,6 +33,17 @@ def cad(tmp_path_factory):
     return path
 
 
+def glb_colours(path):
+    """Colours of the vertices of a GLB, (n, 4)."""
+    data = path.read_bytes()
+    n = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + n])
+    index = document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+    view = document["bufferViews"][document["accessors"][index]["bufferView"]]
+    start = 28 + n + view["byteOffset"]
+    return np.frombuffer(data[start : start + view["byteLength"]], np.uint8).reshape(-1, 4)
+
+
 def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
     assert main(["inspect", str(run), "--expect", "2"]) == 0
     shown = capsys.readouterr().out
@@ -67,6 +78,9 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     rows = list(csv.DictReader((out / "inspection.csv").read_text().splitlines()))
     assert rows[-1]["status"] == "pass"
     assert sum(r["kind"] == "model" and "turn" in r["quantity"] for r in rows) == 3
+    colours, count = np.unique(glb_colours(out / "inspection.glb"), axis=0, return_counts=True)
+    assert len(colours) == 2  # of both parts
+    assert count.min() >= 8
     page = (out / "inspection.html").read_text()
     assert len(page) < 3e6
     assert "Pass: 2 parts, 1 of 1 models present." in page

@@ -28,7 +28,7 @@ from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_m
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_text_atomic
+from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
@@ -341,15 +341,16 @@ def _write(
     out: Path | str | None,
     listener: Listener,
 ) -> None:
-    from geraf2.apps.inspection.page import inspection_page  # noqa: PLC0415 - matplotlib takes 0.5 s
+    # matplotlib takes 0.5 s
+    from geraf2.apps.inspection.page import inspection_page, parts_glb  # noqa: PLC0415
 
-    box = result.run.written(BOX_NAME)
+    box, numbers = result.run.written(BOX_NAME), _part_numbers(bodies, whole)
     with listener.step("drawing the page"):
         page = inspection_page(
             inspection,
             whole,
             _values(inspection, bodies, whole),
-            _part_numbers(bodies, whole),
+            numbers,
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
         )
@@ -357,6 +358,7 @@ def _write(
     def write(folder: Path) -> None:
         inspection.write(folder / INSPECTION_NAME)
         write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+        write_bytes_atomic(folder / f"{INSPECTION_NAME}.glb", parts_glb(whole, numbers))
         if whole.mesh.reflectivity_db is not None:
             write_mesh(whole.mesh, folder / f"{INSPECTION_NAME}.ply")
 
