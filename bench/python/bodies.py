@@ -19,8 +19,9 @@ from scipy.spatial.transform import Rotation
 
 import geraf2
 from compare_pairs import CLEARANCE_M, WALL_M, scan_spec
+from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import triple
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
 from inspection import scored
@@ -42,41 +43,41 @@ def content(rng: np.random.Generator) -> list[TriangleMesh]:
         along = np.array([np.cos(angle), np.sin(angle), 0.0])
         if placed:
             others = KDTree(TriangleMesh.joined(placed).vertices)
-            steps = np.arange(0.30, 0.0, -0.0005)
-            far = [others.query(vertices + step * along)[0].min() >= gap for step in steps]
-            vertices = vertices + steps[max(0, far.index(False) - 1)] * along
+            # Corners are 1 mm apart: every fourth shows the gap to a millimetre.
+            step = 0.15
+            while others.query(vertices[::4] + step * along)[0].min() > gap and step > 0.0:
+                step -= 0.001
+            vertices = vertices + step * along
         placed.append(TriangleMesh(vertices=vertices, faces=mesh.faces))
     return placed
 
 
 def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, float]:
     """Run of a box, its number of bodies, and their permittivity (0: metal)."""
-    rng = np.random.default_rng([seed, 11])
-    bodies = content(rng)
-    permittivity = float(rng.uniform(*_PERMITTIVITY)) if seed % 2 else 0.0
+    permittivity = float(np.random.default_rng([seed, 12]).uniform(*_PERMITTIVITY)) * (seed % 2)
     folder = options.out / str(seed)
     run, scene = folder / "run", folder / "scene"
-    if (run / "mesh_content.ply").is_file() or options.cached:
-        made = run if (run / "mesh_content.ply").is_file() else None
-        return made, len(bodies), permittivity
+    is_made = (run / "mesh_content.ply").is_file()
+    if options.cached and not is_made:
+        return None, 0, permittivity
     folder.mkdir(parents=True, exist_ok=True)
-    whole = TriangleMesh.joined(bodies)
-    low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-    mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
-    size = high - low + 2.0 * (WALL_M + CLEARANCE_M)
     if not (scene / "scene.toml").is_file():
-        spec = scan_spec(
-            mesh,
-            size,
-            folder,
-            options,
-            shift_m=np.zeros(3),
-            turn_deg=1.0,
-            permittivity=permittivity,
-        )
+        whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
+        low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
+        mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
+        pose = {"shift_m": np.zeros(3), "turn_deg": 1.0}
+        spec = scan_spec(mesh, box_of(mesh), folder, options, **pose, permittivity=permittivity)
         geraf2.save_capture(geraf2.simulate(spec, seed=seed)[0], scene)
-    geraf2.reconstruct(scene, triple(size), options.preset, run, overwrite=True)
-    return run, len(bodies), permittivity
+    truth = read_mesh(folder / "truth.ply")
+    if not is_made:
+        size = triple(box_of(truth))
+        geraf2.reconstruct(scene, size, options.preset, run, overwrite=True)
+    return run, face_labels(truth.faces)[1], permittivity
+
+
+def box_of(mesh: TriangleMesh) -> np.ndarray:
+    """Outer sides of the box around a content [m]."""
+    return np.ptp(mesh.vertices, axis=0) + 2.0 * (WALL_M + CLEARANCE_M)
 
 
 def main() -> None:

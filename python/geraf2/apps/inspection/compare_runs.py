@@ -93,7 +93,7 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
     """Content and evidence of a run."""
     glints, mesh = result.glints, result.content_mesh
     assert glints is not None  # as of _require_peaks
-    whole, bodies = content_of(result)
+    whole, bodies = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
