@@ -14,9 +14,22 @@ from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
-from geraf2.io.run_folder import CONTENT_NAME, PLANES_NAME, PRIOR_NAME, RunFolder
+from geraf2.io.points import cloud_bytes
+from geraf2.io.run_folder import (
+    CONFIG_NAME,
+    CONTENT_NAME,
+    GLINTS_NAME,
+    PEAKS_NAME,
+    PLANES_NAME,
+    PRIOR_NAME,
+    RunFolder,
+)
+from geraf2.pipeline.presets import FastPreset
 from geraf2.pipeline.prior import save_prior
+from geraf2.pipeline.run_record import PriorSource, RunOptions, RunRecord
 from geraf2.scene import LosPrior
+from geraf2.scene.aperture import Aperture
+from helpers.glint_sets import glints_at
 from helpers.solids import joined, triangles
 
 POSE = np.eye(4)
@@ -78,12 +91,43 @@ def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     return replace(body_of(mesh), seen=seen)
 
 
-def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039):
+def around():
+    """Twelve wide planes around the content, one above and one below."""
+    turns = [Rotation.from_euler("z", 30.0 * k, degrees=True).as_matrix() for k in range(12)]
+    turns += [Rotation.from_euler("y", angle, degrees=True).as_matrix() for angle in (-90, 90)]
+    half = np.array([0.18, 0.18])
+    return [Aperture.of_rectangle(turn @ [0.4, 0, 0], turn.T, half) for turn in turns]
+
+
+def glints_of(body, apertures, *, seed=0, sigma_m=3e-4):
+    """Returns from all of the surface, each seen by the plane that it faces."""
+    mesh, rng = body.mesh, np.random.default_rng(seed)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    facing = np.stack([aperture.axes[0] for aperture in apertures])
+    off = sigma_m * rng.normal(size=(len(normals), 1))
+    return replace(
+        glints_at(mesh.vertices + off * normals, normals),
+        poses=np.argmax(normals @ facing.T, axis=1),
+    )
+
+
+def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039, has_glints=False):
     """Folder of a run that found these parts, in the frame that they are moved into."""
     out.mkdir()
-    write_mesh(measured(joined(*meshes), pose, sigma_m=3e-4).mesh, out / CONTENT_NAME)
+    body = measured(joined(*meshes), pose, sigma_m=3e-4)
+    write_mesh(body.mesh, out / CONTENT_NAME)
     save_prior(LosPrior.from_box(box_m), out / PRIOR_NAME)
-    planes = ScannedPlanes(corners_m=np.zeros((0, 4, 3)), wavelength_m=wavelength_m)
+    apertures = around() if has_glints else []
+    corners = np.array([aperture.corners_m for aperture in apertures]).reshape(-1, 4, 3)
+    planes = ScannedPlanes(corners_m=corners, wavelength_m=wavelength_m)
     save_planes(planes, out / PLANES_NAME)
-    RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME], 1.0)
+    if has_glints:
+        glints = glints_of(body, apertures)
+        glints.save(out / GLINTS_NAME)
+        (out / PEAKS_NAME).write_bytes(cloud_bytes(glints.positions, glints.normals, {}))
+        none = PriorSource.of(None)
+        record = RunRecord(scene=None, prior=none, options=RunOptions(), config=FastPreset())
+        record.write(out / CONFIG_NAME)
+    names = [CONTENT_NAME, *([GLINTS_NAME, PEAKS_NAME] if has_glints else [])]
+    RunFolder(out, "digest", "crate").mark_done("mesh", "key", names, 1.0)
     return out

@@ -25,8 +25,8 @@ class Config:
     """Run folder of `geraf2 reconstruct`."""
     references: Positional[Annotated[tuple[Path, ...], Arg(metavar="REFERENCE...")]]
     """Runs of the same packed box; a change differs from all of them."""
-    tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
-    """Largest change that is none [mm]."""
+    tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 0.5
+    """Largest shift of a part that is no change [mm]."""
     threads: Threads = None
     """Threads to use; all when not given."""
 
@@ -45,7 +45,7 @@ def main(config: Config) -> int:
         [
             ("parts", f"{found.n_parts[0]}, before " + ", ".join(map(str, found.n_parts[1:]))),
             ("registered", f"moved by ({shift}) mm, turned by {found.turn_deg:.2f} degrees"),
-            ("compared", f"{100 * found.compared_fraction:.0f} % of the surface"),
+            ("compared", f"{100 * found.compared_fraction:.0f} % of the glints"),
         ]
     )
     for change in found.changes:

@@ -5,7 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import AnyPath, Floats, Ints
+from geraf2.errors import UserError
+from geraf2.io.regular import BINARY_BYTES, read_regular
+
+_KINDS = {"float": "<f4", "uchar": "u1"}
 
 
 def cloud_bytes(
@@ -46,3 +50,25 @@ def ply_file(
         header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
         data += triangles.tobytes()
     return "\n".join([*header, "end_header", ""]).encode("ascii", "replace") + data
+
+
+def read_cloud(path: AnyPath) -> tuple[Floats, Floats]:
+    """Positions and normals, (n, 3) each, of a file of :func:`cloud_bytes`; else UserError."""
+    data = read_regular(path, BINARY_BYTES)
+    head, end, _ = data[: 1 << 14].partition(b"end_header\n")
+    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    names = [(line[2], _KINDS.get(line[1], "")) for line in lines if line[:1] == ["property"]]
+    counts = [line[2] for line in lines if line[:2] == ["element", "vertex"]]
+    try:
+        kind = np.dtype(names)
+        rows = np.frombuffer(data, kind, int(counts[0]), len(head) + len(end))
+        columns = [[rows[prefix + axis] for axis in "xyz"] for prefix in ("", "n")]
+        positions, normals = (np.stack(c, axis=1).astype(np.float64) for c in columns)
+    except (ValueError, TypeError, IndexError) as error:
+        raise UserError(
+            what="cannot be read as points with normals",
+            where=path,
+            expected="a PLY file of geraf2",
+            hint="run 'geraf2 reconstruct' again",
+        ) from error
+    return positions, normals

@@ -69,7 +69,7 @@ def picture(path: AnyPath, caption: str = "", *, name: str = "") -> str:
         about = _panels_of(image)
         shown = image.convert("RGB")
     rows = [
-        [{"source": _source(shown.crop(box)), "width": box[2] - box[0]} for box in row]
+        [{"source": picture_source(shown.crop(box)), "width": box[2] - box[0]} for box in row]
         for row in about["rows"]
     ]
     return part("picture", rows, about["letters"], shown.width, caption, name)
@@ -89,7 +89,7 @@ def _panels_of(image: "Image") -> dict[str, Any]:
     return kept if good and boxes else whole
 
 
-def _source(image: "Image") -> str:
+def picture_source(image: "Image") -> str:
     """Return the data URL of a picture, as WebP where Pillow supports it."""
     from PIL import features  # noqa: PLC0415 - takes 0.1 s
 

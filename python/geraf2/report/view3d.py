@@ -187,6 +187,18 @@ class Other:
     """Triangles [m]."""
     is_reference: bool = False
     """What the content is compared with, on the other side of the wiper."""
+    groups: Ints | None = None
+    """Group of each vertex, if the view can move groups apart, (n_vertices,)."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Apart:
+    """How far each group of vertices moves in the exploded view."""
+
+    groups: Ints
+    """Group of each vertex of the content, (n_vertices,)."""
+    offsets_m: Floats
+    """Largest displacement of each group, (n_groups, 3) [m]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -211,11 +223,13 @@ def view_scene(
     around: Around | None = None,
     *,
     name: str = "view",
+    apart: Apart | None = None,
 ) -> dict[str, Any]:
     """Scene of the 3D view, lengths in millimetres, arrays in base64.
 
     content: surface [m]; thinned to MAX_CONTENT_FACES triangles, with a note.
     attributes: of its vertices. around: what is shown beside it. name: of saved pictures.
+    apart: groups of its vertices for the exploded view.
     """
     around = around or Around()
     box, truth, glints, planes_m = around.box, around.truth, around.glints, around.planes_m
@@ -225,14 +239,16 @@ def view_scene(
         shade = MeshPainter(thin).ambient
         shown["shade"] = packed(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
     shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
+    shown["groups"] = None if apart is None else _groups(apart.groups[kept])
     meshes = [shown]
     if truth is not None and truth.faces.shape[0]:
         thin, _, note = _thinned(truth, _MAX_TRUTH_FACES, "truth")
         options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note, "reference": True}
         meshes.append(_mesh(thin, "truth", TRUTH_COLOUR, **options))
     for other in around.others:
-        thin, _, note = _thinned(other.mesh, _MAX_TRUTH_FACES, other.label)
+        thin, kept, note = _thinned(other.mesh, _MAX_TRUTH_FACES, other.label)
         options = {"opacity": other.opacity, "note": note, "reference": other.is_reference}
+        options["groups"] = None if other.groups is None else _groups(other.groups[kept])
         meshes.append(_mesh(thin, other.label, other.colour, **options))
     if box is not None and box.faces.shape[0]:
         thin, _, note = _thinned(box, _MAX_BOX_FACES, "box")
@@ -240,6 +256,8 @@ def view_scene(
         options |= {"visible": not around.faces}
         meshes.append(_mesh(thin, "box", _BOX_COLOUR, **options))
     scene: dict[str, Any] = {"format": "geraf2-view", "version": 1, "name": name, "meshes": meshes}
+    if apart is not None:
+        scene["apart"] = np.round(1e3 * apart.offsets_m, 2).tolist()
     if glints is not None and len(glints):
         scene["glints"] = _glints(glints)
     if planes_m is not None and len(planes_m):
@@ -297,6 +315,10 @@ def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMes
         return mesh, kept, ""
     note = f"Shown are {len(faces):,} of the {len(mesh.faces):,} triangles of the {what}."
     return TriangleMesh(vertices=mesh.vertices[kept], faces=faces), kept, note
+
+
+def _groups(groups: Ints) -> dict[str, str]:
+    return packed(groups.astype("<u2"))
 
 
 def packed(values: NDArray[Any]) -> dict[str, str]:

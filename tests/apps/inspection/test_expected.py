@@ -1,11 +1,21 @@
 """The list of contents: assignment by size and material, and lists that are no use."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from geraf2.apps.inspection.bodies import body_of, measure
-from geraf2.apps.inspection.expected import ExpectedItem, assigned, log_odds, read_expected
+from geraf2.apps.inspection.expected import (
+    ExpectedContents,
+    ExpectedItem,
+    absence_failures,
+    assigned,
+    list_findings,
+    log_odds,
+    read_expected,
+)
 from geraf2.apps.inspection.material import Material
 from geraf2.cli.main import main
 from geraf2.errors import UserError
@@ -33,7 +43,7 @@ def item(size_mm, material=None):
 
 def test_the_log_odds_are_those_of_two_normal_distributions():
     found, metal = part((0.05, 0.03, 0.02), 0.9), item((20.0, 52.0, 31.0), "metal")
-    wanted = np.log(0.9 / 0.5)
+    wanted = 0.0
     lengths = sorted(found.dimensions_m, key=lambda length: length.value)
     for length, side in zip(lengths, (0.020, 0.031, 0.052), strict=True):
         for sign, own in ((1, 0.004), (-1, 0.05)):
@@ -48,12 +58,37 @@ def test_parts_are_assigned_as_a_whole_by_size_and_material():
     alike = [part((0.03,) * 3, 0.02), part((0.03,) * 3, 0.98)]
     wanted = [item((30, 30, 30), "metal"), item((30, 30, 30), "plastic")]
     assert assigned(alike, wanted) == {0: 1, 1: 0}
+    assert assigned(alike[:1], wanted[:1]) == {0: 0}  # of another material, and still there
     assert assigned(parts, [item((100, 5, 5))]) == {}
     assert assigned([], items) == {}
 
 
+def failures(parts, *items):
+    found = list_findings(parts, ExpectedContents(item=items), [], [])
+    absent = absence_failures(parts, found.missing, found.spare, is_list=True)
+    return [*found.failures, *absent]
+
+
+def test_a_part_of_another_material_is_one_fault():
+    parts = [part((0.05, 0.03, 0.02), 0.99), part((0.03, 0.03, 0.03), 0.01)]
+    items = item((50, 30, 20), "metal"), replace(item((30, 30, 30), "metal"), name="cube")
+    assert failures(parts, *items) == ["'cube' is of plastic, not of metal"]
+
+
+def test_a_part_of_a_similar_size_in_the_position_of_another_is_one_fault():
+    parts = [part((0.05, 0.03, 0.02), 0.99), part((0.045, 0.045, 0.01), 0.01)]
+    items = item((50, 30, 20)), replace(item((40, 40, 40)), name="cube")
+    wanted = "'cube' is swapped: part 2 is there instead, 45 x 45 x 10 mm, plastic"
+    assert failures(parts, *items) == [wanted]
+    small = part((0.01, 0.01, 0.01))
+    found = failures([parts[0], small], *items)
+    assert found[0] == "'cube' is missing"
+    assert found[1].startswith("part 2 is surplus: 10 x 10 x 10 mm")
+
+
 BLOCK = '[[item]]\nname = "block"\nsize_mm = [20.0, 15.0, 30.0]\n'
 WEDGE = '[[item]]\nname = "wedge"\nsize_mm = [60.0, 40.0, 30.0]\n'
+PLATE = '[[item]]\nname = "plate"\nsize_mm = [40.0, 10.0, 2.0]\n'
 SCREW = '[[item]]\nname = "screw"\nsize_mm = [90.0, 5.0, 5.0]\n'
 
 
@@ -69,6 +104,7 @@ def run(tmp_path_factory):
         (BLOCK + WEDGE, 0, "result   pass"),
         (BLOCK + WEDGE + SCREW, 3, "fails: 'screw' is missing"),
         (WEDGE, 3, "fails: part 2 is surplus: "),
+        (WEDGE + PLATE, 3, "fails: 'plate' is swapped: part 2 is there instead, "),
         (BLOCK + "count = 2\n" + WEDGE, 3, "fails: 'block' is missing"),
         (BLOCK + 'material = "metal"\n' + WEDGE, 0, "the material of 'block' cannot be determined"),
         (BLOCK + 'material = "gold"\n', 2, "gold"),

@@ -33,6 +33,17 @@ def cad(tmp_path_factory):
     return path
 
 
+def glb_colours(path):
+    """Colours of the vertices of a GLB, (n, 4)."""
+    data = path.read_bytes()
+    n = int.from_bytes(data[12:16], "little")
+    document = json.loads(data[20 : 20 + n])
+    index = document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]
+    view = document["bufferViews"][document["accessors"][index]["bufferView"]]
+    start = 28 + n + view["byteOffset"]
+    return np.frombuffer(data[start : start + view["byteLength"]], np.uint8).reshape(-1, 4)
+
+
 def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
     assert main(["inspect", str(run), "--expect", "2"]) == 0
     shown = capsys.readouterr().out
@@ -67,6 +78,9 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     rows = list(csv.DictReader((out / "inspection.csv").read_text().splitlines()))
     assert rows[-1]["status"] == "pass"
     assert sum(r["kind"] == "model" and "turn" in r["quantity"] for r in rows) == 3
+    colours, count = np.unique(glb_colours(out / "inspection.glb"), axis=0, return_counts=True)
+    assert len(colours) == 2  # of both parts
+    assert count.min() >= 8
     page = (out / "inspection.html").read_text()
     assert len(page) < 3e6
     assert "Pass: 2 parts, 1 of 1 models present." in page
@@ -87,6 +101,25 @@ def test_another_part_and_a_missing_one_fail(run):
     assert found.verdict == "fail"
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
     assert "3 models, but only 2 parts in the box" in found.notes
+    assert found.failures[0].startswith("'model 2' is swapped: part 2 is there instead, ")
+    assert found.failures[1:] == ("'model 3' is missing",)
+
+
+def test_models_at_the_poses_of_each_other_are_swapped(tmp_path):
+    parts = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0)), block((0.03, 0.02, 0.012))
+    run = run_of(tmp_path / "run", *parts, pose=np.eye(4))
+    models = [block((0.02, 0.015, 0.03)), block((0.03, 0.02, 0.012), (0.07, 0.0, 0.0))]
+    with few_starts():
+        options = geraf2.InspectOptions(placed=True)
+        found = geraf2.inspect(run, models, options=options, write=False)
+    assert found.failures == ("'model 1' and 'model 2' are swapped",)
+
+
+def test_the_same_cad_file_twice_is_one_line(run, cad, capsys):
+    assert main(["inspect", str(run), "--cad", str(cad), str(cad)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "the same CAD file is given twice" in error
+    assert len(error.splitlines()) == 1
 
 
 def test_faults_are_sentences_and_the_page_gives_the_reason(run, cad, tmp_path, capsys):

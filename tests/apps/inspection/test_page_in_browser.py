@@ -65,3 +65,36 @@ def test_the_answer_is_drawn_without_trouble_requests_or_overflow(open_page, pag
 @pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_axe_has_no_serious_findings(open_page, page_url, axe, size, dark):
     assert serious_findings(open_page(page_url, size, dark), axe) == []
+
+
+APART = """() => {
+  const { viewer } = document.querySelector(".viewer");
+  const [mesh] = viewer.scene.meshes;
+  const moved = Math.max(...mesh.positions.map((value, i) => Math.abs(value - mesh.home[i])));
+  let off = Infinity;
+  for (let x = 5; x < viewer.canvas.clientWidth; x += 15) {
+    for (let y = 5; y < viewer.canvas.clientHeight; y += 15) {
+      const hit = viewer.find(x, y);
+      if (!hit || hit.mesh !== mesh) continue;
+      for (let i = 0; i < mesh.home.length; i += 3) {
+        off = Math.min(off, Math.hypot(...[0, 1, 2].map((k) => mesh.home[i + k] - hit.home[k])));
+      }
+    }
+  }
+  return [moved, off];
+}"""
+
+
+def test_parts_move_apart_and_a_picked_point_keeps_its_true_position(open_page, page_url):
+    page = open_page(page_url)
+    assert page.locator(".things img").count() == 2
+    before = pixels(page)
+    slider = page.get_by_label("move the parts apart")
+    slider.fill("100")
+    settle(page)
+    assert (np.abs(pixels(page) - before).max(axis=2) > 5).mean() > 0.01
+    moved_mm, off_mm = page.evaluate(APART)
+    assert moved_mm > 15.0
+    assert off_mm < 3.0  # a corner of a triangle of the surface that was measured
+    slider.fill("0")
+    assert page.evaluate(APART)[0] == 0.0

@@ -129,15 +129,18 @@ def _drawn(vertices: Floats, sigma_m: Floats) -> Floats:
     return np.asarray(sigma_m * (share[0] * common + share[1] * single))
 
 
-def content_of(result: Reconstruction) -> tuple[Body, list[Body]]:
-    """All of the content of a run, and its parts; UserError where there is none."""
+def content_of(result: Reconstruction, *, has_samples: bool = True) -> tuple[Body, list[Body]]:
+    """All of the content of a run, and its parts; UserError where there is none.
+
+    has_samples: whether to draw from the posterior of the run, which takes a second.
+    """
     content = result.content_mesh
     if not len(content.faces):
         raise UserError(
             what="nothing was found in the box: its surface is empty", where=result.path
         )
     try:
-        moved = result.samples().displacements_m
+        moved = result.samples().displacements_m if has_samples else None
     except UserError:  # a preset without a posterior, or a run without its files
         moved = None
     whole = body_of(content, result.glints, moved)

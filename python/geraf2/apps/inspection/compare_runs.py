@@ -9,30 +9,33 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats
 from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
-from geraf2.apps.inspection.comparison import (
-    Comparison,
-    Scanned,
-    common_changes,
-    compared,
-    registered,
-)
+from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_changes, compared
+from geraf2.apps.inspection.materials import levels_of, materials_of
+from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid, rigid, triple
 from geraf2.io.planes import load_planes
-from geraf2.io.run_folder import PLANES_NAME, PRIOR_NAME
+from geraf2.io.points import read_cloud
+from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME, PRIOR_NAME
+from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.scene import LosPrior
+from geraf2.scene.aperture import Aperture
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
 """Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""
+_IN_BOX = Play(turn_rad=float(np.deg2rad(0.3)), shift_m=0.0005)
+"""Play of content in a box whose walls both scans show: errors of the walls."""
+_FREE = Play(turn_rad=float(np.deg2rad(3.0)), shift_m=0.005)
+"""Play of content without walls."""
 
 
 def compare(
     run: Reconstruction | Path | str,
     references: Sequence[Reconstruction | Path | str],
     *,
-    tolerance_mm: float = 2.0,
+    tolerance_mm: float = 0.5,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Comparison:
@@ -43,12 +46,12 @@ def compare(
 
     run: a reconstruction, or its folder.
     references: at least one, of the same box and radar.
-    tolerance_mm: largest change that is none [mm].
+    tolerance_mm: largest shift of a part that is no change [mm].
     num_threads: all when None.
     listener: receives progress.
 
     Returns the changes with their probabilities; lengths in metres. Raises UserError for a run
-    without a surface, or a reference of another box or radar.
+    without a surface or peaks, or a reference of another box or radar.
 
     >>> run = geraf2.examples.small_run()
     >>> geraf2.compare(run, [run]).changed
@@ -60,16 +63,17 @@ def compare(
     listener = listener or Listener()
     here = run if isinstance(run, Reconstruction) else load_run(run)
     others = [r if isinstance(r, Reconstruction) else load_run(r) for r in references]
+    for one in (here, *others):
+        _require_peaks(one)
     for other in others:
         _require_alike(here, other)
-    scanned, found, poses, shares, counts = _scanned(here), [], [], [], []
+    scanned, found, poses, shares, counts = _scanned(here, num_threads), [], [], [], []
     for other in others:
         with listener.step("registering a reference"):
-            there = _scanned(other)
-            start = _by_walls(_prior(here), _prior(other))
-            pose = registered(scanned.whole, there.whole, start)
-        with listener.step("comparing surfaces"):
-            changes, share = compared(scanned, there, pose, 1e-3 * tolerance_mm, num_threads)
+            there = _scanned(other, num_threads)
+            start, play = _by_walls(here, other)
+        with listener.step("comparing echoes"):
+            changes, pose, share = compared(scanned, there, start, play, 1e-3 * tolerance_mm)
         found.append(changes)
         poses.append(pose)
         shares.append(share)
@@ -85,21 +89,44 @@ def compare(
     )
 
 
-def _scanned(result: Reconstruction) -> Scanned:
-    return Scanned(*content_of(result))
+def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
+    """Content and evidence of a run."""
+    glints, mesh = result.glints, result.content_mesh
+    assert glints is not None  # as of _require_peaks
+    whole, bodies = content_of(result, has_samples=False)
+    planes = load_planes(result.path / PLANES_NAME)
+    evidence = Evidence(
+        glints=glints.select(glints.probability > LIKELY),
+        peaks=read_cloud(result.path / PEAKS_NAME),
+        apertures=[Aperture.of_corners(corners) for corners in planes.corners_m],
+        scene=MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads),
+    )
+    return Scanned(whole, bodies, evidence, materials_of(bodies, levels_of(result, planes)))
 
 
 def _prior(result: Reconstruction) -> LosPrior | None:
     return result.prior if (result.path / PRIOR_NAME).is_file() else None
 
 
-def _by_walls(here: LosPrior | None, there: LosPrior | None) -> Floats:
-    """Pose that moves one box onto the other, (4, 4); none without both, or of other shapes."""
-    if here is None or there is None or here.cuboid is None or there.cuboid is None:
-        return np.eye(4)
-    (axes, _, middle), (to_axes, _, to_middle) = here.cuboid, there.cuboid
+def _require_peaks(result: Reconstruction) -> None:
+    """Raise UserError for a preset without peaks."""
+    if result.glints is None or result.run.written(PEAKS_NAME) is None:
+        raise UserError(
+            what="the run has no peaks to compare",
+            where=result.path,
+            expected="a run of preset best or fast",
+        )
+
+
+def _by_walls(here: Reconstruction, there: Reconstruction) -> tuple[Floats, Play]:
+    """Pose that moves one box onto the other, (4, 4), and the play of the content beside it."""
+    priors = _prior(here), _prior(there)
+    cuboids = [prior.cuboid for prior in priors if prior is not None and prior.cuboid is not None]
+    if len(cuboids) < 2:
+        return np.eye(4), _FREE
+    (axes, _, middle), (to_axes, _, to_middle) = cuboids
     turn = to_axes.T @ axes
-    return rigid(turn, to_middle - turn @ middle)
+    return rigid(turn, to_middle - turn @ middle), _IN_BOX
 
 
 def _require_alike(here: Reconstruction, there: Reconstruction) -> None:

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -17,6 +17,8 @@ _SIZE_SIGMA_M = 0.004
 """Standard deviation of a length of a part beside its own: noise moves its ends outwards [m]."""
 _OTHER_M = 0.05
 """Standard deviation of the lengths of other things [m]."""
+_LOG_RATIO = float(np.log(1.5))
+"""Largest ratio of the diagonals of a swapped part and of the right one, its logarithm."""
 _Length = Annotated[float, Interval(gt=0.0, le=10_000.0)]
 
 
@@ -81,11 +83,19 @@ def read_expected(path: Path) -> ExpectedContents:
     return replace(found, item=items)
 
 
+class Missing(NamedTuple):
+    """Something that no part is."""
+
+    name: str
+    """For people."""
+    diagonal_m: float
+    """Diagonal of the smallest box around it [m]."""
+
+
 def log_odds(part: BodyReport, item: ExpectedItem) -> float:
-    """Log odds that a part is an item of a size, against any other thing.
+    """Log odds that a part has the lengths of an item, against any other thing.
 
         sum_k log N(l_k - s_k; sigma_k^2 + (4 mm)^2) - log N(l_k - s_k; sigma_k^2 + (50 mm)^2)
-            + log P(material) - log(1/2)
 
     l_k and s_k are the lengths of both in order.
     """
@@ -96,56 +106,101 @@ def log_odds(part: BodyReport, item: ExpectedItem) -> float:
     off = np.array([length.value for length in lengths]) - wanted
     variance = np.array([length.sigma for length in lengths]) ** 2
     alike, other = variance + _SIZE_SIGMA_M**2, variance + _OTHER_M**2
-    odds = float(np.sum(0.5 * (off**2 / other - off**2 / alike + np.log(other / alike))))
-    if item.material is not None:
-        metal = part.material.metal_probability
-        share = metal if item.material == "metal" else 1.0 - metal
-        odds += float(np.log(2.0 * max(share, 1e-3)))
-    return odds
+    return float(np.sum(0.5 * (off**2 / other - off**2 / alike + np.log(other / alike))))
 
 
 def assigned(parts: Sequence[BodyReport], items: Sequence[ExpectedItem]) -> dict[int, int]:
-    """Part of each item by the largest sum of log odds; items without a likely part are absent."""
+    """Part of each item; items without a part of a likely size are absent.
+
+    The sum of the log odds of sizes, and of log P(material) - log(1/2), is the largest possible. A
+    part of the right size and of another material is still the part: its material is wrong.
+    """
     if not parts or not items:
         return {}
     odds = np.array([[log_odds(part, item) for part in parts] for item in items])
-    pairs = zip(*linear_sum_assignment(-np.maximum(odds, 0.0)), strict=True)
+    metal = np.array([part.material.metal_probability for part in parts])
+    share = {"metal": metal, "plastic": 1.0 - metal, None: np.full(len(parts), 0.5)}
+    of_material = np.log(2.0 * np.maximum([share[item.material] for item in items], 1e-3))
+    # The bonus of a pair of a likely size exceeds the materials of all pairs.
+    gain = np.where(odds > 0.0, odds + of_material + 10.0 * len(items), 0.0)
+    pairs = zip(*linear_sum_assignment(-gain), strict=True)
     return {int(i): int(b) for i, b in pairs if odds[i, b] > 0.0}
 
 
-def list_failures(
+class Findings(NamedTuple):
+    """A list of contents against the parts."""
+
+    failures: list[str]
+    """Sentences on parts of another material."""
+    notes: list[str]
+    """Sentences on what is unknown."""
+    missing: list[Missing]
+    """Items of a size without a part."""
+    spare: list[int]
+    """Parts of no item; empty where one model covers all the content."""
+
+
+def list_findings(
     parts: Sequence[BodyReport],
     contents: ExpectedContents,
     of_models: Sequence[int | None],
-    any_missing: Sequence[bool],
-) -> tuple[list[str], list[str]]:
-    """Sentences on what is missing, surplus or of another material, and on what is unknown.
+    any_wrong: Sequence[bool],
+) -> Findings:
+    """Compare a list of contents with the parts.
 
-    of_models: part of each of `contents.models`; -1 of all the content. any_missing: whether it is
-    reported already.
+    of_models: part of each of `contents.models`; -1 of all the content. any_wrong: whether a fault
+    of it is reported already.
     """
     failures, notes = list[str](), list[str]()
     taken = {b for b in of_models if b is not None and b >= 0}
     free = [b for b in range(len(parts)) if b not in taken]
     sized = contents.sized
-    found = assigned([parts[b] for b in free], sized)
-    pairs = [(item, b) for item, b in zip(contents.models, of_models, strict=True)]
-    pairs += [(item, free[found[k]] if k in found else None) for k, item in enumerate(sized)]
-    reported = [*any_missing, *(False for _ in sized)]
-    for (item, b), known in zip(pairs, reported, strict=True):
-        if b is None:
-            failures += [] if known else [f"'{item.name}' is missing"]
-        elif b >= 0 and item.material is not None:
-            kind = parts[b].material.kind
-            if kind == "not determined":
-                notes.append(f"the material of '{item.name}' cannot be determined")
-            elif kind != item.material:
-                failures.append(f"'{item.name}' is of {kind}, not of {item.material}")
-    if not any(b == -1 for b in of_models):
-        used = taken | {b for _, b in pairs if b is not None}
-        surplus = [k for k in range(len(parts)) if k not in used]
-        failures += [f"part {k + 1} is surplus: {_size_text(parts[k])}" for k in surplus]
-    return failures, notes
+    found = {k: free[b] for k, b in assigned([parts[b] for b in free], sized).items()}
+    pairs = [
+        (item, b)
+        for item, b, wrong in zip(contents.models, of_models, any_wrong, strict=True)
+        if b is not None and b >= 0 and not wrong
+    ]
+    for item, b in [*pairs, *((sized[k], b) for k, b in sorted(found.items()))]:
+        kind = parts[b].material.kind
+        if item.material is not None and kind == "not determined":
+            notes.append(f"the material of '{item.name}' cannot be determined")
+        elif item.material is not None and kind != item.material:
+            failures.append(f"'{item.name}' is of {kind}, not of {item.material}")
+    missing = [
+        Missing(item.name, 1e-3 * float(np.linalg.norm(item.size_mm or ())))
+        for k, item in enumerate(sized)
+        if k not in found
+    ]
+    spare = [b for b in free if b not in found.values() and -1 not in of_models]
+    return Findings(failures, notes, missing, spare)
+
+
+def absence_failures(
+    parts: Sequence[BodyReport], missing: Sequence[Missing], spare: Sequence[int], *, is_list: bool
+) -> list[str]:
+    """Sentences on what is missing, swapped or surplus.
+
+    A missing item and a spare part of a similar size are one fault: a swapped part.
+
+    spare: parts of no item. is_list: whether every part must be an item.
+    """
+    wanted = np.log([item.diagonal_m for item in missing])
+    there = np.log([np.linalg.norm([m.value for m in parts[b].dimensions_m]) for b in spare])
+    off = np.abs(wanted[:, None] - there)
+    pairs = zip(*linear_sum_assignment(np.minimum(off, _LOG_RATIO)), strict=True)
+    swaps = {int(k): spare[n] for k, n in pairs if off[k, n] < _LOG_RATIO}
+    found = [
+        f"'{item.name}' is {swap_text(swaps[k], parts) if k in swaps else 'missing'}"
+        for k, item in enumerate(missing)
+    ]
+    others = [b for b in spare if b not in swaps.values()] if is_list else []
+    return [*found, *(f"part {b + 1} is surplus: {_size_text(parts[b])}" for b in others)]
+
+
+def swap_text(b: int, parts: Sequence[BodyReport]) -> str:
+    """Describe the part that is there instead of an item."""
+    return f"swapped: part {b + 1} is there instead, {_size_text(parts[b])}"
 
 
 def _size_text(part: BodyReport) -> str:

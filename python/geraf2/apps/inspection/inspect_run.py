@@ -14,7 +14,13 @@ from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
 from geraf2.apps.inspection.deviation import deviation_of
-from geraf2.apps.inspection.expected import ExpectedContents, list_failures, read_expected
+from geraf2.apps.inspection.expected import (
+    ExpectedContents,
+    Missing,
+    absence_failures,
+    list_findings,
+    read_expected,
+)
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
 from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
@@ -22,7 +28,7 @@ from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_m
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_text_atomic
+from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
@@ -95,6 +101,9 @@ def inspect(
     whole, pieces = content_of(result)
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options)
+    if contents is not None:
+        named = zip(models, contents.models, strict=True)
+        models = [replace(model, name=item.name) for model, item in named]
     content = Content(pieces, whole, result.glints)
     bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
     cut = ["parts are connected in the surface, which was cut between the models"]
@@ -117,15 +126,12 @@ def inspect(
                 report = _report(models[m.model], m, bodies, whole, basis, patches.get(n))
                 reports = (*reports, report)
                 progress(len(reports) / len(matches))
-    count = expect if isinstance(expect, int) else None
-    failures = failures_of(len(bodies), reports, expect=count, least_seen=options.least_seen)
-    if contents is not None:
-        more_failures, more = _against_list(parts, contents, reports)
-        failures, notes = (*failures, *more_failures), [*notes, *more]
+    failures, more = _failures(parts, reports, contents, expect, options)
+    notes += more
     inspection = Inspection(
         parts=parts,
         models=reports,
-        failures=failures,
+        failures=tuple(failures),
         notes=(*notes, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
@@ -176,6 +182,14 @@ def _expected(
     """List of contents, if there is one, and the CAD models to find."""
     if expect is None or isinstance(expect, int):
         require_between("expect", expect or 0, -1, 10_001)
+        files = [Path(item).resolve() for item in cad if isinstance(item, Path | str)]
+        twice = [path for n, path in enumerate(files) if path in files[:n]]
+        if twice:
+            raise UserError(
+                what="the same CAD file is given twice",
+                where=twice[0],
+                hint="a list of contents (--expect contents.toml) states how many there are",
+            )
         return None, cad
     if len(cad):
         raise UserError(what="the list of contents names its CAD files", got="others, too")
@@ -183,13 +197,29 @@ def _expected(
     return contents, [str(item.cad) for item in contents.models]
 
 
-def _against_list(
-    parts: Sequence[BodyReport], contents: ExpectedContents, reports: Sequence[ModelReport]
+def _failures(
+    parts: Sequence[BodyReport],
+    reports: Sequence[ModelReport],
+    contents: ExpectedContents | None,
+    expect: int | Path | str | None,
+    options: InspectOptions,
 ) -> tuple[list[str], list[str]]:
+    """Reasons of a failure, and what a list of contents leaves unknown, a sentence each."""
+    count = expect if isinstance(expect, int) else None
+    failures = failures_of(parts, reports, expect=count, least_seen=options.least_seen)
+    gone = [report for report in reports if report.match.status == "missing"]
+    missing = [Missing(r.model.name, float(np.linalg.norm(r.model.lengths_m))) for r in gone]
+    if contents is None:
+        taken = {report.match.body for report in reports}
+        spare = [] if -1 in taken else [b for b in range(len(parts)) if b not in taken]
+        return [*failures, *absence_failures(parts, missing, spare, is_list=False)], []
     by_model = {report.match.model: report.match for report in reports}
     found = [by_model[m] for m in range(len(contents.models))]
-    bodies = [None if match.status == "missing" else match.body for match in found]
-    return list_failures(parts, contents, bodies, [match.status != "present" for match in found])
+    bodies = [match.body for match in found]
+    wrong = [match.status != "present" for match in found]
+    more, notes, others, spare = list_findings(parts, contents, bodies, wrong)
+    absent = absence_failures(parts, [*missing, *others], spare, is_list=True)
+    return [*failures, *more, *absent], notes
 
 
 def _models(
@@ -311,15 +341,16 @@ def _write(
     out: Path | str | None,
     listener: Listener,
 ) -> None:
-    from geraf2.apps.inspection.page import inspection_page  # noqa: PLC0415 - matplotlib takes 0.5 s
+    # matplotlib takes 0.5 s
+    from geraf2.apps.inspection.page import inspection_page, parts_glb  # noqa: PLC0415
 
-    box = result.run.written(BOX_NAME)
+    box, numbers = result.run.written(BOX_NAME), _part_numbers(bodies, whole)
     with listener.step("drawing the page"):
         page = inspection_page(
             inspection,
             whole,
             _values(inspection, bodies, whole),
-            _part_numbers(bodies, whole),
+            numbers,
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
         )
@@ -327,6 +358,7 @@ def _write(
     def write(folder: Path) -> None:
         inspection.write(folder / INSPECTION_NAME)
         write_text_atomic(folder / f"{INSPECTION_NAME}.html", page)
+        write_bytes_atomic(folder / f"{INSPECTION_NAME}.glb", parts_glb(whole, numbers))
         if whole.mesh.reflectivity_db is not None:
             write_mesh(whole.mesh, folder / f"{INSPECTION_NAME}.ply")
 

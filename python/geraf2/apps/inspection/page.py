@@ -2,16 +2,32 @@
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.bodies import Body, part_of
 from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
+from geraf2.geometry.transforms import triple
+from geraf2.io.glb import glb_bytes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import html
-from geraf2.report.canvas import TRUTH_COLOUR
-from geraf2.report.view3d import PART_COLOURS, Around, Attribute, Other, scene_json, view_scene
+from geraf2.report.canvas import SKY, TRUTH_COLOUR
+from geraf2.report.html import picture_source
+from geraf2.report.render import MeshPainter, View
+from geraf2.report.view3d import (
+    PART_COLOURS,
+    Apart,
+    Around,
+    Attribute,
+    Other,
+    scene_json,
+    thinned,
+    view_scene,
+)
 
 _NOT_SEEN_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
+_APART = 1.2
+"""Largest displacement of a part in the exploded view, as a share of its distance to the middle."""
+_PICTURE_PX, _PICTURE_FACES = 112, 6000
 _FALLBACK = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
 
 
@@ -30,38 +46,32 @@ def inspection_page(
     numbers: of the part of each vertex, from 1; 0 of none.
     box: mesh of the box.
     """
-    placed = [
-        r.model.mesh.moved(r.match.placement.pose)
-        for r in inspection.models
-        if r.match.placement is not None and r.match.status != "wrong part"
-    ]
-    # Unseen surface is a separate layer: deviations are known of seen surface only.
+    shown, used, others = whole, np.arange(len(whole.seen)), _models(inspection)
     faces, known = whole.mesh.faces, whole.seen[whole.mesh.faces].all(axis=1)
-    others = []
-    if known.any() and not known.all():
-        not_seen = part_of(whole, faces[~known]).mesh
-        others.append(Other(label="not seen", colour=_NOT_SEEN_COLOUR, opacity=1.0, mesh=not_seen))
-    if placed:
-        others.append(
-            Other(
-                label="CAD models",
-                colour=TRUTH_COLOUR,
-                opacity=_MODEL_OPACITY,
-                mesh=TriangleMesh.joined(placed),
-                is_reference=True,
-            )
+    if values_m is not None and known.any() and not known.all():
+        # Deviations are known of seen surface only: the rest is a layer of its own.
+        shown, used = part_of(whole, faces[known]), np.unique(faces[known])
+        not_seen = Other(
+            label="not seen",
+            colour=_NOT_SEEN_COLOUR,
+            opacity=1.0,
+            mesh=part_of(whole, faces[~known]).mesh,
+            groups=numbers[np.unique(faces[~known])],
         )
-    shown = part_of(whole, faces[known]) if known.any() else whole
-    used = np.unique(faces[known]) if known.any() else np.arange(len(whole.seen))
-    values = None if values_m is None else values_m[used]
+        others = [not_seen, *others]
     reflectivity = whole.mesh.reflectivity_db
-    attributes = [
-        *_attributes(shown, values, inspection.tolerance_m),
-        *_of_parts(numbers[used], None if reflectivity is None else reflectivity[used]),
-    ]
-    if values is None:  # the list is of parts: so is the first colouring
-        attributes = [*attributes[1:], attributes[0]]
-    scene = view_scene(shown.mesh, attributes, Around(box=box, others=others), name="inspection")
+    attributes = _of_parts(numbers[used], None if reflectivity is None else reflectivity[used])
+    if values_m is None:  # the list is of parts: so is the first colouring
+        attributes += [*_attributes(shown, None, inspection.tolerance_m), _seen(whole.seen)]
+    else:
+        attributes = [*_attributes(shown, values_m[used], inspection.tolerance_m), *attributes]
+    scene = view_scene(
+        shown.mesh,
+        attributes,
+        Around(box=box, others=others),
+        name="inspection",
+        apart=_apart(inspection, numbers[used]),
+    )
     return html.rendered(
         "inspection.html",
         title=title,
@@ -71,7 +81,80 @@ def inspection_page(
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
         material_text=material_text,
+        pictures=[_picture(whole, numbers, k) for k in range(1, len(inspection.parts) + 1)],
     )
+
+
+def parts_glb(whole: Body, numbers: Ints) -> bytes:
+    """GLB of the content, each part in its colour of the page.
+
+    numbers: of the part of each vertex, from 1; 0 of none. A column of the file, as is the
+    reflectivity [dB], -99 where it is unknown: glTF forbids NaN.
+    """
+    palette = np.array([_rgb(_NOT_SEEN_COLOUR), *(_rgb(colour) for colour in PART_COLOURS)])
+    index = np.where(numbers > 0, (numbers - 1) % len(PART_COLOURS) + 1, 0)
+    columns = {"part": numbers.astype(np.float64)}
+    if whole.mesh.reflectivity_db is not None:
+        columns["reflectivity_db"] = np.nan_to_num(whole.mesh.reflectivity_db, nan=-99.0)
+    return glb_bytes(whole.mesh.vertices, whole.mesh.faces, palette[index], columns, {})
+
+
+def _rgb(colour: str) -> list[int]:
+    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+
+
+def _models(inspection: Inspection) -> list[Other]:
+    """CAD models at their poses, as one surface."""
+    placed = [
+        (r.model.mesh.moved(r.match.placement.pose), max(r.match.body or 0, -1) + 1)
+        for r in inspection.models
+        if r.match.placement is not None and r.match.status != "wrong part"
+    ]
+    if not placed:
+        return []
+    return [
+        Other(
+            label="CAD models",
+            colour=TRUTH_COLOUR,
+            opacity=_MODEL_OPACITY,
+            mesh=TriangleMesh.joined([mesh for mesh, _ in placed]),
+            is_reference=True,
+            groups=np.concatenate([np.full(len(mesh.vertices), k) for mesh, k in placed]),
+        )
+    ]
+
+
+def _apart(inspection: Inspection, numbers: Ints) -> Apart | None:
+    """Displacements of the exploded view: parts move away from their middle; None for one part."""
+    if len(inspection.parts) < 2:
+        return None
+    centers = np.array([part.center_m for part in inspection.parts])
+    offsets = _APART * (centers - centers.mean(axis=0))
+    return Apart(groups=numbers, offsets_m=np.concatenate([np.zeros((1, 3)), offsets]))
+
+
+def _picture(whole: Body, numbers: Ints, number: int) -> str:
+    """Return the data URL of a small picture of a part, in its colour."""
+    from PIL import Image  # noqa: PLC0415 - takes 0.1 s
+
+    faces = whole.mesh.faces[(numbers[whole.mesh.faces] == number).all(axis=1)]
+    if not len(faces):
+        return ""
+    mesh = part_of(whole, faces).mesh
+    kept, few = thinned(mesh.vertices, mesh.faces, _PICTURE_FACES)
+    mesh = TriangleMesh(vertices=mesh.vertices[kept], faces=few)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    view = View(
+        azimuth_deg=-50.0,
+        elevation_deg=22.0,
+        center_m=triple(0.5 * (low + high)),
+        half_width_m=0.52 * float(np.linalg.norm(high - low)),
+        n_pixels=_PICTURE_PX,
+    )
+    colour = PART_COLOURS[(number - 1) % len(PART_COLOURS)]
+    srgb = np.array(_rgb(colour)) / 255.0
+    drawn = MeshPainter(mesh).render(view, np.tile(srgb, (len(mesh.vertices), 1)))
+    return picture_source(Image.fromarray(np.round(255.0 * drawn).astype(np.uint8), "RGBA"))
 
 
 def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
@@ -99,6 +182,15 @@ def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
             )
         )
     return found
+
+
+def _seen(seen: Bools) -> Attribute:
+    return Attribute(
+        label="seen",
+        values=seen.astype(np.float64),
+        classes=("not seen", "seen"),
+        colours=(_NOT_SEEN_COLOUR, SKY),
+    )
 
 
 def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list[Attribute]:

@@ -1,7 +1,8 @@
 """Result of an inspection, as Python objects, JSON, CSV and sentences."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
 from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.deviation import Deviation, listed
+from geraf2.apps.inspection.expected import swap_text
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
 from geraf2.geometry.transforms import apply_rigid
@@ -21,8 +23,7 @@ from geraf2.io.text import csv_text
 PASS, FAIL, NOT_JUDGED = "pass", "fail", "not judged"
 # What a model that is not as it should be is.
 _FAULTS = {
-    "missing": "is missing",
-    "wrong part": "is there as another part",
+    "wrong part": "is there as other parts",
     "turned": "is turned against its nominal pose",
     "moved": "lies away from its nominal pose",
 }
@@ -40,11 +41,15 @@ class ModelReport:
     """Deviation of the part from the model; None: missing, or another part."""
 
     @property
+    def nominal_center_m(self) -> Floats:
+        """Centroid of the model's volume in its own frame, (3,) [m]."""
+        return volume_centroid_m(self.model.mesh.vertices, self.model.mesh.faces)
+
+    @property
     def center_m(self) -> Floats:
         """Centroid of the placed model's volume, in the capture's frame, (3,) [m]."""
         assert self.match.placement is not None  # of a missing model nothing is stated
-        mesh = self.model.mesh
-        return apply_rigid(self.match.placement.pose, volume_centroid_m(mesh.vertices, mesh.faces))
+        return apply_rigid(self.match.placement.pose, self.nominal_center_m)
 
     @property
     def center_sigma_m(self) -> Floats:
@@ -210,19 +215,24 @@ def _model(report: ModelReport) -> dict[str, Any]:
 
 
 def failures_of(
-    n_parts: int,
-    models: tuple[ModelReport, ...],
+    parts: Sequence[BodyReport],
+    models: Sequence[ModelReport],
     *,
     expect: int | None,
     least_seen: float,
-) -> tuple[str, ...]:
-    """Reasons why an inspection fails, a sentence each."""
+) -> list[str]:
+    """Reasons why an inspection fails, a sentence each; not those of missing models."""
     found: list[str] = []
-    if expect is not None and n_parts != expect:
-        found.append(f"{n_parts} parts were found, {expect} were expected")
-    for report in models:
-        name, status = f"'{report.model.name}'", report.match.status
-        if status != "present":
+    if expect is not None and len(parts) != expect:
+        found.append(f"{len(parts)} parts were found, {expect} were expected")
+    names, swaps = [report.model.name for report in models], _exchanged(models)
+    found += [f"'{names[a]}' and '{names[b]}' are swapped" for a, b in swaps]
+    exchanged = {n for pair in swaps for n in pair}
+    for n, report in enumerate(models):
+        name, status, body = f"'{report.model.name}'", report.match.status, report.match.body
+        if status == "wrong part" and body is not None and body >= 0:
+            found.append(f"{name} is {swap_text(body, parts)}")
+        elif status in _FAULTS and n not in exchanged:
             found.append(f"{name} {_FAULTS[status]}")
         if report.deviation is None:
             continue
@@ -233,4 +243,18 @@ def failures_of(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
                 f"{100 * least_seen:.0f} % are required"
             )
-    return tuple(found)
+    return found
+
+
+def _exchanged(models: Sequence[ModelReport]) -> list[tuple[int, int]]:
+    """Pairs of models each of which lies where the other one should."""
+    off = [n for n, report in enumerate(models) if report.match.status in ("turned", "moved")]
+    here = {n: models[n].center_m for n in off}
+    nominal = {n: models[n].nominal_center_m for n in off}
+
+    def is_nearer(a: int, b: int) -> bool:
+        """Whether a lies at the nominal pose of b rather than at its own."""
+        gaps = [float(np.linalg.norm(here[a] - nominal[n])) for n in (a, b)]
+        return gaps[1] < 0.5 * gaps[0]
+
+    return [(a, b) for a, b in combinations(off, 2) if is_nearer(a, b) and is_nearer(b, a)]

@@ -27,6 +27,8 @@ function readMesh(raw) {
   return {
     ...raw,
     positions,
+    home: positions.slice(), // before groups were moved apart
+    groups: raw.groups ? numbers(raw.groups) : null,
     indices,
     attributes,
     normals: vertexNormals(positions, indices),

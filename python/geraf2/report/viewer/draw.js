@@ -213,6 +213,12 @@ class Painter {
     gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
   }
 
+  // Take over positions that changed.
+  place(mesh) {
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.drawn.get(mesh).buffers.a_position);
+    this.gl.bufferSubData(this.gl.ARRAY_BUFFER, 0, mesh.positions);
+  }
+
   prepareGlints(glints) {
     const shape = glintShape();
     const columns = [

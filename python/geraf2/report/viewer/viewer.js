@@ -26,6 +26,8 @@ class Viewer {
     this.wiper = null;
     this.holders = [];
     this.linked = []; // viewers whose cameras follow this one's
+    this.clip = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
+    this.share = 0; // by which the parts are moved apart
     this.named = null; // plane that is shown by its number
     const keys = {
       f: () => this.fit(),
@@ -46,6 +48,7 @@ class Viewer {
     this.buildColours();
     this.buildCuts();
     this.buildSlices();
+    this.buildApart();
     this.buildWiper();
     this.buildButtons();
     this.controls.viewFrom("corner");
@@ -68,7 +71,6 @@ class Viewer {
     const [content] = meshes;
     const kinds = [meshes.filter((mesh) => !mesh.walls && content.indices.length), meshes.filter((mesh) => mesh.walls), this.layers];
     this.inner = kinds.map((layers) => boundsOf(layers.map(points))).find(({ low }) => low.every(Number.isFinite));
-    this.clip = { low: [-1e9, -1e9, -1e9], high: [1e9, 1e9, 1e9] };
   }
 
   buildLayers() {
@@ -196,6 +198,30 @@ class Viewer {
     };
     part.append(select, element("div", { class: "cut slice" }, range, output));
     update();
+  }
+
+  // Exploded view: groups of vertices move along their offsets.
+  buildApart() {
+    const part = this.part("apart");
+    const offsets = this.scene.apart;
+    part.hidden = !offsets;
+    if (!offsets) return;
+    const range = element("input", { type: "range", min: 0, max: 100, value: 0, "aria-label": "move the parts apart", oninput: () => update() });
+    const output = element("output", {}, "together");
+    const update = () => {
+      this.share = range.value / 100;
+      output.textContent = this.share ? `${range.value} %` : "together";
+      for (const mesh of this.scene.meshes.filter(({ groups }) => groups)) {
+        mesh.positions.forEach((_, i) => {
+          mesh.positions[i] = mesh.home[i] + this.share * offsets[mesh.groups[Math.floor(i / 3)]][i % 3];
+        });
+        this.painter.place(mesh);
+      }
+      this.measureScene();
+      this.clearPicks();
+      this.fit();
+    };
+    part.append(element("div", { class: "cut slice" }, range, output));
   }
 
   // Content on the left of a line, what it is compared with on the right.
@@ -357,7 +383,7 @@ class Viewer {
     Object.entries({ x1, y1, x2, y2 }).forEach(([key, value]) => line.setAttribute(key, value));
     text.setAttribute("x", (x1 + x2) / 2);
     text.setAttribute("y", (y1 + y2) / 2 - 8);
-    text.textContent = `${millimetres(norm(plus(this.picks[1].point, this.picks[0].point, -1)))} mm`;
+    text.textContent = `${millimetres(norm(plus(this.picks[1].home, this.picks[0].home, -1)))} mm`;
   }
 
   // Hit under a point of the canvas [pixels], or null.
@@ -384,6 +410,9 @@ class Viewer {
     };
     best.normal = unit([0, 1, 2].map((d) =>
       corners.reduce((sum, corner, k) => sum + best.weights[k] * best.mesh.normals[3 * corner + d], 0)));
+    const { groups } = best.mesh;
+    const shift = groups && this.share ? this.scene.apart[groups[corners[0]]] : [0, 0, 0];
+    best.home = plus(best.point, shift, -this.share);
     best.values = best.mesh.attributes.map((attribute) => [attribute, mean(attribute)]);
     return best;
   }
@@ -415,13 +444,13 @@ class Viewer {
       const hint = this.measuring ? "Click two points of the surface." : "Click the surface, or press Enter for its middle.";
       box.replaceChildren(element("p", {}, hint));
     } else if (this.picks.length === 2) {
-      const apart = plus(last.point, this.picks[0].point, -1);
+      const apart = plus(last.home, this.picks[0].home, -1);
       list.append(row("distance", `${millimetres(norm(apart), 2)} mm`));
       ["x", "y", "z"].forEach((name, k) => list.append(row(`along ${name}`, `${millimetres(apart[k], 2)} mm`)));
       box.replaceChildren(list);
     } else {
       list.append(row("on", last.mesh.label));
-      ["x", "y", "z"].forEach((name, k) => list.append(row(name, `${millimetres(last.point[k], 2)} mm`)));
+      ["x", "y", "z"].forEach((name, k) => list.append(row(name, `${millimetres(last.home[k], 2)} mm`)));
       for (const [attribute, value] of last.values) list.append(row(attribute.label, formatted(attribute, value)));
       if (single) {
         const planes = [...new Set(this.holders.map(({ pose }) => pose + 1))].sort((a, b) => a - b);

@@ -1,0 +1,122 @@
+"""How `geraf2 inspect` counts the bodies in a box, and what it takes them to be made of.
+
+    python bench/python/bodies.py --out out/bodies [--first 0] [--boxes 20] [--planes 12]
+
+A box holds two to four bodies of the population, 3 to 5 cm long, with gaps of 5 to 20 mm. All of
+them are metal in even seeds and plastic of permittivity 2.3 to 3.3 in odd ones, because the
+simulator knows one material a scene. World plausible. Scenes and runs are kept in `--out` and used
+again, so that a stopped script continues; `--cached` makes nothing new. Seeds below 1000 are for
+choices, those from 10,000 on for claims. Shares come with their Wilson intervals (95 %).
+"""
+
+import argparse
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+import geraf2
+from compare_pairs import CLEARANCE_M, WALL_M, scan_spec
+from geraf2.geometry.components import face_labels
+from geraf2.geometry.transforms import triple
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.simulation.population_settings import Population
+from geraf2.simulation.random_objects import random_object
+from inspection import scored
+
+SINGLE = Population(bodies=(("1", 1.0),))
+_LENGTH_M, _GAP_M, _PERMITTIVITY = (0.03, 0.05), (0.005, 0.02), (2.3, 3.3)
+
+
+def content(rng: np.random.Generator) -> list[TriangleMesh]:
+    """Bodies, each pushed towards the others until the gap is as drawn."""
+    placed: list[TriangleMesh] = []
+    for _ in range(int(rng.integers(2, 4, endpoint=True))):
+        mesh = random_object(int(rng.integers(10**9)), SINGLE).mesh
+        scale = rng.uniform(*_LENGTH_M) / float(np.ptp(mesh.vertices, axis=0).max())
+        turn = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi)).as_matrix()
+        vertices = scale * mesh.vertices @ turn.T
+        vertices[:, 2] -= vertices[:, 2].min()  # all stand on one floor
+        angle, gap = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(*_GAP_M)
+        along = np.array([np.cos(angle), np.sin(angle), 0.0])
+        if placed:
+            others = KDTree(TriangleMesh.joined(placed).vertices)
+            # Corners are 1 mm apart: every fourth shows the gap to a millimetre.
+            step = 0.15
+            while others.query(vertices[::4] + step * along)[0].min() > gap and step > 0.0:
+                step -= 0.001
+            vertices = vertices + step * along
+        placed.append(TriangleMesh(vertices=vertices, faces=mesh.faces))
+    return placed
+
+
+def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, float]:
+    """Run of a box, its number of bodies, and their permittivity (0: metal)."""
+    permittivity = float(np.random.default_rng([seed, 12]).uniform(*_PERMITTIVITY)) * (seed % 2)
+    folder = options.out / str(seed)
+    run, scene = folder / "run", folder / "scene"
+    is_made = (run / "mesh_content.ply").is_file()
+    if options.cached and not is_made:
+        return None, 0, permittivity
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (scene / "scene.toml").is_file():
+        whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
+        low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
+        mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
+        pose = {"shift_m": np.zeros(3), "turn_deg": 1.0}
+        spec = scan_spec(mesh, box_of(mesh), folder, options, **pose, permittivity=permittivity)
+        geraf2.save_capture(geraf2.simulate(spec, seed=seed)[0], scene)
+    truth = read_mesh(folder / "truth.ply")
+    if not is_made:
+        size = triple(box_of(truth))
+        geraf2.reconstruct(scene, size, options.preset, run, overwrite=True)
+    return run, face_labels(truth.faces)[1], permittivity
+
+
+def box_of(mesh: TriangleMesh) -> np.ndarray:
+    """Outer sides of the box around a content [m]."""
+    return np.ptp(mesh.vertices, axis=0) + 2.0 * (WALL_M + CLEARANCE_M)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("out/bodies"))
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--boxes", type=int, default=20)
+    parser.add_argument("--planes", type=int, default=12)
+    parser.add_argument("--spacing-m", type=float, default=0.004)
+    parser.add_argument("--preset", default="fast")
+    parser.add_argument("--waves", action="store_true", help="walls as waves, second bounces, too")
+    parser.add_argument("--cached", action="store_true", help="count only what was run before")
+    options = parser.parse_args()
+    right, kinds = list[bool](), Counter[tuple[str, str]]()
+    for seed in range(options.first, options.first + options.boxes):
+        run, n_bodies, permittivity = run_of(seed, options)
+        if run is None:
+            continue
+        true = "plastic" if permittivity else "metal"
+        parts = geraf2.inspect(run, write=False).parts
+        right.append(len(parts) == n_bodies)
+        kinds.update((true, part.material.kind) for part in parts)
+        levels = [
+            "none" if (level := p.material.reflectivity_db) is None else f"{level.value:.1f}"
+            for p in parts
+        ]
+        print(
+            f"  {seed}: {len(parts)} parts of {n_bodies} bodies, {true} {permittivity:.2f}: "
+            f"{', '.join(p.material.kind for p in parts)}; levels {', '.join(levels)} dB; "
+            f"lengths {', '.join(f'{1e3 * p.dimensions_m[0].value:.0f}' for p in parts)} mm",
+            flush=True,
+        )
+    scored(right, "right count")
+    for true in ("metal", "plastic"):
+        own = {found: n for (kind, found), n in kinds.items() if kind == true}
+        print(f"{true}: " + ", ".join(f"{found} {n}" for found, n in sorted(own.items())))
+    named = [t == f for (t, f), n in kinds.items() for _ in range(n) if f != "not determined"]
+    scored(named, "right material of parts with one")
+
+
+if __name__ == "__main__":
+    main()

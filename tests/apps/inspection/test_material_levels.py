@@ -1,0 +1,77 @@
+"""Levels that the material decision uses, against the Mie series of spheres and a layered slab."""
+
+import numpy as np
+import pytest
+
+from geraf2.apps.inspection import materials
+from geraf2.apps.inspection.material import Measured
+from geraf2.apps.inspection.materials import log_odds_of_metal
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.reflectivity import db, face_reflection, slab_reflection, spreading
+from geraf2.scene import Wall
+from reference.mie import backscatter_m, front_echo_m
+
+F = 77e9 + np.linspace(0.0, 4e9, 64)  # 79 GHz in the middle
+K = 2.0 * np.pi * F / SPEED_OF_LIGHT_M_PER_S
+RADIUS_M = 0.06
+LOSS = 1.0 + 0.03j
+"""Of plastic: the back face, else 15 dB above the front and in its side lobes, is silent."""
+LEAST_LOG_ODDS = np.log(0.95 / 0.05)
+
+
+def level_db(**sphere):
+    """Front echo of a sphere against that of metal [dB]."""
+    metal = front_echo_m(K, backscatter_m(K, RADIUS_M), RADIUS_M)
+    echo = front_echo_m(K, backscatter_m(K, RADIUS_M, **sphere), RADIUS_M)
+    return float(db(np.array(echo / metal)))
+
+
+@pytest.mark.parametrize("radius_m", [0.02, 0.03, 0.05])
+def test_a_metal_sphere_has_the_amplitude_that_levels_refer_to(radius_m):
+    far = np.array([100.0])
+    wanted = far**2 * spreading(far, np.diag([0.0, 1.0, 1.0])[None] / radius_m)
+    wanted *= (far + radius_m) / far  # Mie counts from the centre
+    assert np.abs(backscatter_m(K, radius_m)) == pytest.approx(float(wanted[0]), rel=0.03)
+
+
+def test_a_coat_of_air_is_none():
+    coated = backscatter_m(K, 0.021, permittivity=1.0, coat_m=0.001)
+    assert coated == pytest.approx(backscatter_m(K, 0.020), rel=1e-6)
+
+
+@pytest.mark.parametrize("permittivity", [2.3, 2.7, 3.3])
+def test_the_front_of_a_plastic_sphere_has_its_fresnel_level(permittivity):
+    wanted = db(np.abs(np.array(face_reflection(permittivity))))
+    assert level_db(permittivity=permittivity * LOSS) == pytest.approx(float(wanted), abs=0.2)
+
+
+def test_the_level_of_plastic_is_that_of_its_mean_permittivity():
+    assert level_db(permittivity=2.9 * LOSS) == pytest.approx(materials._PLASTIC_DB, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("sphere", "is_metal"),
+    [
+        ({}, True),
+        ({"permittivity": 2.7 * LOSS}, False),
+        ({"permittivity": 2.9 * LOSS, "coat_m": 0.001}, True),
+    ],
+)
+def test_spheres_are_decided_by_their_front_echo(sphere, is_metal):
+    """Painted metal is metal: the coat delays its echo and does not weaken it."""
+    level = Measured(value=materials._METAL_DB + level_db(**sphere), sigma=1.0)
+    odds = log_odds_of_metal(level, 0.0)
+    assert abs(odds) > LEAST_LOG_ODDS
+    assert (odds > 0.0) == is_metal
+
+
+def test_a_slab_reflects_as_its_layers_do():
+    """Characteristic matrix of one layer in air (Born and Wolf, section 1.6)."""
+    wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=2.7)
+    index = np.sqrt(wall.permittivity)
+    phase = K * index * wall.thickness_m
+    matrix = np.array(
+        [[np.cos(phase), 1j * np.sin(phase) / index], [1j * index * np.sin(phase), np.cos(phase)]]
+    )
+    b, c = matrix[0, 0] + matrix[0, 1], matrix[1, 0] + matrix[1, 1]
+    assert slab_reflection(wall, F) == pytest.approx((b - c) / (b + c), abs=1e-9)
