@@ -31,7 +31,7 @@ from geraf2.pipeline.commands.reconstruct import (
     temporary_folder,
 )
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.presets import PresetConfig, preset_type
+from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -101,6 +101,12 @@ class Session:
         options = options or RunOptions()
         if options.hold_out:
             raise UserError(what="a session leaves no plane out", got=f"{options.hold_out}")
+        config = preset_type(preset)() if isinstance(preset, str) else preset
+        if not isinstance(config, FastPreset | BestPreset):
+            raise UserError(
+                what=f"preset {config.preset!r} is too slow to follow a scan, or states no errors",
+                expected="best or fast",
+            )
         self._listener, self._threads = listener or Listener(), num_threads
         about = scan if isinstance(scan, Capture) else Capture(waveform=scan, poses=())
         self.path = temporary_folder() if out is None else Path(out)
@@ -110,8 +116,9 @@ class Session:
             scene=self.path / SCENE_FOLDER,
             prior=PriorSource.of(prior),
             options=options,
-            config=preset_type(preset)() if isinstance(preset, str) else preset,
+            config=config,
         )
+        _require_readable(self._record.prior, self._listener)
         self._open = ExitStack()
         self._run = _run_of(self.path, replace(about, poses=()))
         self._open.enter_context(self._run.locked())
@@ -340,6 +347,12 @@ def _run_of(path: Path, about: Capture) -> RunFolder:
             what="holds a run that is no session", where=path, hint="choose another folder"
         )
     return run
+
+
+def _require_readable(source: PriorSource, listener: Listener) -> None:
+    """Raise UserError for a prior that no plane would make usable; photos are read with a scan."""
+    if source.is_given and (source.los is None or not source.los.is_dir()):
+        source.load((), listener)
 
 
 def samples_digest(pose: Pose) -> str:
