@@ -3,6 +3,7 @@ from .apps.importers.import_capture import import_capture as import_capture
 from .apps.inspection.compare_runs import compare as compare
 from .apps.inspection.inspect_run import InspectOptions as InspectOptions
 from .apps.inspection.inspect_run import inspect as inspect
+from .apps.live.session import Session as Session
 from .apps.photos.los import make_los as make_los
 from .apps.planning.planning import PlanOptions as PlanOptions
 from .apps.planning.planning import plan as plan

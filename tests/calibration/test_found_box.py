@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
+from geraf2.calibration import free_air
+from geraf2.calibration.box_search import scene_peaks
 from geraf2.calibration.found_box import Seen, find_box
 from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
@@ -152,3 +154,16 @@ def test_antennas_within_the_walls_are_refused(scan):
     poses = (*scan.poses[:3], lost, *scan.poses[4:])
     with pytest.raises(UserError, match="planes of antennas within the walls: 1"):
         find_box(replace(scan, poses=poses))
+
+
+def test_echoes_beside_the_region_are_an_error_not_an_empty_region(monkeypatch):
+    capture, _ = examples.small_capture()
+
+    class Beside:
+        def of(self, capture):
+            found = scene_peaks(np.zeros(3), 0.5, None).of(capture)
+            return replace(found, subaperture_centers=found.subaperture_centers + 10.0)
+
+    monkeypatch.setattr(free_air, "scene_peaks", lambda *_: Beside())
+    with pytest.raises(UserError, match="echoes beside the point"):
+        content_region(capture)

@@ -80,6 +80,15 @@ class Corrections:
         """Prior in the frame of the capture; the same object if it does not move."""
         return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
 
+    def of_more(self, n_poses: int) -> "Corrections | None":
+        """Corrections of a capture with further poses; None if they need estimates of their own."""
+        if self.leakage is not None or self.drift_coefficients_m is not None:
+            return None
+        angles = self.angles_rad
+        if angles is not None:
+            angles = np.pad(angles, (0, n_poses - len(angles)))
+        return replace(self, angles_rad=angles)
+
     def _arrays(self) -> dict[str, Array]:
         """All values by name; unchanged ones are empty."""
         nothing = np.zeros(0)

@@ -47,6 +47,8 @@ def content_region(
         along = found.points[order, k] - focus[k]
         sides[:, k] = along[low] - _SLACK_M, along[min(high, len(along) - 1)] + _SLACK_M
     sides = np.clip(sides, -_MOST_REACH * reach, _MOST_REACH * reach)
+    if not (sides[1] > sides[0]).all():
+        raise _without_echoes(got="echoes beside the point that the planes face")
     return LosPrior.from_box(triple(sides[1] - sides[0]), triple(focus + 0.5 * sides.sum(axis=0)))
 
 

@@ -42,6 +42,9 @@ COMMANDS = {
         "SCENE [OUT]",
         "finished stages are kept, --resume continues",
     ),
+    "live": Command(
+        "live", "surface while the scan is made, plane by plane", "SOURCE [OUT]", _GOES_ON
+    ),
     "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
     "inspect": Command(

@@ -11,6 +11,7 @@ from itertools import product
 from weakref import ReferenceType, ref
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from geraf2._types import Bools, Floats, Ints, Progress
 from geraf2.imaging.subapertures import PoseImages, SubapertureConfig, pose_images
@@ -330,6 +331,17 @@ class KeptPeaks:
             if progress is not None:
                 progress(done / len(chosen))
         return join_peaks(parts)
+
+    def about(self, prior: LosPrior, tolerance_m: float = 0.0) -> "KeptPeaks":
+        """Peaks around another prior: these if no corner moved farther [m], else none yet."""
+        found = KeptPeaks(
+            prior, self.subaperture, self.noise_margin_db, num_threads=self.num_threads
+        )
+        before, after = self.prior.corners, prior.corners
+        if before.shape == after.shape and cdist(before, after).min(axis=1).max() <= tolerance_m:
+            found.prior, found._kept = self.prior, self._kept
+        found.n_imaged = self.n_imaged
+        return found
 
     def _imaged(self, capture: Capture, number: int) -> PeakSet:
         self.n_imaged += 1

@@ -152,7 +152,7 @@ class SceneReader:
         self._group = self._open_group()
         self._arrays = {name: self._open_array(name) for name in ARRAY_TYPES}
         self.n_antennas = np.asarray(self._read("antenna_count", slice(None)), dtype=np.int64)
-        self._angles = np.asarray(self._read("angle", slice(None)), dtype=np.float64)
+        self.angles_deg = np.asarray(self._read("angle", slice(None)), dtype=np.float64)
         self._names = self._pose_names()
         self._check_shapes()
         self._checksums = self._read_checksums()
@@ -173,7 +173,7 @@ class SceneReader:
             self._names != other._names
             or self._shape("signal")[2] != other._shape("signal")[2]
             or not np.array_equal(self.n_antennas, other.n_antennas)
-            or not np.array_equal(self._angles, other._angles, equal_nan=True)
+            or not np.array_equal(self.angles_deg, other.angles_deg, equal_nan=True)
         ):
             return False
         step = other._arrays["signal"].chunks[1]
@@ -199,12 +199,12 @@ class SceneReader:
             msg = f"index of the plane must be in 0..{self.n_poses - 1}, got {index}"
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
-        angle = float(self._angles[index])
+        angle = float(self.angles_deg[index])
         stored = {
             name: np.asarray(self._read(name, (index, slice(keep)))) for name in ANTENNA_ARRAYS
         }
         stored["axes"] = np.asarray(self._read("axes", index))
-        counted = {"antenna_count": self.n_antennas[index], "angle": self._angles[index]}
+        counted = {"antenna_count": self.n_antennas[index], "angle": self.angles_deg[index]}
         for name, value in {**counted, **stored}.items():
             sums = self._checksums.get(name)
             if sums is not None and sums[index] != f"{crc_of(value):08x}":

@@ -1,10 +1,10 @@
 """Writer of scene folders (geraf2.io.container): pose by pose, whole or not at all."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +65,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         self._n_begun = 0
         self.folder = self.path
         """Where to put optional files (truth.ply, los.ply) before the block ends."""
-        self._arrays = _arrays_of(self._shape, self._n_chunk, integers=integers)
+        self._arrays = scene_arrays(self._shape, self._n_chunk, integers=integers)
         self._counts: list[int] = []
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
         self._checksums: dict[str, list[str]] = {name: [] for name in ARRAY_TYPES}
@@ -148,19 +148,12 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
     def _end_pose(self, pose: RawPose, n_antennas: int) -> None:
         group, index = self.folder / RADAR_NAME, len(self._names)
         self._arrays["axes"].append(group, (index, 0, 0), pose.axes)
-        angle = np.nan if pose.angle_deg is None else pose.angle_deg
         self._counts.append(n_antennas)
-        self._angles.append(angle)
+        self._angles.append(angle_of(pose))
         self._names.append(pose.name)
         self._begun, self._n_begun = None, 0
-        sums = {
-            **self._begun_sums,
-            "axes": crc_of(np.asarray(pose.axes, dtype="<f8")),
-            "antenna_count": crc_of(np.asarray(n_antennas, dtype="<i8")),
-            "angle": crc_of(np.asarray(angle, dtype="<f8")),
-        }
-        for name, value in sums.items():
-            self._checksums[name].append(f"{value:08x}")
+        for name, value in checksums(pose, n_antennas, self._begun_sums).items():
+            self._checksums[name].append(value)
         self._begun_sums = dict.fromkeys(ANTENNA_ARRAYS, 0)
 
     def _finish(self) -> None:
@@ -192,19 +185,41 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         require_consent(self.path, "another scene", overwrite=False)
 
     def _write_group(self) -> None:
-        attributes = {
-            "format": "geraf2-radar",
-            "version": SCENE_VERSION,
-            "pose_names": self._names,
-            CHECKSUMS: self._checksums,
-        }
-        write_group(self.folder / RADAR_NAME, attributes)
+        write_group(self.folder / RADAR_NAME, group_attributes(self._names, self._checksums))
 
 
-def _arrays_of(
-    shape: tuple[int, int, int], n_chunk: int, *, integers: bool
+def group_attributes(names: Sequence[str], sums: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+    """Attributes of the group: names of the poses, and their checksums by array."""
+    return {
+        "format": "geraf2-radar",
+        "version": SCENE_VERSION,
+        "pose_names": list(names),
+        CHECKSUMS: {name: list(sums[name]) for name in ARRAY_TYPES},
+    }
+
+
+def checksums(pose: RawPose, n_antennas: int, of_antennas: Mapping[str, int]) -> dict[str, str]:
+    """Checksums of a pose, by array; `of_antennas` are those of its samples and positions."""
+    sums = {
+        **of_antennas,
+        "axes": crc_of(np.asarray(pose.axes, dtype="<f8")),
+        "antenna_count": crc_of(np.asarray(n_antennas, dtype="<i8")),
+        "angle": crc_of(np.asarray(angle_of(pose), dtype="<f8")),
+    }
+    return {name: f"{value:08x}" for name, value in sums.items()}
+
+
+def angle_of(pose: RawPose) -> float:
+    """Angle of a pose as it is stored, NaN where it is not known [degrees]."""
+    return float("nan") if pose.angle_deg is None else pose.angle_deg
+
+
+def scene_arrays(
+    shape: tuple[int, int, int], n_chunk: int, *, integers: bool, n_counted: int | None = None
 ) -> dict[str, ZarrArray]:
     """Arrays of a scene of (n_poses, n_antennas, n_samples), `n_chunk` antennas in a chunk.
+
+    n_counted: poses in a chunk of counts and angles; all when None.
 
     Neither compressed nor filtered: noise does not compress, zstd takes 8 % off a capture at
     20 dB SNR.
@@ -225,7 +240,7 @@ def _arrays_of(
     arrays = {}
     for name, (dtype, dimensions, sides, missing, unit, about) in table.items():
         # A chunk side of 0 is not allowed, an empty pose is.
-        chunks = (1, *(max(1, n) for n in sides)) if sides else (max(1, n_poses),)
+        chunks = (1, *(max(1, n) for n in sides)) if sides else (n_counted or max(1, n_poses),)
         arrays[name] = ZarrArray(
             name=name,
             dtype=dtype,

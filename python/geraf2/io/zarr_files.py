@@ -34,6 +34,13 @@ class ZarrArray:
 
     def write_metadata(self, group: Path) -> None:
         """Make the array's folder in that of its group."""
+        folder = group / self.name
+        folder.mkdir()
+        (folder / METADATA_NAME).write_text(self.text)
+
+    @property
+    def text(self) -> str:
+        """Metadata of the array."""
         content = {
             "zarr_format": 3,
             "node_type": "array",
@@ -46,13 +53,15 @@ class ZarrArray:
             "attributes": dict(self.attributes),
             "dimension_names": self.dimensions,
         }
-        folder = group / self.name
-        folder.mkdir()
-        (folder / METADATA_NAME).write_text(json.dumps(content, indent=2, allow_nan=False))
+        return json.dumps(content, indent=2, allow_nan=False)
+
+    def chunk(self, group: Path, index: tuple[int, ...]) -> Path:
+        """File of the chunk of these indices."""
+        return group.joinpath(self.name, "c", *map(str, index))
 
     def append(self, group: Path, index: tuple[int, ...], values: Array) -> None:
         """Append to one chunk, that of these indices; a new one is made."""
-        path = group.joinpath(self.name, "c", *map(str, index))
+        path = self.chunk(group, index)
         path.parent.mkdir(parents=True, exist_ok=True)
         data = np.ascontiguousarray(values, dtype=self.dtype).data
         with path.open("ab") as handle:

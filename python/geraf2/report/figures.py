@@ -250,6 +250,22 @@ def loss_curves(curves: dict[str, list[tuple[int, float]]], path: AnyPath) -> No
     canvas.save(figure, path)
 
 
+def growth_curves(growth: Sequence[tuple[int, float, float]], path: AnyPath) -> None:
+    """Draw expected error [mm] and seen share over the number of planes, one above the other."""
+    figure = canvas.new_figure(5.6, 4.8)
+    planes, errors, shares = zip(*growth, strict=True)
+    upper, lower = figure.subplots(2, 1)
+    upper.plot(planes, errors, "o-", color=BLUE, linewidth=1.6, markersize=4)
+    upper.set_yscale("log")
+    canvas.label(upper, "planes", "expected error [mm]")
+    lower.plot(planes, np.multiply(100.0, shares), "o-", color=RED, linewidth=1.6, markersize=4)
+    lower.set_ylim(0.0, 100.0)
+    canvas.label(lower, "planes", "seen [%]")
+    for panel in (upper, lower):
+        panel.spines[["top", "right"]].set_visible(False)
+    canvas.save(figure, path)
+
+
 def _middle(sdf: SdfGrid) -> Floats:
     inside = np.argwhere(sdf.values < 0)
     index = inside.mean(axis=0) if inside.size else 0.5 * (np.asarray(sdf.grid.shape) - 1.0)

@@ -27,6 +27,7 @@ from geraf2.report.answer import Answer, answer_of
 from geraf2.report.figures import (
     error_curves,
     glint_overview,
+    growth_curves,
     loss_curves,
     mesh_views,
     projections,
@@ -165,6 +166,7 @@ def write_report(
         *_evaluation(run, folder, answer),
         *_renderings(folder),
         *_losses(log, figures),
+        *_growth(log, figures),
         *run_sections.tables(run.stages, run.metrics, run.surface),
         *run_sections.provenance(folder, run.scene, run.stages, known, log),
         *run_sections.settings(run.config_text, run.stages),
@@ -393,6 +395,17 @@ def _losses(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
     picture = html.picture(figures / "losses.png", name="training")
     moved = run_sections.level_moved(log)
     return [Section("training", "Training", note=f"{note} {moved}".strip(), parts=(picture,))]
+
+
+def _growth(log: Sequence[Mapping[str, Any]], figures: Path) -> list[Section]:
+    """Section of the surface after each plane; empty unless it grew with the scan."""
+    growth = run_sections.growth(log)
+    if not growth:
+        return []
+    growth_curves(growth, figures / "growth.png")
+    note = "Expected error and seen share of the surface after each plane, while the scan was made."
+    picture = html.picture(figures / "growth.png", name="growth")
+    return [Section("growth", "Growth", note=note, parts=(picture,))]
 
 
 def _kept_pictures(run: RunArtefacts, figures: Path) -> frozenset[str]:

@@ -115,6 +115,18 @@ def losses(log: Sequence[Mapping[str, Any]]) -> dict[str, list[tuple[int, float]
     return {name: sorted(curve.items()) for name, curve in terms.items() if len(curve) > 1}
 
 
+def growth(log: Sequence[Mapping[str, Any]]) -> list[tuple[int, float, float]]:
+    """Planes, expected error [mm] and seen share after each plane of a scan that was followed."""
+    found: dict[int, tuple[float, float]] = {}
+    for entry in log:
+        plane, error, share = (entry.get(k) for k in ("plane", "expected_error_mm", "seen_share"))
+        if entry["event"] != "plane" or not isinstance(plane, int):
+            continue
+        if isinstance(error, int | float) and isinstance(share, int | float):
+            found[plane] = float(error), float(share)
+    return [(plane, *found[plane]) for plane in sorted(found)]
+
+
 def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
     """Sentence on the shift of the zero level after a training; empty without glints."""
     shift = _last(log, "glint_level")

@@ -94,10 +94,13 @@ def save_capture(
     return not writer.unchanged
 
 
-def capture_digest(capture: Capture) -> str:
-    """Hash of everything that a reconstruction depends on; its history is left out."""
-    digest = PoseDigest()
-    for pose in capture.poses:
+def capture_digest(capture: Capture, poses: PoseDigest | None = None) -> str:
+    """Hash of everything that a reconstruction depends on; its history is left out.
+
+    poses: digest of the poses; that of the capture's when None.
+    """
+    digest = poses or PoseDigest()
+    for pose in capture.poses if poses is None else ():
         digest.add(pose)
     about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
     return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()

@@ -33,7 +33,7 @@ from geraf2.records import RawPose
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
 
-_FRAME_NAME = re.compile(r"(?P<index>\d+)_(?P<angle>[+-]?\d+(?:\.\d+)?)_(?P<sub>\d+)")
+FRAME_NAME = re.compile(r"(?P<index>\d+)_(?P<angle>[+-]?\d+(?:\.\d+)?)_(?P<sub>\d+)")
 
 # capture.json key -> radar.toml key
 _CAPTURE_KEYS = {
@@ -53,7 +53,9 @@ _SAME_POSITION_M = 1.5e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Frame:
+class Frame:
+    """A part of a plane, whose headers were read."""
+
     folder: Path
     index: int
     angle_deg: float
@@ -68,11 +70,11 @@ class GerafSensImporter:
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check the headers of every frame, and the parameters; see Importer.open."""
         folders, notes = _find_frames(Path(source))
-        frames = [_check_headers(folder) for folder in folders]
+        frames = [check_headers(folder) for folder in folders]
         n_samples = _common_n_samples(frames)
-        groups = _group(frames)
-        capture = _read_capture_json(Path(source))
-        manifest, more_notes = _manifest(Path(source), capture, radar, n_samples)
+        groups = group_frames(frames)
+        capture = read_capture_json(Path(source))
+        manifest, more_notes = capture_manifest(Path(source), capture, radar, n_samples)
         notes += more_notes
         expected = capture.get("n_poses")
         if isinstance(expected, int) and expected != len(groups):
@@ -80,8 +82,7 @@ class GerafSensImporter:
 
         def poses() -> Iterator[RawPose]:
             for group in groups:
-                parts = [_read_frame(frame) for frame in group]
-                yield replace(joined(parts), name="+".join(part.name for part in parts))
+                yield read_group(group)
 
         return Scan(
             manifest=manifest,
@@ -100,14 +101,14 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
     folders: list[Path] = []
     skipped: list[Path] = []
     for entry in root.iterdir():
-        if _FRAME_NAME.fullmatch(entry.name) and not entry.is_dir():
+        if FRAME_NAME.fullmatch(entry.name) and not entry.is_dir():
             what = "is a link that leads nowhere" if entry.is_symlink() else "is no folder"
             raise UserError(
                 what=what, where=entry, hint="repair it, or remove it to skip the frame"
             )
         if not entry.is_dir() or entry.name.startswith("."):
             continue
-        (folders if _FRAME_NAME.fullmatch(entry.name) else skipped).append(entry)
+        (folders if FRAME_NAME.fullmatch(entry.name) else skipped).append(entry)
     if not folders:
         raise UserError(
             what="has no frame folders",
@@ -123,7 +124,7 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
 
 
 def _order(folder: Path) -> tuple[int, float, int]:
-    match = _FRAME_NAME.fullmatch(folder.name)
+    match = FRAME_NAME.fullmatch(folder.name)
     assert match is not None  # only frames get here
     return int(match["index"]), float(match["angle"]), int(match["sub"])
 
@@ -135,7 +136,8 @@ def _load(path: Path, *, header_only: bool = False) -> Array:
     return read_npy(path, header_only=header_only)
 
 
-def _check_headers(folder: Path) -> _Frame:
+def check_headers(folder: Path) -> Frame:
+    """Frame of a folder; UserError where an array is missing, cut short, or of another shape."""
     arrays = {name: _load(folder / f"{name}.npy", header_only=True) for name in ARRAY_NAMES}
     for name, array in arrays.items():
         if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
@@ -164,7 +166,7 @@ def _check_headers(folder: Path) -> _Frame:
     if shapes["rotation"] != (3, 3):
         _wrong_array(folder, "rotation", "(3, 3)", shapes["rotation"])
     index, angle, sub = _order(folder)
-    return _Frame(
+    return Frame(
         folder=folder,
         index=index,
         angle_deg=angle,
@@ -178,7 +180,7 @@ def _wrong_array(folder: Path, name: str, expected: str, got: object) -> NoRetur
     raise wrong_shape(folder / f"{name}.npy", "array", expected, got)
 
 
-def _common_n_samples(frames: Sequence[_Frame]) -> int:
+def _common_n_samples(frames: Sequence[Frame]) -> int:
     first = frames[0]
     for frame in frames:
         if frame.n_samples != first.n_samples:
@@ -191,7 +193,13 @@ def _common_n_samples(frames: Sequence[_Frame]) -> int:
     return first.n_samples
 
 
-def _read_frame(frame: _Frame) -> RawPose:
+def read_group(group: Sequence[Frame]) -> RawPose:
+    """Pose of frames that belong together."""
+    parts = [_read_frame(frame) for frame in group]
+    return replace(joined(parts), name="+".join(part.name for part in parts))
+
+
+def _read_frame(frame: Frame) -> RawPose:
     arrays = {name: _load(frame.folder / f"{name}.npy") for name in ARRAY_NAMES}
     for name, array in arrays.items():
         _require_finite(frame.folder / f"{name}.npy", array)
@@ -232,9 +240,9 @@ def _axes(path: Path, rotation: Array) -> Floats:
     return axes
 
 
-def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
+def group_frames(frames: Sequence[Frame]) -> list[list[Frame]]:
     """Frames of each pose, in order. Only positions of sub-scans are read."""
-    groups: list[list[_Frame]] = []
+    groups: list[list[Frame]] = []
     for frame in frames:
         last = groups[-1] if groups else None
         same = last and (last[0].index, last[0].angle_deg) == (frame.index, frame.angle_deg)
@@ -245,10 +253,10 @@ def _group(frames: Sequence[_Frame]) -> list[list[_Frame]]:
     return groups
 
 
-def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
+def _belong_together(group: Sequence[Frame], frame: Frame) -> bool:
     """Whether the axes agree and no antenna position is repeated."""
 
-    def load(one: _Frame, name: str) -> Floats:
+    def load(one: Frame, name: str) -> Floats:
         return np.asarray(_load(one.folder / f"{name}.npy"), dtype=np.float64)
 
     axes = load(group[0], "rotation")
@@ -263,7 +271,8 @@ def _belong_together(group: Sequence[_Frame], frame: _Frame) -> bool:
     return len(np.unique(joined, axis=0)) == len(joined)
 
 
-def _read_capture_json(source: Path) -> dict[str, Any]:
+def read_capture_json(source: Path) -> dict[str, Any]:
+    """Parameters of a capture; {} without the file."""
     candidates = [source / "capture.json"]
     if source.name == "mf":  # the user named the inner folder
         candidates.append(source.parent / "capture.json")
@@ -278,9 +287,10 @@ def _read_capture_json(source: Path) -> dict[str, Any]:
     return {}
 
 
-def _manifest(
+def capture_manifest(
     source: Path, capture: Mapping[str, Any], radar: RadarManifest, n_samples: int
 ) -> tuple[SceneManifest, list[str]]:
+    """Manifest of a capture by its capture.json and what the user gives, and notes."""
     where = source / "capture.json" if capture else source
     known = {
         ours: _number(theirs, capture[theirs], where)

@@ -18,6 +18,7 @@ from geraf2._types import Progress
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
@@ -54,9 +55,10 @@ from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import naming_the_sign, require_sign
-from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrated
+from geraf2.pipeline.stages.calibration import CALIBRATION, CALIBRATION_STAGE, calibrated
 from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
@@ -109,7 +111,7 @@ def reconstruct(
     >>> bool(result.content.extents.max() < 0.1)  # [m]
     True
     """
-    started, options = time.perf_counter(), options or RunOptions()
+    options = options or RunOptions()
     config = preset_type(preset)() if isinstance(preset, str) else preset
     if options.samples:
         require_posterior(config, options.samples)
@@ -117,8 +119,8 @@ def reconstruct(
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
     record = RunRecord(scene=scene, prior=PriorSource.of(prior), options=options, config=config)
     given = prior if isinstance(prior, LosPrior) else None
-    request = _Request.of(loaded, given, record, listener or Listener(), num_threads)
-    folder = _temporary_folder() if out is None else Path(out)
+    request = Request.of(loaded, given, record, listener or Listener(), num_threads)
+    folder = temporary_folder() if out is None else Path(out)
     run = RunFolder.open(
         folder,
         scene_digest=capture_digest(loaded),
@@ -127,18 +129,8 @@ def reconstruct(
     )
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
-    with (
-        run.locked("mesh", request.key, overwrite=overwrite),
-        _logged(run, resume=resume),
-    ):
-        job, prior_name = _started(request, run, resume=resume, num_threads=num_threads)
-        job = _calibrated(job, options, request.where)
-        _keep_inputs(request, job)
-        with naming_the_sign(loaded, request.where, num_threads):
-            _run_stages(job, prior_name, options, report=report)
-        seconds = round(time.perf_counter() - started, 2)
-        memory = round(peak_memory_bytes() / 2**20)
-        run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
+    with run.locked("mesh", request.key, overwrite=overwrite):
+        run_request(request, run, resume=resume, report=report)
     return Reconstruction(run)
 
 
@@ -147,7 +139,7 @@ BY_RADAR = "the box by radar"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Request:
+class Request:
     """A request whose inputs were checked, before its run folder is touched."""
 
     capture: Capture
@@ -166,6 +158,9 @@ class _Request:
     key: str
     """Hash of all that the meshes depend on."""
     listener: Listener
+    num_threads: int | None
+    started: float
+    """Time of its begin, of `time.perf_counter` [s]."""
 
     @classmethod
     def of(
@@ -175,11 +170,12 @@ class _Request:
         record: RunRecord,
         listener: Listener,
         num_threads: int | None,
-    ) -> "_Request":
+    ) -> "Request":
         """Check capture, prior and angles; UserError where one of them cannot be used.
 
         given: prior in memory; else the record names its source, or none.
         """
+        begin = time.perf_counter()
         where, options, source = record.scene or "capture", record.options, record.prior
         summary = summarize_capture(capture)
         findings = require_plausible(summary, where)
@@ -215,6 +211,8 @@ class _Request:
             record=record,
             key=_request_key(outside, options, record.config),
             listener=listener,
+            num_threads=num_threads,
+            started=begin,
         )
 
     @property
@@ -223,10 +221,43 @@ class _Request:
         return self.record.scene or "capture"
 
 
-def _started(
-    request: _Request, run: RunFolder, *, resume: bool, num_threads: int | None
+def run_request(
+    request: Request,
+    run: RunFolder,
+    *,
+    peaks: KeptPeaks | None = None,
+    resume: bool = False,
+    report: bool = False,
+) -> None:
+    """Run all stages of a request in a locked run folder.
+
+    peaks: of the capture's planes, where they are known; collected when None.
+    """
+    options = request.record.options
+    with logged(run, resume=resume):
+        job, prior_name = start_job(request, run, peaks=peaks, resume=resume)
+        job = calibrated_job(job, options, request.where)
+        left_out = planes_at(request.capture, options.hold_out, request.where)
+        keep_inputs(job, [p for n, p in enumerate(request.summary.planes) if n not in left_out])
+        with naming_the_sign(request.capture, request.where, request.num_threads):
+            run_stages(job, prior_name, options, report=report)
+        seconds = round(time.perf_counter() - request.started, 2)
+        memory = round(peak_memory_bytes() / 2**20)
+        run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
+
+
+def start_job(
+    request: Request,
+    run: RunFolder,
+    *,
+    peaks: KeptPeaks | None = None,
+    tolerance_m: float = 0.0,
+    resume: bool = False,
 ) -> tuple[Job, str]:
-    """Job of the stages in the run folder, with its prior; and the prior's name."""
+    """Job of the stages in the run folder, with its prior; and the prior's name.
+
+    peaks: of planes that were imaged before; kept if the prior moved by at most `tolerance_m` [m].
+    """
     run.restart()
     heard = RunListener(run, request.listener)
     for finding in request.findings:
@@ -260,8 +291,10 @@ def _started(
             "hold_out": record.options.hold_out,
         },
         listener=heard,
-        peaks=kept_peaks(prior, record.config, num_threads),
-        num_threads=num_threads,
+        peaks=peaks.about(prior, tolerance_m)
+        if peaks is not None
+        else kept_peaks(prior, record.config, request.num_threads),
+        num_threads=request.num_threads,
         resume=resume,
         asked=request.key,
         made_from={
@@ -273,21 +306,20 @@ def _started(
     return job, name
 
 
-def _keep_inputs(request: _Request, job: Job) -> None:
+def keep_inputs(job: Job, planes: Sequence[Aperture]) -> None:
     """Write the prior and the planes that the run reads, and note them in its record."""
     run = job.run
     save_prior(job.prior, run.path / PRIOR_NAME)
-    corners = [plane.corners_m for plane in request.summary.planes]
-    left_out = planes_at(request.capture, request.record.options.hold_out, request.where)
     scanned = ScannedPlanes(
-        corners_m=np.delete(corners, left_out, axis=0),
-        wavelength_m=request.capture.waveform.center_wavelength_m,
+        corners_m=np.array([plane.corners_m for plane in planes]).reshape(-1, 4, 3),
+        wavelength_m=job.capture.waveform.center_wavelength_m,
     )
     save_planes(scanned, run.path / PLANES_NAME)
     run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
 
 
-def _temporary_folder() -> Path:
+def temporary_folder() -> Path:
+    """Make the folder of a run whose caller names none."""
     try:
         return Path(mkdtemp(prefix="geraf2-"))
     except OSError as error:
@@ -333,20 +365,23 @@ def _prior_key(prior: LosPrior) -> str:
     return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
 
 
-def _calibrated(job: Job, options: RunOptions, where: object) -> Job:
+def calibrated_job(
+    job: Job, options: RunOptions, where: object, stage: Stage[Any] = CALIBRATION
+) -> Job:
     """Job on the planes that are not left out, corrected by the calibration of all planes."""
     more: dict[str, str] = {}
     if options.calibrate == "no":
         job.run.forget([CALIBRATION_STAGE])
         (job.run.path / CALIBRATION_NAME).unlink(missing_ok=True)
     else:
-        capture, prior, more = calibrated(job)
+        capture, prior, more = calibrated(job, stage)
         job = replace(job, capture=capture, prior=prior)
     kept = keep_planes(job.capture, options.hold_out, where)
     return replace(job, capture=kept, inputs={**job.inputs, **more})
 
 
-def _run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bool) -> None:
+def run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bool = False) -> None:
+    """Run the stages of a job's preset, and those that the options ask for."""
     stages, run = stages_of(job.config), job.run
     if options.samples:
         stages = (*stages, _samples_stage(stages[-1], options.samples))
@@ -423,7 +458,7 @@ def _report_stage(mesh: Stage[None]) -> Stage[None]:
 
 
 @contextmanager
-def _logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
+def logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
     """Log start and stop of a run, and all log records between."""
     with logging_to(run):
         python = sys.version.split()[0]

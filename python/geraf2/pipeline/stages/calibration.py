@@ -1,11 +1,11 @@
 """Calibration as the first stage of a run; other jobs on the run apply its corrections."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from geraf2._types import Progress
 from geraf2.calibration.corrections import Corrections
-from geraf2.calibration.driver import CALIBRATION_VERSION, calibrate
+from geraf2.calibration.driver import CALIBRATION_VERSION, CalibrationConfig, calibrate
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.stage import Job, Stage, peak_settings
@@ -28,10 +28,11 @@ class _Found:
     numbers: dict[str, Any]
 
 
-def _find(job: Job, progress: Progress) -> _Found:
+def _find(job: Job, progress: Progress, config: CalibrationConfig | None = None) -> _Found:
     found = calibrate(
         job.capture,
         job.prior,
+        config,
         peaks=job.peaks,
         num_threads=job.num_threads,
         progress=progress,
@@ -61,9 +62,17 @@ CALIBRATION = Stage(
     ),
     numbers=lambda found: found.numbers,
 )
+COARSE_CALIBRATION = replace(
+    CALIBRATION,
+    settings=lambda config: [peak_settings(config), "without positions"],
+    compute=lambda job, progress: _find(job, progress, CalibrationConfig(positions=False)),
+)
+"""Without the slow errors of positions, which take most of the time, for a scan that grows."""
 
 
-def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
+def calibrated(
+    job: Job, stage: Stage[_Found] = CALIBRATION
+) -> tuple[Capture, LosPrior, dict[str, str]]:
     """Corrected capture and prior, and further inputs of the stages.
 
     Without corrections these are the job's own capture and prior, and {}. Applied corrections are
@@ -71,8 +80,8 @@ def calibrated(job: Job) -> tuple[Capture, LosPrior, dict[str, str]]:
     """
     if not job.resume:
         job.run.forget([CALIBRATION_STAGE])
-    job.do(CALIBRATION)
-    found = job[CALIBRATION]
+    job.do(stage)
+    found = job[stage]
     if found.corrections.are_none:
         return job.capture, job.prior, {}
     for text in found.numbers["applied"]:

@@ -1,0 +1,156 @@
+"""Scans that grow: stated against achieved F1, when to stop, and the end against `reconstruct`.
+
+    python bench/python/live.py run ROWS SCENE... [--preset fast]
+    python bench/python/live.py fit ROWS
+    python bench/python/live.py check ROWS
+
+`run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
+and appends a line for each to the file ROWS. The last line of a scene compares the end with
+`reconstruct`, of the planes as they were added and in the order of the scan: held-out planes of the
+calibration follow their numbers. `fit` estimates the constants of `ScoreModel` (surfaces/stated_score.py) by least
+squares, every scene with the same weight. `check` states how often the interval holds the score,
+and what a stop at a target reaches, with how many planes more than the first scan that reaches it.
+"""
+
+import argparse
+import json
+import time
+from collections import defaultdict
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import geraf2
+from geraf2.errors import UserError
+from geraf2.evaluation.mesh_metrics import evaluate_mesh
+from geraf2.io.mesh import read_mesh
+from geraf2.surfaces.stated_score import ScoreModel, kept_share, stated_f1
+
+TAU_M = 0.005
+TARGETS = (0.90, 0.95)
+SURE = 0.9
+
+
+def even_order(n: int) -> list[int]:
+    """Order of the planes of a ring in which each new one lies between those before."""
+    bits = max(1, (n - 1).bit_length())
+    reversed_ = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(2**bits)]
+    return sorted(range(n), key=lambda k: reversed_[k * 2**bits // n])
+
+
+def f1_of(mesh, truth) -> float:
+    scores = evaluate_mesh(mesh, truth, n_samples=5000, thresholds_m=(TAU_M,)).scores
+    return float(scores[0].f1)
+
+
+def run(rows: Path, scene: Path, preset: str) -> None:
+    capture, truth = geraf2.load_capture(scene), read_mesh(scene / "truth.ply")
+    order = even_order(len(capture.poses))
+    with (
+        geraf2.Session(replace(capture, poses=()), None, preset) as session,
+        rows.open("a") as file,
+    ):
+
+        def write(**values) -> None:
+            line = json.dumps({"scene": scene.name, "preset": preset, **values})
+            print(line, flush=True)
+            file.write(line + "\n")
+
+        for number, index in enumerate(order, start=1):
+            start = time.perf_counter(), time.process_time()
+            session.add(capture.poses[index])
+            try:
+                mesh = session.result.content_mesh
+            except UserError as error:
+                write(plane=number, error=str(error))
+                continue
+            seconds, cpu = time.perf_counter() - start[0], time.process_time() - start[1]
+            write(
+                plane=number,
+                n_planes=len(order),
+                f1=f1_of(mesh, truth),
+                kept=kept_share(mesh, TAU_M),
+                seen=session.result.numbers["mesh"]["evidence_shares"]["seen"],
+                error_mm=session.result.numbers["mesh"]["expected_error_median_mm"],
+                seconds=round(seconds, 2),
+                cpu_seconds=round(cpu, 2),
+            )
+        end = session.finish()
+        as_added = replace(capture, poses=tuple(capture.poses[index] for index in order))
+        runs = [end, *(geraf2.reconstruct(one, None, preset) for one in (as_added, capture))]
+        counts = [one.run.stages["glints"].numbers["n_glints"] for one in runs]
+        f1 = [f1_of(one.content_mesh, truth) for one in runs]
+        write(end=f1[0], whole=f1[1], in_scan_order=f1[2], n_glints=counts)
+
+
+def read(rows: Path) -> tuple[dict[str, list[dict]], list[dict]]:
+    """Lines after planes by scene, and the last lines."""
+    growing, ends = defaultdict(list), []
+    for line in rows.read_text().splitlines():
+        row = json.loads(line)
+        if "whole" in row:
+            ends.append(row)
+        elif "f1" in row:
+            growing[row["scene"]].append(row)
+    return growing, ends
+
+
+def fit(rows: Path) -> None:
+    growing, _ = read(rows)
+    lines = [row | {"weight": 1.0 / len(own)} for own in growing.values() for row in own]
+    kept, f1, weight = (np.array([line[k] for line in lines]) for k in ("kept", "f1", "weight"))
+    root = np.sqrt(weight)
+    columns = np.stack([np.ones_like(kept), ScoreModel.scale(kept)], axis=1)
+    found = np.linalg.lstsq(columns * root[:, None], ScoreModel.scale(f1) * root, rcond=None)[0]
+    rest = ScoreModel.scale(f1) - columns @ found
+    sigma = np.sqrt((weight * rest**2).sum() / weight.sum())
+    print(f"{len(growing)} scenes, {len(lines)} surfaces")
+    print(f"offset {found[0]:.3f}  slope {found[1]:.3f}  sigma {sigma:.3f}")
+
+
+def check(rows: Path) -> None:
+    growing, ends = read(rows)
+    inside, off = [], []
+    for own in growing.values():
+        for row in own:
+            stated = stated_f1(row["kept"])
+            inside.append(stated.low <= row["f1"] <= stated.high)
+            off.append(stated.mean - row["f1"])
+    print(f"90 % interval holds {np.mean(inside):.3f} of {len(inside)} surfaces")
+    print(f"mean of stated less achieved {np.mean(off):+.3f}, rms {np.std(off):.3f}")
+    for target in TARGETS:
+        stops, reached, ratios = 0, 0, []
+        for own in growing.values():
+            stop = next((r for r in own if stated_f1(r["kept"]).odds(target) >= SURE), None)
+            first = next((r for r in own if r["f1"] >= target), None)
+            if stop is not None:
+                stops += 1
+                reached += stop["f1"] >= target
+                if first is not None:
+                    ratios.append(stop["plane"] / first["plane"])
+        ratio = f"{np.median(ratios):.2f} (largest {max(ratios):.2f})" if ratios else "none"
+        print(f"target {target}: stopped {stops} of {len(growing)}, reached {reached}, {ratio}")
+    for row in ends:
+        f1 = ", ".join(f"{name} {row[name]:.4f}" for name in ("end", "whole", "in_scan_order"))
+        print(f"{row['scene']}: {f1}, glints {row['n_glints']}")
+    seconds = [row["cpu_seconds"] for own in growing.values() for row in own]
+    print(f"update: median {np.median(seconds):.2f} CPU s, largest {max(seconds):.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("run", "fit", "check"))
+    parser.add_argument("rows", type=Path)
+    parser.add_argument("scenes", type=Path, nargs="*")
+    parser.add_argument("--preset", default="fast")
+    given = parser.parse_args()
+    if given.what == "run":
+        for scene in given.scenes:
+            run(given.rows, scene, given.preset)
+    else:
+        {"fit": fit, "check": check}[given.what](given.rows)
+
+
+if __name__ == "__main__":
+    main()

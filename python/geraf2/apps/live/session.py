@@ -1,0 +1,368 @@
+"""A reconstruction that grows with its scan, plane by plane."""
+
+import hashlib
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from shutil import rmtree
+from tempfile import TemporaryFile
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+from weakref import finalize
+
+import numpy as np
+
+from geraf2._types import Array, Floats
+from geraf2.apps.live.target import Target
+from geraf2.calibration.corrections import Corrections
+from geraf2.errors import UserError
+from geraf2.io.growing_scene import GrowingScene
+from geraf2.io.pose_digest import PoseDigest
+from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.pipeline.box_check import BoxCheck
+from geraf2.pipeline.commands.reconstruct import (
+    Request,
+    calibrated_job,
+    keep_inputs,
+    logged,
+    run_request,
+    run_stages,
+    start_job,
+    temporary_folder,
+)
+from geraf2.pipeline.events import Listener
+from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig, preset_type
+from geraf2.pipeline.prior import PriorSource
+from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.run_record import RunOptions, RunRecord
+from geraf2.pipeline.stages.calibration import COARSE_CALIBRATION
+from geraf2.pipeline.stages.stage import Job
+from geraf2.scene import Capture, LosPrior, Pose, Waveform
+from geraf2.scene.aperture import Aperture
+from geraf2.scene.checks import require_plausible
+from geraf2.scene.store import capture_digest, manifest_of, open_capture
+from geraf2.scene.summary import summarize_poses
+
+if TYPE_CHECKING:
+    from geraf2.imaging.peaks import KeptPeaks
+
+SCENE_FOLDER = "scene"
+"""Folder of the planes in that of the session."""
+# Box and calibration are estimated again once the scan has this many times the planes.
+_GROWTH = 1.25
+# Largest change of the box that leaves the peaks as they are until the end [m]: a fifth of the
+# margin around the box within which they are collected.
+_SAME_BOX_M = 0.01
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Settled:
+    """Box and corrections of the planes so far, which further planes use."""
+
+    n_planes: int
+    box: BoxCheck | None
+    corrections: Corrections
+    job: Job
+    prior_name: str
+
+
+class Session:
+    """A scan in progress: planes are added, and a result is there at any moment.
+
+    scan: the radar's waveform, or a capture with its waveform, walls, frame and provenance, whose
+    planes are added.
+    prior, preset, options: as of `geraf2.reconstruct`; no plane can be left out.
+    out: run folder; its folder `scene` keeps the planes. A session that is there continues, also
+    after its process was killed. A temporary one when not given, which goes with the session.
+    num_threads: all when None. listener: receives warnings and progress.
+
+    Samples are kept on disk; peaks, a thousandth of them, in memory. Lengths in metres. Raises
+    UserError if `out` holds something else, or a session of another radar.
+
+    >>> capture, truth = geraf2.examples.small_capture()
+    >>> with geraf2.Session(capture.waveform, geraf2.examples.BOX_M, "fast") as session:
+    ...     for pose in capture.poses:
+    ...         session.add(pose)
+    ...     len(session), session.done("expected 3 mm over 50 %")
+    (6, True)
+    """
+
+    def __init__(
+        self,
+        scan: Waveform | Capture,
+        prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,
+        preset: PresetConfig | str = "best",
+        out: Path | str | None = None,
+        *,
+        options: RunOptions | None = None,
+        num_threads: int | None = None,
+        listener: Listener | None = None,
+    ) -> None:
+        options = options or RunOptions()
+        if options.hold_out:
+            raise UserError(what="a session leaves no plane out", got=f"{options.hold_out}")
+        config = preset_type(preset)() if isinstance(preset, str) else preset
+        if not isinstance(config, FastPreset | BestPreset):
+            raise UserError(
+                what=f"preset {config.preset!r} is too slow to follow a scan, or states no errors",
+                expected="best or fast",
+            )
+        self._listener, self._threads = listener or Listener(), num_threads
+        about = scan if isinstance(scan, Capture) else Capture(waveform=scan, poses=())
+        self.path = temporary_folder() if out is None else Path(out)
+        """Run folder."""
+        self._given = prior if isinstance(prior, LosPrior) else None
+        self._record = RunRecord(
+            scene=self.path / SCENE_FOLDER,
+            prior=PriorSource.of(prior),
+            options=options,
+            config=config,
+        )
+        _require_readable(self._record.prior, self._listener)
+        self._open = ExitStack()
+        self._run = _run_of(self.path, replace(about, poses=()))
+        self._open.enter_context(self._run.locked())
+        self._close = finalize(self, self._open.close)
+        if out is None:
+            finalize(self, rmtree, self.path, ignore_errors=True)
+        self._scene = GrowingScene(self.path / SCENE_FOLDER, manifest_of(replace(about, poses=())))
+        self._poses: list[Pose] = []
+        self._digest, self._known = PoseDigest(), dict[str, int]()
+        self._last_s = -np.inf
+        self._peaks: KeptPeaks | None = None
+        self._settled: _Settled | None = None
+        self._result: Reconstruction | None = None
+        self._about = replace(about, poses=())
+        if len(self._scene):
+            stored = open_capture(self._scene.path)
+            self._about = replace(stored, poses=())
+            for pose in stored.poses:
+                self._take(pose)
+        for pose in about.poses:
+            self.add(pose)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def __len__(self) -> int:
+        """Return the number of planes."""
+        return len(self._poses)
+
+    def __repr__(self) -> str:
+        return f"Session({str(self.path)!r}, {len(self)} planes)"
+
+    def __contains__(self, pose: Pose) -> bool:
+        """Whether these samples were added."""
+        return samples_digest(pose) in self._known
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Hash of the samples of each plane."""
+        return frozenset(self._known)
+
+    @property
+    def capture(self) -> Capture:
+        """Planes so far, uncorrected; their samples are read from disk when used."""
+        return replace(self._about, poses=tuple(self._poses))
+
+    @property
+    def run(self) -> RunFolder:
+        """Record of the run."""
+        return self._run
+
+    def add(self, pose: Pose, *, times_s: Floats | None = None) -> None:
+        """Add a plane; it is on disk when this returns.
+
+        pose: samples, positions [m] and axes. times_s: of its antennas, (n_antennas,) [s].
+
+        Raises UserError, and changes nothing, for a plane that was added before, of another number
+        of samples, with implausible values, or with times that go back. A plane older than the one
+        before it is a warning.
+        """
+        name = f"plane {pose.name or len(self)}"
+        wanted, got = self._about.waveform.n_samples, pose.signal.shape[1]
+        if got != wanted:
+            raise UserError(
+                what="is of another radar", where=name, expected=f"{wanted} samples", got=got
+            )
+        if pose in self:
+            before = self._known[samples_digest(pose)]
+            raise UserError(what=f"is plane {before} again: it was left out", where=name)
+        require_plausible(
+            summarize_poses([pose], self._about.waveform, self._about.walls, delay_given=True), name
+        )
+        self._check_times(times_s, pose, name)
+        self._scene.append(pose)
+        self._take(pose)
+
+    @property
+    def result(self) -> Reconstruction:
+        """Reconstruction of the planes so far, updated when planes were added.
+
+        Box and calibration are those of a part of the planes, without slow errors of positions;
+        `finish` estimates them from all. Raises UserError as long as there is no surface.
+        """
+        if self._result is None:
+            self._require_planes()
+            self._update()
+            self._result = Reconstruction(self._run)
+        return self._result
+
+    def done(self, target: Target | str) -> bool:
+        """Whether the surface is stated to be as good as this.
+
+        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
+
+        False without a surface. Raises UserError for another text.
+        """
+        wanted = Target.of(target)
+        try:
+            return wanted.is_met(self.result)
+        except UserError:
+            return False
+
+    def finish(self, *, report: bool = False) -> Reconstruction:
+        """Reconstruct the whole scan, as `geraf2.reconstruct` does of the folder `scene`.
+
+        report: also write `report.html`. Planes can still be added afterwards.
+        """
+        self._require_planes()
+        self._run.scene_digest = self._scene_digest()
+        request = self._request()
+        run_request(request, self._run, peaks=self._peaks, report=report)
+        self._settled = None
+        self._result = Reconstruction(self._run)
+        return self._result
+
+    def close(self) -> None:
+        """Let other processes write into the folder; the session can be opened again."""
+        self._close()
+
+    @property
+    def n_imaged(self) -> int:
+        """Images of planes so far; one for each if the box did not change."""
+        return 0 if self._peaks is None else self._peaks.n_imaged
+
+    @property
+    def n_peaks(self) -> int:
+        """Number of peaks of the last plane, once a result was asked for."""
+        if self._peaks is None or not self._poses:
+            return 0
+        capture = self.capture if self._settled is None else self._settled.job.capture
+        return len(self._peaks.of(capture, [len(capture.poses) - 1]))
+
+    def _require_planes(self) -> None:
+        if not self._poses:
+            raise UserError(what="the session has no plane yet", where=self.path)
+
+    def _check_times(self, times_s: Floats | None, pose: Pose, name: str) -> None:
+        if times_s is None:
+            return
+        times = np.asarray(times_s, dtype=np.float64)
+        if times.shape != (pose.n_antennas,) or not np.isfinite(times).all():
+            expected = f"{pose.n_antennas} finite times, one for each antenna"
+            raise UserError(what="has other times", where=name, expected=expected, got=times.shape)
+        if (np.diff(times) < 0.0).any():
+            raise UserError(what="has times that go back", where=name)
+        if len(times) and times[0] < self._last_s:
+            self._listener.warning(f"{name} is {self._last_s - times[0]:.1f} s older than the last")
+        self._last_s = max(self._last_s, float(times.max(initial=-np.inf)))
+
+    def _take(self, pose: Pose) -> None:
+        self._known[samples_digest(pose)] = len(self)
+        self._digest.add(pose)
+        self._poses.append(replace(pose, signal=_on_disk(pose.signal, self.path)))
+        self._result = None
+
+    def _scene_digest(self) -> str:
+        return capture_digest(self._about, self._digest)
+
+    def _request(self) -> Request:
+        return Request.of(self.capture, self._given, self._record, self._listener, self._threads)
+
+    def _update(self) -> None:
+        settled, more = self._settled, None
+        if settled is not None and len(self) < _GROWTH * settled.n_planes:
+            more = settled.corrections.of_more(len(self))
+        self._run.scene_digest = self._scene_digest()
+        self._settled = None  # until the surface is there
+        if settled is None or more is None:
+            self._settled = self._estimated()
+        else:
+            self._settled = self._extended(settled, more)
+
+    def _estimated(self) -> _Settled:
+        """Surface with box and corrections estimated from all planes so far."""
+        request, options = self._request(), self._record.options
+        with logged(self._run, resume=False):
+            job, name = start_job(request, self._run, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
+            self._peaks = job.peaks
+            job = calibrated_job(job, options, request.where, COARSE_CALIBRATION)
+            keep_inputs(job, request.summary.planes)
+            run_stages(job, name, options)
+        corrections = Corrections()
+        if options.calibrate == "auto":
+            corrections = job[COARSE_CALIBRATION].corrections
+        return _Settled(
+            n_planes=len(self),
+            box=request.box,
+            corrections=corrections,
+            job=job,
+            prior_name=name,
+        )
+
+    def _extended(self, settled: _Settled, corrections: Corrections) -> _Settled:
+        """Surface with box and corrections that are known."""
+        capture = self.capture if settled.box is None else settled.box.placed(self.capture)
+        digest = self._run.scene_digest
+        job = replace(
+            settled.job,
+            capture=corrections.applied(capture),
+            inputs={**settled.job.inputs, "scene": digest},
+            made_from={**settled.job.made_from, "scene": digest},
+            _done={},
+        )
+        self._run.restart()
+        with logged(self._run, resume=False):
+            keep_inputs(job, [Aperture.of_pose(pose) for pose in job.capture.poses])
+            run_stages(job, settled.prior_name, replace(self._record.options, trust_los=True))
+        return replace(settled, job=job)
+
+
+def _run_of(path: Path, about: Capture) -> RunFolder:
+    """Run folder of a session, new or to be continued."""
+    if not (path / RUN_NAME).is_file():
+        return RunFolder.open(path, scene_digest=capture_digest(about), scene_name=SCENE_FOLDER)
+    run = RunFolder.read(path)
+    if run.stages and not (path / SCENE_FOLDER).is_dir():
+        raise UserError(
+            what="holds a run that is no session", where=path, hint="choose another folder"
+        )
+    return run
+
+
+def _require_readable(source: PriorSource, listener: Listener) -> None:
+    """Raise UserError for a prior that no plane would make usable; photos are read with a scan."""
+    if source.is_given and (source.los is None or not source.los.is_dir()):
+        source.load((), listener)
+
+
+def samples_digest(pose: Pose) -> str:
+    """Hash of the samples of a plane."""
+    return hashlib.sha256(np.ascontiguousarray(pose.signal).data).hexdigest()
+
+
+def _on_disk(array: Array, folder: Path) -> Array:
+    """Array in an unnamed file, which the system may drop from memory at any time."""
+    with TemporaryFile(dir=folder) as file:
+        file.write(np.ascontiguousarray(array).data)
+        file.flush()
+        return np.asarray(np.memmap(file, dtype=array.dtype, mode="c", shape=array.shape))

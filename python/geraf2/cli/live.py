@@ -1,0 +1,75 @@
+"""`geraf2 live`: the surface grows while the scan is made."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Interval
+
+from geraf2._bounds import Arg
+from geraf2.apps.live.follow import LiveOptions, PlaneReport, follow
+from geraf2.apps.live.target import Target
+from geraf2.cli._console import CONSOLE, Threads, rows, say, warn
+from geraf2.cli._fields import Positional, part_of
+from geraf2.cli._outcome import print_found
+from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.pipeline.prior import PriorSource
+
+
+@dataclass(frozen=True, kw_only=True)
+class Config(PriorSource):
+    """Reconstruct a scan while it is made: one line a plane, and OUT is updated after each.
+
+    The same command continues after a stop. For example: geraf2 live SOURCE out --until "expected 1
+    mm over 90 %"
+    """
+
+    source: Positional[Annotated[Path, Arg(metavar="SOURCE")]]
+    """Folder that grows: a scene, or in the layout of GeRaF-SENS."""
+    out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("out")
+    """Run folder; its folder scene keeps the planes."""
+    preset: Annotated[str, Arg(metavar="NAME")] = "best"
+    """best or fast."""
+    until: Annotated[str | None, Arg(metavar="TARGET")] = None
+    """End when the surface is stated to be as good: "expected 1 mm over 90 %"."""
+    idle: Annotated[float, Interval(ge=0.1, le=1e6), Arg(metavar="SECONDS")] = 60.0
+    """End when no plane came for this time, or when all came that SOURCE announces."""
+    no_report: bool = False
+    """Leave out the report."""
+    threads: Threads = None
+    """Threads to use; all when not given."""
+
+
+def main(config: Config) -> int:
+    """Run the command."""
+    until = None if config.until is None else Target.of(config.until)
+    ending = LiveOptions(until=until, idle_s=config.idle, report=not config.no_report)
+    found = follow(
+        config.source,
+        config.out,
+        part_of(config, PriorSource),
+        config.preset,
+        ending=ending,
+        listener=CONSOLE,
+        on_plane=_show,
+        num_threads=config.threads,
+    )
+    say(f"{found.n_planes} planes: {found.reason}")
+    print_found(found.result)
+    result = found.result
+    report = [("report", str(result.report))] if result.report is not None else []
+    rows([("content", str(result.path / CONTENT_NAME)), *report])
+    return 0
+
+
+def _show(report: PlaneReport) -> None:
+    if report.is_left_out:
+        warn(report.problem)
+        return
+    found = f"no surface yet: {report.problem}"
+    if report.expected_error_mm is not None and report.seen_share is not None:
+        found = (
+            f"expected error {report.expected_error_mm:.2f} mm  "
+            f"seen {100 * report.seen_share:.0f} %"
+        )
+    say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")

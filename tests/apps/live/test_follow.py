@@ -1,0 +1,246 @@
+"""Folders that grow while they are read, in both layouts, with what goes wrong in them."""
+
+import json
+import os
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import geraf2
+from geraf2 import examples
+from geraf2.apps.live.follow import LiveOptions, follow
+from geraf2.apps.live.target import Target
+from geraf2.errors import UserError
+from geraf2.io.growing_scene import GrowingScene
+from geraf2.pipeline.prior import PriorSource
+from geraf2.scene.store import manifest_of
+from geraf2.surfaces import FitConfig
+
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+BOX = PriorSource(box=examples.BOX_M)
+QUICK = LiveOptions(idle_s=0.5, report=False)
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return examples.small_capture()[0]
+
+
+@pytest.fixture(scope="module")
+def whole(capture):
+    return geraf2.reconstruct(capture, examples.BOX_M, COARSE).content_mesh.vertices
+
+
+def _growing(capture, path, n_planes=None):
+    provenance = capture.provenance
+    if n_planes is not None:
+        provenance = {**provenance, "n_planes": str(n_planes)}
+    return GrowingScene(path, manifest_of(replace(capture, poses=(), provenance=provenance)))
+
+
+def _write_frame(folder, pose, name, names=("tpos", "rpos", "adcr", "adci", "rotation")):
+    frame = folder / "mf" / name
+    frame.mkdir(parents=True, exist_ok=True)
+    arrays = {
+        "tpos": pose.tx_positions,
+        "rpos": pose.rx_positions,
+        "adcr": pose.signal.real,
+        "adci": pose.signal.imag,
+        "rotation": pose.axes.T,
+    }
+    for array in names:
+        np.save(frame / f"{array}.npy", arrays[array])
+    return frame
+
+
+def _write_capture_json(folder, capture, **more):
+    waveform, wall = capture.waveform, capture.walls[0]
+    values = {
+        "start_frequency_hz": waveform.start_frequency_hz,
+        "chirp_slope_hz_per_s": waveform.chirp_slope_hz_per_s,
+        "adc_sample_rate_hz": waveform.sample_rate_hz,
+        "n_adc_samples": waveform.n_samples,
+        "path_bias_m": waveform.path_bias_m,
+        "box_size_m": list(wall.size_m),
+        "wall_thickness_m": wall.thickness_m,
+        "wall_permittivity": wall.permittivity,
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "capture.json").write_text(json.dumps(values | more))
+
+
+def _settle(folder):
+    """Let files be as old as those that nobody writes to."""
+    for file in folder.rglob("*"):
+        os.utime(file, (time.time() - 60.0,) * 2)
+
+
+def _followed(source, out, ending=QUICK):
+    reports = []
+    outcome = follow(source, out, BOX, COARSE, ending=ending, on_plane=reports.append)
+    return outcome, reports
+
+
+def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path):
+    """It is written at a speed of its own, from before there is a folder."""
+
+    def play():
+        time.sleep(0.5)
+        scene = _growing(capture, tmp_path / "scene", n_planes=len(capture.poses))
+        for pose in capture.poses:
+            scene.append(pose)
+            time.sleep(0.3)
+
+    player = threading.Thread(target=play)
+    player.start()
+    outcome, reports = _followed(
+        tmp_path / "scene", tmp_path / "out", LiveOptions(idle_s=60.0, report=True)
+    )
+    player.join()
+    assert outcome.reason == "all 6 announced planes came"
+    assert [report.plane for report in reports] == [1, 2, 3, 4, 5, 6]
+    assert all(report.n_peaks > 0 and report.seconds > 0 for report in reports)
+    assert reports[-1].expected_error_mm < reports[0].expected_error_mm
+    assert outcome.result.content_mesh.vertices == pytest.approx(whole, abs=1e-9)
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert 'id="growth"' in page
+    assert (tmp_path / "out" / "figures" / "growth.png").is_file()
+
+
+def test_frames_of_geraf_sens_are_planes_once_they_are_whole(capture, whole, tmp_path):
+    folder = tmp_path / "scan"
+    _write_capture_json(folder, capture, n_poses=len(capture.poses))
+    for number, pose in enumerate(capture.poses[:-1]):
+        _write_frame(folder, pose, f"{number}_{pose.angle_deg:g}_0")
+    last, name = capture.poses[-1], f"5_{capture.poses[-1].angle_deg:g}_0"
+    frame = _write_frame(folder, last, name, names=("tpos", "rpos", "adcr", "rotation"))
+    signal = frame / "adci.npy"
+    np.save(signal, last.signal.imag)
+    stored = signal.read_bytes()
+    signal.write_bytes(stored[: len(stored) // 2])
+
+    def finish():
+        time.sleep(2.0)
+        signal.write_bytes(stored)
+
+    writer = threading.Thread(target=finish)
+    writer.start()
+    outcome, reports = _followed(folder, tmp_path / "out", LiveOptions(idle_s=60.0, report=False))
+    writer.join()
+    assert not any(report.is_left_out for report in reports)
+    assert outcome.n_planes == 6
+    assert outcome.result.content_mesh.vertices == pytest.approx(whole, abs=1e-6)
+    imported = geraf2.import_capture("geraf-sens", folder, tmp_path / "imported")
+    assert imported.sign.sign == -1
+    stored, wanted = (
+        geraf2.load_capture(path) for path in (tmp_path / "out/scene", tmp_path / "imported")
+    )
+    assert all(
+        np.array_equal(a.signal, b.signal) for a, b in zip(stored.poses, wanted.poses, strict=True)
+    )
+
+
+def test_sub_scans_of_an_angle_are_a_plane(capture, tmp_path):
+    folder = tmp_path / "scan"
+    _write_capture_json(folder, capture, n_poses=1)
+    pose = capture.poses[0]
+    for sub, part in enumerate((slice(0, 200), slice(200, None))):
+        some = replace(
+            pose,
+            signal=pose.signal[part],
+            tx_positions=pose.tx_positions[part],
+            rx_positions=pose.rx_positions[part],
+        )
+        _write_frame(folder, some, f"0_0_{sub}")
+    outcome, _ = _followed(folder, tmp_path / "out", LiveOptions(idle_s=30.0, report=False))
+    assert outcome.n_planes == 1
+    assert geraf2.load_capture(tmp_path / "out/scene").n_antennas == pose.n_antennas
+
+
+def test_what_is_wrong_is_one_line_and_the_session_goes_on(capture, tmp_path):
+    folder, poses = tmp_path / "scan", capture.poses
+    _write_capture_json(folder, capture)
+    _write_frame(folder, poses[0], "0_0_0")
+    _write_frame(folder, poses[0], "1_60_0")  # again
+    _write_frame(folder, replace(poses[1], signal=poses[1].signal[:, :16]), "2_120_0")
+    _write_frame(folder, poses[2], "3_180_0", names=("tpos", "rpos", "adcr", "rotation"))
+    _write_frame(folder, replace(poses[3], axes=2.0 * poses[3].axes), "4_240_0")
+    _write_frame(folder, poses[4], "5_300_0")
+    _settle(folder)
+    outcome, reports = _followed(folder, tmp_path / "out")
+    assert outcome.n_planes == 2
+    assert outcome.reason == "no plane came for 0.5 s"
+    problems = [report.problem for report in reports if report.is_left_out]
+    for text in (
+        "is plane 0 again",
+        "is of another radar, expected 32 samples, got 16",
+        "file of the frame is missing",
+        "columns are not orthonormal",
+    ):
+        assert len([problem for problem in problems if text in problem]) == 1, text
+    assert len(problems) == 4
+    assert not any("\n" in problem for problem in problems)
+
+
+def test_a_damaged_plane_of_a_scene_waits_and_others_come(capture, tmp_path):
+    scene = _growing(capture, tmp_path / "scene")
+    for pose in capture.poses[:3]:
+        scene.append(pose)
+    chunk = tmp_path / "scene/radar.zarr/signal/c/1/0/0"
+    whole = chunk.read_bytes()
+    chunk.write_bytes(whole[:-8] + bytes(8))
+    outcome, reports = _followed(tmp_path / "scene", tmp_path / "out")
+    assert outcome.n_planes == 2
+    problems = [report.problem for report in reports if report.is_left_out]
+    assert len(problems) == 1
+    assert "is not what was written" in problems[0]
+    chunk.write_bytes(whole)
+    outcome, reports = _followed(tmp_path / "scene", tmp_path / "out")
+    assert [report.plane for report in reports] == [3]  # the others are there
+
+
+def test_it_ends_when_the_surface_is_good_enough(capture, tmp_path):
+    scene = _growing(capture, tmp_path / "scene")
+    for pose in capture.poses:
+        scene.append(pose)
+    ending = LiveOptions(until=Target.of("expected 9 mm over 50 %"), idle_s=5.0, report=False)
+    outcome, reports = _followed(tmp_path / "scene", tmp_path / "out", ending)
+    assert outcome.reason == "the target is reached"
+    assert reports[-1].expected_error_mm <= 9.0
+    assert all(r.expected_error_mm is None or r.expected_error_mm > 9.0 for r in reports[:-1])
+    assert len(geraf2.load_capture(tmp_path / "out/scene").poses) == outcome.n_planes < 6
+
+
+def test_no_plane_is_an_error(capture, tmp_path):
+    with pytest.raises(UserError, match="no plane came"):
+        _followed(tmp_path / "missing", tmp_path / "out")
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "notes.txt").write_text("mine")
+    with pytest.raises(UserError, match="is no scan that grows"):
+        _followed(tmp_path / "photos", tmp_path / "out")
+    with pytest.raises(UserError, match="is a file"):
+        _followed(tmp_path / "photos" / "notes.txt", tmp_path / "out")
+    _write_capture_json(tmp_path / "scan", capture)
+    _write_frame(tmp_path / "scan", capture.poses[0], "0_0_0", names=("tpos",))
+    _settle(tmp_path / "scan")
+    with pytest.raises(UserError, match="no plane came"):
+        _followed(tmp_path / "scan", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_messages_of_the_updates_come_once(capture, tmp_path):
+    class Heard(geraf2.Listener):
+        def __init__(self):
+            self.texts = []
+
+        def findings(self, findings):
+            self.texts += [str(finding) for finding in findings]
+
+    scene, heard = _growing(capture, tmp_path / "scene"), Heard()
+    for pose in capture.poses:
+        scene.append(pose)
+    follow(tmp_path / "scene", tmp_path / "out", BOX, COARSE, ending=QUICK, listener=heard)
+    assert len([text for text in heard.texts if "Nyquist" in text]) == 1

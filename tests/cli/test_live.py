@@ -1,0 +1,65 @@
+"""`geraf2 live`: a line a plane, and an ordinary run folder at the end."""
+
+import re
+from dataclasses import replace
+
+import pytest
+
+import geraf2
+from geraf2 import examples
+from geraf2.cli.main import main
+from geraf2.io.growing_scene import GrowingScene
+from geraf2.io.mesh import write_mesh
+from geraf2.scene.store import manifest_of
+
+BOX = ["--box", *map(str, examples.BOX_M), "--preset", "fast"]
+
+
+@pytest.fixture
+def source(tmp_path):
+    capture, _ = examples.small_capture()
+    about = replace(capture, poses=(), provenance={**capture.provenance, "n_planes": "3"})
+    scene = GrowingScene(tmp_path / "source", manifest_of(about))
+    for number in (0, 2, 4):
+        scene.append(capture.poses[number])
+    return scene.path
+
+
+def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert main(["live", str(source), str(out), *BOX]) == 0
+    shown = capsys.readouterr()
+    lines = re.findall(
+        r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %.*  [\d.]+ s$",
+        shown.out,
+        flags=re.MULTILINE,
+    )
+    assert [line[0] for line in lines] == ["1", "2", "3"]
+    assert "3 planes: all 3 announced planes came" in shown.out
+    assert shown.err.count("Nyquist") == 1
+    assert (out / "report.html").is_file()
+    assert main(["info", str(out)]) == 0
+    assert main(["verify", str(out)]) == 0
+    assert main(["verify", str(out / "scene")]) == 0
+    write_mesh(examples.small_capture()[1], tmp_path / "truth.ply")
+    assert main(["evaluate", str(out), "--truth", str(tmp_path / "truth.ply")]) == 0
+    capsys.readouterr()
+    assert main(["live", str(source), str(out), *BOX, "--no-report"]) == 0  # all are there
+    assert not re.search(r"^plane ", capsys.readouterr().out, flags=re.MULTILINE)
+
+
+def test_it_stops_at_a_target(source, tmp_path, capsys):
+    target = ["--until", "expected 99 mm over 50 %", "--no-report"]
+    assert main(["live", str(source), str(tmp_path / "out"), *BOX, *target]) == 0
+    assert "1 planes: the target is reached" in capsys.readouterr().out
+    assert len(geraf2.load_capture(tmp_path / "out" / "scene").poses) == 1
+    assert not (tmp_path / "out" / "report.html").exists()
+
+
+def test_what_is_left_out_is_a_warning_on_stderr(source, tmp_path, capsys):
+    chunk = source / "radar.zarr/signal/c/1/0/0"
+    chunk.write_bytes(bytes(chunk.stat().st_size))
+    assert main(["live", str(source), str(tmp_path / "out"), *BOX, "--idle", "0.5"]) == 0
+    shown = capsys.readouterr()
+    assert "2 planes: no plane came for 0.5 s" in shown.out
+    assert len([line for line in shown.err.splitlines() if "is not what was written" in line]) == 1
