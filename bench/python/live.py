@@ -8,8 +8,9 @@
 and appends a line for each to the file ROWS. The last line of a scene compares the end with
 `reconstruct`, of the planes as they were added and in the order of the scan: held-out planes of the
 calibration follow their numbers. `fit` estimates the constants of `ScoreModel`
-(surfaces/stated_score.py) by least squares, every scene with the same weight. `check` states how often the interval holds the score,
-and what a stop at a target reaches, with how many planes more than the first scan that reaches it.
+(surfaces/stated_score.py) by least squares, every scene with the same weight. `check` states how
+often the interval holds the score, and what a stop at a target reaches, with how many planes more
+than the first scan that reaches it.
 """
 
 import argparse
