@@ -72,4 +72,7 @@ def _show(report: PlaneReport) -> None:
             f"expected error {report.expected_error_mm:.2f} mm  "
             f"seen {100 * report.seen_share:.0f} %"
         )
+    if report.next_deg is not None and report.next_error_mm is not None:
+        azimuth, elevation = report.next_deg
+        found += f"  next {azimuth:.0f} degrees, {elevation:.0f} up"
     say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")
