@@ -77,7 +77,11 @@ def run(rows: Path, scene: Path, preset: str) -> None:
                 seconds=round(seconds, 2),
                 cpu_seconds=round(cpu, 2),
             )
-        end = session.finish()
+        try:
+            end = session.finish()
+        except UserError as error:
+            write(end=None, error=str(error))
+            return
         as_added = replace(capture, poses=tuple(capture.poses[index] for index in order))
         runs = [end, *(geraf2.reconstruct(one, None, preset) for one in (as_added, capture))]
         counts = [one.run.stages["glints"].numbers["n_glints"] for one in runs]

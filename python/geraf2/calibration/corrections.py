@@ -1,6 +1,6 @@
 """Corrections of a capture as numbers that can be stored and applied again."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
-from geraf2.scene import Capture, LosPrior
+from geraf2.scene import Capture, LosPrior, Pose
 
 _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
 
@@ -101,14 +101,18 @@ class Corrections:
             drift_coefficients_m=ordered(self.drift_coefficients_m),
         )
 
-    def of_more(self, n_poses: int) -> "Corrections | None":
-        """Corrections of a capture with further poses; None if they need estimates of their own."""
-        if self.leakage is not None or self.drift_coefficients_m is not None:
+    def of_more(self, poses: Sequence[Pose]) -> "Corrections | None":
+        """Corrections of a capture with further, last poses; None if they need an estimate.
+
+        poses: all of them.
+        """
+        leakage = self.leakage and self.leakage.of_more(poses)
+        if self.drift_coefficients_m is not None or (leakage is None) != (self.leakage is None):
             return None
         angles = self.angles_rad
         if angles is not None:
-            angles = np.pad(angles, (0, n_poses - len(angles)))
-        return replace(self, angles_rad=angles)
+            angles = np.pad(angles, (0, len(poses) - len(angles)))
+        return replace(self, leakage=leakage, angles_rad=angles)
 
     def _arrays(self) -> dict[str, Array]:
         """All values by name; unchanged ones are empty."""

@@ -14,6 +14,7 @@ import pytest
 
 import geraf2
 from geraf2 import examples
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.scene.store import save_capture
@@ -213,3 +214,25 @@ def test_samples_are_on_disk_not_in_memory(capture):
 def _anonymous_bytes():
     with Path("/proc/self/status").open() as lines:
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon"))
+
+
+def test_a_plane_with_leakage_is_imaged_once_more_not_all_planes_again(capture):
+    """The leakage of the planes before is subtracted from the next one."""
+    delay_s = (capture.waveform.path_bias_m + 0.03) / SPEED_OF_LIGHT_M_PER_S
+    leakage = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * delay_s)
+    poses = [
+        replace(pose, signal=(pose.signal + 10.0 * leakage).astype(np.complex64))
+        for pose in (
+            *capture.poses,
+            replace(capture.poses[0], signal=1.1j * capture.poses[0].signal),
+        )
+    ]
+    with _session(capture) as session:
+        for pose in poses[:6]:
+            session.add(pose)
+        assert len(session.result.content_mesh.faces)
+        before = session.n_imaged
+        session.add(poses[6])
+        assert len(session.result.content_mesh.faces)
+        assert session.result.run.stages["calibration"].numbers["applied"]
+        assert session.n_imaged == before + 1

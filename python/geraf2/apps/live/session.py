@@ -1,6 +1,7 @@
 """A reconstruction that grows with its scan, plane by plane."""
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -291,7 +292,7 @@ class Session:
     def _update(self) -> None:
         settled, more = self._settled, None
         if settled is not None and len(self) < _GROWTH * settled.n_planes:
-            more = settled.corrections.of_more(len(self))
+            more = settled.corrections.of_more(self._poses)
         self._run.scene_digest = self._scene_digest()
         self._settled = None  # until the surface is there
         if settled is None or more is None:
@@ -306,6 +307,7 @@ class Session:
             job, name = start_job(request, self._run, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
             self._peaks = job.peaks
             job = calibrated_job(job, options, request.where, COARSE_CALIBRATION)
+            job = replace(job, capture=self._spooled(job.capture, ()))
             keep_inputs(job, request.summary.planes)
             run_stages(job, name, options)
         corrections = Corrections()
@@ -325,7 +327,7 @@ class Session:
         digest = self._run.scene_digest
         job = replace(
             settled.job,
-            capture=corrections.applied(capture),
+            capture=self._spooled(corrections.applied(capture), settled.job.capture.poses),
             inputs={**settled.job.inputs, "scene": digest},
             made_from={**settled.job.made_from, "scene": digest},
             _done={},
@@ -335,6 +337,14 @@ class Session:
             keep_inputs(job, [Aperture.of_pose(pose) for pose in job.capture.poses])
             run_stages(job, settled.prior_name, replace(self._record.options, trust_los=True))
         return replace(settled, job=job)
+
+    def _spooled(self, capture: Capture, before: Sequence[Pose]) -> Capture:
+        """Corrected capture, whose samples are on disk and whose first poses are those before."""
+        poses = [*before]
+        for pose, own in zip(capture.poses[len(poses) :], self._poses[len(poses) :], strict=True):
+            is_own = pose.signal is own.signal
+            poses.append(pose if is_own else replace(pose, signal=_on_disk(pose.signal, self.path)))
+        return replace(capture, poses=tuple(poses))
 
 
 def _run_of(path: Path, about: Capture) -> RunFolder:
