@@ -22,6 +22,7 @@ from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene import Capture
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding
+from geraf2.surfaces.stated_score import stated_f1
 
 PLANE_EVENT = "plane"
 """Event of log.jsonl for each plane."""
@@ -45,6 +46,8 @@ class PlaneReport:
     """Not exceeded on half of the area [mm]; None without a surface."""
     seen_share: float | None = None
     """Share of the area that an echo came from."""
+    stated_f1: tuple[float, float, float] | None = None
+    """F1 at 5 mm that the surface is stated to have: median and ends of the 90 % interval."""
     mean_error_mm: float | None = None
     """Mean expected error of the surface [mm]."""
     next_deg: tuple[float, float] | None = None
@@ -188,9 +191,11 @@ def _surface(session: Session) -> dict[str, Any]:
         numbers = session.result.numbers["mesh"]
     except UserError as error:
         return {"problem": str(error)}
+    score = stated_f1(session.result.content_mesh)
     found = {
-        "expected_error_mm": numbers.get("expected_error_median_mm"),
-        "seen_share": numbers.get("evidence_shares", {}).get("seen"),
+        "expected_error_mm": numbers["expected_error_median_mm"],
+        "seen_share": numbers["evidence_shares"]["seen"],
+        "stated_f1": tuple(round(share, 4) for share in (score.median, *score.interval)),
     }
     best = proposed_plane(session)
     if best is None:

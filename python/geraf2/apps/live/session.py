@@ -220,7 +220,8 @@ class Session:
     def done(self, target: Target | str) -> bool:
         """Whether the surface is stated to be as good as this.
 
-        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
+        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area;
+        or "F1 5 mm 0.95": such a score with a probability of at least 0.9.
 
         False without a surface. Raises UserError for another text.
         """
