@@ -51,7 +51,7 @@ def run(rows: Path, scene: Path, preset: str) -> None:
     order = even_order(len(capture.poses))
     with (
         geraf2.Session(replace(capture, poses=()), None, preset) as session,
-        rows.open("a") as file,
+        rows.open("a", buffering=1) as file,
     ):
 
         def write(**values) -> None:

@@ -42,7 +42,12 @@ from geraf2.scene import Capture, LosPrior, Pose, Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_digest, manifest_of, open_capture
-from geraf2.scene.summary import summarize_poses
+from geraf2.scene.summary import (
+    CaptureSummary,
+    PoseSummary,
+    is_delay_given,
+    summarize_pose,
+)
 
 if TYPE_CHECKING:
     from geraf2.imaging.peaks import KeptPeaks
@@ -128,6 +133,7 @@ class Session:
             finalize(self, rmtree, self.path, ignore_errors=True)
         self._scene = GrowingScene(self.path / SCENE_FOLDER, manifest_of(replace(about, poses=())))
         self._poses: list[Pose] = []
+        self._summaries: list[PoseSummary] = []
         self._digest, self._known = PoseDigest(), dict[str, int]()
         self._last_s = -np.inf
         self._peaks: KeptPeaks | None = None
@@ -138,7 +144,7 @@ class Session:
             stored = open_capture(self._scene.path)
             self._about = replace(stored, poses=())
             for pose in stored.poses:
-                self._take(pose)
+                self._take(pose, summarize_pose(pose))
         for pose in about.poses:
             self.add(pose)
 
@@ -197,12 +203,11 @@ class Session:
         if pose in self:
             before = self._known[samples_digest(pose)]
             raise UserError(what=f"is plane {before} again: it was left out", where=name)
-        require_plausible(
-            summarize_poses([pose], self._about.waveform, self._about.walls, delay_given=True), name
-        )
+        summary = summarize_pose(pose)
+        require_plausible(self._summary([summary]), name)
         self._check_times(times_s, pose, name)
         self._scene.append(pose)
-        self._take(pose)
+        self._take(pose, summary)
 
     @property
     def result(self) -> Reconstruction:
@@ -278,7 +283,17 @@ class Session:
             self._listener.warning(f"{name} is {self._last_s - times[0]:.1f} s older than the last")
         self._last_s = max(self._last_s, float(times.max(initial=-np.inf)))
 
-    def _take(self, pose: Pose) -> None:
+    def _summary(self, poses: Sequence[PoseSummary]) -> CaptureSummary:
+        about = self._about
+        return CaptureSummary(
+            waveform=about.waveform,
+            walls=about.walls,
+            poses=tuple(poses),
+            delay_given=is_delay_given(about),
+        )
+
+    def _take(self, pose: Pose, summary: PoseSummary) -> None:
+        self._summaries.append(summary)
         self._known[samples_digest(pose)] = len(self)
         self._digest.add(pose)
         self._poses.append(replace(pose, signal=_on_disk(pose.signal, self.path)))
@@ -288,7 +303,14 @@ class Session:
         return capture_digest(self._about, self._digest)
 
     def _request(self) -> Request:
-        return Request.of(self.capture, self._given, self._record, self._listener, self._threads)
+        return Request.of(
+            self.capture,
+            self._given,
+            self._record,
+            self._listener,
+            self._threads,
+            self._summary(self._summaries),
+        )
 
     def _update(self) -> None:
         settled, more = self._settled, None
