@@ -57,6 +57,22 @@ def test_the_end_is_the_reconstruction_of_the_whole_scan(capture, whole, tmp_pat
     assert geraf2.load_run(tmp_path / "out").run.scene_digest == again.run.scene_digest
 
 
+def test_the_rims_of_known_planes_are_not_imaged_again(capture):
+    """Of the preset best, whose result is that of the whole scan, too."""
+    fine = geraf2.BestPreset()
+    with geraf2.Session(_about(capture), examples.BOX_M, fine) as session:
+        for pose in capture.poses[:5]:
+            session.add(pose)
+        assert len(session.result.content_mesh.faces)
+        before = session.n_imaged
+        session.add(capture.poses[5])
+        assert len(session.result.content_mesh.faces)
+        assert session.n_imaged == before + 2
+        result = session.finish()
+    whole = geraf2.reconstruct(capture, examples.BOX_M, fine)
+    assert result.content_mesh.vertices == pytest.approx(whole.content_mesh.vertices, abs=1e-9)
+
+
 def test_the_order_of_the_planes_does_not_matter(capture, whole):
     truth = examples.small_capture()[1]
     with _session(capture) as session:
