@@ -2,9 +2,10 @@
 
     s = sum_v A_v P(|d_v| < tau) / sum_v A_v,   d_v ~ N(0, e_v^2)
 
-is the share of the area that is expected within tau of the true surface. On the simulated
-population of objects it is the median of the score, log(F1 / (1 - F1)) ~ N(log(s / (1 - s)),
-sigma^2): a fitted offset and slope were -0.01 and 1.00 (`bench/python/live.py fit`).
+is the share of the area that is expected within tau of the true surface. It is the median of the
+score, log(F1 / (1 - F1)) ~ N(log(s / (1 - s)), sigma^2): a fitted offset and slope were -0.03 and
+0.93 (`bench/python/live.py fit`). One sigma for all scenes is rough: of two other scenes with a box
+in sight, the 90 % interval held 59 % of the surfaces; most of the others were better than stated.
 """
 
 from dataclasses import dataclass
@@ -18,9 +19,9 @@ from geraf2.io.mesh import TriangleMesh
 
 THRESHOLD_M = 0.005
 """Distance tau of the score that is stated [m]."""
-SIGMA = 0.38
-"""Standard deviation of log(F1 / (1 - F1)) about that of the stated share; 49 surfaces of 7 scenes
-of the population, seeds below 100."""
+SIGMA = 0.49
+"""Standard deviation of log(F1 / (1 - F1)) about that of the stated share: 7 scenes of the
+population, seeds below 100, and 5 of the benchmark, 2 to 22 planes each."""
 # Half width of the 90 % interval in standard deviations.
 _NINETY = 1.645
 # Shares and scores are kept this far from 0 and 1, whose logarithms are infinite.

@@ -47,7 +47,8 @@ class PlaneReport:
     seen_share: float | None = None
     """Share of the area that an echo came from."""
     stated_f1: tuple[float, float, float] | None = None
-    """F1 at 5 mm that the surface is stated to have: median and ends of the 90 % interval."""
+    """F1 at 5 mm that the surface is stated to have: median and ends of the 90 % interval; None
+    without a box in sight."""
     mean_error_mm: float | None = None
     """Mean expected error of the surface [mm]."""
     next_deg: tuple[float, float] | None = None
@@ -191,12 +192,13 @@ def _surface(session: Session) -> dict[str, Any]:
         numbers = session.result.numbers["mesh"]
     except UserError as error:
         return {"problem": str(error)}
-    score = stated_f1(session.result.content_mesh)
     found = {
         "expected_error_mm": numbers["expected_error_median_mm"],
         "seen_share": numbers["evidence_shares"]["seen"],
-        "stated_f1": tuple(round(share, 4) for share in (score.median, *score.interval)),
     }
+    if session.has_box:
+        score = stated_f1(session.result.content_mesh)
+        found["stated_f1"] = tuple(round(x, 4) for x in (score.median, *score.interval))
     best = proposed_plane(session)
     if best is None:
         return found
