@@ -37,6 +37,17 @@ def test_matched_filter_example_finds_its_target(project_root, tmp_path):
     assert found == pytest.approx([0.01, -0.02, 0.015], abs=0.003)
 
 
+def test_a_scan_is_played_into_a_folder(project_root, tmp_path):
+    capture, _ = examples.small_capture()
+    save_capture(capture, tmp_path / "scene")
+    script = project_root / "examples" / "play_scan.py"
+    out = _run(script, "scene", "played", "0.01", folder=tmp_path)
+    assert out.splitlines()[-1] == "plane 6 of 6"
+    played = load_capture(tmp_path / "played")
+    assert played.provenance["n_planes"] == "6"
+    assert (played.poses[5].signal == capture.poses[5].signal).all()
+
+
 @pytest.mark.slow
 def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
     capture, truth = examples.small_capture()

@@ -7,8 +7,9 @@
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
 and appends a line for each to the file ROWS. The last line of a scene compares the end with
 `reconstruct`, of the planes as they were added and in the order of the scan: held-out planes of the
-calibration follow their numbers. `fit` estimates the constants of `ScoreModel`
-(surfaces/stated_score.py) by least squares, every scene with the same weight. `check` states how
+calibration follow their numbers. `fit` estimates sigma of
+surfaces/stated_score.py, with an offset and a slope, by least squares, every scene with the same
+weight. `check` states how
 often the interval holds the score, and what a stop at a target reaches, with how many planes more
 than the first scan that reaches it.
 """
@@ -23,14 +24,14 @@ from pathlib import Path
 import numpy as np
 
 import geraf2
+from geraf2.apps.live.target import SURE
 from geraf2.errors import UserError
 from geraf2.evaluation.mesh_metrics import evaluate_mesh
 from geraf2.io.mesh import read_mesh
-from geraf2.surfaces.stated_score import ScoreModel, kept_share, stated_f1
+from geraf2.surfaces.stated_score import StatedScore, kept_share, log_odds
 
 TAU_M = 0.005
 TARGETS = (0.90, 0.95)
-SURE = 0.9
 
 
 def even_order(n: int) -> list[int]:
@@ -50,7 +51,7 @@ def run(rows: Path, scene: Path, preset: str) -> None:
     order = even_order(len(capture.poses))
     with (
         geraf2.Session(replace(capture, poses=()), None, preset) as session,
-        rows.open("a") as file,
+        rows.open("a", buffering=1) as file,
     ):
 
         def write(**values) -> None:
@@ -77,7 +78,11 @@ def run(rows: Path, scene: Path, preset: str) -> None:
                 seconds=round(seconds, 2),
                 cpu_seconds=round(cpu, 2),
             )
-        end = session.finish()
+        try:
+            end = session.finish()
+        except UserError as error:
+            write(end=None, error=str(error))
+            return
         as_added = replace(capture, poses=tuple(capture.poses[index] for index in order))
         runs = [end, *(geraf2.reconstruct(one, None, preset) for one in (as_added, capture))]
         counts = [one.run.stages["glints"].numbers["n_glints"] for one in runs]
@@ -90,7 +95,7 @@ def read(rows: Path) -> tuple[dict[str, list[dict]], list[dict]]:
     growing, ends = defaultdict(list), []
     for line in rows.read_text().splitlines():
         row = json.loads(line)
-        if "whole" in row:
+        if "end" in row:
             ends.append(row)
         elif "f1" in row:
             growing[row["scene"]].append(row)
@@ -102,12 +107,12 @@ def fit(rows: Path) -> None:
     lines = [row | {"weight": 1.0 / len(own)} for own in growing.values() for row in own]
     kept, f1, weight = (np.array([line[k] for line in lines]) for k in ("kept", "f1", "weight"))
     root = np.sqrt(weight)
-    columns = np.stack([np.ones_like(kept), ScoreModel.scale(kept)], axis=1)
-    found = np.linalg.lstsq(columns * root[:, None], ScoreModel.scale(f1) * root, rcond=None)[0]
-    rest = ScoreModel.scale(f1) - columns @ found
-    sigma = np.sqrt((weight * rest**2).sum() / weight.sum())
+    stated, scored = (np.array([log_odds(x) for x in column]) for column in (kept, f1))
+    columns = np.stack([np.ones_like(stated), stated], axis=1)
+    found = np.linalg.lstsq(columns * root[:, None], scored * root, rcond=None)[0]
+    sigma = np.sqrt((weight * (scored - stated) ** 2).sum() / weight.sum())
     print(f"{len(growing)} scenes, {len(lines)} surfaces")
-    print(f"offset {found[0]:.3f}  slope {found[1]:.3f}  sigma {sigma:.3f}")
+    print(f"offset {found[0]:.3f}  slope {found[1]:.3f}  sigma without them {sigma:.3f}")
 
 
 def check(rows: Path) -> None:
@@ -115,15 +120,16 @@ def check(rows: Path) -> None:
     inside, off = [], []
     for own in growing.values():
         for row in own:
-            stated = stated_f1(row["kept"])
-            inside.append(stated.low <= row["f1"] <= stated.high)
-            off.append(stated.mean - row["f1"])
+            low, high = StatedScore(median=row["kept"]).interval
+            inside.append(low <= row["f1"] <= high)
+            off.append(row["kept"] - row["f1"])
     print(f"90 % interval holds {np.mean(inside):.3f} of {len(inside)} surfaces")
     print(f"mean of stated less achieved {np.mean(off):+.3f}, rms {np.std(off):.3f}")
     for target in TARGETS:
         stops, reached, ratios = 0, 0, []
         for own in growing.values():
-            stop = next((r for r in own if stated_f1(r["kept"]).odds(target) >= SURE), None)
+            sure = (StatedScore(median=row["kept"]).odds(target) >= SURE for row in own)
+            stop = next((row for row, met in zip(own, sure, strict=True) if met), None)
             first = next((r for r in own if r["f1"] >= target), None)
             if stop is not None:
                 stops += 1
@@ -132,7 +138,7 @@ def check(rows: Path) -> None:
                     ratios.append(stop["plane"] / first["plane"])
         ratio = f"{np.median(ratios):.2f} (largest {max(ratios):.2f})" if ratios else "none"
         print(f"target {target}: stopped {stops} of {len(growing)}, reached {reached}, {ratio}")
-    for row in ends:
+    for row in (row for row in ends if row["end"] is not None):
         f1 = ", ".join(f"{name} {row[name]:.4f}" for name in ("end", "whole", "in_scan_order"))
         print(f"{row['scene']}: {f1}, glints {row['n_glints']}")
     seconds = [row["cpu_seconds"] for own in growing.values() for row in own]

@@ -258,3 +258,20 @@ def test_coherence_is_the_likelihood_of_constant_phasors_in_one_noise():
     ]
     twin = 4.0 * len(sizes) * np.log(left[0].sum() / left[1].sum())
     assert coherence_nats(before, after, sizes**2).sum() == pytest.approx(twin, rel=1e-3)
+
+
+def test_the_order_of_the_planes_does_not_matter(capture):
+    """Which are held out follows their angles; the corrections follow the planes."""
+    wrong, _ = turned(capture, 4, 25.0)
+    drift = 5e-4 * np.random.default_rng(5).normal(size=(len(wrong.poses), 5))
+    wrong = with_displacements(wrong, drift)
+    order = np.array([3, 0, 5, 1, 4, 2])
+    shuffled = replace(wrong, poses=tuple(wrong.poses[number] for number in order))
+    found, again = calibrate(wrong, PRIOR), calibrate(shuffled, PRIOR)
+    assert {"channels", "positions"} <= set(applied(found))
+    assert applied(again) == applied(found)
+    for number, pose in zip(order, again.capture.poses, strict=True):
+        wanted = found.capture.poses[number]
+        assert np.abs(pose.signal - wanted.signal).max() < 1e-5 * np.abs(wanted.signal).max()
+        assert pose.tx_positions == pytest.approx(wanted.tx_positions, abs=1e-9)
+    assert again.drift.rms_m(again.capture) == pytest.approx(found.drift.rms_m(found.capture))

@@ -225,3 +225,39 @@ def test_leakage_that_saturates_the_converter_is_one_line(clean):
     with pytest.raises(UserError, match="saturates the converter") as error:
         find_leakage(quantised(leaky, 0.3), PRIOR)
     assert "\n" not in str(error.value)
+
+
+def _of_first(capture, n_poses):
+    return find_leakage(replace(capture, poses=capture.poses[:n_poses]), PRIOR)
+
+
+def test_leakage_of_some_planes_is_subtracted_from_further_ones(clean):
+    capture = spoilt(clean, 25.0)
+    found = _of_first(capture, 6)
+    assert found.method == "projected"
+    more = found.of_more(capture.poses)
+    assert len(more.coefficients) == 8
+    assert left_over_db(without_leakage(capture, more), clean) < -30.0
+
+
+def test_a_background_is_subtracted_from_further_planes(clean):
+    first = [1, 3, 5, 7, 0, 2, 4, 6]  # planes that face no wall show what all antennas share
+    clean = replace(clean, poses=tuple(clean.poses[number] for number in first))
+    common = sinusoid(0.9)
+    common *= 2.0 * rms(clean) / np.sqrt(np.mean(np.abs(common) ** 2))
+    poses = (replace(p, signal=(p.signal + common).astype(np.complex64)) for p in clean.poses)
+    capture = replace(clean, poses=tuple(poses))
+    found = _of_first(capture, 6)
+    assert found.operator is None
+    assert found.method == "projected"
+    mended = without_leakage(capture, found.of_more(capture.poses))
+    assert left_over_db(mended, clean) < -20.0
+
+
+def test_leakage_that_needs_an_estimate_has_no_further_planes(clean):
+    capture = spoilt(clean, 25.0)
+    found = _of_first(capture, 6)
+    assert replace(found, method="reference").of_more(capture.poses) is None
+    assert replace(found, operator=None).of_more(capture.poses) is None  # as stored
+    nothing = find_leakage(clean, PRIOR)
+    assert nothing.of_more(clean.poses) is nothing

@@ -30,7 +30,9 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
     assert main(["live", str(source), str(out), *BOX]) == 0
     shown = capsys.readouterr()
     lines = re.findall(
-        r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %.*  [\d.]+ s$",
+        r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %  "
+        r"F1 0\.\d\d \(0\.\d\d to 0\.\d\d\)  "
+        r"next \d+ degrees, \d+ up  [\d.]+ s$",
         shown.out,
         flags=re.MULTILINE,
     )

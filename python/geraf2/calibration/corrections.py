@@ -1,12 +1,12 @@
 """Corrections of a capture as numbers that can be stored and applied again."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 
-from geraf2._types import AnyPath, Array, Floats
+from geraf2._types import AnyPath, Array, Floats, Ints
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.channel_phase import channels_of, with_channel_phases
 from geraf2.calibration.leakage import Leakage, without_leakage
@@ -14,7 +14,7 @@ from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
-from geraf2.scene import Capture, LosPrior
+from geraf2.scene import Capture, LosPrior, Pose
 
 _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
 
@@ -80,14 +80,39 @@ class Corrections:
         """Prior in the frame of the capture; the same object if it does not move."""
         return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
 
-    def of_more(self, n_poses: int) -> "Corrections | None":
-        """Corrections of a capture with further poses; None if they need estimates of their own."""
-        if self.leakage is not None or self.drift_coefficients_m is not None:
+    def in_order(self, order: Ints) -> "Corrections":
+        """Corrections of a capture whose poses are in another order, (n_poses,)."""
+
+        def ordered(values: Floats | None) -> Floats | None:
+            return None if values is None else values[order]
+
+        leakage = self.leakage
+        if leakage is not None:
+            parts: dict[str, Any] = {
+                name: tuple(getattr(leakage, name)[number] for number in order)
+                for name in ("coefficients", "phases_rad")
+                if getattr(leakage, name)
+            }
+            leakage = replace(leakage, **parts)
+        return replace(
+            self,
+            leakage=leakage,
+            angles_rad=ordered(self.angles_rad),
+            drift_coefficients_m=ordered(self.drift_coefficients_m),
+        )
+
+    def of_more(self, poses: Sequence[Pose]) -> "Corrections | None":
+        """Corrections of a capture with further, last poses; None if they need an estimate.
+
+        poses: all of them.
+        """
+        leakage = self.leakage and self.leakage.of_more(poses)
+        if self.drift_coefficients_m is not None or (leakage is None) != (self.leakage is None):
             return None
         angles = self.angles_rad
         if angles is not None:
-            angles = np.pad(angles, (0, n_poses - len(angles)))
-        return replace(self, angles_rad=angles)
+            angles = np.pad(angles, (0, len(poses) - len(angles)))
+        return replace(self, leakage=leakage, angles_rad=angles)
 
     def _arrays(self) -> dict[str, Array]:
         """All values by name; unchanged ones are empty."""

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from geraf2._bounds import Bounded, ChannelCount, PlaceM
-from geraf2._types import Progress
+from geraf2._types import Ints, Progress
 from geraf2.calibration.acceptance import Judgement, judge, nothing_found
 from geraf2.calibration.autofocus import (
     DRIFT_SIZE_M,
@@ -49,12 +49,14 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 9
+CALIBRATION_VERSION = 10
 """Increase when the same capture gives other corrections."""
 
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
 # for channels.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
+# Planes whose elevations round to the same multiple are one ring of the scan [degrees].
+_RING_DEG = 15.0
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
 DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
 
@@ -117,6 +119,29 @@ class Calibration:
         """Whether the correction of this name was applied."""
         return any(one.applied for one in self.judgements if one.name == name)
 
+    def in_order(self, order: Ints, capture: Capture) -> "Calibration":
+        """Return the same for a capture whose poses are these in another order, (n_poses,)."""
+        walls, drift = self.walls, self.drift
+        corrections = self.corrections.in_order(order)
+        return replace(
+            self,
+            capture=corrections.applied(capture),
+            corrections=corrections,
+            walls=walls and replace(walls, angles_rad=walls.angles_rad[order]),
+            drift=drift and replace(drift, coefficients_m=drift.coefficients_m[order]),
+        )
+
+
+def scan_order(capture: Capture) -> Ints:
+    """Order of the planes around the box, ring after ring, (n_poses,)."""
+    poses = capture.poses
+    looking = np.array([pose.axes[0] for pose in poses]).reshape(-1, 3)
+    rings = np.rint(np.rad2deg(np.arcsin(np.clip(-looking[:, 2], -1.0, 1.0))) / _RING_DEG)
+    angles = np.rad2deg(np.arctan2(-looking[:, 1], -looking[:, 0]))
+    if all(pose.angle_deg is not None for pose in poses):
+        angles = np.array([pose.angle_deg for pose in poses], dtype=np.float64)
+    return np.asarray(np.lexsort((np.round(angles % 360.0, 3), rings)), dtype=np.int64)
+
 
 def calibrate(
     capture: Capture,
@@ -131,7 +156,8 @@ def calibrate(
 
     Linear steps are first: leakage and phases of channels. Delay, position of the prior, turntable
     axis and angles follow in one estimate from the walls, then slow errors of positions. If no
-    delay is recorded, channels are estimated with that of the walls.
+    delay is recorded, channels are estimated with that of the walls. Planes are held out by their
+    order around the box, so the order in which they were recorded does not matter.
 
     prior: outside of the box, approximately in the capture frame.
     config: selection of corrections; all when None.
@@ -143,6 +169,13 @@ def calibrate(
     config = config or CalibrationConfig()
     if config.channels and config.n_channels is not None:
         _require_whole_turns(capture, config.n_channels)
+    order = scan_order(capture)
+    if (np.diff(order) < 0).any():
+        ordered = replace(capture, poses=tuple(capture.poses[number] for number in order))
+        found = calibrate(
+            ordered, prior, config, peaks=peaks, num_threads=num_threads, progress=progress
+        )
+        return found.in_order(np.argsort(order), capture)
     run = _Run(capture, prior, config, peaks or KeptPeaks(prior, num_threads=num_threads))
     report = progress or (lambda _: None)
     steps = (run.leakage, run.delay, run.channels, run.walls, run.positions)

@@ -6,6 +6,7 @@ are fitted to each antenna's samples and subtracted. Steady leakage also gives t
 antenna's samples (docs/math/calibration.md#leakage).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -81,6 +82,28 @@ class Leakage:
     """Coefficients of the basis of each pose, (n_antennas, rank)."""
     phases_rad: tuple[Floats, ...] = ()
     """Phase removed from each antenna of each pose, (n_antennas,) [rad]; empty: none."""
+    operator: _Complex | None = None
+    """Matrix that gives the coefficients from samples, (n_samples, rank); None where all antennas
+    have the same ones, and for stored leakage."""
+
+    def of_more(self, poses: Sequence[Pose]) -> "Leakage | None":
+        """Leakage of a capture with further poses, which come last; None if that needs an estimate.
+
+        poses: all of them.
+        """
+        if self.method == "none":
+            return self
+        more, same = list(self.coefficients), self.coefficients[0][:1]
+        if self.operator is None and not all((own == same).all() for own in more):
+            return None
+        if self.method == "reference":
+            return None
+        for pose in poses[len(more) :]:
+            if self.operator is None:
+                more.append(np.repeat(same, pose.n_antennas, axis=0))
+            else:
+                more.append(np.asarray(pose.signal @ self.operator))
+        return replace(self, coefficients=tuple(more))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -149,6 +172,7 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
         steadiness=steadiness,
         basis=basis,
         coefficients=coefficients,
+        operator=taken,
     )
     found = _with_tail(capture, prior, found, references, in_noise)
     return _test_phase(capture, found, references, peaks or KeptPeaks(prior))

@@ -14,7 +14,7 @@ from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, as_glints, box_volume_m3, candidates_around
 from geraf2.echoes.labels import continuing
-from geraf2.imaging.peaks import collect_peaks
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
 
@@ -35,6 +35,7 @@ def find_rim_glints(
     config: RimConfig | None = None,
     first: GlintConfig | None = None,
     *,
+    kept: KeptPeaks | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Glints:
@@ -43,20 +44,17 @@ def find_rim_glints(
     glints: those of whole sub-apertures, from `find_glints`.
     config: settings of rim sub-apertures.
     first: settings that found `glints`.
+    kept: peaks of the capture's planes, which also keeps those of their rims.
     """
     config, first = config or RimConfig(), first or GlintConfig()
     sizes = tuple(size for size in config.sizes_m if size < first.subaperture.size_m)
     if not sizes or len(glints) == 0:
         return glints.select(np.zeros(len(glints), dtype=bool))
-    peaks = collect_peaks(
-        capture,
-        prior,
-        replace(first.subaperture, rim_sizes_m=sizes),
-        first.noise_margin_db,
-        reach_m=(0.0, 0.0),
-        num_threads=num_threads,
-        progress=progress,
+    kept = kept or KeptPeaks(
+        prior, first.subaperture, first.noise_margin_db, num_threads=num_threads
     )
+    rims = kept.rim(prior, replace(first.subaperture, rim_sizes_m=sizes))
+    peaks = rims.of(capture, progress=progress)
     settings = replace(first, dynamic_range_db=config.dynamic_range_db)
     peaks, found = candidates_around(capture, prior, peaks, settings, num_threads=num_threads)
     inside = found.depth_m > first.wall_margin_m

@@ -294,11 +294,14 @@ class KeptPeaks:
         subaperture: SubapertureConfig | None = None,
         noise_margin_db: float = DETECTION_DB,
         *,
+        reach_m: tuple[float, float] = REACH_M,
         num_threads: int | None = None,
     ) -> None:
         self.prior, self.subaperture = prior, subaperture or SubapertureConfig()
         self.noise_margin_db, self.num_threads = noise_margin_db, num_threads
-        self.n_imaged = 0
+        self.reach_m = reach_m
+        self._n_imaged = 0
+        self._rims: dict[SubapertureConfig, KeptPeaks] = {}
         self._kept: dict[int, _Kept] = {}
 
     def of(
@@ -335,22 +338,46 @@ class KeptPeaks:
     def about(self, prior: LosPrior, tolerance_m: float = 0.0) -> "KeptPeaks":
         """Peaks around another prior: these if no corner moved farther [m], else none yet."""
         found = KeptPeaks(
-            prior, self.subaperture, self.noise_margin_db, num_threads=self.num_threads
+            prior,
+            self.subaperture,
+            self.noise_margin_db,
+            reach_m=self.reach_m,
+            num_threads=self.num_threads,
         )
         before, after = self.prior.corners, prior.corners
         if before.shape == after.shape and cdist(before, after).min(axis=1).max() <= tolerance_m:
             found.prior, found._kept = self.prior, self._kept
-        found.n_imaged = self.n_imaged
+        found._n_imaged, found._rims = self._n_imaged, self._rims
         return found
 
+    @property
+    def n_imaged(self) -> int:
+        """Images of planes so far, those of their rims too."""
+        return self._n_imaged + sum(kept.n_imaged for kept in self._rims.values())
+
+    def rim(self, prior: LosPrior, subaperture: SubapertureConfig) -> "KeptPeaks":
+        """Peaks of the same planes in sub-apertures of their rim, within a prior."""
+        kept = self._rims.get(subaperture)
+        if kept is None:
+            kept = KeptPeaks(
+                prior,
+                subaperture,
+                self.noise_margin_db,
+                reach_m=(0.0, 0.0),
+                num_threads=self.num_threads,
+            )
+        self._rims[subaperture] = kept.about(prior)
+        return self._rims[subaperture]
+
     def _imaged(self, capture: Capture, number: int) -> PeakSet:
-        self.n_imaged += 1
+        self._n_imaged += 1
         return collect_peaks(
             capture,
             self.prior,
             self.subaperture,
             self.noise_margin_db,
             planes=[number],
+            reach_m=self.reach_m,
             num_threads=self.num_threads,
         )
 

@@ -11,6 +11,7 @@ from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
+from geraf2.imaging.peaks import KeptPeaks
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig
@@ -83,12 +84,14 @@ def select_glints(
     config: RefineConfig | None = None,
     first: GlintConfig | None = None,
     *,
+    kept: KeptPeaks | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SelectedGlints:
     """Find rim glints that continue the given ones, and outlines.
 
-    first: settings that found `glints`. Other arguments as those of `find_rim_glints`.
+    first: settings that found `glints`. kept: peaks of the capture's planes.
+    Other arguments as those of `find_rim_glints`.
     """
     config = config or RefineConfig()
     with Workers(resolve_num_threads(num_threads)) as workers:
@@ -101,6 +104,7 @@ def select_glints(
             glints,
             config.rim,
             first,
+            kept=kept,
             num_threads=num_threads,
             progress=progress,
         )

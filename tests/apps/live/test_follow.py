@@ -101,6 +101,8 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path)
     )
     player.join()
     assert outcome.reason == "all 6 announced planes came"
+    median, low, high = reports[-1].stated_f1
+    assert low < median < high
     assert [report.plane for report in reports] == [1, 2, 3, 4, 5, 6]
     assert all(report.n_peaks > 0 and report.seconds > 0 for report in reports)
     assert reports[-1].expected_error_mm < reports[0].expected_error_mm
@@ -244,3 +246,15 @@ def test_messages_of_the_updates_come_once(capture, tmp_path):
         scene.append(pose)
     follow(tmp_path / "scene", tmp_path / "out", BOX, COARSE, ending=QUICK, listener=heard)
     assert len([text for text in heard.texts if "Nyquist" in text]) == 1
+
+
+def test_after_each_plane_the_next_one_is_proposed(capture, tmp_path):
+    scene = _growing(capture, tmp_path / "scene")
+    scene.append(capture.poses[0])
+    scene.append(capture.poses[1])
+    _, reports = _followed(tmp_path / "scene", tmp_path / "out")
+    looking = -np.mean([pose.axes[0] for pose in capture.poses[:2]], axis=0)
+    seen_deg = np.rad2deg(np.arctan2(looking[1], looking[0]))
+    azimuth_deg, elevation_deg = reports[-1].next_deg
+    assert abs((azimuth_deg - seen_deg + 180.0) % 360.0 - 180.0) > 45.0 or elevation_deg > 45.0
+    assert 0.0 < reports[-1].next_error_mm < reports[-1].mean_error_mm

@@ -14,6 +14,7 @@ import pytest
 
 import geraf2
 from geraf2 import examples
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.scene.store import save_capture
@@ -54,6 +55,22 @@ def test_the_end_is_the_reconstruction_of_the_whole_scan(capture, whole, tmp_pat
     again = geraf2.reconstruct(tmp_path / "out" / "scene", examples.BOX_M, COARSE)
     assert again.content_mesh.vertices == pytest.approx(whole.content_mesh.vertices, abs=1e-9)
     assert geraf2.load_run(tmp_path / "out").run.scene_digest == again.run.scene_digest
+
+
+def test_the_rims_of_known_planes_are_not_imaged_again(capture):
+    """Of the preset best, whose result is that of the whole scan, too."""
+    fine = geraf2.BestPreset()
+    with geraf2.Session(_about(capture), examples.BOX_M, fine) as session:
+        for pose in capture.poses[:5]:
+            session.add(pose)
+        assert len(session.result.content_mesh.faces)
+        before = session.n_imaged
+        session.add(capture.poses[5])
+        assert len(session.result.content_mesh.faces)
+        assert session.n_imaged == before + 2
+        result = session.finish()
+    whole = geraf2.reconstruct(capture, examples.BOX_M, fine)
+    assert result.content_mesh.vertices == pytest.approx(whole.content_mesh.vertices, abs=1e-9)
 
 
 def test_the_order_of_the_planes_does_not_matter(capture, whole):
@@ -213,3 +230,39 @@ def test_samples_are_on_disk_not_in_memory(capture):
 def _anonymous_bytes():
     with Path("/proc/self/status").open() as lines:
         return next(1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon"))
+
+
+def test_a_plane_with_leakage_is_imaged_once_more_not_all_planes_again(capture):
+    """The leakage of the planes before is subtracted from the next one."""
+    delay_s = (capture.waveform.path_bias_m + 0.03) / SPEED_OF_LIGHT_M_PER_S
+    leakage = np.exp(-2j * np.pi * capture.waveform.frequencies_hz * delay_s)
+    poses = [
+        replace(pose, signal=(pose.signal + 10.0 * leakage).astype(np.complex64))
+        for pose in (
+            *capture.poses,
+            replace(capture.poses[0], signal=1.1j * capture.poses[0].signal),
+        )
+    ]
+    with _session(capture) as session:
+        for pose in poses[:6]:
+            session.add(pose)
+        assert len(session.result.content_mesh.faces)
+        before = session.n_imaged
+        session.add(poses[6])
+        assert len(session.result.content_mesh.faces)
+        assert session.result.run.stages["calibration"].numbers["applied"]
+        assert session.n_imaged == before + 1
+
+
+def test_no_score_is_reached_as_long_as_no_box_is_seen():
+    """Walls that are not found may be part of the content."""
+    spec = replace(examples.small_scene(), walls=())
+    free, _ = geraf2.simulate(spec, seed=0)
+    for prior, has_box in ((None, False), (examples.BOX_M, True)):
+        with geraf2.Session(_about(free), prior, COARSE) as session:
+            for pose in free.poses:
+                session.add(pose)
+            assert len(session.result.content_mesh.faces)
+            assert session.has_box == has_box
+            assert session.done("F1 5 mm 0.01") == has_box
+            assert session.done("expected 999 mm over 1 %")

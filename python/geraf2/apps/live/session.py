@@ -1,6 +1,7 @@
 """A reconstruction that grows with its scan, plane by plane."""
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,7 +42,12 @@ from geraf2.scene import Capture, LosPrior, Pose, Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.store import capture_digest, manifest_of, open_capture
-from geraf2.scene.summary import summarize_poses
+from geraf2.scene.summary import (
+    CaptureSummary,
+    PoseSummary,
+    is_delay_given,
+    summarize_pose,
+)
 
 if TYPE_CHECKING:
     from geraf2.imaging.peaks import KeptPeaks
@@ -127,17 +133,19 @@ class Session:
             finalize(self, rmtree, self.path, ignore_errors=True)
         self._scene = GrowingScene(self.path / SCENE_FOLDER, manifest_of(replace(about, poses=())))
         self._poses: list[Pose] = []
+        self._summaries: list[PoseSummary] = []
         self._digest, self._known = PoseDigest(), dict[str, int]()
         self._last_s = -np.inf
         self._peaks: KeptPeaks | None = None
         self._settled: _Settled | None = None
+        self._box: BoxCheck | None = None
         self._result: Reconstruction | None = None
         self._about = replace(about, poses=())
         if len(self._scene):
             stored = open_capture(self._scene.path)
             self._about = replace(stored, poses=())
             for pose in stored.poses:
-                self._take(pose)
+                self._take(pose, summarize_pose(pose))
         for pose in about.poses:
             self.add(pose)
 
@@ -196,12 +204,11 @@ class Session:
         if pose in self:
             before = self._known[samples_digest(pose)]
             raise UserError(what=f"is plane {before} again: it was left out", where=name)
-        require_plausible(
-            summarize_poses([pose], self._about.waveform, self._about.walls, delay_given=True), name
-        )
+        summary = summarize_pose(pose)
+        require_plausible(self._summary([summary]), name)
         self._check_times(times_s, pose, name)
         self._scene.append(pose)
-        self._take(pose)
+        self._take(pose, summary)
 
     @property
     def result(self) -> Reconstruction:
@@ -219,15 +226,23 @@ class Session:
     def done(self, target: Target | str) -> bool:
         """Whether the surface is stated to be as good as this.
 
-        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
+        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area;
+        or "F1 5 mm 0.95": such a score with a probability of at least 0.9.
 
-        False without a surface. Raises UserError for another text.
+        False without a surface, and for a score as long as no box is seen. Raises UserError for
+        another text.
         """
         wanted = Target.of(target)
         try:
-            return wanted.is_met(self.result)
+            result = self.result
         except UserError:
             return False
+        return (wanted.error_m is not None or self.has_box) and wanted.is_met(result)
+
+    @property
+    def has_box(self) -> bool:
+        """Whether a box was given or is seen; else walls may be part of the content."""
+        return self._box is None or self._box.found is not None or not self._box.is_new
 
     def finish(self, *, report: bool = False) -> Reconstruction:
         """Reconstruct the whole scan, as `geraf2.reconstruct` does of the folder `scene`.
@@ -237,6 +252,7 @@ class Session:
         self._require_planes()
         self._run.scene_digest = self._scene_digest()
         request = self._request()
+        self._box = request.box
         run_request(request, self._run, peaks=self._peaks, report=report)
         self._settled = None
         self._result = Reconstruction(self._run)
@@ -276,7 +292,17 @@ class Session:
             self._listener.warning(f"{name} is {self._last_s - times[0]:.1f} s older than the last")
         self._last_s = max(self._last_s, float(times.max(initial=-np.inf)))
 
-    def _take(self, pose: Pose) -> None:
+    def _summary(self, poses: Sequence[PoseSummary]) -> CaptureSummary:
+        about = self._about
+        return CaptureSummary(
+            waveform=about.waveform,
+            walls=about.walls,
+            poses=tuple(poses),
+            delay_given=is_delay_given(about),
+        )
+
+    def _take(self, pose: Pose, summary: PoseSummary) -> None:
+        self._summaries.append(summary)
         self._known[samples_digest(pose)] = len(self)
         self._digest.add(pose)
         self._poses.append(replace(pose, signal=_on_disk(pose.signal, self.path)))
@@ -286,12 +312,19 @@ class Session:
         return capture_digest(self._about, self._digest)
 
     def _request(self) -> Request:
-        return Request.of(self.capture, self._given, self._record, self._listener, self._threads)
+        return Request.of(
+            self.capture,
+            self._given,
+            self._record,
+            self._listener,
+            self._threads,
+            self._summary(self._summaries),
+        )
 
     def _update(self) -> None:
         settled, more = self._settled, None
         if settled is not None and len(self) < _GROWTH * settled.n_planes:
-            more = settled.corrections.of_more(len(self))
+            more = settled.corrections.of_more(self._poses)
         self._run.scene_digest = self._scene_digest()
         self._settled = None  # until the surface is there
         if settled is None or more is None:
@@ -302,10 +335,12 @@ class Session:
     def _estimated(self) -> _Settled:
         """Surface with box and corrections estimated from all planes so far."""
         request, options = self._request(), self._record.options
+        self._box = request.box
         with logged(self._run, resume=False):
             job, name = start_job(request, self._run, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
             self._peaks = job.peaks
             job = calibrated_job(job, options, request.where, COARSE_CALIBRATION)
+            job = replace(job, capture=self._spooled(job.capture, ()))
             keep_inputs(job, request.summary.planes)
             run_stages(job, name, options)
         corrections = Corrections()
@@ -325,7 +360,7 @@ class Session:
         digest = self._run.scene_digest
         job = replace(
             settled.job,
-            capture=corrections.applied(capture),
+            capture=self._spooled(corrections.applied(capture), settled.job.capture.poses),
             inputs={**settled.job.inputs, "scene": digest},
             made_from={**settled.job.made_from, "scene": digest},
             _done={},
@@ -335,6 +370,14 @@ class Session:
             keep_inputs(job, [Aperture.of_pose(pose) for pose in job.capture.poses])
             run_stages(job, settled.prior_name, replace(self._record.options, trust_los=True))
         return replace(settled, job=job)
+
+    def _spooled(self, capture: Capture, before: Sequence[Pose]) -> Capture:
+        """Corrected capture, whose samples are on disk and whose first poses are those before."""
+        poses = [*before]
+        for pose, own in zip(capture.poses[len(poses) :], self._poses[len(poses) :], strict=True):
+            is_own = pose.signal is own.signal
+            poses.append(pose if is_own else replace(pose, signal=_on_disk(pose.signal, self.path)))
+        return replace(capture, poses=tuple(poses))
 
 
 def _run_of(path: Path, about: Capture) -> RunFolder:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from geraf2.errors import UserError
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.expected_error import typical_error_m
-from geraf2.surfaces.stated_score import kept_share, stated_f1
+from geraf2.surfaces.stated_score import stated_f1
 
 SURE = 0.9
 """Least probability of a score at which it counts as reached."""
@@ -46,5 +46,5 @@ class Target:
         """Whether the surface is stated to be as good."""
         mesh = result.content_mesh
         if self.error_m is None:
-            return stated_f1(kept_share(mesh)).odds(self.share) >= SURE
+            return stated_f1(mesh).odds(self.share) >= SURE
         return typical_error_m(mesh, self.share) <= self.error_m

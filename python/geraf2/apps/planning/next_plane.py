@@ -25,7 +25,7 @@ _SEEN_ERROR_M = 0.4e-3
 _N_VERTICES = 2000
 _AZIMUTHS_DEG = np.arange(0.0, 360.0, 20.0)
 _ELEVATIONS_DEG = (0.0, 20.0, 40.0, 60.0, 90.0)
-_EXTENTS = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
+_SHAPES = ((1.0, 1.0), (0.6, 1.0), (1.0, 0.6), (1.6, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,12 +58,13 @@ def next_planes(
     spacing_m: float,
     max_elevation_deg: float = 90.0,
     n_best: int = 3,
+    shapes: Sequence[tuple[float, float]] = _SHAPES,
 ) -> list[NextPlane]:
     """Planes that lower the expected error of a run most per minute, the best first.
 
     run: folder of the run, with a surface. scanner: how long a plane takes.
-    standoff_m: of the planes from the middle of the box. aperture_m: width and height; narrower,
-    lower and wider ones are tried, too. spacing_m: of the antennas.
+    standoff_m: of the planes from the middle of the box. aperture_m: width and height. spacing_m:
+    of the antennas. shapes: widths and heights that are tried, relative to the aperture.
 
     None looks at the box from below, where the table is.
     """
@@ -81,7 +82,7 @@ def next_planes(
     for elevation, azimuth in product(_ELEVATIONS_DEG, _AZIMUTHS_DEG):
         if elevation > max_elevation_deg or (elevation == 90.0 and azimuth > 0.0):
             continue
-        for wide, high in _EXTENTS:
+        for wide, high in shapes:
             half = 0.5 * np.asarray(aperture_m) * (wide, high)
             plane = plane_at(np.deg2rad(azimuth), np.deg2rad(elevation), standoff_m, half)
             shifted = Aperture.of_rectangle(plane.middle_m + center, plane.axes, half)

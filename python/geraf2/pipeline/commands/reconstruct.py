@@ -170,14 +170,16 @@ class Request:
         record: RunRecord,
         listener: Listener,
         num_threads: int | None,
+        summary: CaptureSummary | None = None,
     ) -> "Request":
         """Check capture, prior and angles; UserError where one of them cannot be used.
 
         given: prior in memory; else the record names its source, or none.
+        summary: of the capture, if already computed.
         """
         begin = time.perf_counter()
         where, options, source = record.scene or "capture", record.options, record.prior
-        summary = summarize_capture(capture)
+        summary = summary or summarize_capture(capture)
         findings = require_plausible(summary, where)
         listener.findings(findings)
         making = find_prior_job(source.los, options.photos, summary, listener)

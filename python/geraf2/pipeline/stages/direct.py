@@ -203,6 +203,7 @@ SELECTION = Stage(
         job[GLINTS].glints,
         job.config.refine,
         job.config.glints,
+        kept=job.peaks,
         num_threads=job.num_threads,
         progress=progress,
     ),
