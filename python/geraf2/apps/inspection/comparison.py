@@ -36,13 +36,13 @@ _GROUP_M = 0.010
 _PRIOR_ODDS, _PLANE_ODDS = 0.01, 33.0
 """Odds of a change of a part before it is looked at, and factor of each plane that misses a group:
 1.5 % of the groups of unchanged parts are missed, and half of those of changed ones."""
-_MOVED_LOG_ODDS = -1.0
+_MOVED_LOG_ODDS = 0.0
 """Log odds that a part moved, before its shift is measured."""
 _SAME_POSITION_M = 0.03
 """Distance within which a vanished and an appeared part are one that was swapped [m]."""
 _SAME_CHANGE_M = 0.01
 """Distance within which the changes against two references are the same [m]."""
-_CERTAIN = 0.9
+_CERTAIN = 0.85
 """Least probability of a change that is reported."""
 
 What = Literal["appeared", "vanished", "moved", "swapped"]
