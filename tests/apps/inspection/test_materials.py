@@ -80,11 +80,18 @@ def test_glints_seen_through_one_of_two_parts_make_only_that_one_plastic():
         scale_sigma_db=np.nan,
         back=[[-0.045, 0.001 * k, 0.0] for k in range(60)],
         permittivity=Measured(value=2.9, sigma=0.1),
-    )
+    )._replace(thickness_m=(0.021, 0.058))
     first, second = materials_of([body_of(mesh), body_of(moved)], unknown)
     assert (first.kind, second.kind) == ("plastic", "not determined")
     assert first.permittivity.value == 2.9
-    assert second.permittivity is None
+    assert material_text(first).endswith(
+        "permittivity 2.90 ± 0.20, 21 to 58 mm thick where both faces were seen"
+    )
+    assert (second.permittivity, second.thickness_m) == (None, None)
+    (blind, _) = materials_of(
+        [body_of(mesh), body_of(moved)], unknown._replace(permittivity=None, thickness_m=None)
+    )
+    assert material_text(blind).endswith("permittivity cannot be determined")
 
 
 def test_the_map_has_the_levels_where_returns_came_from_and_nothing_elsewhere():

@@ -79,6 +79,8 @@ class Levels(NamedTuple):
     """(n_back, 3)."""
     permittivity: Measured | None
     """Of what they were seen through."""
+    thickness_m: tuple[float, float] | None = None
+    """Of it, 10 % and 90 % quantile [m]."""
 
 
 def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
@@ -125,6 +127,9 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
         )
         if "permittivity" in numbers
         else None,
+        thickness_m=(numbers["thickness_m"][0], numbers["thickness_m"][1])
+        if "thickness_m" in numbers
+        else None,
     )
 
 
@@ -144,7 +149,7 @@ def materials_of(bodies: Sequence[Body], levels: Levels | None) -> list[Material
     if any(level is not None and level.value > _IMPOSSIBLE_DB for level in found):
         found = [None] * len(bodies)
     return [
-        _material(level, float(s), int(n), levels.permittivity)
+        _material(level, float(s), int(n), levels)
         for level, s, n in zip(found, share, n_front, strict=True)
     ]
 
@@ -204,7 +209,7 @@ def _level(levels_db: Floats, scale_sigma_db: float) -> Measured | None:
 
 
 def _material(
-    level: Measured | None, back_share: float, n_returns: int, permittivity: Measured | None
+    level: Measured | None, back_share: float, n_returns: int, levels: Levels
 ) -> Material:
     metal = float(1.0 / (1.0 + np.exp(-log_odds_of_metal(level, back_share))))
     kind: Kind = "not determined"
@@ -215,7 +220,8 @@ def _material(
         kind=kind,
         metal_probability=metal,
         reflectivity_db=level,
-        permittivity=permittivity if seen_through else None,
+        permittivity=levels.permittivity if seen_through else None,
+        thickness_m=levels.thickness_m if seen_through else None,
         n_returns=n_returns,
     )
 
