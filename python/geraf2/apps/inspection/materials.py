@@ -37,11 +37,14 @@ from geraf2.scene.aperture import Aperture
 
 _STRONG = 0.9
 """Quantile of the levels of a part that is its level: merged echoes only weaken returns."""
-_METAL_DB, _SCENE_SIGMA_DB = -2.2, 3.0
-"""Mean and standard deviation of that level of metal [dB], over seven parts: of population seeds 1,
-3 and 5, of two simulated objects and of a ball. Rough patches and antenna patterns lower it."""
+_METAL_DB, _SCENE_SIGMA_DB = -3.1, 2.0
+"""Mean and standard deviation of that level of metal [dB], over 125 parts in the plausible world
+(`bench/python/compare_pairs.py`, seeds 0 to 12). Rough patches and antenna patterns lower it."""
 _PLASTIC_DB = 20.0 * float(np.log10(abs(face_reflection(2.9))))
 """Level of the front face of plastic, permittivity 2.9, against metal [dB]: -11.7."""
+_FOCUS_DB = 4.3
+"""Level of plastic above that of its front face [dB]: its back face focuses, and merges with the
+front in bodies below 4 cm. Median of five parts only (`bench/python/bodies.py`, seeds 1 to 7)."""
 _BACK_SHARE, _BACK_LOG_ODDS = 0.1, 4.0
 """Least share of glints seen through a part that is plastic, and the log odds that they give."""
 _CERTAIN = 0.95
@@ -165,7 +168,7 @@ def log_odds_of_metal(level: Measured | None, back_share: float) -> float:
         return odds
     variance = level.sigma**2 + _SCENE_SIGMA_DB**2
     off = level.value - _METAL_DB
-    return odds + ((off - _PLASTIC_DB) ** 2 - off**2) / (2.0 * variance)
+    return odds + ((off - _PLASTIC_DB - _FOCUS_DB) ** 2 - off**2) / (2.0 * variance)
 
 
 def reflectivity_map(vertices: Floats, normals: Floats, levels: Levels) -> Floats:
