@@ -14,7 +14,10 @@ from geraf2.apps.inspection.material import UNKNOWN
 from geraf2.apps.inspection.scan_evidence import Cells, Evidence, shifts_of
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
+from geraf2.io.planes import ScannedPlanes, save_planes
+from geraf2.io.run_folder import PLANES_NAME
 from geraf2.ops.visibility import MeshScene
+from geraf2.scene.aperture import Aperture
 from helpers.inspected import around, block, glints_of, measured, run_of, wedge
 from helpers.solids import joined
 
@@ -159,3 +162,15 @@ def test_a_reference_of_something_else_is_one_line(packed, tmp_path, capsys, opt
     assert text in error
     assert len(error.splitlines()) == 1
     assert main(["compare", str(packed), str(tmp_path / "none")]) == 2
+
+
+def test_scans_of_different_sides_are_not_called_unchanged(packed, tmp_path, capsys):
+    other = run_of(tmp_path / "other", *CUBES, pose=HERE, has_glints=True)
+    axes = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
+    away = Aperture.of_rectangle(np.array([0.5, 0, 3.0]), axes, np.array([0.05, 0.05]))
+    planes = ScannedPlanes(corners_m=away.corners_m[None], wavelength_m=0.0039)
+    save_planes(planes, other / PLANES_NAME)
+    assert main(["compare", str(packed), str(other)]) == 2
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "show different sides of the content" in error
+    assert "got 0 %" in error

@@ -29,6 +29,7 @@ def material(metal):
         metal_probability=metal,
         reflectivity_db=None,
         permittivity=None,
+        thickness_m=None,
         n_returns=50,
     )
 

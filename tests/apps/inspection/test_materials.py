@@ -14,7 +14,7 @@ from geraf2.apps.inspection.materials import (
 )
 from helpers.solids import ball
 
-METAL_DB, PLASTIC_DB = -2.2, -2.2 - 11.7  # permittivity 2.9
+METAL_DB, PLASTIC_DB = -3.1, -3.1 - 11.7 + 4.3  # permittivity 2.9
 
 
 def levels(mesh, level_db, *, scale_sigma_db=0.5, back=(), permittivity=None, n=200):
@@ -37,7 +37,7 @@ def levels(mesh, level_db, *, scale_sigma_db=0.5, back=(), permittivity=None, n=
 
 def test_the_log_odds_are_those_of_two_normal_levels():
     level = Measured(value=-6.0, sigma=1.5)
-    spread = np.hypot(1.5, 3.0)
+    spread = np.hypot(1.5, 2.0)
     wanted = norm.logpdf(-6.0, METAL_DB, spread) - norm.logpdf(-6.0, PLASTIC_DB, spread)
     assert log_odds_of_metal(level, 0.0) == pytest.approx(wanted, abs=0.02)
     assert log_odds_of_metal(None, 0.0) == 0.0
@@ -46,7 +46,7 @@ def test_the_log_odds_are_those_of_two_normal_levels():
 
 @pytest.mark.parametrize(
     ("level_db", "kind"),
-    [(0.0, "metal"), (-8.0, "not determined"), (-14.0, "plastic")],
+    [(0.0, "metal"), (-6.8, "not determined"), (-14.0, "plastic")],
 )
 def test_the_level_decides_and_is_unsure_between_both(level_db, kind):
     mesh = ball(0.03, 3)
@@ -80,11 +80,18 @@ def test_glints_seen_through_one_of_two_parts_make_only_that_one_plastic():
         scale_sigma_db=np.nan,
         back=[[-0.045, 0.001 * k, 0.0] for k in range(60)],
         permittivity=Measured(value=2.9, sigma=0.1),
-    )
+    )._replace(thickness_m=(0.021, 0.058))
     first, second = materials_of([body_of(mesh), body_of(moved)], unknown)
     assert (first.kind, second.kind) == ("plastic", "not determined")
     assert first.permittivity.value == 2.9
-    assert second.permittivity is None
+    assert material_text(first).endswith(
+        "permittivity 2.90 ± 0.20, 21 to 58 mm thick where both faces were seen"
+    )
+    assert (second.permittivity, second.thickness_m) == (None, None)
+    (blind, _) = materials_of(
+        [body_of(mesh), body_of(moved)], unknown._replace(permittivity=None, thickness_m=None)
+    )
+    assert material_text(blind).endswith("permittivity cannot be determined")
 
 
 def test_the_map_has_the_levels_where_returns_came_from_and_nothing_elsewhere():

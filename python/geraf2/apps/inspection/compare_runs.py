@@ -25,6 +25,8 @@ from geraf2.scene.aperture import Aperture
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
 """Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""
+_LEAST_SHARE = 0.1
+"""Least share of the glints that the planes of a reference must face."""
 _IN_BOX = Play(turn_rad=float(np.deg2rad(0.3)), shift_m=0.0005)
 """Play of content in a box whose walls both scans show: errors of the walls."""
 _FREE = Play(turn_rad=float(np.deg2rad(3.0)), shift_m=0.005)
@@ -51,7 +53,7 @@ def compare(
     listener: receives progress.
 
     Returns the changes with their probabilities; lengths in metres. Raises UserError for a run
-    without a surface or peaks, or a reference of another box or radar.
+    without a surface or peaks, or a reference of another box, radar or view.
 
     >>> run = geraf2.examples.small_run()
     >>> geraf2.compare(run, [run]).changed
@@ -74,6 +76,7 @@ def compare(
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
             changes, pose, share = compared(scanned, there, start, play, 1e-3 * tolerance_mm)
+        _require_common_view(share, other.path)
         found.append(changes)
         poses.append(pose)
         shares.append(share)
@@ -115,6 +118,18 @@ def _require_peaks(result: Reconstruction) -> None:
             what="the run has no peaks to compare",
             where=result.path,
             expected="a run of preset best or fast",
+        )
+
+
+def _require_common_view(share: float, where: Path) -> None:
+    """Raise UserError where too few glints are in view of the reference to say "unchanged"."""
+    if share < _LEAST_SHARE:
+        raise UserError(
+            what="the scans show different sides of the content",
+            where=where,
+            expected=f"at least {100 * _LEAST_SHARE:.0f} % of the glints in view of both",
+            got=f"{100 * share:.0f} %",
+            hint="put the box down as in the reference, and scan it with the same planes",
         )
 
 

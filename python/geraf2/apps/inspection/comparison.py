@@ -23,6 +23,7 @@ from geraf2.apps.inspection.scan_evidence import (
     shifts_of,
     without_counterpart,
 )
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid, rigid, triple
 
 _N_STEPS, _STEP = 6, 1e-4
@@ -36,13 +37,13 @@ _GROUP_M = 0.010
 _PRIOR_ODDS, _PLANE_ODDS = 0.01, 33.0
 """Odds of a change of a part before it is looked at, and factor of each plane that misses a group:
 1.5 % of the groups of unchanged parts are missed, and half of those of changed ones."""
-_MOVED_LOG_ODDS = -1.0
+_MOVED_LOG_ODDS = 0.0
 """Log odds that a part moved, before its shift is measured."""
-_SAME_POSITION_M = 0.03
-"""Distance within which a vanished and an appeared part are one that was swapped [m]."""
+_SAME_POSITION_M = 0.04
+"""Distance within which groups show one change: the length of a part [m]."""
 _SAME_CHANGE_M = 0.01
 """Distance within which the changes against two references are the same [m]."""
-_CERTAIN = 0.9
+_CERTAIN = 0.85
 """Least probability of a change that is reported."""
 
 What = Literal["appeared", "vanished", "moved", "swapped"]
@@ -167,22 +168,11 @@ def compared(
     """
     pose, parts, shifts = registered(here, there, start, play)
     back = _inverse(pose)
-    new, share = _unmatched(here, there, pose, "appeared")
-    gone, _ = _unmatched(there, here, back, "vanished")
-    gone = [replace(c, center_m=triple(apply_rigid(back, np.array(c.center_m)))) for c in gone]
-    changes = _of_material(here, there, pose)
-    for change in gone:
-        near = [c for c in new if _distance(c, change) < _SAME_POSITION_M]
-        odds = [c.probability / (1.0 - c.probability) for c in (change, *near)]
-        # Planes that miss the new part and planes that miss the old one are independent.
-        joint = float(np.prod(odds)) / _PRIOR_ODDS ** len(near)
-        changes.append(
-            replace(
-                change, what="swapped" if near else "vanished", probability=joint / (1.0 + joint)
-            )
-        )
-        new = [c for c in new if c not in near]
-    changes = [c for c in (*changes, *new) if c.probability >= _CERTAIN]
+    new, share = _missed_groups(here, there, pose, "appeared")
+    gone, _ = _missed_groups(there, here, back, "vanished")
+    gone = [g._replace(points=apply_rigid(back, g.points), body=_moved(g.body, back)) for g in gone]
+    changes = [*_of_material(here, there, pose), *_of_groups([*new, *gone])]
+    changes = [c for c in changes if c.probability >= _CERTAIN]
     for part, shift in shifts.items():
         body = _moved(parts[part], back)
         if len(here.bodies) <= len(there.bodies):  # the part is where it was
@@ -195,40 +185,69 @@ def compared(
     return changes, pose, share
 
 
-def _unmatched(
-    one: Scanned, other: Scanned, pose: Floats, what: What
-) -> tuple[list[Change], float]:
-    """Parts of one scan that the planes of another one should see and did not.
+class _Group(NamedTuple):
+    """Glints of one plane and part that the other scan should have seen, and did not."""
 
-    Also returns the share of the glints that they should see.
+    what: What
+    plane: int
+    points: Floats
+    """(n, 3) [m]."""
+    body: Body
+    """Part that they are on."""
+    is_body: bool
+    """Whether most of the part was not seen again."""
+
+
+def _missed_groups(
+    one: Scanned, other: Scanned, pose: Floats, what: What
+) -> tuple[list[_Group], float]:
+    """Find groups of one scan that another one did not see, in the frame of the first.
+
+    Also returns the share of the glints that the other scan should see.
     """
     visible, missed = without_counterpart(one.evidence, other.evidence, pose)
-    glints = one.evidence.glints
+    glints, found = one.evidence.glints, list[_Group]()
     owner = owners_of(glints.positions, one.bodies)
-    found = []
     for part, body in enumerate(one.bodies):
         own = visible & (owner == part)
-        groups = [
-            group
-            for plane in np.unique(glints.poses[own])
-            if len(group := _missed_group(glints.positions, own & (glints.poses == plane), missed))
-        ]
-        if not groups:
-            continue
-        odds = _PRIOR_ODDS * _PLANE_ODDS ** len(groups)
-        points = glints.positions[np.concatenate(groups)]
-        is_body = bool(missed[own].mean() > 0.5)
-        found.append(
+        is_body = bool(own.any() and missed[own].mean() > 0.5)
+        for plane in np.unique(glints.poses[own]):
+            group = _missed_group(glints.positions, own & (glints.poses == plane), missed)
+            if len(group):
+                points = glints.positions[group]
+                found.append(_Group(what, int(plane), points, body, is_body))
+    return found, float(visible.mean()) if len(visible) else 0.0
+
+
+def _of_groups(groups: Sequence[_Group]) -> list[Change]:
+    """Join neighbouring groups to changes.
+
+    What vanished and appeared in one position is swapped.
+    """
+    if not groups:
+        return []
+    middles = np.array([group.points.mean(axis=0) for group in groups])
+    i, j = KDTree(middles).query_pairs(_SAME_POSITION_M, output_type="ndarray").reshape(-1, 2).T
+    labels = connected_labels(i, j, len(groups))
+    changes = []
+    for label in np.unique(labels):
+        own = [group for group, of in zip(groups, labels, strict=True) if of == label]
+        # The planes of both scans are independent, and those of one see other sides of the part.
+        odds = _PRIOR_ODDS * _PLANE_ODDS ** len({(group.what, group.plane) for group in own})
+        kinds = {group.what for group in own}
+        whole = next((group.body for group in own if group.is_body), None)
+        points = np.concatenate([group.points for group in own])
+        changes.append(
             Change(
-                what=what,
-                is_body=is_body,
-                center_m=triple(_middle(body) if is_body else points.mean(axis=0)),
-                size_m=_size(body.mesh.vertices if is_body else points),
-                sigma_m=float(np.median(body.sigma_m)),
+                what=own[0].what if len(kinds) == 1 else "swapped",
+                is_body=whole is not None,
+                center_m=triple(_middle(whole) if whole else points.mean(axis=0)),
+                size_m=_size(whole.mesh.vertices if whole else points),
+                sigma_m=float(np.median(own[0].body.sigma_m)),
                 probability=odds / (1.0 + odds),
             )
         )
-    return found, float(visible.mean()) if len(visible) else 0.0
+    return changes
 
 
 def _missed_group(positions: Floats, own: Bools, missed: Bools) -> Ints:

@@ -30,6 +30,8 @@ class Material:
     """Amplitude of its strong returns against metal [dB]; None without a scale or returns."""
     permittivity: Measured | None
     """Relative, of plastic whose back face shows it; else None."""
+    thickness_m: tuple[float, float] | None
+    """Thickness where both faces of that plastic were seen, 10 % and 90 % quantile [m]."""
     n_returns: int
     """Returns with a level."""
 
@@ -39,6 +41,7 @@ UNKNOWN = Material(
     metal_probability=0.5,
     reflectivity_db=None,
     permittivity=None,
+    thickness_m=None,
     n_returns=0,
 )
 
@@ -54,4 +57,9 @@ def material_text(material: Material) -> str:
         texts.append(f"{level.value:.1f} ± {1.96 * level.sigma:.1f} dB against metal")
     if permittivity is not None:
         texts.append(f"permittivity {permittivity.value:.2f} ± {1.96 * permittivity.sigma:.2f}")
+    elif material.kind == "plastic":
+        texts.append("permittivity cannot be determined")
+    if material.thickness_m is not None:
+        low, high = material.thickness_m
+        texts.append(f"{1e3 * low:.0f} to {1e3 * high:.0f} mm thick where both faces were seen")
     return ", ".join(texts)

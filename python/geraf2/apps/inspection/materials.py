@@ -37,11 +37,14 @@ from geraf2.scene.aperture import Aperture
 
 _STRONG = 0.9
 """Quantile of the levels of a part that is its level: merged echoes only weaken returns."""
-_METAL_DB, _SCENE_SIGMA_DB = -2.2, 3.0
-"""Mean and standard deviation of that level of metal [dB], over seven parts: of population seeds 1,
-3 and 5, of two simulated objects and of a ball. Rough patches and antenna patterns lower it."""
+_METAL_DB, _SCENE_SIGMA_DB = -3.1, 2.0
+"""Mean and standard deviation of that level of metal [dB], over 125 parts in the plausible world
+(`bench/python/compare_pairs.py`, seeds 0 to 12). Rough patches and antenna patterns lower it."""
 _PLASTIC_DB = 20.0 * float(np.log10(abs(face_reflection(2.9))))
 """Level of the front face of plastic, permittivity 2.9, against metal [dB]: -11.7."""
+_FOCUS_DB = 4.3
+"""Level of plastic above that of its front face [dB]: its back face focuses, and merges with the
+front in bodies below 4 cm. Median of five parts only (`bench/python/bodies.py`, seeds 1 to 7)."""
 _BACK_SHARE, _BACK_LOG_ODDS = 0.1, 4.0
 """Least share of glints seen through a part that is plastic, and the log odds that they give."""
 _CERTAIN = 0.95
@@ -79,6 +82,8 @@ class Levels(NamedTuple):
     """(n_back, 3)."""
     permittivity: Measured | None
     """Of what they were seen through."""
+    thickness_m: tuple[float, float] | None = None
+    """Of it, 10 % and 90 % quantile [m]."""
 
 
 def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
@@ -125,6 +130,9 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
         )
         if "permittivity" in numbers
         else None,
+        thickness_m=(numbers["thickness_m"][0], numbers["thickness_m"][1])
+        if "thickness_m" in numbers
+        else None,
     )
 
 
@@ -144,7 +152,7 @@ def materials_of(bodies: Sequence[Body], levels: Levels | None) -> list[Material
     if any(level is not None and level.value > _IMPOSSIBLE_DB for level in found):
         found = [None] * len(bodies)
     return [
-        _material(level, float(s), int(n), levels.permittivity)
+        _material(level, float(s), int(n), levels)
         for level, s, n in zip(found, share, n_front, strict=True)
     ]
 
@@ -160,7 +168,7 @@ def log_odds_of_metal(level: Measured | None, back_share: float) -> float:
         return odds
     variance = level.sigma**2 + _SCENE_SIGMA_DB**2
     off = level.value - _METAL_DB
-    return odds + ((off - _PLASTIC_DB) ** 2 - off**2) / (2.0 * variance)
+    return odds + ((off - _PLASTIC_DB - _FOCUS_DB) ** 2 - off**2) / (2.0 * variance)
 
 
 def reflectivity_map(vertices: Floats, normals: Floats, levels: Levels) -> Floats:
@@ -204,7 +212,7 @@ def _level(levels_db: Floats, scale_sigma_db: float) -> Measured | None:
 
 
 def _material(
-    level: Measured | None, back_share: float, n_returns: int, permittivity: Measured | None
+    level: Measured | None, back_share: float, n_returns: int, levels: Levels
 ) -> Material:
     metal = float(1.0 / (1.0 + np.exp(-log_odds_of_metal(level, back_share))))
     kind: Kind = "not determined"
@@ -215,7 +223,8 @@ def _material(
         kind=kind,
         metal_probability=metal,
         reflectivity_db=level,
-        permittivity=permittivity if seen_through else None,
+        permittivity=levels.permittivity if seen_through else None,
+        thickness_m=levels.thickness_m if seen_through else None,
         n_returns=n_returns,
     )
 

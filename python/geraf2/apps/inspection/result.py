@@ -154,6 +154,11 @@ def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
     rows.append(("probability of metal", f"{material.metal_probability:.4f}", "", ""))
     if level is not None:
         rows.append(("reflectivity", f"{level.value:.2f}", f"{level.sigma:.2f}", "dB"))
+    if material.permittivity is not None:
+        value, sigma = material.permittivity.value, material.permittivity.sigma
+        rows.append(("permittivity", f"{value:.3f}", f"{sigma:.3f}", ""))
+    for name, t in zip(("least", "largest"), material.thickness_m or (), strict=False):
+        rows.append((f"{name} thickness", f"{1e3 * t:.3f}", "", "mm"))
     rows.append(("probability", f"{part.probability:.4f}", "", ""))
     return [*rows, ("seen fraction", f"{part.seen_fraction:.4f}", "", "")]
 

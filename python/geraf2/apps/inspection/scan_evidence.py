@@ -22,12 +22,13 @@ LIKELY = 0.5
 """Least probability of a glint that counts."""
 _COMMON_M = 0.0007
 """Standard deviation of an offset along all normals: of the delays of both scans [m]."""
-_PLANE_M, _GLINT_M = 0.0007, 0.0024
-"""Standard deviation of the distances of a part that one plane sees: of their mean, and of each
-divided by the root of their number [m]. Glints of one plane share drift and merged echoes. Of
-unchanged pairs of `bench/python/compare_pairs.py`, seeds 0 to 7."""
-_BOTH = 1.5
-"""Variance of a distance that both directions of the comparison measure, over that of one."""
+_PLANE_M, _GLINT_M = 0.0003, 0.0033
+"""Standard deviation of the mean distance of a part that one plane sees: that of any number of
+glints, and that of one glint, divided by the root of their number [m]. Glints of one plane share
+drift and merged echoes. Of 574 cells of unchanged pairs (`bench/python/compare_pairs.py`, seeds 0
+to 12)."""
+_BOTH = 2.0
+"""Factor of this variance: both directions of the comparison measure the same distance."""
 _MOST_M = 0.006
 """Distances beyond are of other surface [m]."""
 _NEAR_M, _COSINE = 0.010, 0.94
@@ -37,7 +38,9 @@ _RANGE_M = 0.004
 _EDGE_M = 0.03
 """Least distance of the mirror point from the edge of a plane's aperture: most of a sub-aperture
 lies on the plane [m]."""
-_SHIFT_M = 0.005
+_TAIL, _N_WEIGHTS = 4.0, 5
+"""Degrees of freedom of the errors, and steps of their weights."""
+_SHIFT_M = 0.003
 """Standard deviation of the shift of a part that moved [m]."""
 _FEWEST = 3
 """Fewest glints of a cell."""
@@ -148,8 +151,11 @@ def shifts_of(
     design = np.concatenate([about, cells.normals, np.ones((len(about), 1))], axis=1)
     prior = np.repeat([play[0] ** 2, play[1] ** 2, _COMMON_M**2], [3, 3, 1])
     found: dict[int, Shift] = {}
-    covariance = np.diag(cells.variances_m2) + (design * prior) @ design.T
     e = cells.distances_m + design[:, :6] @ beside
+    shared = (design * prior) @ design.T
+    own_shifts = _SHIFT_M**2 * (cells.normals @ cells.normals.T)
+    own_shifts *= cells.parts[:, None] == cells.parts
+    covariance = shared + np.diag(_with_tails(e, cells.variances_m2, shared + own_shifts))
     while len(found) < n_parts:
         inverse = np.linalg.inv(covariance)
         tried = {
@@ -165,6 +171,18 @@ def shifts_of(
         covariance = covariance + _SHIFT_M**2 * own @ own.T
     common = prior * (design.T @ np.linalg.solve(covariance, e)) if len(e) else np.zeros(7)
     return common[:3], common[3:6], found
+
+
+def _with_tails(e: Floats, variances_m2: Floats, explained: Floats) -> Floats:
+    """Variances for errors of Student's t: larger where even shifts of all parts explain little.
+
+    explained: covariance of all that is no error, (n, n) [m^2].
+    """
+    found = variances_m2
+    for _ in range(_N_WEIGHTS):
+        rest = found * np.linalg.solve(explained + np.diag(found), e)
+        found = variances_m2 * np.maximum(1.0, (_TAIL + rest**2 / variances_m2) / (_TAIL + 1.0))
+    return np.asarray(found)
 
 
 def _shift(inverse: Floats, distances_m: Floats, normals: Floats) -> Shift:
