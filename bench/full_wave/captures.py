@@ -38,6 +38,8 @@ from geraf2.simulation.spec import (
 PRIOR_SIDE_M = 0.12
 """Side of the cube in which the content is sought."""
 SCAN = ScanSpec(n_poses=12, spacing_m=0.004, rings=(RingSpec(n_poses=6, elevation_deg=40.0),))
+IN_BOX = ScanSpec(n_poses=12, spacing_m=0.006)
+"""Each far wall adds paths: fewer antennas."""
 
 
 @dataclass
@@ -113,7 +115,7 @@ def spec_of(body: Body, truth: Path) -> SceneSpec:
             center_m=tuple(np.round(0.5 * (low + high), 9).tolist()),
         ),
         walls=() if body.box is None else (body.box,),
-        scan=SCAN,
+        scan=SCAN if body.box is None else IN_BOX,
         disturbance=DisturbanceSpec(snr_db=20.0),
         numerics=NumericsSpec(max_facet_edge_m=0.001),
     )
