@@ -34,6 +34,7 @@ from geraf2.simulation.spec import (
     ScanSpec,
     SceneSpec,
 )
+from geraf2.simulation.world import WorldSpec
 
 PRIOR_SIDE_M = 0.12
 """Side of the cube in which the content is sought."""
@@ -108,7 +109,11 @@ def spec_of(body: Body, truth: Path) -> SceneSpec:
     """Spec of the twin by physical optics."""
     vertices = body.mesh().vertices
     low, high = vertices.min(axis=0), vertices.max(axis=0)
+    world = WorldSpec()
+    if (e := body.permittivity) is not None:
+        world = WorldSpec(figure_permittivity=e.real, figure_loss_tangent=e.imag / e.real)
     return SceneSpec(
+        world=world,
         figure=FigureSpec(
             mesh=str(truth),
             height_m=float(high[2] - low[2]),
