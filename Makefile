@@ -135,6 +135,11 @@ sanitize: system
 	@cmake --build --preset sanitize --parallel $(JOBS)
 	@ctest --preset sanitize --parallel $(JOBS)
 
+## planted-bugs: bugs in a copy of the kernels, each of which tests or sanitizers must report
+.PHONY: planted-bugs
+planted-bugs: system
+	@python3 tools/planted_bugs.py --jobs $(JOBS)
+
 .PHONY: thread-system
 thread-system: system
 	@tools/system_packages.sh thread

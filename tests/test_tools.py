@@ -3,6 +3,7 @@
 import importlib.util
 import re
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -81,3 +82,13 @@ def test_the_oldest_dependencies_are_the_bounds_of_pyproject(project_root):
     )
     lines = (project_root / "tools" / "oldest.txt").read_text().splitlines()
     assert dict(line.split("==") for line in lines) == bounds
+
+
+def test_the_place_of_each_planted_bug_is_unique_in_the_kernels(project_root):
+    planted_bugs = load(project_root / "tools" / "planted_bugs.py")
+    for bug in planted_bugs.BUGS.values():
+        right = (project_root / "cpp" / "src" / bug.file).read_text(encoding="utf-8")
+        wrong = planted_bugs.planted(right, bug)
+        assert planted_bugs.planted(wrong, replace(bug, right=bug.wrong, wrong=bug.right)) == right
+        with pytest.raises(ValueError, match="occurs 0 times"):
+            planted_bugs.planted(wrong, bug)

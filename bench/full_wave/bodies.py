@@ -1,9 +1,9 @@
-"""Bodies of the full-wave captures: meridians in millimetres, all of metal but the last."""
+"""Bodies of the full-wave captures: meridians in millimetres, all of metal but the pill."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from body import Scatterer, metal_body
+from body import Scatterer, dielectric_body, metal_body
 from meridian import Meridian, joined
 from waves import C0, highest_order
 
@@ -19,6 +19,8 @@ class Body:
     """One or several meridians on one axis, and how they stand."""
 
     curves: tuple[Meridian, ...]
+    permittivity: complex | None = None
+    """Relative; metal when None."""
     box: Wall | None = None
     """Box around it."""
     tilt_deg: float = 0.0
@@ -42,13 +44,19 @@ class Body:
 
     def scatterer(self, k: float) -> Scatterer:
         """Scattering matrices at a wavenumber, of the same orders up to 81 GHz."""
-        spacing = _SHORTEST_M / self.per_wavelength
+        index = np.sqrt(self.permittivity or 1.0)
+        spacing = _SHORTEST_M / self.per_wavelength / index.real
         counts = [int(np.ceil(curve.length_m / spacing)) for curve in self.curves]
         pairs = list(zip(self.curves, counts, strict=True))
         at = joined([curve.ring(int(1.5 * n) + 1) for curve, n in pairs])
-        source = joined([curve.ring(n, self.depth * spacing) for curve, n in pairs])
+        inside = joined([curve.ring(n, self.depth * spacing) for curve, n in pairs])
         reach = max(curve.reach_m for curve in self.curves)
-        return metal_body(at, source, k, highest_order(2 * np.pi / _SHORTEST_M * reach))
+        n_max = highest_order(2 * np.pi / _SHORTEST_M * reach)
+        if self.permittivity is None:
+            return metal_body(at, inside, k, n_max)
+        outside = joined([curve.ring(n, -self.depth * spacing) for curve, n in pairs])
+        outside = outside._replace(n_rho=-outside.n_rho, n_z=-outside.n_z)
+        return dielectric_body(at, inside, outside, k, n_max, index)
 
 
 def _turned(*corners_mm: tuple[float, float], sigma_mm: float = 1.0) -> tuple[Meridian, ...]:
@@ -75,6 +83,12 @@ BODIES = {
     "top": Body(curves=_turned(*_TOP, sigma_mm=1.5)),
     "cup": Body(curves=_turned(*_CUP), n_nodes=14, per_wavelength=12.0),
     "hammer": Body(curves=_turned(*_HEAD), tilt_deg=90.0),
+    "pill": Body(
+        curves=_turned((0, -14), (8, -14), (8, 14), (0, 14), sigma_mm=2.5),
+        permittivity=2.56 + 0.0256j,
+        n_nodes=16,
+        per_wavelength=8.0,
+    ),
     "snowman": Body(curves=_spheres((14, -10), (9, 15))),
     "chain": Body(curves=_spheres((6, -20), (4, -8), (6, 4), (5, 17)), n_nodes=12),
 }

@@ -16,6 +16,9 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from waves import cylindrical_waves, highest_order, regular_radial
 
+TURN = np.array([-1.0, 1.0])[:, None]
+"""n x t = -phi, n x phi = t."""
+
 
 class Ring(NamedTuple):
     """Points of a meridian with unit tangents and outward normals, each (n,)."""
@@ -104,7 +107,7 @@ def _transform(values: np.ndarray, waves: np.ndarray) -> np.ndarray:
 
 
 def _incident(m: int, at: Ring, k: float, radial: tuple) -> np.ndarray:
-    """Tangential field of the regular waves, (2 n_at, 2 n_orders)."""
+    """Tangential field of the regular waves M, N, (2 n_at, 2 n_orders); its curl / k is of N, M."""
     waves = cylindrical_waves(m, at.rho, at.z, k, radial)
     along = [w[..., 0] * at.t_rho[:, None] + w[..., 2] * at.t_z[:, None] for w in waves]
     return np.block([along, [w[..., 1] for w in waves]])
@@ -126,6 +129,19 @@ def _radiated(m: int, source: Ring, k: float, radial: tuple) -> np.ndarray:
     return 2j * np.pi * k * np.concatenate(rows)
 
 
+def _least_squares(matrix: np.ndarray, incident: np.ndarray) -> tuple[np.ndarray, float]:
+    """Amplitudes whose field cancels the incident one, and the energy of what is left."""
+    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.where(scale > 1e-12 * scale.max(), scale, np.inf)
+    q, r = np.linalg.qr(matrix / scale)
+    project = q.conj().T @ incident
+    is_free = np.abs(np.diag(r)) < 1e-13
+    r[is_free, is_free] = 1.0
+    project[is_free] = 0.0
+    amplitudes = -solve_triangular(r, project) / scale[:, None]
+    return amplitudes, float(np.linalg.norm(incident + matrix @ amplitudes) ** 2)
+
+
 def metal_body(at: Ring, source: Ring, k: float, n_max: int, n_phi: int = 256) -> Scatterer:
     """Scattering matrices of a perfect conductor.
 
@@ -141,16 +157,41 @@ def metal_body(at: Ring, source: Ring, k: float, n_max: int, n_phi: int = 256) -
     blocks, left, total = [], 0.0, 0.0
     for m in range(n_modes):
         matrix = weight * fields[m].reshape(2 * at.rho.size, -1)
-        scale = np.linalg.norm(matrix, axis=0)
-        scale = np.where(scale > 1e-12 * scale.max(), scale, np.inf)
         incident = weight * _incident(m, at, k, at_radial)
-        q, r = np.linalg.qr(matrix / scale)
-        project = q.conj().T @ incident
-        finite = np.abs(np.diag(r)) > 1e-13
-        r[~finite, ~finite] = 1.0
-        project[~finite] = 0.0
-        amplitudes = -solve_triangular(r, project) / scale[:, None]
-        left += float(np.linalg.norm(incident + matrix @ amplitudes) ** 2)
+        amplitudes, missed = _least_squares(matrix, incident)
+        left += missed
         total += float(np.linalg.norm(incident) ** 2)
         blocks.append(_radiated(m, source, k, source_radial) @ amplitudes)
+    return Scatterer(k, n_max, blocks, np.sqrt(left / total))
+
+
+def dielectric_body(
+    at: Ring, inside: Ring, outside: Ring, k: float, n_max: int, index: complex, n_phi: int = 256
+) -> Scatterer:
+    """Scattering matrices of a dielectric, whose inner field has sources of its own outside.
+
+    inside, outside: sources of the outer field, and of the inner one, with normals into the body.
+    """
+    radial = [regular_radial(n_max, k * np.hypot(ring.rho, ring.z)) for ring in (at, inside)]
+    n_modes = min(n_max, highest_order(k * at.rho.max())) + 1
+    outer = _kernels(at, inside, k, n_modes, n_phi)
+    inner = _kernels(at, outside, index * k, n_modes, n_phi)
+    weight, n_at = np.tile(np.sqrt(at.ds * at.rho), 4)[:, None], at.rho.size
+    blocks, left, total = [], 0.0, 0.0
+    for m in range(n_modes):
+        # The curl of a combined source's field is i k times the field of n x p.
+        parts = [
+            np.concatenate([field, 1j * ratio * side * field[:, :, ::-1] * TURN], axis=0)
+            for field, ratio, side in ((outer[m], 1.0, 1.0), (inner[m], index, -1.0))
+        ]
+        sources = [part.reshape(4 * n_at, -1) for part in parts]
+        matrix = weight * np.concatenate([sources[0], -sources[1]], axis=1)
+        field = _incident(m, at, k, radial[0])
+        n = field.shape[1] // 2
+        curl = np.concatenate([field[:, n:], field[:, :n]], axis=1)
+        incident = weight * np.concatenate([field, curl])
+        amplitudes, missed = _least_squares(matrix, incident)
+        left, total = left + missed, total + float(np.linalg.norm(incident) ** 2)
+        own = amplitudes[: 2 * inside.rho.size]
+        blocks.append(_radiated(m, inside, k, radial[1]) @ own)
     return Scatterer(k, n_max, blocks, np.sqrt(left / total))

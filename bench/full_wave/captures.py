@@ -4,7 +4,8 @@
 
 Makes OUT/NAME/scene, a scene folder with its truth, and OUT/NAME/twin.toml with truth.ply, the spec
 from which `geraf2 simulate` makes the same scan by physical optics. `geraf2 benchmark OUT2 --only
-full_wave --captures OUT` compares them. What is there is kept. A body takes 2 to 10 minutes.
+full_wave --captures OUT` compares them. What is there is kept. A body takes 2 to 20 minutes of one
+core.
 """
 
 import argparse
@@ -34,10 +35,13 @@ from geraf2.simulation.spec import (
     ScanSpec,
     SceneSpec,
 )
+from geraf2.simulation.world import WorldSpec
 
 PRIOR_SIDE_M = 0.12
 """Side of the cube in which the content is sought."""
 SCAN = ScanSpec(n_poses=12, spacing_m=0.004, rings=(RingSpec(n_poses=6, elevation_deg=40.0),))
+IN_BOX = ScanSpec(n_poses=12, spacing_m=0.006)
+"""Each far wall adds paths: fewer antennas."""
 
 
 @dataclass
@@ -106,14 +110,18 @@ def spec_of(body: Body, truth: Path) -> SceneSpec:
     """Spec of the twin by physical optics."""
     vertices = body.mesh().vertices
     low, high = vertices.min(axis=0), vertices.max(axis=0)
+    world = WorldSpec()
+    if (e := body.permittivity) is not None:
+        world = WorldSpec(figure_permittivity=e.real, figure_loss_tangent=e.imag / e.real)
     return SceneSpec(
+        world=world,
         figure=FigureSpec(
             mesh=str(truth),
             height_m=float(high[2] - low[2]),
             center_m=tuple(np.round(0.5 * (low + high), 9).tolist()),
         ),
         walls=() if body.box is None else (body.box,),
-        scan=SCAN,
+        scan=SCAN if body.box is None else IN_BOX,
         disturbance=DisturbanceSpec(snr_db=20.0),
         numerics=NumericsSpec(max_facet_edge_m=0.001),
     )

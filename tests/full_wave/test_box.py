@@ -75,3 +75,34 @@ def test_a_body_casts_its_shadow_on_the_far_wall(wave):
     shadowed = far + cross + over_wall + again
     assert np.linalg.norm(shadowed) < 0.6 * np.linalg.norm(far)
     assert np.linalg.norm(shadowed - again) > 1.2 * np.linalg.norm(far)  # a shadow cast twice
+
+
+def test_what_a_mirror_returns_is_the_coupling_of_a_body_and_its_image(wave):
+    """Two metal spheres, one the other's image, by the method of moments: all orders at once."""
+    k, radius, h = 1655.0, 0.004, 0.02
+    curves = [wave.meridian.Meridian.circle(radius, z) for z in (-h, h)]
+    n = 48
+    at = wave.meridian.joined([curve.ring(n + n // 2) for curve in curves])
+    source = wave.meridian.joined([curve.ring(n, 1.5 * curves[0].length_m / n) for curve in curves])
+    n_max = wave.waves.highest_order(k * (h + radius))
+    both = wave.body.metal_body(at, source, k, n_max, 128)
+    n_one = wave.waves.highest_order(k * radius)
+    one = wave.body.sphere_scatterer(wave.waves.sphere(radius, k, n_one), k)
+    antennas = np.array([[0.02, 0.01, -0.3], [0.0, 0.03, -0.25], [-0.04, 0.0, -0.35]])
+    moment, flip = np.array([0.3, 1.0, 0.2]), np.array([1.0, 1.0, -1.0])
+    pair = [(antennas, moment), (antennas * flip, -moment * flip)]
+
+    def ends(shift):
+        return [wave.echo.Dipoles(p + np.array([0, 0, shift]), np.tile(m, (3, 1))) for p, m in pair]
+
+    real = ends(0.0)
+    whole = wave.echo.echoes([both], real[:1], real)[0, :, :, 0].sum(axis=0)
+    own = ends(h)
+    once = wave.echo.echoes([one], own, own)[..., 0].sum(axis=(0, 1))
+    mirrored = wave.mirror.Mirror(np.array([0, 0, 1.0]), h, _wall(1.0, 1e12))
+    twice = sum(
+        wave.mirror.returned([one], rx, tx, [mirrored])[0, :, 0] for rx in own for tx in own
+    )
+    coupling = whole - once
+    assert np.abs(coupling).max() > 0.01 * np.abs(once).max()
+    assert np.abs(twice - coupling).max() < 0.1 * np.abs(coupling).max()

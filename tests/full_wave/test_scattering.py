@@ -29,6 +29,20 @@ def test_the_method_of_moments_agrees_with_mie_to_1e_3(wave):
     assert found.residual < 1e-3
 
 
+@pytest.mark.parametrize("index", [1.6, 1.6 + 0.02j])
+def test_the_method_of_moments_of_a_dielectric_agrees_with_mie_to_1e_3(wave, index):
+    radius, k, n = 0.01, 500.0, 50
+    curve = wave.meridian.Meridian.circle(radius)
+    depth, n_max = 1.5 * curve.length_m / n, wave.waves.highest_order(k * radius)
+    outside = curve.ring(n, -depth)
+    outside = outside._replace(n_rho=-outside.n_rho, n_z=-outside.n_z)
+    rings = curve.ring(n + n // 2), curve.ring(n, depth), outside
+    found = wave.body.dielectric_body(*rings, k, n_max, index, 128)
+    mie = wave.waves.sphere(radius, k, n_max, index)
+    assert _deviation(found, wave.body.sphere_scatterer(mie, k)) < 1e-3
+    assert found.residual < 2e-3
+
+
 def test_a_sphere_away_from_the_origin_conserves_energy_and_echoes_as_one_at_it(wave):
     shift = 0.003
     at = np.array([[0.3, 0.1, 0.05], [0.2, -0.2, 0.3]])
