@@ -16,7 +16,8 @@ SQUARE_COSINE = float(np.cos(0.2))
 _ON_WALL_M, _CORNER_M = 0.006, 0.01
 # Least direction cosine across the edge, and largest along it.
 _LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
-_FEWEST = 3
+# Least number of sub-apertures with an edge's echo: four overlap, and count as one.
+_FEWEST = 4
 # Distance of an edge's echo inside of the edge, and its standard deviation [m].
 _EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
 # Least cosine between a flash and its wall's normal.
