@@ -191,7 +191,7 @@ def test_a_pick_names_the_peaks_and_planes_that_hold_it(opened):
           const { glints } = e.viewer.scene;
           const [point, normal] = [glints.positions, glints.normals].map(
             (of) => [...of.slice(0, 3)]);
-          const last = { point, normal, mesh: e.viewer.content, values: [] };
+          const last = { point, home: point, normal, mesh: e.viewer.content, values: [] };
           e.viewer.picks = [last];
           e.viewer.showPicks();
         }"""

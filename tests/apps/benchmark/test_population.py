@@ -49,7 +49,7 @@ def test_flags_of_the_population_are_refused_elsewhere(tmp_path, capsys):
         (["benchmark", out, "--seeds", "1:2"], "--seeds is for --only population"),
         (alone, "needs --seeds A:B"),
         ([*alone, "--seeds", "1:2", "--quick"], "--quick does not go with"),
-        ([*alone, "table1", "--seeds", "1:2"], "runs alone"),
+        ([*alone, "table1", "--seeds", "1:2"], "run each by itself"),
         ([*alone, "--seeds", "1:2", "--presets", "fats"], "did you mean 'fast'"),
         ([*alone, "--seeds", "1:2", "--against", str(tmp_path)], "no results of the population"),
     ):
