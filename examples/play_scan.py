@@ -13,6 +13,8 @@ from geraf2 import open_capture
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.scene.store import manifest_of
 
+if len(sys.argv) < 3:
+    raise SystemExit(__doc__)
 source, target = Path(sys.argv[1]), Path(sys.argv[2])
 seconds = float(sys.argv[3]) if len(sys.argv) > 3 else 10.0
 
