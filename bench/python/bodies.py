@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 import geraf2
-from compare_pairs import CLEARANCE_M, WALL_M, scan_spec
+from compare_pairs import CLEARANCE_M, WALL_M, scan_parser, scan_spec
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh, read_mesh
@@ -81,16 +81,7 @@ def box_of(mesh: TriangleMesh) -> np.ndarray:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("out/bodies"))
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--boxes", type=int, default=20)
-    parser.add_argument("--planes", type=int, default=12)
-    parser.add_argument("--spacing-m", type=float, default=0.004)
-    parser.add_argument("--preset", default="fast")
-    parser.add_argument("--waves", action="store_true", help="walls as waves, second bounces, too")
-    parser.add_argument("--cached", action="store_true", help="count only what was run before")
-    options = parser.parse_args()
+    options = scan_parser(__doc__ or "", "out/bodies").parse_args()
     right, kinds = list[bool](), Counter[tuple[str, str]]()
     for seed in range(options.first, options.first + options.boxes):
         run, n_bodies, permittivity = run_of(seed, options)

@@ -195,18 +195,24 @@ class PackedBox:
         return run
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("out/compare"))
+def scan_parser(text: str, out: str) -> argparse.ArgumentParser:
+    """Options of the boxes that are scanned, and of their scans and runs."""
+    parser = argparse.ArgumentParser(description=text.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path(out))
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--boxes", type=int, default=20)
-    parser.add_argument("--again", type=int, default=1)
-    parser.add_argument("--changes", nargs="*", choices=CHANGES, default=CHANGES)
     parser.add_argument("--planes", type=int, default=12)
     parser.add_argument("--spacing-m", type=float, default=0.004)
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--waves", action="store_true", help="walls as waves, second bounces, too")
     parser.add_argument("--cached", action="store_true", help="count only what was run before")
+    return parser
+
+
+def main() -> None:
+    parser = scan_parser(__doc__ or "", "out/compare")
+    parser.add_argument("--again", type=int, default=1)
+    parser.add_argument("--changes", nargs="*", choices=CHANGES, default=CHANGES)
     options = parser.parse_args()
     told: dict[str, list[bool]] = {}
     for seed in range(options.first, options.first + options.boxes):
