@@ -59,7 +59,11 @@ def compared(found: FoundBox, truth: LosPrior, turn_deg: float) -> dict:
     half, middle = 0.5 * size[order], found.axes @ center
     offsets = np.stack([half - middle, half + middle], axis=1)
     square = found.seen == Seen.SQUARELY
-    yaw = float(np.rad2deg(np.arccos(np.clip(cosines.max(axis=1)[:2].min(), 0, 1))))
+    # The rotation about the vertical alone: what a box leans by is no error of its yaw.
+    flat = found.axes[0] - found.axes[0, 2] * np.array([0.0, 0.0, 1.0])
+    yaw = float(
+        np.rad2deg(np.arccos(np.clip(np.abs(axes @ flat).max() / np.linalg.norm(flat), 0, 1)))
+    )
     both = square.all(axis=1)
     inside = (found.bounds_m[..., 0] <= offsets) & (offsets <= found.bounds_m[..., 1])
     covered = np.abs(found.size_m - size[order]) < 1.96 * np.linalg.norm(found.sigmas_m, axis=1)
