@@ -56,6 +56,8 @@ def imported(tree: ast.Module) -> Iterator[str]:
 _ARITHMETIC = {0.0, 0.25, 0.5, 1.0, 2.0, 3.0, 4.0, 8.0, 10.0, 20.0, 60.0, 90.0, 100.0, 180.0}
 _ARITHMETIC |= {270.0, 360.0, 1e3, 1e6, 1e9, 1e-3, 0.25e-6}
 _GUARD = 1e-9
+# Defaults of results that hold nothing yet, and of weights without effect.
+_NEUTRAL = {"0", "0.0", "1.0", "(0.0, 0.0)"}
 
 
 def dataclass_defaults(tree: ast.Module, config: set[str]) -> Iterator[str]:
@@ -65,7 +67,8 @@ def dataclass_defaults(tree: ast.Module, config: set[str]) -> Iterator[str]:
             continue
         for field in node.body:
             named = isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
-            if named and field.value is not None and is_number(field.value):
+            value = field.value if named else None
+            if value is not None and is_number(value) and ast.unparse(value) not in _NEUTRAL:
                 yield f"{node.name}.{field.target.id}"
 
 
