@@ -146,7 +146,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
         objects.push(scene, Path(f"s3://scans/today/{name}"))
     jobs = read_jobs(["s3://scans/today/*"], box=BOX, config=COARSE, options=QUIET)
     assert [job.scene.name for job in jobs] == ["one", "two"]
-    out, s3.n_refused = Path("s3://scans/out"), 40
+    out, s3.n_refused = Path("s3://scans/out"), 12
     results = run(jobs, out, options=BatchOptions(workers=1))
     assert s3.n_refused == 0
     assert {r.state for r in results} == {"done"}
