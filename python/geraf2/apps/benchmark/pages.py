@@ -30,7 +30,6 @@ _COLUMNS = (
     ("expected [mm]", "expected_m", 2, 1e3),
     ("pieces, holes right", "same_topology", 2, 1.0),
     ("pieces, holes (true)", "topology", 0, 1.0),
-    ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
 # What a smaller value is better for, and the value that others are best near to.
