@@ -34,11 +34,13 @@ def whole(capture):
     return geraf2.reconstruct(capture, examples.BOX_M, COARSE).content_mesh.vertices
 
 
-def _growing(capture, path, n_planes=None):
-    provenance = capture.provenance
-    if n_planes is not None:
-        provenance = {**provenance, "n_planes": str(n_planes)}
-    return GrowingScene(path, manifest_of(replace(capture, poses=(), provenance=provenance)))
+def _growing(capture, path, poses=(), announced=()):
+    """Scene that grows, with its first poses; announced: entries of the provenance."""
+    provenance = {**capture.provenance, **dict(announced)}
+    scene = GrowingScene(path, manifest_of(replace(capture, poses=(), provenance=provenance)))
+    for pose in poses:
+        scene.append(pose)
+    return scene
 
 
 def _write_frame(folder, pose, name, names=("tpos", "rpos", "adcr", "adci", "rotation")):
@@ -102,7 +104,8 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path)
 
     def play():
         time.sleep(0.5)
-        scene = _growing(capture, tmp_path / "scene", n_planes=len(capture.poses))
+        announced = {"n_planes": str(len(capture.poses))}
+        scene = _growing(capture, tmp_path / "scene", announced=announced)
         for pose in capture.poses:
             scene.append(pose)
             time.sleep(0.3)
@@ -201,9 +204,7 @@ def test_what_is_wrong_is_one_line_and_the_session_goes_on(capture, tmp_path):
 
 
 def test_a_damaged_plane_of_a_scene_waits_and_others_come(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    for pose in capture.poses[:2]:
-        scene.append(pose)
+    _growing(capture, tmp_path / "scene", capture.poses[:2])
     chunk = tmp_path / "scene/radar.zarr/signal/c/1/0/0"
     whole = chunk.read_bytes()
     chunk.write_bytes(whole[:-8] + bytes(8))
@@ -217,9 +218,7 @@ def test_a_damaged_plane_of_a_scene_waits_and_others_come(capture, tmp_path):
 
 
 def test_it_ends_when_the_surface_is_good_enough(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    for pose in capture.poses:
-        scene.append(pose)
+    _growing(capture, tmp_path / "scene", capture.poses)
     ending = LiveOptions(until=Target.of("expected 9 mm over 50 %"), idle_s=5.0, report=False)
     outcome, reports = _followed(tmp_path / "scene", tmp_path / "out", ending)
     assert outcome.reason == "the target is reached"
@@ -246,9 +245,7 @@ def test_no_plane_is_an_error(capture, tmp_path):
 
 
 def test_after_each_plane_the_next_one_is_proposed(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    scene.append(capture.poses[0])
-    scene.append(capture.poses[1])
+    _growing(capture, tmp_path / "scene", capture.poses[:2])
     _, reports = _followed(tmp_path / "scene", tmp_path / "out")
     looking = -np.mean([pose.axes[0] for pose in capture.poses[:2]], axis=0)
     seen_deg = np.rad2deg(np.arctan2(looking[1], looking[0]))
