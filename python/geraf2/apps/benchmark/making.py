@@ -1,18 +1,22 @@
 """Simulation of scenes and evaluation of rows, each in a process of its own."""
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from skimage.filters import threshold_otsu
 
-from geraf2.apps.benchmark.population_scores import population_scores
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
-from geraf2.evaluation import MeshMetrics, oracle_matched_filter
+from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter
+from geraf2.evaluation.mesh_metrics import FINE_SAMPLES
+from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.io.mesh import read_mesh
+from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CHECKPOINT_NAME
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.commands.reconstruct import reconstruct
@@ -24,6 +28,8 @@ from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
 from geraf2.surfaces.extraction import cropped_content
 
+_THRESHOLDS_M = (0.005, 0.003, 0.002)
+"""Of the F1 of a scene of the population [m]."""
 # Thresholds of the oracle, in units of Otsu's; the method's own is among them.
 _ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
 
@@ -143,3 +149,51 @@ def _result_of(metrics: MeshMetrics) -> RowResult:
         same_topology=float(mesh == truth),
         topology=f"{mesh} ({truth})",
     )
+
+
+def population_scores(
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    seed: int,
+    *,
+    stated: Mapping[str, Any] | None = None,
+    num_threads: int | None = None,
+) -> dict[str, float]:
+    """Scores of a reconstructed surface by name; lengths in millimetres.
+
+    mesh: the content, with expected errors where the preset has them.
+    truth: the true surface, closed.
+    seed: of the points that are drawn.
+    stated: numbers of the stage `mesh`, with the intervals of volume and extents.
+    """
+    metrics = evaluate_mesh(
+        mesh,
+        truth,
+        n_samples=FINE_SAMPLES,
+        seed=seed,
+        thresholds_m=_THRESHOLDS_M,
+        num_threads=num_threads,
+    )
+    scores = metrics.headline()
+    if metrics.expected_error is not None:
+        scores["within_one"] = metrics.expected_error.within_one
+        scores["within_two"] = metrics.expected_error.within_two
+        scores["rank"] = metrics.expected_error.rank_correlation
+    return scores | _covered_sizes(truth, stated or {})
+
+
+def _covered_sizes(truth: TriangleMesh, stated: Mapping[str, Any]) -> dict[str, float]:
+    """Whether stated 95 % intervals hold the true volume, and the share of extents that they hold.
+
+    {} without intervals.
+    """
+    if "volume_95_percent_cm3" not in stated:
+        return {}
+    low, high = stated["volume_95_percent_cm3"]
+    volume = 1e6 * enclosed_volume_m3(truth.vertices, truth.faces)
+    sides = 1e3 * np.ptp(truth.vertices, axis=0)
+    ends = np.asarray(stated["extents_95_percent_mm"])
+    return {
+        "volume_covered": float(low <= volume <= high),
+        "extents_covered": float(np.mean((ends[:, 0] <= sides) & (sides <= ends[:, 1]))),
+    }
