@@ -43,15 +43,6 @@ def test_a_file_of_the_command_line_has_the_lower_limit(check_files, folder):
     assert f"a.py has {limit + 1} lines, limit {limit}" in complaint
 
 
-def test_an_exemption_without_need_is_reported(check_files, project_root, monkeypatch):
-    if not (project_root / "python").is_dir():
-        pytest.skip("needs the package's sources")
-    paths = [path.relative_to(project_root) for path in project_root.glob("python/**/*.py")]
-    assert not check_files.needless(paths)
-    monkeypatch.setitem(check_files.LONGER, "no_such_file.py", "test")
-    assert check_files.needless(paths) == {"no_such_file.py"}
-
-
 def test_the_table_of_coverage_sums_by_package(project_root):
     tool = load(project_root / "tools" / "coverage_table.py")
 

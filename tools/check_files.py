@@ -21,8 +21,6 @@ MAX_LINES = 600
 MAX_PACKAGE_LINES = 500
 MAX_CLI_LINES = 300
 MAX_FUNCTION_LINES = 60
-# File or function of the package -> why it is longer. Shrinks; an entry without need is an error.
-LONGER: dict[str, str] = {}
 # A machine's own folders mean nothing elsewhere. (`/tmp`, `/usr` in prose are left alone.)
 MACHINE_PATH = re.compile(r"(?<![\w.~])/(home|root|work|Users|mnt|opt)/\w")
 CONFLICT = re.compile(r"^(<{7}|>{7}) ", re.MULTILINE)
@@ -70,10 +68,6 @@ def longer(path: Path, text: str) -> Iterator[tuple[str, int, int]]:
                 yield f"{node.name}()", n_lines, MAX_FUNCTION_LINES
 
 
-def in_package(path: Path) -> bool:
-    return path.suffix == ".py" and path.parts[:1] == ("python",)
-
-
 def text_complaints(text: str) -> Iterator[str]:
     if text and not text.endswith("\n"):
         yield "no newline at the end"
@@ -92,10 +86,9 @@ def size_complaints(path: Path, text: str) -> Iterator[str]:
     n_lines = text.count("\n")
     if path.suffix in {".py", ".cpp", ".hpp"} and n_lines > MAX_LINES:
         yield f"{n_lines} lines, limit {MAX_LINES}: split it"
-    if in_package(path):
+    if path.suffix == ".py" and path.parts[0] == "python":
         for name, length, limit in longer(path, text):
-            if name not in LONGER:
-                yield f"{name} has {length} lines, limit {limit}: split it"
+            yield f"{name} has {length} lines, limit {limit}: split it"
 
 
 def complaints(path: Path) -> Iterator[str]:
@@ -113,20 +106,9 @@ def complaints(path: Path) -> Iterator[str]:
         yield from size_complaints(path, text)
 
 
-def needless(paths: list[Path]) -> set[str]:
-    """Entries of LONGER that nothing of these files needs."""
-    texts = {path: (ROOT / path).read_text(encoding="utf-8") for path in paths if in_package(path)}
-    return set(LONGER) - {name for path in texts for name, _, _ in longer(path, texts[path])}
-
-
 def main(names: list[str]) -> int:
     found = False
-    paths = [Path(name) for name in names] or tracked_files()
-    if not names:
-        for name in sorted(needless([path for path in paths if (ROOT / path).is_file()])):
-            print(f"tools/check_files.py: {name} is short enough: remove it from LONGER")
-            found = True
-    for path in paths:
+    for path in [Path(name) for name in names] or tracked_files():
         if not (ROOT / path).is_file():
             continue
         for complaint in complaints(path):

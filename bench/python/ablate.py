@@ -38,13 +38,13 @@ import numpy as np
 import geraf2
 from constants import config_fields, module_constants
 from geraf2.apps.benchmark import Row, Runner
+from geraf2.apps.benchmark.making import population_scores
 from geraf2.apps.benchmark.population import (
     Population,
     append_result,
     parse_seeds,
     read_results,
 )
-from geraf2.apps.benchmark.population_scores import population_scores
 from geraf2.apps.benchmark.population_table import SeedResult, mean_interval, quantile_change
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, TRUTH_NAME

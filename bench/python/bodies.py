@@ -21,10 +21,10 @@ import geraf2
 from compare_pairs import CLEARANCE_M, WALL_M, scan_parser, scan_spec
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import triple
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
-from inspection import scored
+from inspection import kept_run, scored
 
 SINGLE = Population(bodies=(("1", 1.0),))
 _LENGTH_M, _GAP_M, _PERMITTIVITY = (0.03, 0.05), (0.005, 0.02), (2.3, 3.3)
@@ -56,23 +56,17 @@ def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, fl
     """Run of a box, its number of bodies, and their permittivity (0: metal)."""
     permittivity = float(np.random.default_rng([seed, 12]).uniform(*_PERMITTIVITY)) * (seed % 2)
     folder = options.out / str(seed)
-    run, scene = folder / "run", folder / "scene"
-    is_made = (run / "mesh_content.ply").is_file()
-    if options.cached and not is_made:
-        return None, 0, permittivity
-    folder.mkdir(parents=True, exist_ok=True)
-    if not (scene / "scene.toml").is_file():
-        whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
-        low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
-        mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
+    whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
+    low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
+    mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
+
+    def capture() -> geraf2.Capture:
         pose = {"shift_m": np.zeros(3), "turn_deg": 1.0}
         spec = scan_spec(mesh, box_of(mesh), folder, options, **pose, permittivity=permittivity)
-        geraf2.save_capture(geraf2.simulate(spec, seed=seed)[0], scene)
-    truth = read_mesh(folder / "truth.ply")
-    if not is_made:
-        size = triple(box_of(truth))
-        geraf2.reconstruct(scene, size, options.preset, run, overwrite=True)
-    return run, face_labels(truth.faces)[1], permittivity
+        return geraf2.simulate(spec, seed=seed)[0]
+
+    run = kept_run(folder, capture, triple(box_of(mesh)), options)
+    return run, face_labels(mesh.faces)[1], permittivity
 
 
 def box_of(mesh: TriangleMesh) -> np.ndarray:

@@ -30,7 +30,7 @@ from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
 from geraf2.simulation.spec import FigureSpec, ScanSpec, SceneSpec
 from geraf2.simulation.world import EFFECTS, WorldSpec
-from inspection import scored
+from inspection import kept_run, scored
 
 CHANGES = ("head", "moved", "swapped")
 BODIES = Population(
@@ -177,22 +177,17 @@ class PackedBox:
         return spec, 1000 * self.seed + number
 
     def run(self, change: str, options: argparse.Namespace) -> Path | None:
-        """Folder of the run of a scan, made where it is not there; None where nothing is made."""
+        """Folder of the run of a scan; None where nothing is made."""
         folder = options.out / str(self.seed) / change
-        run, scene = folder / "run", folder / "scene"
-        if (run / "mesh_content.ply").is_file():
-            return run
-        if options.cached:
-            return None
-        folder.mkdir(parents=True, exist_ok=True)
-        if not (scene / "scene.toml").is_file():
+
+        def scanned() -> geraf2.Capture:
             spec, seed = self.spec(change, folder, options)
             capture = geraf2.simulate(spec, seed=seed)[0]
             # Nobody knows where the box was put down.
             walls = tuple(replace(wall, center_m=(0.0, 0.0, 0.0)) for wall in capture.walls)
-            geraf2.save_capture(replace(capture, walls=walls), scene)
-        geraf2.reconstruct(scene, triple(self.size_m), options.preset, run, overwrite=True)
-        return run
+            return replace(capture, walls=walls)
+
+        return kept_run(folder, scanned, triple(self.size_m), options)
 
 
 def scan_parser(text: str, out: str) -> argparse.ArgumentParser:

@@ -131,18 +131,13 @@ class Case:
         return rigid((turn * tilt).as_matrix(), rng.uniform(-0.01, 0.01, 3))
 
     def run(self, options: argparse.Namespace) -> Path | None:
-        """Folder of its run, made where it is not there; None where nothing is to be made."""
+        """Folder of its run; None where nothing is to be made."""
         folder = options.out / f"{self.name.replace(' ', '-')}_{self.number}"
-        run, scene = folder / f"run-{options.preset}", folder / "scene"
-        if (run / "mesh_content.ply").is_file():
-            return run
-        if options.cached:
-            return None
-        folder.mkdir(parents=True, exist_ok=True)
-        mesh = surface(*self.parts)
-        placed = TriangleMesh(vertices=apply_rigid(self.pose, mesh.vertices), faces=mesh.faces)
-        write_mesh(placed, folder / "truth.ply")
-        if not (scene / "scene.toml").is_file():
+
+        def capture() -> geraf2.Capture:
+            mesh = surface(*self.parts)
+            placed = TriangleMesh(vertices=apply_rigid(self.pose, mesh.vertices), faces=mesh.faces)
+            write_mesh(placed, folder / "truth.ply")
             low, high = placed.vertices.min(axis=0), placed.vertices.max(axis=0)
             spec = SceneSpec(
                 figure=FigureSpec(
@@ -156,9 +151,33 @@ class Case:
                 ),
                 numerics=NumericsSpec(wall_patch_m=0.01, antenna_block_m=0.07),
             )
-            geraf2.save_capture(geraf2.simulate(spec, seed=self.number)[0], scene)
-        geraf2.reconstruct(scene, BOX_M, options.preset, run)
+            return geraf2.simulate(spec, seed=self.number)[0]
+
+        return kept_run(folder, capture, BOX_M, options, name=f"run-{options.preset}")
+
+
+def kept_run(
+    folder: Path,
+    capture: Callable[[], geraf2.Capture],
+    box_m: tuple[float, float, float],
+    options: argparse.Namespace,
+    *,
+    name: str = "run",
+) -> Path | None:
+    """Run of a scene, both made where they are not there; None where nothing is to be made.
+
+    options: preset, and cached. box_m: outer sides.
+    """
+    run, scene = folder / name, folder / "scene"
+    if (run / "mesh_content.ply").is_file():
         return run
+    if options.cached:
+        return None
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (scene / "scene.toml").is_file():
+        geraf2.save_capture(capture(), scene)
+    geraf2.reconstruct(scene, box_m, options.preset, run, overwrite=True)
+    return run
 
 
 def wilson(n_yes: int, n: int, z: float = 1.96) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
     python bench/python/los_photos.py --data ../shared/data --out out/los_photos [--only cat boat]
 
-Scenes of `scores.py` (`--scenes out/scores/scenes` uses them again) and 48 simulated photos of
+Scenes of `scores.py` (`--scenes out/scores` uses them again) and 48 simulated photos of
 640 x 480. Each is reconstructed with `--los los.ply`, the true box, and with `--los photos/`, by
 the `geraf2` command with unchanged settings; seed 0. All figures stand in the same carton: it is
 trained for the first, and used as a folder for the others. Printed: distance of the trained
@@ -19,7 +19,6 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import tomli_w
 
 from geraf2.evaluation import sample_surface
 from geraf2.io.mesh import read_mesh
@@ -27,23 +26,13 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import load_capture
 from geraf2.scene.photos import save_photos
 from geraf2.simulation import PhotosSpec, simulate_photos
-from scores import FIGURES, HEADER, Case, Score, geraf2, reconstruct_and_score
+from scores import FIGURES, HEADER, Bench, Score, reconstruct_and_score
 
 ALLOWED = 0.02
 N_SAMPLES = 20_000
 """Of the box."""
 N_SCORED = 100_000
 """Of the content."""
-
-
-def scene_of(case: Case, data: Path, scenes: Path) -> Path:
-    """Scene of a case, simulated unless it is there, as `scores.py` does."""
-    scene, spec_path = scenes / case.name, scenes / f"{case.name}.toml"
-    if not scene.is_dir():
-        spec_path.parent.mkdir(parents=True, exist_ok=True)
-        spec_path.write_text(tomli_w.dumps(case.spec(data / "meshes")), encoding="utf-8")
-        geraf2("simulate", str(spec_path), str(scene))
-    return scene
 
 
 def photos_of(scene: Path, folder: Path) -> Path:
@@ -82,18 +71,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("out/los_photos"))
-    parser.add_argument("--scenes", type=Path, help="scenes that scores.py has made")
+    parser.add_argument("--scenes", type=Path, help="--out of scores.py, whose scenes are used")
     parser.add_argument("--los", type=Path, help="prior already trained from these photos")
     parser.add_argument("--only", nargs="*", default=["cat"], help="figures; cat by default")
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     missed: list[str] = []
     trained = options.los
+    bench = Bench(data=options.data, out=options.scenes or options.out, preset="best")
     print(HEADER)
     for case in FIGURES:
         if case.name not in options.only:
             continue
-        scene = scene_of(case, options.data, options.scenes or options.out / "scenes")
+        scene = bench.scene(case)
         truth, runs = scene / "truth.ply", options.out / "runs"
         reference = reconstruct_and_score(
             scene, scene / "los.ply", truth, runs / f"{case.name}_box", n_samples=N_SCORED

@@ -32,11 +32,18 @@ from scipy.stats import t as student
 
 from geraf2._types import Floats
 from geraf2.calibration.driver import calibrate
-from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.trainer import PaperTrainer
-from paper_forms import FORMS, NAMES, Rows, add_density_arguments, form_config, scored
-from paper_preset import Bench, make_bench
+from paper_forms import (
+    FORMS,
+    NAMES,
+    Bench,
+    Rows,
+    add_density_arguments,
+    form_config,
+    make_bench,
+    scored,
+)
 
 Found = dict[str, list[float]]
 """Figures of each way."""
@@ -201,7 +208,6 @@ def main() -> None:
     training.add_argument("--steps", type=int, nargs=2, default=(1000, 300), metavar=("S1", "S2"))
     training.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     training.add_argument("--form", choices=list(FORMS), default="corrected")
-    training.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     training.add_argument("--ways", nargs="+", choices=[*SECOND, ULOS], default=[*SECOND, ULOS])
     training.add_argument("--early", type=int, nargs="*", default=[], metavar="N")
     training.add_argument("--moved", action="store_true")
@@ -223,7 +229,6 @@ def main() -> None:
     print(f"{'scene':14} seed {'way':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
     rows: dict[tuple[str, str], list[list[float]]] = {}
     for scene in options.scenes:
-        options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
         bench = None
         for seed in options.seeds:
             start = time.process_time()
@@ -234,7 +239,7 @@ def main() -> None:
             ]
             if missing:
                 if bench is None:
-                    bench = make_bench(options, seed)
+                    bench = make_bench(scene, options, seed)
                     bench = calibrated(bench) if options.calibrate else bench
                 bench.seed = seed
                 base = form_config(bench, options.form, options)

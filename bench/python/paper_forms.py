@@ -12,7 +12,7 @@ seeds. FILE.csv of `--rows` keeps the rows: what it holds is not trained again.
 import argparse
 import csv
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,33 +20,77 @@ import numpy as np
 
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
-from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.learned.checkpoints import load_model, model_arrays
+from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.heatmaps import MeasuredMaps
 from geraf2.learned.trainer import PaperTrainer
+from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.surfaces.extraction import cropped_content
-from paper_levels import FORM_FIELDS
-from paper_preset import N_SCORED, Bench, make_bench, sampled
 
-CORRECTED = {name: getattr(CorrectedPaperConfig(), name) for name in FORM_FIELDS}
+CORRECTED = {
+    name: getattr(CorrectedPaperConfig(), name)
+    for name in (
+        *("two_way", "spreading", "lobe_power", "wall_delay", "bright_targets"),
+        *("inv_s_start", "grid_rate", "region", "n_cells", "glint_level"),
+    )
+}
 FORMS: dict[str, dict[str, Any]] = {
     "paper": {},
     "corrected": CORRECTED,
     "corrected, level as trained": CORRECTED | {"glint_level": False},
-    "corrected, whole scene": CORRECTED | {"region": "scene", "n_cells": 32},
-    "corrected, s from 60": CORRECTED
-    | {"region": "scene", "n_cells": 20, "inv_s_start": 60.0, "grid_rate": 2.5e-3},
-    "corrected, bright targets": CORRECTED | {"bright_targets": 0.25},
-    "paper, uniform targets": {"bright_targets": 0.0},
-    "corrected, no wall delay": CORRECTED | {"wall_delay": False},
-    **{f"corrected-{p}": CORRECTED | {"lobe_power": float(p)} for p in (4, 8, 12, 16)},
-    **{f"paper-{p}": {"lobe_power": float(p)} for p in (1, 8, 16)},
 }
 NAMES = ("F1 15", "F1 5", "CD", "median")
+N_SCORED = 10000
+
+
+@dataclass
+class Bench:
+    """A scene, and the trainers of its forms."""
+
+    capture: Capture
+    prior: LosPrior
+    truth: TriangleMesh
+    base: PaperConfig
+    seed: int
+    maps: dict[str, MeasuredMaps] = field(default_factory=dict)
+    """By region."""
+
+    def trainer(self, config: PaperConfig) -> PaperTrainer:
+        known = self.maps.get(config.region)
+        trainer = PaperTrainer(self.capture, self.prior, config, maps=known, seed=self.seed)
+        self.maps[config.region] = trainer.loss.maps
+        return trainer
+
+    def second_stage(self, config: PaperConfig, after: PaperTrainer) -> PaperTrainer:
+        """Make a trainer that continues from the end of a stage 1, the same for every row."""
+        trainer = self.trainer(config)
+        load_model(trainer.model, model_arrays(after.model), "stage 1")
+        trainer.begin_stage_2(after.optimiser)
+        return trainer
+
+
+def make_bench(scene: Path, options: argparse.Namespace, seed: int) -> Bench:
+    """Scene, and settings of the command line."""
+    capture, paper = load_capture(scene), PaperConfig()
+    prior = replace(LosPrior.from_mesh(read_mesh(scene / LOS_NAME)), walls=capture.walls)
+    base = replace(
+        paper,
+        n_cells=options.cells or paper.n_cells,
+        n_antennas=options.antennas or paper.n_antennas,
+        n_planes=options.planes_a_step,
+        n_clusters=1,
+        stage1=StageConfig(n_steps=options.steps[0]),
+        stage2=replace(paper.stage2, n_steps=options.steps[1]),
+    )
+    return Bench(capture, prior, read_mesh(scene / TRUTH_NAME), base, seed)
 
 
 def add_density_arguments(parser: argparse.ArgumentParser) -> None:
     """How finely a step samples; the form's own where nothing is given."""
     parser.add_argument("--cells", type=int)
     parser.add_argument("--antennas", type=int)
+    parser.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
 
 
 def form_config(bench: Bench, form: str, options: argparse.Namespace) -> PaperConfig:
@@ -62,7 +106,7 @@ def scored(bench: Bench, trainer: PaperTrainer, *, n_steps: int | None = None) -
     """Train to the end, or until so many steps are done, and score: NAMES."""
     while not trainer.stages.is_done and trainer.stages.steps_done != n_steps:
         trainer.advance()
-    mesh, _ = cropped_content(sampled(trainer), bench.prior, trainer.config.crop_m)
+    mesh, _ = cropped_content(trainer.distance(), bench.prior, trainer.config.crop_m)
     if not mesh.faces.shape[0]:
         return [0.0, 0.0, float("nan"), float("nan")]
     found = evaluate_mesh(mesh, bench.truth, n_samples=N_SCORED)
@@ -101,7 +145,6 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1])
     parser.add_argument("--forms", nargs="+", choices=list(FORMS), default=["paper", "corrected"])
     add_density_arguments(parser)
-    parser.add_argument("--planes-a-step", type=int, default=PaperConfig().n_planes)
     parser.add_argument("--rows", type=Path, help="FILE.csv")
     options = parser.parse_args()
     print(f"{options.steps[0]} + {options.steps[1]} steps")
@@ -111,7 +154,6 @@ def main() -> None:
     rows_of = {form: (form, *(form + suffix for suffix in second)) for form in options.forms}
     found: dict[str, list[list[list[float]]]] = {n: [] for form in rows_of.values() for n in form}
     for scene in options.scenes:
-        options.scene, options.los, options.truth = scene, scene / LOS_NAME, scene / TRUTH_NAME
         bench = None
         for form, names in rows_of.items():
             for name in names:
@@ -119,7 +161,7 @@ def main() -> None:
             for seed in options.seeds:
                 start = time.process_time()
                 if any((scene.name, seed, name) not in kept.known for name in names):
-                    bench = bench or make_bench(options, 0)
+                    bench = bench or make_bench(scene, options, 0)
                     bench.seed = seed
                     trainer = bench.trainer(form_config(bench, form, options))
                     for name, n_steps in zip(names, np.cumsum(options.steps), strict=False):

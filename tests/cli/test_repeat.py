@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from geraf2.apps.viewing.scenes import scene_of
+from geraf2.apps.viewing.server import scene_of
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io.run_folder import LOCK_NAME, RunFolder

@@ -65,10 +65,11 @@ def shown(page):
 
 
 @pytest.mark.parametrize(("size", "dark"), SCREENS)
-def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, size, dark):
+def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, axe, size, dark):
     page = open_page(page_url, size, dark)
     assert page.trouble == []
     require_readable(page, size)
+    assert serious_findings(page, axe) == []
     cut = """[...document.querySelectorAll("#jobs td, #jobs th, .trend")].filter(e =>
       e.getClientRects().length && e.getBoundingClientRect().left > -9000 &&
       (e.getBoundingClientRect().right > innerWidth + 0.5 || e.scrollWidth > e.clientWidth + 1)
@@ -117,8 +118,3 @@ def test_an_inspection_has_its_columns(open_page, page_url):
     assert row.get_by_role("link", name="fail").get_attribute("href").endswith("inspection.html")
     assert row.locator('[data-head="rms from CAD [mm]"]').inner_text() == "0.42"
     assert page.get_by_text("did not pass").is_visible()
-
-
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
-def test_axe_has_no_serious_findings(open_page, page_url, axe, size, dark):
-    assert serious_findings(open_page(page_url, size, dark), axe) == []

@@ -47,9 +47,10 @@ def test_folders_patterns_and_tables_name_the_same_jobs(scans):
     assert [job.truth for job in by_pattern] == [None, None, scans / "one" / "truth.ply"]
     table = _table(scans, "scene,box", "three,0.2 0.3 0.4", "two,0.2x0.3x0.4", "one,")
     assert read_jobs([table], box=BOX) == by_pattern
-    # By default the outside of the box is that of the scene folder.
-    (own,) = read_jobs([scans / "one"])
-    assert own.prior.los == scans / "one" / "los.ply"
+    # By default the outside of the box is that of the scene folder, or found by radar.
+    one, two = read_jobs([_table(scans, "scene", "one", "two")])
+    assert one.prior.los == scans / "one" / "los.ply"
+    assert not two.prior.is_given
 
 
 def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
@@ -72,13 +73,6 @@ def test_columns_of_a_table_override_common_settings(scans):
     assert not two.config.refine.shadows
     assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
     assert (one.config, one.prior.box) == (base, BOX)
-
-
-def test_a_scene_without_a_prior_has_its_box_found_by_radar(scans):
-    (found,) = read_jobs([_table(scans, "scene", "two")])
-    (known,) = read_jobs([_table(scans, "scene", "one")])
-    assert not found.prior.is_given
-    assert known.prior.los == scans / "one" / "los.ply"
 
 
 REFUSED = {

@@ -146,16 +146,16 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
         objects.push(scene, Path(f"s3://scans/today/{name}"))
     jobs = read_jobs(["s3://scans/today/*"], box=BOX, config=COARSE, options=QUIET)
     assert [job.scene.name for job in jobs] == ["one", "two"]
-    out, s3.n_refused = Path("s3://scans/out"), 40
+    jobs, out, s3.n_refused = jobs[:1], Path("s3://scans/out"), 12
     results = run(jobs, out, options=BatchOptions(workers=1))
     assert s3.n_refused == 0
-    assert {r.state for r in results} == {"done"}
-    assert all(r.scores["f1_15mm"] > 0.5 for r in results)
+    assert [r.state for r in results] == ["done"]
+    assert results[0].scores["f1_15mm"] > 0.5
     serial = geraf2.reconstruct(scene, BOX, COARSE, options=QUIET)
     wanted = _body((serial.path / CONTENT_NAME).read_bytes())
     files = objects.listed(out)
-    meshes = [out / name for name in files if name.endswith(CONTENT_NAME)]
-    assert [_body(objects.read_bytes(mesh)) == wanted for mesh in meshes] == [True, True]
+    (mesh,) = (out / name for name in files if name.endswith(CONTENT_NAME))
+    assert _body(objects.read_bytes(mesh)) == wanted
     assert {"batch.json", "batch.html", "batch.csv"} <= set(files)
     assert not [name for name in files if name.endswith((".begun", ".lock"))]
     # Nothing is done again, and no worker is needed.

@@ -25,7 +25,10 @@ def captures(tmp_path_factory):
     return folder.parent
 
 
-def test_equal_captures_have_equal_scores_and_no_difference(captures, tmp_path, capsys):
+def test_equal_captures_have_equal_scores_and_no_difference(
+    captures, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(full_wave, "_SPACING_M", 0.004)
     command = ["benchmark", str(tmp_path), "--only", "full_wave", "--captures", str(captures)]
     assert main([*command, "--presets", "fast"]) == 0
     table = capsys.readouterr().out.splitlines()

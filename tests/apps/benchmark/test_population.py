@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from geraf2.apps.benchmark import RowResult, Runner, population
+from geraf2.apps.benchmark.making import population_scores
 from geraf2.apps.benchmark.population import Population, append_result, parse_seeds, read_results
-from geraf2.apps.benchmark.population_scores import population_scores
 from geraf2.apps.benchmark.population_table import (
     SeedResult,
     mean_interval,

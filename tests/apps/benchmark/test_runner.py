@@ -1,68 +1,28 @@
-"""Rows of photos and their truths; failed and interrupted rows."""
+"""Failed and interrupted rows."""
 
 import os
-import shutil
 import time
 
-import numpy as np
 import pytest
 
 from geraf2.apps.benchmark import RowResult, Runner, load_suite, making, rows_of
-from geraf2.errors import UserError
-from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import CHECKPOINT_NAME
 from geraf2.pipeline.processes import Processes
-from geraf2.scene import LosPrior
 
 SUITE = """
 [scenes.llama]
-[methods.photos]
-title = "photos"
-kind = "photos"
-photos = "quick"
-[experiments.photos]
-title = "Photos"
+[methods.fast]
+title = "fast"
+[experiments.some]
+title = "Some"
 scenes = ["llama"]
-methods = ["photos"]
+methods = ["fast"]
 cases = [
-  { label = "box", scene = { photos = { subject = "box" } } },
-  { label = "content", scene = { photos = { subject = "content" } } },
-  { label = "none" },
+  { label = "aborts", scene.disturbance.snr_db = 10.0 },
+  { label = "exits", scene.disturbance.snr_db = 5.0 },
+  { label = "ends", scene.disturbance.snr_db = 0.0 },
 ]
 """
-
-
-@pytest.fixture
-def results(tmp_path, monkeypatch, suite_of):
-    scene = tmp_path / "scene"
-    scene.mkdir()
-    for name, side in (("truth", 0.1), ("los", 0.2)):
-        mesh = LosPrior.from_box((side, side, side)).mesh
-        write_mesh(mesh, scene / f"{name}.ply", frame="capture")
-
-    def small_cube(source, out, options, **_):
-        assert (source, options.preset) == (scene / "photos", "quick")
-        out.mkdir()
-        shutil.copy(scene / "truth.ply", out / "los.ply")
-
-    monkeypatch.setattr(making, "make_los", small_cube)
-    rows = {row.case.label: row for row in rows_of(suite_of(SUITE))}
-    with pytest.raises(UserError, match="no photos"):
-        making.make_row(rows.pop("none"), scene, tmp_path / "none", 0, 1)
-    return tmp_path, {
-        label: making.make_row(row, scene, tmp_path / label, 0, 1) for label, row in rows.items()
-    }
-
-
-def test_photos_are_scored_by_what_they_show(results):
-    out, by_case = results
-    assert by_case["content"].f1_5mm == pytest.approx(1.0)
-    # Of a cube of 10 cm nothing lies near the sides of one of 20.
-    assert by_case["box"].f1_15mm == 0.0
-    assert by_case["box"].chamfer_1e3_m2 > 1.0
-    has_content = [(out / label / "mesh_content.ply").is_file() for label in ("content", "box")]
-    assert has_content == [True, False]
-    assert np.isfinite(by_case["content"].median_m)
 
 
 @pytest.mark.parametrize("is_stopped", [True, False])
@@ -102,7 +62,7 @@ class StandIn(Processes):
 
 def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_of):
     processes = StandIn(
-        box=(os.abort,), content=(os._exit, 3), none=(dict.get, {}, "", RowResult())
+        aborts=(os.abort,), exits=(os._exit, 3), ends=(dict.get, {}, "", RowResult())
     )
     runner = Runner(out=tmp_path / "out")
     runner._processes = processes
@@ -110,15 +70,15 @@ def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_o
     results = runner.run_all(rows, lambda row, _: seen.append(row.case.label))
     errors = [result.error for _, result in results]
     assert errors == ["its process was ended by SIGABRT", "exit code 3", None]
-    assert seen == ["box", "content", "none"]
+    assert seen == ["aborts", "exits", "ends"]
     assert [runner.known(row) is not None for row in rows] == [False, False, True]
 
 
 def test_processes_end_when_it_is_interrupted(tmp_path, suite_of):
-    processes = StandIn(box=(os._exit, 3), content=(time.sleep, 600), none=(time.sleep, 600))
+    processes = StandIn(aborts=(os._exit, 3), exits=(time.sleep, 600), ends=(time.sleep, 600))
 
     def interrupt(row, _):
-        assert row.case.label == "box"
+        assert row.case.label == "aborts"
         raise KeyboardInterrupt
 
     start, runner = time.monotonic(), Runner(out=tmp_path / "out")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from geraf2.apps.benchmark import Case, RowResult, load_suite, rows_of
-from geraf2.apps.benchmark.pages import lost_rows, make_table
+from geraf2.apps.benchmark.pages import make_table
 
 
 @pytest.fixture(scope="module")
@@ -88,26 +88,3 @@ def test_sizes_are_beside_f1_and_the_best_is_the_nearest_to_the_truth(suite):
     assert not {(1, column) for column in columns} & table.best
     assert shown[0][1].extent_m == 2 * 0.0012
     assert RowResult().extent_m is None
-
-
-def test_rows_that_beat_the_default_are_named(suite):
-    results = results_of(
-        suite, fast=(0.9, 0.02), matched_filter=(0.5, 0.01), back_projection=(0.95, 0.3)
-    )
-    lines = lost_rows(suite, results)
-    assert len(lines) == 4  # two scenes, one figure each of two methods
-    assert any("Chamfer 0.0200, matched filter 0.0100" in line for line in lines)
-    assert any("F1 5 mm 0.900, back-projected points 0.950" in line for line in lines)
-
-
-def test_a_setting_that_beats_the_default_is_named(suite):
-    results = results_of(
-        suite, fast=(0.9, 0.02), matched_filter=(0.5, 0.2), back_projection=(0.5, 0.3)
-    )
-    row, _ = next(pair for pair in results if pair[0].method == "fast")
-    better = replace(row, case=Case(label="wider", settings={"fit": {"margin_m": 0.05}}))
-    moved = replace(row, case=Case(label="moved", prior_shift_m=(0.1, 0.0, 0.0)))
-    good = RowResult(f1_5mm=0.95, chamfer_1e3_m2=0.02)
-    assert lost_rows(suite, [*results, (moved, good)]) == []  # another task, no setting
-    lines = lost_rows(suite, [*results, (better, good)])
-    assert lines == ["Objects and boxes: bunny wider: F1 5 mm 0.900, with this setting 0.950"]

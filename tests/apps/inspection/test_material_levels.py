@@ -34,19 +34,10 @@ def test_a_metal_sphere_has_the_amplitude_that_levels_refer_to(radius_m):
     assert np.abs(backscatter_m(K, radius_m)) == pytest.approx(float(wanted[0]), rel=0.03)
 
 
-def test_a_coat_of_air_is_none():
-    coated = backscatter_m(K, 0.021, permittivity=1.0, coat_m=0.001)
-    assert coated == pytest.approx(backscatter_m(K, 0.020), rel=1e-6)
-
-
 @pytest.mark.parametrize("permittivity", [2.3, 2.7, 3.3])
 def test_the_front_of_a_plastic_sphere_has_its_fresnel_level(permittivity):
     wanted = db(np.abs(np.array(face_reflection(permittivity))))
     assert level_db(permittivity=permittivity * LOSS) == pytest.approx(float(wanted), abs=0.2)
-
-
-def test_the_level_of_plastic_is_that_of_its_mean_permittivity():
-    assert level_db(permittivity=2.9 * LOSS) == pytest.approx(materials._PLASTIC_DB, abs=0.2)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,6 @@ from scipy.spatial.transform import Rotation
 from geraf2.apps.inspection.registration import (
     LEAST_ECHOES,
     Evidence,
-    _Table,
     echoes_of,
     register,
     surface_evidence_of,
@@ -85,18 +84,6 @@ def test_certain_points_win_over_uncertain_ones():
     )
     placement = register(bent, model, start=POSE)
     assert np.abs(placement.pose[:3, 3] - POSE[:3, 3]).max() < 2e-4
-
-
-def test_a_table_finds_what_is_nearest_to_a_cell():
-    rng = np.random.default_rng(0)
-    points, places = rng.normal(size=(50, 3)), rng.normal(size=(7, 40, 3))
-    found = _Table(points)(places)
-    distance = np.linalg.norm(places[:, :, None] - points, axis=3)
-    chosen = np.take_along_axis(distance, found[:, :, None], axis=2)[:, :, 0]
-    cell = 1.5 * np.ptp(points, axis=0).max() / 39
-    assert (chosen <= distance.min(axis=2) + np.sqrt(3) * cell)[
-        np.abs(places).max(axis=2) < 2
-    ].all()
 
 
 @pytest.mark.parametrize("seed", [1, 2])

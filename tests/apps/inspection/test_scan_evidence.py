@@ -6,7 +6,6 @@ import pytest
 from geraf2.apps.inspection.scan_evidence import (
     Cells,
     Evidence,
-    _has_counterpart,
     cells_of,
     joined_cells,
     shifts_of,
@@ -29,19 +28,6 @@ def evidence(body, seed=0):
     glints = glints_of(body, apertures, seed=seed, sigma_m=0.0)
     scene = MeshScene(body.mesh.vertices, body.mesh.faces)
     return Evidence(glints, (glints.positions, glints.normals), apertures, scene)
-
-
-def test_counterparts_are_those_of_a_plain_loop():
-    x, y = 0.02 * RNG.random((60, 3)), 0.02 * RNG.random((80, 3))
-    n, m = unit(60), unit(80)
-    wanted = []
-    for a, b in zip(x, n, strict=True):
-        off = (y - a) @ b
-        lateral = np.linalg.norm(y - a - off[:, None] * b, axis=1)
-        wanted.append(((np.abs(off) < 0.004) & (lateral < 0.010) & (m @ b > 0.94)).any())
-    found = _has_counterpart(x, n, (y, m), 0.004)
-    assert 0 < sum(wanted) < 60
-    assert found.tolist() == wanted
 
 
 def test_cells_of_both_directions_are_the_shift_along_their_normals():

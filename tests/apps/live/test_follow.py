@@ -34,11 +34,13 @@ def whole(capture):
     return geraf2.reconstruct(capture, examples.BOX_M, COARSE).content_mesh.vertices
 
 
-def _growing(capture, path, n_planes=None):
-    provenance = capture.provenance
-    if n_planes is not None:
-        provenance = {**provenance, "n_planes": str(n_planes)}
-    return GrowingScene(path, manifest_of(replace(capture, poses=(), provenance=provenance)))
+def _growing(capture, path, poses=(), announced=()):
+    """Scene that grows, with its first poses; announced: entries of the provenance."""
+    provenance = {**capture.provenance, **dict(announced)}
+    scene = GrowingScene(path, manifest_of(replace(capture, poses=(), provenance=provenance)))
+    for pose in poses:
+        scene.append(pose)
+    return scene
 
 
 def _write_frame(folder, pose, name, names=("tpos", "rpos", "adcr", "adci", "rotation")):
@@ -78,28 +80,42 @@ def _settle(folder):
         os.utime(file, (time.time() - 60.0,) * 2)
 
 
-def _followed(source, out, ending=QUICK):
+def _followed(source, out, ending=QUICK, listener=None):
     reports = []
-    outcome = follow(source, out, BOX, COARSE, ending=ending, on_plane=reports.append)
+    outcome = follow(
+        source, out, BOX, COARSE, ending=ending, listener=listener, on_plane=reports.append
+    )
     return outcome, reports
+
+
+class Heard(geraf2.Listener):
+    """Keeps the texts of findings."""
+
+    def __init__(self):
+        self.texts = []
+
+    def findings(self, findings):
+        self.texts += [str(finding) for finding in findings]
 
 
 def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path):
     """It is written at a speed of its own, from before there is a folder."""
+    heard = Heard()
 
     def play():
         time.sleep(0.5)
-        scene = _growing(capture, tmp_path / "scene", n_planes=len(capture.poses))
+        announced = {"n_planes": str(len(capture.poses))}
+        scene = _growing(capture, tmp_path / "scene", announced=announced)
         for pose in capture.poses:
             scene.append(pose)
             time.sleep(0.3)
 
     player = threading.Thread(target=play)
     player.start()
-    outcome, reports = _followed(
-        tmp_path / "scene", tmp_path / "out", LiveOptions(idle_s=60.0, report=True)
-    )
+    ending = LiveOptions(idle_s=60.0, report=True)
+    outcome, reports = _followed(tmp_path / "scene", tmp_path / "out", ending, heard)
     player.join()
+    assert len([text for text in heard.texts if "Nyquist" in text]) == 1  # of all updates
     assert outcome.reason == "all 6 announced planes came"
     median, low, high = reports[-1].stated_f1
     assert low < median < high
@@ -188,26 +204,21 @@ def test_what_is_wrong_is_one_line_and_the_session_goes_on(capture, tmp_path):
 
 
 def test_a_damaged_plane_of_a_scene_waits_and_others_come(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    for pose in capture.poses[:3]:
-        scene.append(pose)
+    _growing(capture, tmp_path / "scene", capture.poses[:2])
     chunk = tmp_path / "scene/radar.zarr/signal/c/1/0/0"
     whole = chunk.read_bytes()
     chunk.write_bytes(whole[:-8] + bytes(8))
     outcome, reports = _followed(tmp_path / "scene", tmp_path / "out")
-    assert outcome.n_planes == 2
-    problems = [report.problem for report in reports if report.is_left_out]
-    assert len(problems) == 1
-    assert "is not what was written" in problems[0]
+    assert outcome.n_planes == 1
+    (problem,) = (report.problem for report in reports if report.is_left_out)
+    assert "is not what was written" in problem
     chunk.write_bytes(whole)
     outcome, reports = _followed(tmp_path / "scene", tmp_path / "out")
-    assert [report.plane for report in reports] == [3]  # the others are there
+    assert [report.plane for report in reports] == [2]  # the other is there
 
 
 def test_it_ends_when_the_surface_is_good_enough(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    for pose in capture.poses:
-        scene.append(pose)
+    _growing(capture, tmp_path / "scene", capture.poses)
     ending = LiveOptions(until=Target.of("expected 9 mm over 50 %"), idle_s=5.0, report=False)
     outcome, reports = _followed(tmp_path / "scene", tmp_path / "out", ending)
     assert outcome.reason == "the target is reached"
@@ -233,25 +244,8 @@ def test_no_plane_is_an_error(capture, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_messages_of_the_updates_come_once(capture, tmp_path):
-    class Heard(geraf2.Listener):
-        def __init__(self):
-            self.texts = []
-
-        def findings(self, findings):
-            self.texts += [str(finding) for finding in findings]
-
-    scene, heard = _growing(capture, tmp_path / "scene"), Heard()
-    for pose in capture.poses:
-        scene.append(pose)
-    follow(tmp_path / "scene", tmp_path / "out", BOX, COARSE, ending=QUICK, listener=heard)
-    assert len([text for text in heard.texts if "Nyquist" in text]) == 1
-
-
 def test_after_each_plane_the_next_one_is_proposed(capture, tmp_path):
-    scene = _growing(capture, tmp_path / "scene")
-    scene.append(capture.poses[0])
-    scene.append(capture.poses[1])
+    _growing(capture, tmp_path / "scene", capture.poses[:2])
     _, reports = _followed(tmp_path / "scene", tmp_path / "out")
     looking = -np.mean([pose.axes[0] for pose in capture.poses[:2]], axis=0)
     seen_deg = np.rad2deg(np.arctan2(looking[1], looking[0]))

@@ -92,25 +92,22 @@ def test_the_order_of_the_planes_does_not_matter(capture, whole):
 
 def test_without_a_prior_the_box_is_found_as_of_the_whole_scan(capture):
     with geraf2.Session(_about(capture), None, COARSE) as session:
-        for pose in capture.poses:
+        for number, pose in enumerate(capture.poses):
             session.add(pose)
-            with suppress(UserError):  # no box is seen yet
-                _ = session.result
+            if number in (0, 3):
+                with suppress(UserError):  # no box is seen yet
+                    _ = session.result
         result = session.finish()
     whole = geraf2.reconstruct(capture, None, COARSE)
     assert result.content_mesh.vertices == pytest.approx(whole.content_mesh.vertices, abs=1e-9)
 
 
-def test_there_is_no_result_without_a_plane(capture):
+def test_done_is_a_statement_about_the_area(capture):
     with _session(capture) as session:
         with pytest.raises(UserError, match="has no plane yet"):
             _ = session.result
         assert not session.done("expected 100 mm over 1 %")
-
-
-def test_done_is_a_statement_about_the_area(capture):
-    with _session(capture) as session:
-        for pose in capture.poses:
+        for pose in capture.poses[:3]:
             session.add(pose)
         error_m = session.result.content_mesh.expected_error_m
         assert session.done(f"expected {1e3 * error_m.max() + 1:.3f} mm over 100 %")
@@ -215,9 +212,9 @@ def test_a_killed_session_goes_on_from_its_last_plane(capture, whole, tmp_path):
 
 
 def test_samples_are_on_disk_not_in_memory(capture):
-    """A plane of 200 MB, of which a part is kept only while it is used."""
+    """A plane of 100 MB, of which a part is kept only while it is used."""
     pose = capture.poses[0]
-    n_samples = 64_000
+    n_samples = 32_000
     signal = np.tile(pose.signal, (1, n_samples // pose.signal.shape[1]))
     waveform = replace(capture.waveform, n_samples=n_samples, sample_rate_hz=1e9)
     with geraf2.Session(waveform, examples.BOX_M, COARSE) as session:

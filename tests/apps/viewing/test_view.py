@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 import geraf2
-from geraf2.apps.viewing.scenes import scene_of
-from geraf2.apps.viewing.server import LiveView, is_same_origin, require_free
+from geraf2.apps.viewing.server import LiveView, is_same_origin, require_free, scene_of
 from geraf2.apps.viewing.server import page as page_of
 from geraf2.cli.main import main
 from geraf2.errors import UserError

@@ -8,6 +8,9 @@ from geraf2.apps.benchmark.rows import Row
 from geraf2.apps.benchmark.runner import Runner
 from geraf2.apps.benchmark.suite import Suite
 
+_SCENE = "a scene"
+"""Key beside the names of methods."""
+
 
 @dataclass
 class Cost:
@@ -39,18 +42,17 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
             counts[row.method] += 1.0
         if scene_s is not None and scene not in known:
             known[scene] = scene_s
-            sums[_kind_of_scene(row)] += scene_s
-            counts[_kind_of_scene(row)] += _size_of_scene(row)
+            sums[_SCENE] += scene_s
+            counts[_SCENE] += _size_of_scene(row)
     means = {kind: sums[kind] / count for kind, count in counts.items() if count}
     total: dict[str, Cost] = {}
     seen: set[str] = set()
     for row in rows:
         scene, run = (folder.name for folder in runner.place(row))
         cost = total.setdefault(row.experiment, Cost())
-        per_size, size = means.get(_kind_of_scene(row)), _size_of_scene(row)
+        per_size, size = means.get(_SCENE), _size_of_scene(row)
         scene_guess = 0.0 if size == 0.0 else None if per_size is None else per_size * size
-        guesses = ((scene, scene_guess), (run, means.get(row.method)))
-        for folder, guess in guesses:
+        for folder, guess in ((scene, scene_guess), (run, means.get(row.method))):
             if folder in seen:
                 continue
             seen.add(folder)
@@ -65,15 +67,9 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
     return total
 
 
-def _kind_of_scene(row: Row) -> str:
-    return "a scene" if row.spec.photos is None else "a scene with photos"  # no method's name
-
-
 def _size_of_scene(row: Row) -> float:
     """Quantity to which the cost is proportional; 0 for a copy with other walls."""
-    if row.case.told_permittivity != "true":
-        return 0.0
-    return 1.0 if row.spec.photos is not None else float(row.spec.scan.n_planes)
+    return float(row.spec.scan.n_planes) if row.case.told_permittivity == "true" else 0.0
 
 
 def listed(suite: Suite, spent: Mapping[str, Cost]) -> list[tuple[str, str]]:

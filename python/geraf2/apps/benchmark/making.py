@@ -1,27 +1,26 @@
 """Simulation of scenes and evaluation of rows, each in a process of its own."""
 
 import shutil
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from skimage.filters import threshold_otsu
 
-from geraf2.apps.benchmark.population_scores import population_scores
 from geraf2.apps.benchmark.rows import Row, RowResult
-from geraf2.apps.photos.los import make_los
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.matched_filter_surface import sum_heat, surface_above
-from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics, evaluate_mesh, oracle_matched_filter
-from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
-from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CHECKPOINT_NAME, CONTENT_NAME
+from geraf2.evaluation.mesh_metrics import FINE_SAMPLES
+from geraf2.geometry.triangles import enclosed_volume_m3
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import CHECKPOINT_NAME
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.commands.reconstruct import reconstruct
-from geraf2.pipeline.commands.render import render
 from geraf2.pipeline.commands.simulate import simulate_scene
-from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import MatchedFilterPreset
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene import LosPrior, Wall, load_capture
@@ -29,6 +28,8 @@ from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec
 from geraf2.surfaces.extraction import cropped_content
 
+_THRESHOLDS_M = (0.005, 0.003, 0.002)
+"""Of the F1 of a scene of the population [m]."""
 # Thresholds of the oracle, in units of Otsu's; the method's own is among them.
 _ORACLE_SCALES = (0.8, 1.0, 1.15, 1.3, 1.45, 1.6, 1.8, 2.0, 2.3, 2.6)
 
@@ -59,22 +60,15 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
         shutil.rmtree(run, ignore_errors=True)  # remains of a failure
     if row.how.kind == "oracle":
         return _oracle(row, scene, seed, num_threads)
-    if row.how.kind == "photos":
-        return _photos(row, scene, run, seed, num_threads)
-    options = row.how.run_options(seed)
     result = reconstruct(
         scene,
         _prior(row, scene),
         row.config,
         run,
-        options=options,
+        options=row.how.run_options(seed),
         resume=is_stopped,
         num_threads=num_threads,
     )
-    psnr_db = None
-    if row.how.kind == "render":
-        planes = render(result, num_threads=num_threads)
-        psnr_db = float(np.mean([plane.psnr_db for plane in planes]))
     cpu_seconds = sum(numbers["cpu_seconds"] for numbers in result.numbers.values())
     if row.how.kind == "population":
         truth = read_mesh(scene / TRUTH_NAME)
@@ -91,7 +85,6 @@ def make_row(row: Row, scene: Path, run: Path, seed: int, num_threads: int | Non
     return replace(
         _result_of(metrics),
         expected_m=None if expected_mm is None else 1e-3 * expected_mm,
-        psnr_db=psnr_db,
         cpu_seconds=cpu_seconds,
     )
 
@@ -102,21 +95,6 @@ def _prior(row: Row, scene: Path) -> PriorSource:
     wall, (dx, dy, dz) = row.spec.walls[0], row.case.prior_shift_m
     x, y, z = wall.center_m
     return PriorSource(box=wall.size_m, box_center=(x + dx, y + dy, z + dz))
-
-
-def _photos(row: Row, scene: Path, run: Path, seed: int, num_threads: int | None) -> RowResult:
-    """Score a surface from photos."""
-    photos = row.spec.photos
-    if photos is None:
-        raise UserError(what="the scene has no photos", where=f"scene {row.scene}")
-    options = LosOptions(preset=row.how.photos, seed=seed)
-    make_los(scene / PHOTOS_NAME, run, options, num_threads=num_threads)
-    truth = scene / LOS_NAME
-    if photos.subject == "content":
-        truth = scene / TRUTH_NAME
-        shutil.copy(run / LOS_NAME, run / CONTENT_NAME)  # its name in the galleries
-    surface = read_mesh(run / LOS_NAME)
-    return _result_of(evaluate_mesh(surface, read_mesh(truth), seed=seed, num_threads=num_threads))
 
 
 def _oracle(row: Row, scene: Path, seed: int, num_threads: int | None) -> RowResult:
@@ -171,3 +149,51 @@ def _result_of(metrics: MeshMetrics) -> RowResult:
         same_topology=float(mesh == truth),
         topology=f"{mesh} ({truth})",
     )
+
+
+def population_scores(
+    mesh: TriangleMesh,
+    truth: TriangleMesh,
+    seed: int,
+    *,
+    stated: Mapping[str, Any] | None = None,
+    num_threads: int | None = None,
+) -> dict[str, float]:
+    """Scores of a reconstructed surface by name; lengths in millimetres.
+
+    mesh: the content, with expected errors where the preset has them.
+    truth: the true surface, closed.
+    seed: of the points that are drawn.
+    stated: numbers of the stage `mesh`, with the intervals of volume and extents.
+    """
+    metrics = evaluate_mesh(
+        mesh,
+        truth,
+        n_samples=FINE_SAMPLES,
+        seed=seed,
+        thresholds_m=_THRESHOLDS_M,
+        num_threads=num_threads,
+    )
+    scores = metrics.headline()
+    if metrics.expected_error is not None:
+        scores["within_one"] = metrics.expected_error.within_one
+        scores["within_two"] = metrics.expected_error.within_two
+        scores["rank"] = metrics.expected_error.rank_correlation
+    return scores | _covered_sizes(truth, stated or {})
+
+
+def _covered_sizes(truth: TriangleMesh, stated: Mapping[str, Any]) -> dict[str, float]:
+    """Whether stated 95 % intervals hold the true volume, and the share of extents that they hold.
+
+    {} without intervals.
+    """
+    if "volume_95_percent_cm3" not in stated:
+        return {}
+    low, high = stated["volume_95_percent_cm3"]
+    volume = 1e6 * enclosed_volume_m3(truth.vertices, truth.faces)
+    sides = 1e3 * np.ptp(truth.vertices, axis=0)
+    ends = np.asarray(stated["extents_95_percent_mm"])
+    return {
+        "volume_covered": float(low <= volume <= high),
+        "extents_covered": float(np.mean((ends[:, 0] <= sides) & (sides <= ends[:, 1]))),
+    }

@@ -1,15 +1,12 @@
 """Pages of a benchmark: tables as Markdown and CSV, and one HTML page with pictures."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from geraf2.apps.benchmark.ladder import ladder
-from geraf2.apps.benchmark.pictures import draw_gallery, draw_slices, draw_sweep
-from geraf2.apps.benchmark.rows import Row, RowResult
-from geraf2.apps.benchmark.suite import Case, Experiment, Suite
+from geraf2.apps.benchmark.pictures import Results, draw_gallery, draw_sweep
+from geraf2.apps.benchmark.rows import RowResult
+from geraf2.apps.benchmark.suite import Experiment, Suite
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.text import csv_text
 from geraf2.report import html
@@ -33,7 +30,6 @@ _COLUMNS = (
     ("expected [mm]", "expected_m", 2, 1e3),
     ("pieces, holes right", "same_topology", 2, 1.0),
     ("pieces, holes (true)", "topology", 0, 1.0),
-    ("PSNR [dB]", "psnr_db", 1, 1.0),
     ("CPU [s]", "cpu_seconds", 0, 1.0),
 )
 # What a smaller value is better for, and the value that others are best near to.
@@ -42,9 +38,17 @@ _BEST_AT = {
     "volume_ratio": 1.0,
     **dict.fromkeys(("extent_x_m", "extent_y_m", "extent_z_m", "offset_m"), 0.0),
 }
-_OURS = "fast"
-_AGAINST = "The preset fast against each method"
-_AGAINST_HEAD = ("method", "rows", "fast better by F1 5 mm", "by CD")
+# Of a ladder: field, digits, factor.
+_RUNG_FIGURES = (
+    ("f1_15mm", 3, 1.0),
+    ("f1_5mm", 3, 1.0),
+    ("f1_3mm", 3, 1.0),
+    ("f1_2mm", 3, 1.0),
+    ("chamfer_1e3_m2", 4, 1.0),
+    ("volume_ratio", 3, 1.0),
+    ("extent_m", 1, 1e3),
+)
+_RUNG_HEAD = "F1 15 / 5 / 3 / 2 mm / CD / volume / worst extent [mm]"
 _NOTE = (
     "All values are of simulated captures: single bounce, fixed seed, nothing aligned, scaled or "
     "cropped (docs/benchmark.md). Columns marked 'real data, published' are the paper's own, of "
@@ -52,7 +56,7 @@ _NOTE = (
 )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Table:
     """Table of one experiment, as text."""
 
@@ -72,9 +76,6 @@ class Table:
     """Cells (row, column) with the best value of all methods on the same scene and setting."""
     rungs: tuple[tuple[str, ...], ...] = ()
     """Loss by each setting, a line each, after the head; only for ladders."""
-
-
-Results = Sequence[tuple[Row, RowResult]]
 
 
 def write_pages(
@@ -100,15 +101,7 @@ def write_pages(
         if table.rungs:
             rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
             write_text_atomic(rungs, csv_text(table.rungs[0], table.rungs[1:]))
-    losses = lost_rows(suite, results)
-    against = against_default(suite, results)
-    words = {
-        "note": _NOTE,
-        "losses": losses,
-        "against_title": _AGAINST,
-        "against": [_AGAINST_HEAD, *against],
-    }
-    text = html.rendered("benchmark.md", tables=tables, is_quick=suite.is_quick, **words)
+    text = html.rendered("benchmark.md", tables=tables, is_quick=suite.is_quick, note=_NOTE)
     write_text_atomic(out / MARKDOWN_NAME, text)
     sections = [
         (table, _pictures(out, table, of[table.name], suite, num_threads)) for table in tables
@@ -119,7 +112,7 @@ def write_pages(
         title="geraf2 benchmark",
         facts=[("rows", len(results)), ("failed", sum(r.error is not None for _, r in results))],
         sections=sections,
-        **words,
+        note=_NOTE,
     )
     write_text_atomic(page, text)
     return page
@@ -151,12 +144,16 @@ def make_table(name: str, experiment: Experiment, suite: Suite, results: Results
     lines += _mean_lines(experiment, suite, results, used, has_cases, len(published))
     n_names = 3 if has_cases else 2
     best = _best_cells(results, [c[1] for c in used], n_names)
-    rows = tuple(lines)
-    rungs: tuple[tuple[str, ...], ...] = ()
-    if experiment.ladder:
-        rungs_head, rungs_lines = ladder(experiment, suite, results)
-        rungs = (rungs_head, *rungs_lines)
-    return Table(name, experiment, tuple(head), rows, tuple(failures), n_names, best, rungs)
+    return Table(
+        name=name,
+        experiment=experiment,
+        head=tuple(head),
+        rows=tuple(lines),
+        failures=tuple(failures),
+        n_names=n_names,
+        best=best,
+        rungs=_rungs(experiment, suite, results) if experiment.ladder else (),
+    )
 
 
 def _best_cells(
@@ -180,69 +177,6 @@ def _best_cells(
             top = (min if is_small else max)(known.values())
             best |= {(n, first_column + column) for n, value in known.items() if value == top}
     return frozenset(best)
-
-
-def _ours(results: Results) -> dict[tuple[str, str, str], RowResult]:
-    """Return the default's results by table, scene and setting."""
-    return {
-        (row.experiment, row.scene, row.case.label): result
-        for row, result in results
-        if row.method == _OURS and result.f1_5mm is not None
-    }
-
-
-def against_default(suite: Suite, results: Results) -> list[tuple[str, ...]]:
-    """Wins of the default over each method: (method, rows, by F1 5 mm, by CD).
-
-    Counted over all common rows of the same table, scene and setting.
-    """
-    ours, counts_of = _ours(results), dict[str, list[int]]()
-    for row, result in results:
-        own = ours.get((row.experiment, row.scene, row.case.label))
-        if row.method == _OURS or own is None or result.f1_5mm is None:
-            continue
-        count = counts_of.setdefault(row.method, [0, 0, 0])
-        count[0] += 1
-        count[1] += (own.f1_5mm or 0.0) > result.f1_5mm
-        count[2] += (own.chamfer_1e3_m2 or 0.0) < (result.chamfer_1e3_m2 or 0.0)
-    return [
-        (suite.methods[method].title, str(n), f"{f1} of {n}", f"{chamfer} of {n}")
-        for method, (n, f1, chamfer) in counts_of.items()
-    ]
-
-
-def lost_rows(suite: Suite, results: Results) -> list[str]:
-    """One line for each value of F1 at 5 mm or Chamfer distance in which the default loses.
-
-    It loses to another method on the same scene, or to itself with other settings.
-    """
-    plain = {
-        row.scene: result
-        for row, result in results
-        if row.method == _OURS
-        and result.f1_5mm is not None
-        and row.case == Case(label=row.case.label)
-    }
-    ours = _ours(results)
-    lines = []
-    for row, result in results:
-        own = ours.get((row.experiment, row.scene, row.case.label))
-        what = row.how.title
-        if row.method == _OURS:
-            changed = Case(label=row.case.label, settings=row.case.settings)
-            if not row.case.settings or row.case != changed:
-                continue
-            own, what = plain.get(row.scene), "with this setting"
-        if own is None:
-            continue
-        where = f"{suite.experiments[row.experiment].title}: {row.scene} {row.case.label}".rstrip()
-        if (result.f1_5mm or 0.0) > (own.f1_5mm or 0.0):
-            lines.append(f"{where}: F1 5 mm {own.f1_5mm:.3f}, {what} {result.f1_5mm:.3f}")
-        if (result.chamfer_1e3_m2 or np.inf) < (own.chamfer_1e3_m2 or 0.0):
-            lines.append(
-                f"{where}: Chamfer {own.chamfer_1e3_m2:.4f}, {what} {result.chamfer_1e3_m2:.4f}"
-            )
-    return lines
 
 
 def _mean_lines(
@@ -272,6 +206,63 @@ def _mean_lines(
     return lines
 
 
+def _rungs(experiment: Experiment, suite: Suite, results: Results) -> tuple[tuple[str, ...], ...]:
+    """Head and lines of a ladder: means of each method, and its loss against the first case.
+
+    The loss is the mean over common scenes of F1 at 5 mm of the first case minus that of this one.
+    """
+    by_case: dict[tuple[str, str], dict[str, RowResult]] = {}
+    for row, result in results:
+        by_case.setdefault((row.case.label, row.method), {})[row.scene] = result
+    ideal = experiment.cases[0].label
+    head = ["rung"]
+    for method in experiment.methods:
+        title = suite.methods[method].title
+        head += [f"{title}: {_RUNG_HEAD}", "lost at 5 mm"]
+    lines = [tuple(head)]
+    for case in experiment.cases:
+        cells = [case.label]
+        for method in experiment.methods:
+            own = by_case.get((case.label, method), {})
+            cells += [_means(own, len(experiment.scenes))]
+            cells += [_lost(by_case.get((ideal, method), {}), own)]
+        if any(cells[1:]):
+            lines.append(tuple(cells))
+    return tuple(lines)
+
+
+def _means(own: dict[str, RowResult], n_scenes: int) -> str:
+    """Means of a method over the scenes of a case, with their number if not all."""
+    if not own:
+        return ""
+    done = [result for result in own.values() if result.error is None]
+    n_failed = len(own) - len(done)
+    parts = []
+    if done:
+        parts.append(" / ".join(_mean(done, *figure) for figure in _RUNG_FIGURES))
+        if len(done) < n_scenes:
+            parts.append(f"of {len(done)}")
+    if n_failed:
+        parts.append(f"{n_failed} failed")
+    return ", ".join(parts)
+
+
+def _mean(done: Sequence[RowResult], key: str, digits: int, factor: float) -> str:
+    values = [getattr(result, key) for result in done]
+    known = [value for value in values if value is not None]
+    return f"{factor * sum(known) / len(known):.{digits}f}" if known else "-"
+
+
+def _lost(ideal: dict[str, RowResult], own: dict[str, RowResult]) -> str:
+    pairs = [
+        (ideal[scene].f1_5mm, result.f1_5mm) for scene, result in own.items() if scene in ideal
+    ]
+    known = [(a, b) for a, b in pairs if a is not None and b is not None]
+    if not known or own is ideal:
+        return ""
+    return f"{sum(a - b for a, b in known) / len(known):+.3f}"
+
+
 def _number(value: float | str | None, digits: int, factor: float) -> str:
     if isinstance(value, str):
         return value
@@ -285,34 +276,8 @@ def _pictures(
     gallery = figures / f"{table.name}.png"
     if draw_gallery(gallery, out, results, num_threads=num_threads):
         parts.append(html.picture(gallery, "The truth and the surface of each row, from one side."))
-    slices = figures / f"{table.name}_slices.png"
-    if draw_slices(slices, out, results):
-        caption = (
-            "Signed distance on a horizontal cut, its zero level (black), and the truth (green)."
-        )
-        parts.append(html.picture(slices, caption))
     sweep = figures / f"{table.name}_sweep.png"
-    titles: Mapping[str, str] = {name: method.title for name, method in suite.methods.items()}
+    titles = {name: method.title for name, method in suite.methods.items()}
     if draw_sweep(sweep, table.experiment, results, titles):
         parts.append(html.picture(sweep, "F1 at 15 mm (full) and 5 mm (dashed)."))
-    parts += _views(out, results)
     return parts
-
-
-def _views(out: Path, results: Results) -> list[str]:
-    """Projections of held-out planes, measured and rendered."""
-    parts: dict[tuple[str, str], list[str]] = {}
-    for row, result in results:
-        if result.folder is None or row.how.kind != "render":
-            continue
-        for measured in sorted((out / result.folder / "views").glob("*_measured.png")):
-            name = measured.name.removesuffix("_measured.png")
-            plane = f"{row.scene}, {name.removeprefix('angle_')} degrees"
-            # The measurement once, then the rendering of each method.
-            shown = parts.setdefault(
-                (row.scene, name), [html.picture(measured, f"{plane}, measured.")]
-            )
-            rendered = measured.with_name(f"{name}_rendered.png")
-            caption = f"{plane}, {row.how.title}, {row.case.label or 'rendered'}."
-            shown.append(html.picture(rendered, caption))
-    return [picture for shown in parts.values() for picture in shown]

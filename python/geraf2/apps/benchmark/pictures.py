@@ -1,28 +1,23 @@
-"""Pictures of a benchmark: surfaces, cuts of the signed distance, scores over a setting."""
+"""Pictures of a benchmark: surfaces, and scores over a setting."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.apps.benchmark.suite import Experiment
-from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import triple
 from geraf2.io.container import TRUTH_NAME
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.report.canvas import new_figure, save
 from geraf2.report.render import MeshPainter, View
-from geraf2.report.sections import plane_section
 
 _GREY, _BLUE = (0.72, 0.72, 0.72), (0.45, 0.62, 0.85)
 _MAX_COLUMNS, _MAX_ROWS = 8, 9
 _N_PIXELS = 220
-# Margin around the truth on cuts [mm].
-_CUT_MARGIN_MM = 25.0
 
 Results = Sequence[tuple[Row, RowResult]]
 
@@ -35,10 +30,14 @@ def draw_gallery(
     path: PNG to write. out: folder of the benchmark. results: rows of one experiment.
     num_threads: of the ray tracer; all when None.
     """
-    lines = _lines(results, CONTENT_NAME, out)
+    lines = _lines(results, out)
     if not lines:
         return False
-    figure, panels = _panels(len(lines), 1 + max(map(len, lines.values())), (1.9, 2.1))
+    n_columns = 1 + max(map(len, lines.values()))
+    figure = new_figure(1.9 * n_columns, 2.1 * len(lines))
+    panels = figure.subplots(len(lines), n_columns, squeeze=False)
+    for panel in panels.ravel():
+        panel.axis("off")
     for axes, (scene, line) in zip(panels, lines.items(), strict=True):
         truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
         low, high = truth.vertices.min(axis=0), truth.vertices.max(axis=0)
@@ -55,22 +54,6 @@ def draw_gallery(
             mesh = read_mesh(out / str(result.folder) / CONTENT_NAME)
             panel.imshow(_picture(mesh, view, _BLUE, num_threads))
             panel.set_title(_title(row, result), fontsize=7)
-    save(figure, path)
-    return True
-
-
-def draw_slices(path: Path, out: Path, results: Results) -> bool:
-    """Draw a horizontal cut through the signed distance of each row; False where there is none."""
-    lines = _lines(results, "sdf.npz", out)
-    if not lines:
-        return False
-    figure, panels = _panels(len(lines), max(map(len, lines.values())), (2.1, 2.3))
-    for axes, line in zip(panels, lines.values(), strict=True):
-        truth = read_mesh(out / str(line[0][1].scene_folder) / TRUTH_NAME)
-        height = float(np.median(truth.vertices[:, 2]))
-        for panel, (row, result) in zip(axes, line, strict=False):
-            _draw_cut(panel, SdfGrid.load(out / str(result.folder) / "sdf.npz"), truth, height)
-            panel.set_title(f"{row.scene}\n{_title(row, result)}", fontsize=7)
     save(figure, path)
     return True
 
@@ -108,24 +91,15 @@ def draw_sweep(
     return True
 
 
-def _lines(results: Results, name: str, out: Path) -> dict[str, list[tuple[Row, RowResult]]]:
-    """Rows with a file of this name, by scene."""
+def _lines(results: Results, out: Path) -> dict[str, list[tuple[Row, RowResult]]]:
+    """Rows with a mesh, by scene."""
     lines: dict[str, list[tuple[Row, RowResult]]] = {}
     for row, result in results:
-        if result.folder is not None and (out / result.folder / name).is_file():
+        if result.folder is not None and (out / result.folder / CONTENT_NAME).is_file():
             line = lines.setdefault(row.scene, [])
             if len(line) < _MAX_COLUMNS:
                 line.append((row, result))
     return dict(list(lines.items())[:_MAX_ROWS])
-
-
-def _panels(n_rows: int, n_columns: int, size: tuple[float, float]) -> tuple[Any, Any]:
-    """Canvas of Matplotlib and its empty panels of a size [inch], (n_rows, n_columns)."""
-    figure = new_figure(size[0] * n_columns, size[1] * n_rows)
-    panels = figure.subplots(n_rows, n_columns, squeeze=False)
-    for panel in panels.ravel():
-        panel.axis("off")
-    return figure, panels
 
 
 def _title(row: Row, result: RowResult) -> str:
@@ -139,23 +113,3 @@ def _picture(
     painter = MeshPainter(mesh, num_threads=num_threads)
     image = painter.render(view, np.tile(colour, (mesh.vertices.shape[0], 1)))
     return np.asarray(image[..., :3] * image[..., 3:] + 1.0 - image[..., 3:])
-
-
-def _draw_cut(panel: Any, sdf: SdfGrid, truth: TriangleMesh, height_m: float) -> None:
-    x, y, z = sdf.grid.axes_m
-    index = int(np.clip(np.searchsorted(z, height_m), 0, z.size - 1))
-    cut = 1e3 * sdf.values[:, :, index].T
-    extent = [1e3 * float(v) for v in (x[0], x[-1], y[0], y[-1])]
-    style = {"cmap": "RdBu_r", "vmin": -25.0, "vmax": 25.0, "interpolation": "bilinear"}
-    panel.imshow(cut, origin="lower", extent=extent, **style)
-    if cut.min() < 0.0 < cut.max():
-        panel.contour(1e3 * x, 1e3 * y, cut, levels=[0.0], colors="black", linewidths=1.0)
-    outline = plane_section(truth, 2, float(z[index]))
-    panel.plot(
-        1e3 * outline[:, :, 0].T, 1e3 * outline[:, :, 1].T, "-", color="#00a53c", linewidth=1.0
-    )
-    panel.set_aspect("equal")
-    low, high = 1e3 * truth.vertices.min(axis=0), 1e3 * truth.vertices.max(axis=0)
-    middle, half = 0.5 * (low + high), 0.5 * float((high - low)[:2].max()) + _CUT_MARGIN_MM
-    panel.set_xlim(middle[0] - half, middle[0] + half)
-    panel.set_ylim(middle[1] - half, middle[1] + half)

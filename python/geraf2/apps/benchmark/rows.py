@@ -6,11 +6,9 @@ from fnmatch import fnmatchcase
 from itertools import product
 
 from geraf2.apps.benchmark.suite import Case, Method, Suite
-from geraf2.apps.photos.los import PHOTOS_VERSION
 from geraf2.errors import UserError
 from geraf2.pipeline.presets import PresetConfig, versions_of
 from geraf2.simulation import SceneSpec
-from geraf2.surfaces.config import ECHO_VERSION
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,10 +41,7 @@ class Row:
     @property
     def versions(self) -> dict[str, int]:
         """Versions of the stages that the row depends on."""
-        if self.how.kind == "photos":
-            return {"photos": PHOTOS_VERSION}
-        versions = versions_of(self.config)
-        return {**versions, "echo": ECHO_VERSION} if self.how.kind == "render" else versions
+        return versions_of(self.config)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,8 +76,6 @@ class RowResult:
     """1 where the mesh has the truth's numbers of pieces and holes, else 0."""
     topology: str | None = None
     """Pieces and holes of the mesh, and those of the truth in brackets."""
-    psnr_db: float | None = None
-    """Mean over the held-out planes [dB]."""
     cpu_seconds: float | None = None
     """Processor time of the reconstruction [s]."""
     all_cpu_seconds: float | None = None
@@ -106,9 +99,7 @@ class RowResult:
     def __str__(self) -> str:
         if self.error is not None:
             return f"failed: {self.error}"
-        parts = [] if self.f1_5mm is None else [f"F1 5 mm {self.f1_5mm:.3f}"]
-        psnr = [] if self.psnr_db is None else [f"PSNR {self.psnr_db:.1f} dB"]
-        return ", ".join([*parts, *psnr])
+        return "" if self.f1_5mm is None else f"F1 5 mm {self.f1_5mm:.3f}"
 
 
 def rows_of(

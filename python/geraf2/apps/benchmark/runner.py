@@ -144,8 +144,8 @@ class Runner:
             version=RESULT_VERSION,
             scene=scene,
             kind=how.kind,
-            settings=how.photos if how.kind == "photos" else row.config,
-            hold_out=how.hold_out,
+            settings=row.config,
+            hold_out=(),  # as in names of older folders
             shift=case.prior_shift_m,
             stages=row.versions,
             seed=self.seed_of(row),

@@ -8,7 +8,6 @@ from typing import Any, Literal
 
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, merged, read_toml
-from geraf2.pipeline.los_options import PhotoPreset
 from geraf2.pipeline.presets import PresetConfig, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
@@ -29,21 +28,14 @@ class Method:
     """Changes of the preset's constants, as nested tables."""
     quick: dict[str, Any] = field(default_factory=dict)
     """Further changes with --quick."""
-    hold_out: tuple[float, ...] = ()
-    """Turntable angles of held-out planes [degrees]."""
-    kind: Literal["reconstruct", "render", "oracle", "photos", "population"] = "reconstruct"
-    """"population": also the scores of the population's table. "render": also renders the held-out
-    planes. "oracle": matched filter, best threshold.
-    "photos": a surface from the scene's photos, of the box or of the bare object; no radar."""
-    photos: PhotoPreset = "default"
-    """Preset of the training on photos."""
+    kind: Literal["reconstruct", "oracle", "population"] = "reconstruct"
+    """"population": scores of the population's table. "oracle": matched filter, best threshold."""
     options: dict[str, Any] = field(default_factory=dict)
     """Options of the run beside the preset, see :class:`RunOptions`."""
 
     def run_options(self, seed: int) -> RunOptions:
         """Options of a run with this seed."""
-        table = {"hold_out": list(self.hold_out), "seed": seed, **self.options}
-        return from_table(table, RunOptions, f"method {self.title}")
+        return from_table({"seed": seed, **self.options}, RunOptions, f"method {self.title}")
 
 
 @dataclass(frozen=True, kw_only=True)

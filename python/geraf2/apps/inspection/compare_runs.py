@@ -69,22 +69,27 @@ def compare(
         _require_peaks(one)
     for other in others:
         _require_alike(here, other)
-    scanned, found, poses, shares, counts = _scanned(here, num_threads), [], [], [], []
+    scanned, n_parts, found = _scanned(here, num_threads), [], []
     for other in others:
         with listener.step("registering a reference"):
             there = _scanned(other, num_threads)
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
-            changes, pose, share = compared(scanned, there, start, play, 1e-3 * tolerance_mm)
-        _require_common_view(share, other.path)
-        found.append(changes)
-        poses.append(pose)
-        shares.append(share)
-        counts.append(len(there.bodies))
+            found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm))
+        if found[-1][2] < _LEAST_SHARE:
+            raise UserError(
+                what="the scans show different sides of the content",
+                where=other.path,
+                expected=f"at least {100 * _LEAST_SHARE:.0f} % of the glints in view of both",
+                got=f"{100 * found[-1][2]:.0f} %",
+                hint="put the box down as in the reference, and scan it with the same planes",
+            )
+        n_parts.append(len(there.bodies))
+    changes, poses, shares = zip(*found, strict=True)
     middle = scanned.whole.mesh.vertices.mean(axis=0)
     return Comparison(
-        changes=common_changes(found),
-        n_parts=(len(scanned.bodies), *counts),
+        changes=common_changes(changes),
+        n_parts=(len(scanned.bodies), *n_parts),
         shift_m=triple(middle - apply_rigid(poses[0], middle)),
         turn_deg=float(np.rad2deg(Rotation.from_matrix(poses[0][:3, :3]).magnitude())),
         compared_fraction=min(shares),
@@ -118,18 +123,6 @@ def _require_peaks(result: Reconstruction) -> None:
             what="the run has no peaks to compare",
             where=result.path,
             expected="a run of preset best or fast",
-        )
-
-
-def _require_common_view(share: float, where: Path) -> None:
-    """Raise UserError where too few glints are in view of the reference to say "unchanged"."""
-    if share < _LEAST_SHARE:
-        raise UserError(
-            what="the scans show different sides of the content",
-            where=where,
-            expected=f"at least {100 * _LEAST_SHARE:.0f} % of the glints in view of both",
-            got=f"{100 * share:.0f} %",
-            hint="put the box down as in the reference, and scan it with the same planes",
         )
 
 

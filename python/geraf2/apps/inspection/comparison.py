@@ -14,6 +14,7 @@ from geraf2 import __version__
 from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.material import UNKNOWN, Material
+from geraf2.apps.inspection.models import diagonal_m
 from geraf2.apps.inspection.scan_evidence import (
     Evidence,
     Shift,
@@ -24,7 +25,7 @@ from geraf2.apps.inspection.scan_evidence import (
     without_counterpart,
 )
 from geraf2.geometry.components import connected_labels
-from geraf2.geometry.transforms import apply_rigid, rigid, triple
+from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 
 _N_STEPS, _STEP = 6, 1e-4
 """Steps of the registration; it ends at a step of this size [m], [rad]."""
@@ -142,7 +143,7 @@ def registered(
     for _ in range(_N_STEPS):
         if len(here.bodies) > len(there.bodies):
             parts = [_moved(body, pose) for body in here.bodies]
-        back = _inverse(pose)
+        back = inverse_rigid(pose[:3, :3], pose[:3, 3])
         cells = joined_cells(
             cells_of(here.evidence, there.evidence, pose, parts),
             cells_of(there.evidence, here.evidence, back, [_moved(part, back) for part in parts]),
@@ -167,7 +168,7 @@ def compared(
     shift that counts [m]. Returns changes, pose, and share of the glints that both scans could see.
     """
     pose, parts, shifts = registered(here, there, start, play)
-    back = _inverse(pose)
+    back = inverse_rigid(pose[:3, :3], pose[:3, 3])
     new, share = _missed_groups(here, there, pose, "appeared")
     gone, _ = _missed_groups(there, here, back, "vanished")
     gone = [g._replace(points=apply_rigid(back, g.points), body=_moved(g.body, back)) for g in gone]
@@ -242,7 +243,7 @@ def _of_groups(groups: Sequence[_Group]) -> list[Change]:
                 what=own[0].what if len(kinds) == 1 else "swapped",
                 is_body=whole is not None,
                 center_m=triple(_middle(whole) if whole else points.mean(axis=0)),
-                size_m=_size(whole.mesh.vertices if whole else points),
+                size_m=diagonal_m(whole.mesh.vertices if whole else points),
                 sigma_m=float(np.median(own[0].body.sigma_m)),
                 probability=odds / (1.0 + odds),
             )
@@ -276,7 +277,7 @@ def _of_material(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
                     what="swapped",
                     is_body=True,
                     center_m=triple(_middle(body)),
-                    size_m=_size(body.mesh.vertices),
+                    size_m=diagonal_m(body.mesh.vertices),
                     sigma_m=float(np.median(body.sigma_m)),
                     probability=metal[1] * (1.0 - metal[0]),
                 )
@@ -314,21 +315,12 @@ def common_changes(found: Sequence[Sequence[Change]]) -> tuple[Change, ...]:
     return tuple(sorted(kept, key=lambda change: -change.probability))
 
 
-def _inverse(pose: Floats) -> Floats:
-    return rigid(pose[:3, :3].T, -pose[:3, :3].T @ pose[:3, 3])
-
-
 def _moved(body: Body, pose: Floats) -> Body:
     return replace(body, mesh=body.mesh.moved(pose))
 
 
 def _middle(body: Body) -> Floats:
     return np.asarray(0.5 * (body.mesh.vertices.min(axis=0) + body.mesh.vertices.max(axis=0)))
-
-
-def _size(points: Floats) -> float:
-    """Length of the diagonal of a bounding box [m]."""
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def _distance(one: Change, other: Change) -> float:

@@ -1,9 +1,10 @@
 """Inspection of a run: its parts, and comparison with CAD models."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -13,7 +14,7 @@ from geraf2._types import Floats, Ints
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
-from geraf2.apps.inspection.deviation import deviation_of
+from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
     ExpectedContents,
     Missing,
@@ -26,7 +27,6 @@ from geraf2.apps.inspection.matching import Match, by_echoes, match_models
 from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
-from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -100,10 +100,7 @@ def inspect(
     contents, cad = _expected(expect, cad)
     whole, pieces = content_of(result)
     tolerance_m = 1e-3 * options.tolerance_mm
-    models = _models(cad, [*pieces, whole], options)
-    if contents is not None:
-        named = zip(models, contents.models, strict=True)
-        models = [replace(model, name=item.name) for model, item in named]
+    models = _models(cad, [*pieces, whole], options, contents)
     content = Content(pieces, whole, result.glints)
     bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
     cut = ["parts are connected in the surface, which was cut between the models"]
@@ -118,13 +115,19 @@ def inspect(
         with listener.step("comparing expected echoes"):
             matches, patches, more = _compared(result, matches, models, options, num_threads)
             notes += more
-    basis = _DeviationBasis(tolerance_m, planes, result.glints, num_threads)
+    compare = partial(
+        deviation_of,
+        tolerance_m=tolerance_m,
+        planes=planes,
+        glints=result.glints,
+        num_threads=num_threads,
+    )
     reports: tuple[ModelReport, ...] = ()
     if matches:
         with listener.step("comparing surfaces") as progress:
             for n, m in enumerate(matches):
-                report = _report(models[m.model], m, bodies, whole, basis, patches.get(n))
-                reports = (*reports, report)
+                own = partial(compare, echoes=patches.get(n))
+                reports = (*reports, _report(models[m.model], m, bodies, whole, own))
                 progress(len(reports) / len(matches))
     failures, more = _failures(parts, reports, contents, expect, options)
     notes += more
@@ -226,16 +229,21 @@ def _models(
     cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]",
     bodies: Sequence[Body],
     options: InspectOptions,
+    contents: ExpectedContents | None,
 ) -> list[CadModel]:
     sizes = [diagonal_m(body.mesh.vertices) for body in bodies]
     paths = [item for item in cad if isinstance(item, Path | str)]
     read = iter(read_models(paths, sizes, options.unit))
-    return [
+    models = [
         next(read)
         if isinstance(item, Path | str)
         else model_of(as_triangles(item, "CAD model"), f"model {number}")
         for number, item in enumerate(cad, 1)
     ]
+    if contents is None:
+        return models
+    named = zip(models, contents.models, strict=True)
+    return [replace(model, name=item.name) for model, item in named]
 
 
 def _compared(
@@ -260,36 +268,19 @@ def _compared(
     return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
 
 
-class _DeviationBasis(NamedTuple):
-    """Common inputs of the deviations of all models."""
-
-    tolerance_m: float
-    planes: ScannedPlanes
-    glints: Glints | None
-    num_threads: int | None
-
-
 def _report(
     model: CadModel,
     match: Match,
     bodies: Sequence[Body],
     whole: Body,
-    basis: _DeviationBasis,
-    echoes: Patches | None,
+    compare: Callable[..., Deviation],
 ) -> ModelReport:
+    """Report of a match; compare: `deviation_of` with what all models have in common."""
     if match.body is None or match.placement is None or match.status == "wrong part":
         return ModelReport(model=model, match=match, deviation=None)
-    deviation = deviation_of(
-        whole if match.body < 0 else bodies[match.body],
-        model.mesh,
-        match.placement,
-        basis.tolerance_m,
-        basis.planes,
-        glints=basis.glints,
-        echoes=echoes,
-        num_threads=basis.num_threads,
-    )
-    return ModelReport(model=model, match=match, deviation=deviation)
+    body = whole if match.body < 0 else bodies[match.body]
+    found = compare(body, model.mesh, match.placement)
+    return ModelReport(model=model, match=match, deviation=found)
 
 
 def _rivals(reports: Sequence[ModelReport], models: Sequence[CadModel]) -> list[str]:

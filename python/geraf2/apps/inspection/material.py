@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 Kind = Literal["metal", "plastic", "not determined"]
-MATERIALS: tuple[Kind, ...] = ("metal", "plastic")
-"""Materials that are distinguished."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -172,8 +172,7 @@ def swept_planes(
     height, each line as much above the one before as the array is high, and a row.
     """
     array = scanner.swept(spacing_m)
-    up = [0.5 * (t[2] + r[2]) for t in array.tx_offsets_m for r in array.rx_offsets_m]
-    extent_m = max(up) - min(up)
+    extent_m = _height_m(array)
     clock_s, swept = 0.0, []
     for number, plane in enumerate(planes):
         width, height = 2.0 * plane.half_m
@@ -218,6 +217,12 @@ def swept_planes(
         spacing_m=spacing_m,
     )
     return scan, clock_s
+
+
+def _height_m(array: SweptArray) -> float:
+    """Height that the phase centres of an array span [m]."""
+    up = [0.5 * (t[2] + r[2]) for t in array.tx_offsets_m for r in array.rx_offsets_m]
+    return max(up) - min(up)
 
 
 def _triple(vector: Floats) -> tuple[float, float, float]:
@@ -296,10 +301,8 @@ def _heights(
 ) -> Iterator[tuple[tuple[float, float], float]]:
     """Width and height of planes to try, and what their share counts: as asked, and a line less."""
     yield aperture_m, 1.0
-    array = scanner.swept(spacing_m)
-    up = [0.5 * (t[2] + r[2]) for t in array.tx_offsets_m for r in array.rx_offsets_m]
     width, height = aperture_m
-    lower = height - (max(up) - min(up) + spacing_m)
+    lower = height - (_height_m(scanner.swept(spacing_m)) + spacing_m)
     if lower >= _LOWEST * height:
         yield (width, lower), 1.0 / _LOWER_GAIN
 
