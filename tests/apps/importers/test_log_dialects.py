@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.importers._log_columns import quantity_of
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
 
 TIMES = 0.04 * np.arange(20)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.importers._board import board_of
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest
 
@@ -47,8 +47,8 @@ def test_positions_are_interpolated_at_the_frames(log):
 
 
 def test_alternating_transmitters_have_positions_of_their_own_times(log):
-    assert track(log).each_tx(3, 5) is None
-    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).each_tx(3, 5)
+    assert track(log).tx_positions is None
+    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).tx_positions[3:5]
     times = 0.05 * np.arange(3, 5)[:, None] + np.array([-0.01, 0.0, 0.01])
     expected = np.stack([0.3 + 0.2 * times, -0.1 * times, np.full((2, 3), 0.05)], axis=-1)
     assert np.allclose(sent, expected, atol=1e-9)
@@ -147,7 +147,7 @@ def test_frames_outside_the_log_are_refused_or_left_out(log):
 
 def test_the_first_row_is_the_first_frame_when_nothing_else_is_known(log):
     found = track(log, start=None)
-    assert found.start_time_s == 0.0
+    assert np.allclose(found.positions[0], POSITIONS[0])
     assert "start_time_s" in found.notes[0]
     with pytest.raises(UserError, match="time between frames is not known"):
         track(log, period=None)

@@ -51,10 +51,11 @@ class Board:
 
     def mean_axes(self, track: Track) -> Floats:
         """Axes in the capture frame, rotated by the mean rotation of the track."""
+        if track.rotations is None:
+            return self.axes
         first, stop = track.ranges[0][0], track.ranges[-1][1]
         chosen = np.unique(np.linspace(first, stop - 1, 256).astype(int))
-        matrices = np.concatenate([track.at(k, k + 1)[1] for k in chosen])
-        turn = Rotation.from_matrix(matrices).mean().as_matrix()
+        turn = Rotation.from_matrix(track.rotations[chosen].as_matrix()).mean().as_matrix()
         return np.asarray(self.axes @ turn.T)
 
 

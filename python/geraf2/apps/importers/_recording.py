@@ -1,8 +1,8 @@
 """Raw recordings of a TI board: files, order of the words, frames and samples."""
 
 import os
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -14,19 +14,21 @@ from numpy.typing import NDArray
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
 from geraf2.apps.importers._chirp_length import begins_in_chirp, late_samples
-from geraf2.apps.importers._place_files import PlaceStream, odd_places, place_files, usual_bytes
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
+    MAX_NAMED,
     PacketStream,
     PlainStream,
     find_packets,
+    place_files,
     recording_files,
 )
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._rows import left_out
 from geraf2.apps.importers._stream_parts import (
     ByteStream,
+    PlaceStream,
     StreamPart,
     leading_zeros,
     trailing_zeros,
@@ -93,8 +95,7 @@ class Recording:
 
         With `integers` I and Q as they are stored, (..., n_samples, 2), of each chirp.
         """
-        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
-        self.stream.read_into(first * self.frame_bytes, raw)
+        raw = self.stream.read(first * self.frame_bytes, (stop - first) * self.frame_bytes)
         read: Callable[..., Samples] = decode_integers if integers else decode
         chirps = read(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
         chirps = chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
@@ -132,24 +133,42 @@ class _Files:
         size -= max(zeros for _, zeros in usual)
         n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
         n_bytes = min(_HEAD_BYTES, size) // 2 * 2
-        parts = np.empty((min(n_files, len(usual)), n_bytes), dtype=np.uint8)
-        for (stream, zeros), part in zip(usual, parts, strict=False):
-            stream.read_into(zeros, part)
-        return parts.reshape(-1).view("<i2")
+        parts = [stream.read(zeros, n_bytes) for stream, zeros in usual[:n_files]]
+        return np.concatenate(parts).view("<i2")
 
     def without_zeros(self, frame_bytes: int) -> "_Files":
         """Files less the zeros at their beginning, unless these are whole frames."""
         streams, notes = [], []
         for stream, zeros, name in zip(self.streams, self.zeros, self.names, strict=True):
             is_padding = zeros % frame_bytes > 0
-            streams.append(
-                StreamPart(base=stream, start=zeros, stop=stream.n_bytes) if is_padding else stream
-            )
+            streams.append(StreamPart(stream, zeros) if is_padding else stream)
             if zeros:
                 text = f"the first {zeros} bytes of {name} are zero"
                 whole = f", {zeros // frame_bytes} frames in which nothing was recorded"
                 notes.append(f"{text} and were left out" if is_padding else f"{text}{whole}")
         return replace(self, streams=tuple(streams), notes=[*self.notes, *notes])
+
+
+def usual_bytes(files: Sequence[ByteStream]) -> int:
+    """Most common size of the files [bytes]; the largest of several."""
+    counts = Counter(stream.n_bytes for stream in files)
+    return max(counts, key=lambda size: (counts[size], size))
+
+
+def _odd_places(
+    files: _Files, frame_bytes: int, keep_good: bool, where: Path
+) -> tuple[tuple[int, ...], list[str]]:
+    """Positions whose number of whole frames is not the usual one, and a note; see `left_out`."""
+    n_frames = [stream.n_bytes // frame_bytes for stream in files.streams]
+    usual = usual_bytes(files.streams) // frame_bytes
+    odd = tuple(place for place, n in enumerate(n_frames) if n != usual)
+    if not odd:
+        return (), []
+    named = ", ".join(f"{files.names[k]} ({n_frames[k]})" for k in odd[:MAX_NAMED])
+    text = f"{len(odd)} of {len(n_frames)} files do not hold {usual} frames as the others do"
+    note = f"{text}: {named}"
+    left_out(note, keep_good, where, hint="--keep-good leaves these positions out")
+    return odd, [f"{note}; left out"]
 
 
 def open_recording(
@@ -182,11 +201,9 @@ def open_recording(
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
     if files.per_place:
-        missing, odd = odd_places(
-            files.streams, files.names, frame_bytes, keep_good=options.keep_good, where=source
-        )
+        missing, odd = _odd_places(files, frame_bytes, options.keep_good, source)
         notes.extend(odd)
-        stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
+        stream = PlaceStream(files.streams, n_frames * frame_bytes)
         n_frames *= len(files.streams)
     else:
         notes.extend(_check_end(stream, evidence, n_empty))
@@ -297,11 +314,8 @@ def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> li
     chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     n_chirps = (stream.n_bytes - n_empty) // chirp_bytes
     n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
-    words = np.empty(n_last * chirp_bytes // 2, dtype="<i2")
-    if not n_last:
-        return []
-    stream.read_into((n_chirps - n_last) * chirp_bytes, words.view(np.uint8))
-    late = late_samples(words, evidence.order, evidence.n_samples)
+    words = stream.read((n_chirps - n_last) * chirp_bytes, n_last * chirp_bytes).view("<i2")
+    late = n_last and late_samples(words, evidence.order, evidence.n_samples)
     if not late:
         return []
     return [
@@ -327,7 +341,7 @@ def _without_headers(
     found = f"headers of {packets.header} bytes found, {packets.payload} bytes each"
     facts = [("packets", f"{stream.loss} ({found})")]
     notes = list(stream.notes)
-    if stream.loss.n_lost:
+    if stream.n_lost:
         notes.append(f"{stream.loss}: expect noise where they belong")
     return stream, notes, facts
 

@@ -25,7 +25,6 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import (
@@ -37,6 +36,7 @@ from geraf2.apps.importers._rows import (
     wrong_shape,
 )
 from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.manifest import RadarManifest
