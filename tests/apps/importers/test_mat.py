@@ -134,7 +134,7 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
     savemat(path, {"s": values} if in_struct else values)
     whole, rng = path.read_bytes(), np.random.default_rng(0)
     n_refused = 0
-    for _ in range(600):
+    for _ in range(200):
         broken = bytearray(whole)
         broken[rng.integers(124, len(whole))] = rng.integers(256)
         path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
@@ -143,7 +143,7 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
             assert set(found) <= set(values)
         except UserError:
             n_refused += 1
-    assert n_refused > 100
+    assert n_refused > 30
 
 
 def test_one_frequency_needs_no_chirp(save, capture):

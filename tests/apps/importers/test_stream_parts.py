@@ -92,8 +92,9 @@ def test_packet_headers_of_14_bytes_are_removed(tmp_path, kind, lost):
     assert same.all() == (lost is None)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("n_zeros", [8, 1000, 70000, 3_000_008])
+@pytest.mark.parametrize(
+    ("layout", "n_zeros"), [*zip(LAYOUTS, [8, 1000, 70000, 3_000_008], strict=True)]
+)
 def test_zeros_at_the_start_are_left_out(tmp_path, layout, n_zeros):
     path = tmp_path / "a.bin"
     path.write_bytes(bytes(n_zeros) + words_of(beat(), layout).tobytes())
