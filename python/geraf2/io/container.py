@@ -168,27 +168,9 @@ class SceneReader:
         return bool(self._checksums)
 
     def holds_same_poses(self, other: "SceneReader") -> bool:
-        """Whether the poses are the same bit by bit; antennas of one chunk are held at a time."""
-        if (
-            self._names != other._names
-            or self._shape("signal")[2] != other._shape("signal")[2]
-            or not np.array_equal(self.n_antennas, other.n_antennas)
-            or not np.array_equal(self.angles_deg, other.angles_deg, equal_nan=True)
-        ):
-            return False
-        step = other._arrays["signal"].chunks[1]
-        for index, n_antennas in enumerate(self.n_antennas):
-            parts = [
-                (index, slice(k, min(k + step, n_antennas))) for k in range(0, n_antennas, step)
-            ]
-            asked = [("axes", index), *((name, part) for part in parts for name in ANTENNA_ARRAYS)]
-            for name, selection in asked:
-                mine, others = (
-                    np.ascontiguousarray(reader._read(name, selection)) for reader in (self, other)
-                )
-                if mine.dtype != others.dtype or mine.tobytes() != others.tobytes():
-                    return False
-        return True
+        """Whether names and checksums of the poses are the same; False without checksums."""
+        mine, others = (self._names, self._checksums), (other._names, other._checksums)
+        return self.has_checksums and mine == others
 
     def read_pose(self, index: int) -> Pose:
         """Read one pose and compare it with its checksums.

@@ -20,6 +20,7 @@ from geraf2.io.container import (
     RADAR_NAME,
     SceneReader,
     is_scene,
+    verify_scene,
 )
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
@@ -177,6 +178,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
                 and old.manifest.walls == self.manifest.walls
                 and old.manifest.frame == self.manifest.frame
                 and old.holds_same_poses(SceneReader(self.folder))
+                and verify_scene(self.path) == old.n_poses
             )
         except UserError:
             same = False

@@ -60,7 +60,7 @@ def test_chirps_that_shift_are_noticed_at_the_end(tmp_path, layout):
 def test_a_layout_that_another_beats_is_doubted(tmp_path):
     """Noise over the beat: the right order reaches 4 : 1, the wrong one 1 : 1."""
     path = write_words(tmp_path / "a.bin", beat(noise=1))
-    given = {"offset_binary": False, "n_rx": 4, "swap_iq": False}
+    given = {"offset_binary": False, "n_rx": 4}
     right = opened(path, raw=RawManifest(layout="4-lane", **given), n_samples=64)
     assert right.notes == ()
     wrong = opened(path, raw=RawManifest(layout="2-lane-pairs", **given), n_samples=64)

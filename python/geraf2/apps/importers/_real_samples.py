@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats
-from geraf2.apps.importers._chirp_length import channels, prediction_error
-from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder
+from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder, channels, prediction_error
 
 _N_WORDS = 1 << 18
 # Words of a segment. The one whose best spectra are most concentrated fits the chirps best.

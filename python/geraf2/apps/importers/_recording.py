@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
-from geraf2.apps.importers._chirp_length import begins_in_chirp, late_samples
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
@@ -36,7 +35,13 @@ from geraf2.apps.importers._stream_parts import (
 )
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
-from geraf2.apps.importers._word_order import Layout, decode, decode_integers
+from geraf2.apps.importers._word_order import (
+    Layout,
+    begins_in_chirp,
+    decode,
+    decode_integers,
+    late_samples,
+)
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
@@ -192,7 +197,9 @@ def open_recording(
     n_bytes = usual_bytes(files.streams)
     stream, n_empty = files.streams[0], 0
     if not files.per_place:
-        _require_whole_chirp(head, evidence, source)
+        order, n_samples = evidence.order, evidence.n_samples
+        if late := late_samples(head, order, n_samples):
+            raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
         n_empty = trailing_zeros(stream)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
@@ -255,7 +262,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         plain = PlainStream(group)
         if not plain.n_bytes and not (per_place and options.keep_good):
             raise UserError(what="is empty", where=group[0])
-        stream, more, found = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+        stream, more, found = _without_headers(plain, options.keep_good)
         stream, headers = without_chirp_headers(stream)
         more += headers
         if stream.n_bytes % 2:
@@ -268,7 +275,13 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         facts += [] if per_place else found
     return _Files(
         streams=tuple(streams),
-        zeros=tuple(_padding(stream, per_place=per_place) for stream in streams),
+        # Zeros of lost packets belong to the recording.
+        zeros=tuple(
+            0
+            if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes)
+            else leading_zeros(stream)
+            for stream in streams
+        ),
         names=tuple(group[0].name for group in groups),
         per_place=per_place,
         notes=notes,
@@ -288,25 +301,10 @@ def _evidence(
         n_rx=n_rx,
         layout=radar.raw.layout or _layout_of(config),
         offset_binary=radar.raw.offset_binary,
-        swap_iq=radar.raw.swap_iq,
         n_samples=radar.n_samples or config.n_samples,
         is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
-
-
-def _padding(stream: ByteStream, *, per_place: bool) -> int:
-    """Bytes of zeros before the samples; those of lost packets belong to the recording."""
-    if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes):
-        return 0
-    return leading_zeros(stream)
-
-
-def _require_whole_chirp(head: NDArray[np.int16], evidence: LayoutEvidence, source: Path) -> None:
-    late = late_samples(head, evidence.order, evidence.n_samples)
-    if late:
-        stored = evidence.order.per_complex * evidence.n_samples
-        raise begins_in_chirp(evidence.order, stored, late, source)
 
 
 def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> list[str]:
@@ -325,17 +323,10 @@ def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> li
 
 
 def _without_headers(
-    plain: PlainStream, expected: bool | None, keep_good: bool
+    plain: PlainStream, keep_good: bool
 ) -> tuple[ByteStream, list[str], list[tuple[str, str]]]:
-    packets = None if expected is False else find_packets(plain)
+    packets = find_packets(plain)
     if packets is None:
-        if expected:
-            raise UserError(
-                what="has no packet headers",
-                where=plain,
-                expected="a sequence number and a byte count before each packet",
-                hint="leave packet_headers out",
-            )
         return plain, [], []
     stream = PacketStream(plain, packets, keep_good=keep_good)
     found = f"headers of {packets.header} bytes found, {packets.payload} bytes each"

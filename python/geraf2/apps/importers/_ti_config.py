@@ -17,6 +17,7 @@ from typing import Any
 
 from geraf2.apps.importers._ti_log import has_calls, read_log
 from geraf2.apps.importers._ti_values import (
+    GIVE,
     TYPED,
     TiConfig,
     Transmitters,
@@ -24,6 +25,7 @@ from geraf2.apps.importers._ti_values import (
     is_real_16,
     ones,
     profile_values,
+    require_count,
     to_number,
     transmitters_of,
 )
@@ -36,7 +38,6 @@ _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
-_GIVE = "give the parameters in --radar"
 
 
 def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
@@ -229,21 +230,13 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 what=f"line {number}: {name}: the profile {_UNREAD_LINES[name]}",
                 where=path,
                 expected="one profileCfg, chirpCfg and frameCfg",
-                hint=_GIVE,
+                hint=GIVE,
             )
         if name not in _LINE_LENGTHS:
             continue
         least, most = _LINE_LENGTHS[name]
         values = [to_number(word, f"line {number}, {name}", path) for word in words]
-        if not least <= len(values) <= most:
-            size = "few" if len(values) < least else "many"
-            raise UserError(
-                what=f"line {number}: {name} has too {size} values",
-                where=path,
-                expected=f"{least} or more" if size == "few" else f"{most} or fewer",
-                got=len(values),
-                hint=None if size == "few" else f"other chips have other values: {_GIVE}",
-            )
+        require_count(f"line {number}: {name}", len(values), least, most, path)
         lines.setdefault(name, []).append(values)
     if len(lines.get("profileCfg", [])) != 1:
         raise UserError(
@@ -256,7 +249,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
             what="frameCfg has eight values, of which the fifth is no number of samples",
             where=path,
             expected=f"{profile[9]:g}, as in profileCfg",
-            hint=_GIVE,
+            hint=GIVE,
         )
     channel, adc = (lines.get(name, [[]])[-1] for name in ("channelCfg", "adcCfg"))
     for _, _, data_format, _ in lines.get("lvdsStreamCfg", [])[-1:]:

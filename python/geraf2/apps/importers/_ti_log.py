@@ -22,6 +22,7 @@ from geraf2.apps.importers._ti_values import (
     is_real_16,
     ones,
     profile_values,
+    require_count,
     to_number,
     transmitters_of,
 )
@@ -138,23 +139,9 @@ def _calls(text: str, path: Path) -> list[_Call]:
             continue
         where = f"{path}, line {script.count(chr(10), 0, start) + 1}"
         wanted = _LENGTHS[name][0 if raw else 1]
-        words = [word.strip() for word in arguments.split(",")]
-        n_values = len([word for word in words if word])
-        if n_values < wanted or not words[wanted - 1]:
-            raise UserError(
-                what=f"{name} has too few values",
-                where=where,
-                expected=f"{wanted} or more",
-                got=n_values,
-            )
-        if not raw and n_values > _MOST.get(name, n_values):
-            raise UserError(
-                what=f"{name} has too many values",
-                where=where,
-                expected=_MOST[name],
-                got=n_values,
-                hint="other chips have other values: give the parameters in --radar",
-            )
+        words = [word.strip() for word in arguments.strip().rstrip(",").split(",")]
+        most = len(words) if raw else _MOST.get(name, len(words))
+        require_count(name, len(words), wanted, max(most, wanted), where)
         values = [to_number(word, name, where) for word in words[:wanted]]
         calls.append(_Call(name=name, where=where, raw=raw, values=values))
     if _BRANCH.search(script):

@@ -18,6 +18,7 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.errors import UserError
 
+GIVE = "give the parameters in --radar"
 TYPED = (1e9, 1e-6, 1e12)
 """Units of typed values: start [GHz], ADC start [us] and slope [MHz/us]."""
 
@@ -125,6 +126,19 @@ def to_number(value: Any, name: str, where: object) -> float:
         what = f"{name!r} must be a number"
         raise UserError(what=what, where=where, got=repr(value)[:60])
     return number
+
+
+def require_count(name: str, got: int, least: int, most: int, where: object) -> None:
+    """UserError where a line or a call has too few or too many values."""
+    if not least <= got <= most:
+        few = got < least
+        raise UserError(
+            what=f"{name} has too {'few' if few else 'many'} values",
+            where=where,
+            expected=f"{least} or more" if few else f"{most} or fewer",
+            got=got,
+            hint=None if few else f"other chips have other values: {GIVE}",
+        )
 
 
 def profile_values(

@@ -88,7 +88,14 @@ def import_capture(
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
-    _require_target(scan, Path(scene), overwrite=overwrite)
+    require_scene_folder(
+        Path(scene),
+        overwrite=overwrite,
+        may_be_same=lambda old: (
+            old.manifest.waveform == scan.manifest.waveform
+            and tuple(old.n_antennas) == tuple(scan.n_antennas)
+        ),
+    )
     summarize = partial(
         summarize_in_parts,
         n_antennas=scan.n_antennas,
@@ -128,18 +135,6 @@ def import_capture(
         facts=scan.facts,
         notes=notes,
         unchanged=writer.unchanged,
-    )
-
-
-def _require_target(scan: Scan, folder: Path, *, overwrite: bool) -> None:
-    """Raise UserError if the folder holds something other than this scan."""
-    require_scene_folder(
-        folder,
-        overwrite=overwrite,
-        may_be_same=lambda old: (
-            old.manifest.waveform == scan.manifest.waveform
-            and tuple(old.n_antennas) == tuple(scan.n_antennas)
-        ),
     )
 
 
@@ -184,19 +179,13 @@ def _written(
 ) -> Iterator[RawPose]:
     """All parts, each written by one thread while another reads the next."""
     parts = _parts(scan)
-
-    def read() -> tuple[int, RawPose, float] | None:
-        item = next(parts, None)
-        if item is None or not sign.is_positive:
-            return item
-        number, part, done = item
-        return number, replace(part, signal=conjugated_samples(part.signal)), done
-
     with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as writers:
-        coming, writing = readers.submit(read), None
+        coming, writing = readers.submit(next, parts, None), None
         while (item := coming.result()) is not None:
+            coming = readers.submit(next, parts, None)
             number, part, done = item
-            coming = readers.submit(read)
+            if sign.is_positive:
+                part = replace(part, signal=conjugated_samples(part.signal))
             if writing is not None:
                 writing.result()
             writing = writers.submit(writer.append, part, n_antennas=scan.n_antennas[number])

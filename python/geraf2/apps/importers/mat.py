@@ -15,7 +15,6 @@ They may be fields of structs. Other names are given by --arrays signal=adc, or 
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -80,7 +79,6 @@ class MatImporter:
         n_poses, n_antennas, n_samples = (1, *signal.shape)[-3:]
         tx, rx = _positions(arrays, source, n_poses, n_antennas)
         axes = _axes(arrays, source, tx)
-        places = np.concatenate([tx, rx], axis=2).reshape(-1, 6)
         row_bytes = 16 * n_samples
 
         def samples(first: int, stop: int, pose: int) -> Array:
@@ -88,15 +86,16 @@ class MatImporter:
             return signal.read((pose, rows) if len(signal.shape) == 3 else (rows,))
 
         good, notes = np.ones((n_poses, n_antennas), dtype=np.bool_), []
-        check = partial(good_rows, keep_good=options.keep_good, where=source)
         for pose in range(n_poses):
-            here = places[pose * n_antennas : (pose + 1) * n_antennas]
-
-            def both(a: int, b: int, n: int = pose, here: Array = here) -> Array:
-                return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
-
+            places = np.hstack([tx[pose], rx[pose]])
+            parts = (
+                np.hstack([np.abs(samples(a, b, pose)), places[a:b]])
+                for a, b in blocks(n_antennas, row_bytes)
+            )
             what = f"antennas of plane {pose}" if n_poses > 1 else "antennas"
-            good[pose], more = check(both, n_antennas, row_bytes, what=what)
+            good[pose], more = good_rows(
+                parts, keep_good=options.keep_good, where=source, what=what
+            )
             notes += more
         known = {name: _number(arrays, name, source) for name in NUMBERS}
         manifest, more = scene_manifest("mat", source, radar, {**known, "n_samples": n_samples})
