@@ -99,9 +99,9 @@ def script(folder, masks, turned):
     return folder / "a.lua"
 
 
-def scan(folder, config, n_tx, **raw):
+def scan(folder, config, n_places, **raw):
     antennas = AntennaManifest(
-        tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(n_tx)],
+        tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(n_places)],
         rx_offsets_m=[[0.0, -0.005 - 0.002 * k, 0.0] for k in range(4)],
     )
     radar = RadarManifest(**RADAR, antennas=antennas, raw=RawManifest(**raw))
