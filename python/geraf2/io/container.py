@@ -112,10 +112,7 @@ def _require_own_files(path: Path) -> None:
 
 
 def verify_scene(path: Path) -> int:
-    """Compare each pose with its checksums; how many there are.
-
-    0 for a scene that was written without. UserError for the first one that is missing or another.
-    """
+    """Compare each pose with its checksums; return how many there are, 0 without. UserError."""
     reader = SceneReader(path)
     if not reader.has_checksums:
         return 0
@@ -129,8 +126,7 @@ def require_scene_folder(
 ) -> None:
     """Refuse a path for a scene before the work whose result would be refused there.
 
-    may_be_same: whether the scene that lies there may be the one to come, which would change
-    nothing; called only where nothing else decides.
+    may_be_same: whether the scene that lies there may be the one to come.
     """
     require_folder(path, "scene", own=is_scene(path))
     if overwrite or not is_scene(path):
@@ -173,10 +169,7 @@ class SceneReader:
         return self.has_checksums and mine == others
 
     def read_pose(self, index: int) -> Pose:
-        """Read one pose and compare it with its checksums.
-
-        Values are not judged here (see geraf2.scene.check_capture).
-        """
+        """Read one pose and compare it with its checksums; values are not judged here."""
         if not 0 <= index < self.n_poses:
             msg = f"index of the plane must be in 0..{self.n_poses - 1}, got {index}"
             raise IndexError(msg)

@@ -201,9 +201,20 @@ def struct_of(arrays):
 def test_fields_of_structs_are_found(tmp_path, arrays, compressed):
     savemat(tmp_path / "a.mat", struct_of(arrays), do_compression=compressed)
     (part,) = opened(tmp_path / "a.mat").poses()
-    assert np.allclose(part.signal, arrays["signal"][1])
     (named,) = opened(tmp_path / "a.mat", arrays={"signal": "data.scan.signal"}).poses()
-    assert np.allclose(named.signal, part.signal)
+    for one in (part, named):
+        assert np.allclose(one.signal, arrays["signal"][1])
+
+
+def test_a_file_of_version_4_is_read(tmp_path, arrays):
+    plane = {name: arrays[name][1] for name in ("signal", "tx_positions", "rx_positions")}
+    savemat(tmp_path / "a.mat", plane, format="4")
+    numbers = {name: value for name, value in NUMBERS.items() if name != "path_bias_m"}
+    (part,) = opened(tmp_path / "a.mat", **numbers).poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+    (tmp_path / "a.mat").write_bytes(b"text" * 99)
+    with pytest.raises(UserError, match="cannot be read as a MATLAB file: its version"):
+        opened(tmp_path / "a.mat")
 
 
 def test_groups_of_hdf5_are_found(tmp_path, arrays):

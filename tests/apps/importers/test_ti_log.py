@@ -159,6 +159,7 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
     ("name", "text", "told"),
     [
         ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
+        ("a.cfg", "profileCfg 0 fast 7", "line 1, profileCfg' must be a number"),
         ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0 0\n", "frameCfg has too many values.*got 9"),
         ("a.cfg", "profileCfg" + " 1" * 16, "profileCfg has too many values.*got 16"),
         ("a.cfg", "chirpCfg 0 0 0 0 0 0 0 1 0\n", "chirpCfg has too many values.*got 9"),

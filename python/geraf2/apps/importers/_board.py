@@ -88,10 +88,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
 
 
 def ti_receivers(n_rx: int, center_hz: float, axis: Floats) -> Floats:
-    """Receivers of TI's evaluation boards from the first transmitter, (n_rx, 3) [m].
-
-    Receiver k lies 5 mm + (3 - k) lambda / 2 beside it, against the axis.
-    """
+    """Receivers of TI's boards: 5 mm + (3 - k) lambda / 2 beside the transmitter, (n_rx, 3) [m]."""
     half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
     return -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
 

@@ -164,11 +164,7 @@ def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
 
 
 def find_packets(plain: PlainStream) -> Packets | None:
-    """Sizes of the packets; None where the file has no packet headers.
-
-    The first header carries number n and (n - 1) times the payload; a payload later the next
-    one must too.
-    """
+    """Sizes of the packets, from the first two headers; None where the file has none."""
     head = plain.read(0, 2 * (_MAX_PAYLOAD + _MOST_HEADER_BYTES))
     for header, count_at in _HEADERS:
         payload = _payload_of(head, header, count_at)
@@ -211,8 +207,7 @@ def bin_files(folder: Path) -> list[Path]:
 def recording_files(source: Path) -> tuple[list[Path], list[str]]:
     """Files of one recording, and notes: `source` itself, or the parts in a folder, in order.
 
-    Recorders split a recording into numbered files of one size, the last of which is shorter.
-    Other sets of files are separate captures, which raise UserError.
+    Parts are numbered, of one size, the last is shorter; UserError for separate captures.
     """
     if not source.exists():
         raise UserError(what="no such file or folder", where=source)

@@ -56,8 +56,7 @@ def real_advantage(
 ) -> tuple[WordOrder, float]:
     """Best of the real orders, and by how much it beats every complex one (negative: not at all).
 
-    The advantage is a mean logarithm over all segments, receivers and bins. Orders differ in
-    whether they are offset binary; the right half of them has far less power.
+    The advantage is a mean logarithm over all segments, receivers and bins.
     """
     complex_orders, real_orders = list(complex_orders), list(real_orders)
     offsets = {order.offset_binary for order in real_orders}
@@ -80,11 +79,7 @@ def real_advantage(
 
 
 def _preferred(levels: dict[WordOrder, float], white: float) -> WordOrder:
-    """Best order, or the one with most alternating receivers that is nearly as good.
-
-    Alternating receivers read as a sequence have a line each, as in the right reading; a sequence
-    read as alternating receivers has a line for each of them in place of one.
-    """
+    """Best order, or the one with most alternating receivers that is nearly as good."""
     best = min(levels, key=lambda order: levels[order])
     enough = white - _SAME_SHARE * (white - levels[best])
     good = [order for order in levels if levels[order] <= enough and not order.is_sequential]

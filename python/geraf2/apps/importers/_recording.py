@@ -96,10 +96,7 @@ class Recording:
         return self.n_chirps_per_frame // self.n_tx
 
     def read_frames(self, first: int, stop: int, *, integers: bool = False) -> Samples:
-        """Read frames, complex (n_frames, n_loops, n_tx, n_rx, n_samples).
-
-        With `integers` I and Q as they are stored, (..., n_samples, 2), of each chirp.
-        """
+        """Read (n_frames, n_loops, n_tx, n_rx, n_samples); with `integers` (..., 2), as stored."""
         raw = self.stream.read(first * self.frame_bytes, (stop - first) * self.frame_bytes)
         read: Callable[..., Samples] = decode_integers if integers else decode
         chirps = read(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
@@ -412,10 +409,7 @@ def is_kept(recording: Recording, per_place: int) -> bool:
 def read_places(
     recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
 ) -> Iterator[tuple[int, Samples]]:
-    """First index and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive positions.
-
-    Integers (..., n_samples, 2) where `is_kept` holds.
-    """
+    """First index and mean samples (n_places, n_tx, n_rx, n_samples); see also `is_kept`."""
 
     def loops_of(block: tuple[int, int]) -> Samples:
         frames = recording.read_frames(*block, integers=is_kept(recording, per_place))

@@ -133,10 +133,7 @@ def _sync_starts(words: NDArray[np.uint16]) -> Ints:
 
 
 def leading_zeros(stream: ByteStream) -> int:
-    """Count the bytes of padding before the samples; UserError where all are zero.
-
-    Zeros of a dead receiver, or of a weak signal, are samples: as many follow again soon.
-    """
+    """Count the bytes of padding before the samples, which no zeros of a weak signal are."""
     for start, block in _blocks(stream, range(0, min(stream.n_bytes, _MAX_ZEROS), _SCAN_BYTES)):
         if block.any():
             n_zeros = start + int(np.argmax(block != 0)) // 2 * 2

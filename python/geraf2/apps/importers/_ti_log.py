@@ -196,10 +196,7 @@ def _profile(call: _Call, text: str) -> dict[str, Any]:
 
 
 def _chirps(calls: list[_Call], name: str, at: slice) -> list[tuple[int, int, int]]:
-    """First and last chirp, and mask, of each call, the last one first.
-
-    at: indices of the mask's bits in a script; a log has the mask at the first.
-    """
+    """First and last chirp, and mask, of each call, the last first; `at`: bits in a script."""
     return [
         (
             int(call.values[0]),

@@ -55,10 +55,7 @@ class Transmitters:
 
     @cached_property
     def decoder(self) -> Floats | None:
-        """Matrix that separates transmitters that send together; None where none does.
-
-        (n_tx, n_chirps), rows in the order of `together`.
-        """
+        """Matrix that separates transmitters that send together, or None; (n_tx, n_chirps)."""
         code = np.array(
             [
                 [(mask >> k & 1) * (1 - 2 * (turned >> k & 1)) for k in self.together]
@@ -144,10 +141,7 @@ def require_count(name: str, got: int, least: int, most: int, where: object) -> 
 def profile_values(
     values: Sequence[float], at: Sequence[int], units: tuple[float, float, float]
 ) -> dict[str, Any]:
-    """Chirp in SI units; `at` are indices of start, ADC start, slope, samples and rate [kHz].
-
-    units: of start [Hz], ADC start [s] and slope [Hz/s].
-    """
+    """Chirp in SI units; `at`: indices of start, ADC start, slope, samples, rate [kHz]."""
     start, adc_start, slope, n_samples, rate_khz = (values[index] for index in at)
     return {
         "ramp_start_hz": units[0] * start,
@@ -164,10 +158,7 @@ def ones(mask: float) -> int:
 
 
 def bpm_mask(code: float) -> int:
-    """Mask of the transmitters that a BPM code turns by 180 degrees while they are on.
-
-    Bits 2 k and 2 k + 1 of the code are of transmitter k, off and on.
-    """
+    """Mask of the transmitters that a BPM code (bits 2 k and 2 k + 1: off, on) turns while on."""
     return sum(1 << k for k in range(int(code).bit_length()) if int(code) >> 2 * k + 1 & 1)
 
 

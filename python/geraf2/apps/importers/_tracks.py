@@ -64,10 +64,7 @@ class Track:
 def raster_track(
     raster: RasterManifest, axes: Floats, n_frames: int, *, keep_good: bool, where: object
 ) -> Track:
-    """Rows and columns along the radar's horizontal and vertical axes.
-
-    The number of frames must be a multiple of that of the positions.
-    """
+    """Rows and columns along the radar's axes; the frames must be a multiple of the positions."""
     n_rows, n_columns = raster.n_rows, raster.n_columns
     per_place, rest = divmod(n_frames, n_rows * n_columns)
     notes = []

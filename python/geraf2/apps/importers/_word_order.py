@@ -31,11 +31,6 @@ class WordOrder:
     offset_binary: bool = False
     swap_iq: bool = False
 
-    def __post_init__(self) -> None:
-        if self.layout == "2-lane-pairs" and self.n_rx % 2:
-            msg = f"2-lane-pairs needs an even n_rx, got {self.n_rx}"
-            raise ValueError(msg)
-
     @property
     def is_real(self) -> bool:
         """Whether each word is a sample; two of them make a complex one."""
@@ -82,11 +77,7 @@ def real_words(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> ND
 
 
 def analytic(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
-    """Every other sample of the analytic signal, (..., n) -> (..., n / 2).
-
-    It has no negative frequencies, so half the sample rate holds all of it: an echo
-    A cos(2 pi f t) becomes A exp(2 pi i f t).
-    """
+    """Every other sample of the analytic signal, (..., n) -> (..., n / 2): half the rate."""
     half = samples.shape[-1] // 2
     spectrum = rfft(samples, axis=-1)
     spectrum[..., 0] = 0.5 * (spectrum[..., 0] + spectrum[..., half])
@@ -96,12 +87,7 @@ def analytic(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
 def decode_integers(
     words: NDArray[np.int16], order: WordOrder, n_samples: int
 ) -> NDArray[np.int16]:
-    """I and Q of whole chirps, (n_chirps, n_rx, n_samples, 2).
-
-    words: (n_chirps * n_samples * n_rx * 2,) as stored in the file.
-    order: their order.
-    n_samples: samples per chirp.
-    """
+    """I and Q of whole chirps, (n_chirps, n_rx, n_samples, 2), from words as stored in the file."""
     chirp = 2 * order.n_rx * n_samples
     n_chirps = words.size // chirp
     signal = np.empty((n_chirps, order.n_rx, n_samples, 2), dtype=np.int16)
@@ -119,10 +105,9 @@ def decode_integers(
 def _pack(
     words: NDArray[np.int16], packed: NDArray[np.int16], order: WordOrder, n_samples: int
 ) -> None:
-    """Copy words into the order (n_chirps, n_rx, n_samples, I and Q).
+    """Copy words into the order (n_chirps, n_rx, n_samples, I and Q), one strided copy a part.
 
-    Each part of each receiver is one strided copy: a single NumPy call, whose inner loop is the
-    short axis, takes 2 to 4 times as long (bench/python/import_raw.py).
+    A single NumPy call, whose inner loop is the short axis, takes 2 to 4 times as long.
     """
     n_rx = order.n_rx
     if order.layout == "iq" and not order.swap_iq:  # I and Q of a sample move together
@@ -182,8 +167,8 @@ def find_n_samples(
 ) -> tuple[int | None, float]:
     """Return the samples per chirp, from the jumps of the signal, and the ratio of these to others.
 
-    Jumps are residuals of a linear prediction, so that a fast beat does not hide them. The chirp
-    is the smallest period with a jump at every multiple.
+    Jumps are residuals of a linear prediction. The chirp is the smallest period with a jump at
+    every multiple.
     """
     jumps = _jumps(words, order)
     if not jumps.any():
@@ -242,10 +227,7 @@ def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> 
 
 
 def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) -> UserError:
-    """UserError for a recording whose first whole chirp begins `late` samples after its start.
-
-    n_samples, late: samples as stored, two of which make a complex one where they are real.
-    """
+    """UserError for a recording whose first whole chirp begins `late` stored samples after it."""
     n_bytes = 2 * words_per_sample(order) * late
     return UserError(
         what=f"begins in the middle of a chirp: one of {n_samples} samples begins after {late}",
@@ -272,8 +254,7 @@ def words_per_sample(order: WordOrder) -> int:
 def _jump_score(jumps: Floats, period: int) -> float:
     """Median jump at multiples of `period`, least over the four residues of the multiple.
 
-    A fraction of a chirp therefore scores low, and a large jump between the last and the first
-    receiver does not hide smaller ones.
+    A fraction of a chirp therefore scores low.
     """
     n_rounds = len(jumps) // (4 * period)
     if n_rounds == 0:

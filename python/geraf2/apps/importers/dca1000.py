@@ -199,10 +199,7 @@ def _part(
 
 
 def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
-    """About `n_antennas` antennas at random positions; regular steps would alias with rows.
-
-    At most _SOME_BYTES are read: fewer frames are averaged where there are many.
-    """
+    """About `n_antennas` antennas at random positions, of _SOME_BYTES at most."""
     places = np.concatenate([np.arange(*usable) for usable in track.ranges])
     wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))
     affordable = max(1, _SOME_BYTES // recording.frame_bytes)

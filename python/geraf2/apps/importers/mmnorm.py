@@ -193,10 +193,8 @@ def _recordings(source: Path) -> list[Path]:
 
 def _start_times(files: list[Path]) -> list[tuple[Path, float | None]]:
     """Files in the order of the time in their names."""
-    pairs = []
-    for path in files:
-        match = re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)
-        pairs.append((path, float(match[1]) if match else None))
+    matches = ((path, re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)) for path in files)
+    pairs = [(path, float(match[1]) if match else None) for path, match in matches]
     return sorted(pairs, key=lambda pair: pair[1] or 0.0)
 
 
