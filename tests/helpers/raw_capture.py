@@ -57,27 +57,15 @@ def quantised(signal):
 
 def words_of(signal, layout="4-lane", *, offset_binary=False, swap_iq=False):
     """16-bit words of chirps (n_chirps, n_rx, n_samples), in the order of the layout."""
-    i, q = (part.astype(np.int64) for part in (signal.real, signal.imag))
-    if swap_iq:
-        i, q = q, i
-    words = []
-    for chirp_i, chirp_q in zip(i, q, strict=True):
-        n_rx, n_samples = chirp_i.shape
-        if layout == "2-lane-sequential":
-            for rx in range(n_rx):
-                for n in range(0, n_samples, 2):
-                    words += [*chirp_i[rx, n : n + 2], *chirp_q[rx, n : n + 2]]
-            continue
-        for n in range(n_samples):
-            if layout == "4-lane":
-                words += [*chirp_i[:, n], *chirp_q[:, n]]
-            elif layout == "2-lane-pairs":
-                for rx in range(0, n_rx, 2):
-                    words += [*chirp_i[rx : rx + 2, n], *chirp_q[rx : rx + 2, n]]
-            else:
-                for rx in range(n_rx):
-                    words += [chirp_i[rx, n], chirp_q[rx, n]]
-    values = np.array(words)
+    parts = (signal.imag, signal.real) if swap_iq else (signal.real, signal.imag)
+    words = np.stack(parts).astype(np.int64)  # I or Q, chirp, receiver, sample
+    _, n_chirps, n_rx, n_samples = words.shape
+    if layout == "2-lane-sequential":
+        words = words.reshape(2, n_chirps, n_rx, -1, 2).transpose(1, 2, 3, 0, 4)
+    else:
+        n_together = {"4-lane": n_rx, "2-lane-pairs": 2, "iq": 1}[layout]
+        words = words.reshape(2, n_chirps, -1, n_together, n_samples).transpose(1, 4, 2, 0, 3)
+    values = words.reshape(-1)
     return (values + 32768).astype("<u2") if offset_binary else values.astype("<i2")
 
 

@@ -107,7 +107,7 @@ def test_a_lost_chunk_reads_as_nan_not_as_silence(scene):
     assert np.isnan(SceneReader(scene).read_pose(1).signal).all()
 
 
-@pytest.mark.parametrize("name", ["signal", "tx_positions", "rx_positions", "axes", "name"])
+@pytest.mark.parametrize("name", ["signal", "axes", "name"])
 def test_the_smallest_change_makes_another_scene(scene, ragged, monkeypatch, name):
     monkeypatch.setattr(scene_writer, "_CHUNK_BYTES", 8 * 32 * 5)
     last = ragged.poses[-1]
@@ -132,26 +132,10 @@ def test_overwrite_replaces_a_scene_but_never_another_folder(scene, tmp_path):
     with pytest.raises(UserError, match="holds files but no scene"):
         save_capture(point_capture(), tmp_path / "notes", overwrite=True)
     assert (tmp_path / "notes" / "diary.txt").read_text() == "mine"
-    assert folder_names(tmp_path) == ["notes", "scene"]
-
-
-def test_an_empty_folder_may_become_a_scene(tmp_path):
-    save_capture(point_capture(), tmp_path)
-    assert is_scene(tmp_path)
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), OSError(errno.ENOSPC, "No space left")])
-def test_an_interrupted_write_leaves_nothing_behind(tmp_path, ragged, error):
-    writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36)
-
-    def write_and_fail():
-        with writer:
-            writer.append(ragged.poses[0])
-            raise error
-
-    with pytest.raises((KeyboardInterrupt, UserError)):
-        write_and_fail()
-    assert folder_names(tmp_path) == []
+    (tmp_path / "empty").mkdir()
+    save_capture(point_capture(), tmp_path / "empty")
+    assert is_scene(tmp_path / "empty")
+    assert folder_names(tmp_path) == ["empty", "notes", "scene"]
 
 
 def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
@@ -179,7 +163,7 @@ def parts_of(pose, sizes):
         )
 
 
-@pytest.mark.parametrize("sizes", [(36,), (1, 35), (7, 7, 7, 7, 7, 1), (12, 0, 24), (30, 6)])
+@pytest.mark.parametrize("sizes", [(1, 35), (7, 7, 7, 7, 7, 1), (12, 0, 24)])
 def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
     save_capture(ragged, tmp_path / "whole")
     # Five antennas a chunk: poses end within chunks, and parts begin within them.
@@ -192,10 +176,7 @@ def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
     whole, parts = SceneReader(tmp_path / "whole"), SceneReader(tmp_path / "parts")
     assert whole.holds_same_poses(parts)
     assert parts.holds_same_poses(whole)
-    for index in range(3):
-        for name in ("signal", "tx_positions", "rx_positions", "axes"):
-            got, want = (getattr(one.read_pose(index), name) for one in (parts, whole))
-            assert np.array_equal(got, want)
+    assert_same(load_capture(tmp_path / "parts"), load_capture(tmp_path / "whole"))
 
 
 @pytest.fixture
@@ -232,16 +213,10 @@ def test_integers_are_stored_as_they_are_and_read_as_complex_numbers(scene_of_in
     assert stored.metadata.dimension_names == ("pose", "antenna", "sample", "part")
     # Padding says that it is none.
     assert (stored[1, 16:] == -0x8000).all()
-
-
-def test_a_lost_chunk_of_integers_reads_as_nan(scene_of_integers):
-    path, _ = scene_of_integers
     (path / "radar.zarr" / "signal" / "c" / "1" / "2" / "0" / "0").unlink()
     without_checksums(path)
-    signal = SceneReader(path).read_pose(1).signal
-    assert np.isnan(signal[10:15]).all()
-    assert np.isfinite(signal[:10]).all()
-    assert np.isfinite(signal[15:]).all()
+    lost = np.isnan(SceneReader(path).read_pose(1).signal).all(axis=1)
+    assert np.flatnonzero(lost).tolist() == [*range(10, 15)]
 
 
 def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_integers):

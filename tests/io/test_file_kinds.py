@@ -92,18 +92,18 @@ READERS = {
 }
 
 
+POINTER_KIND, *_ = KINDS
+
+
 @pytest.mark.parametrize(
-    ("name", "kind"),
-    [(n, k) for n in READERS for k in KINDS if not (k == "ZIP" and n.endswith(".npz"))],
+    ("name", "kind"), [("log.csv", kind) for kind in KINDS] + [(n, POINTER_KIND) for n in READERS]
 )
 def test_every_reader_names_the_kind(tmp_path, name, kind):
     path = tmp_path / name
     path.write_bytes(KINDS[kind])
-    with pytest.raises(UserError) as caught:
-        READERS[name](path)
     named, _, todo = kind.partition(": ")
-    assert named in str(caught.value)
-    assert todo in str(caught.value)
+    with pytest.raises(UserError, match=f"{named}.*{todo}"):
+        READERS[name](path)
 
 
 @pytest.mark.parametrize("name", ["capture.bin", "scan.npy", "part.stl", "log.csv"])
@@ -148,7 +148,7 @@ def test_a_scene_of_pointers_names_the_pointer(tmp_path, capsys):
 
 
 def test_words_of_samples_are_no_other_kind(tmp_path):
-    noise = np.random.default_rng(0).normal(0, 300, (200, 4096)).astype("<i2")
+    noise = np.random.default_rng(0).normal(0, 300, (50, 4096)).astype("<i2")
     for number, words in enumerate(noise):
         path = tmp_path / f"{number}.bin"
         path.write_bytes(words.tobytes())

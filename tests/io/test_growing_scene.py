@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from geraf2 import examples
@@ -17,7 +16,7 @@ from geraf2.scene.store import capture_digest, load_capture, manifest_of, save_c
 def capture():
     """Planes of different sizes: the second is larger than the first, the third smaller."""
     capture, _ = examples.small_capture()
-    sizes = (200, 441, 90)
+    sizes = (20, 44, 9)
     poses = tuple(
         replace(
             pose,
@@ -54,7 +53,7 @@ def test_many_planes_have_their_counts_and_angles(capture, tmp_path, monkeypatch
         scene.append(pose)
     stored = load_capture(scene.path)
     assert [pose.angle_deg for pose in stored.poses] == [0.0, 10.0, 20.0, 30.0, 40.0]
-    assert [pose.n_antennas for pose in stored.poses] == [200, 441, 90, 200, 441]
+    assert [pose.n_antennas for pose in stored.poses] == [20, 44, 9, 20, 44]
 
 
 @pytest.mark.parametrize("n_whole", [0, 1])
@@ -70,7 +69,7 @@ def test_a_plane_that_was_half_written_is_written_again(capture, tmp_path, monke
         left[0] -= 1
         write(path)
 
-    for n_files in range(40):
+    for n_files in range(n_whole, 40, 2):
         folder, left = tmp_path / str(n_files), [10**9]
         with monkeypatch.context() as patch:
             for name in ("write_bytes_atomic", "write_text_atomic", "write_toml"):
@@ -136,4 +135,4 @@ def test_other_files_are_not_touched(capture, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(UserError, match="holds files but no scene"):
         GrowingScene(tmp_path, _about(capture))
-    assert np.all([entry.name == "notes.txt" for entry in tmp_path.iterdir()])
+    assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]

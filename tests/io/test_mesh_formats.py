@@ -1,14 +1,11 @@
 """Meshes as CAD programs and scanners write them."""
 
-import base64
-import json
 import struct
 
 import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.geometry.polygons import triangulated
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3, face_areas
 from geraf2.io.mesh import read_mesh
 
@@ -103,14 +100,6 @@ def test_a_concave_polygon_of_too_many_corners_is_refused(tmp_path):
     (tmp_path / "a.obj").write_text(obj(*prism(outline)))
     with pytest.raises(UserError, match="6002 corners, more than 4096"):
         read_mesh(tmp_path / "a.obj")
-
-
-def test_polygons_keep_their_order():
-    vertices = np.array(V, dtype=float)
-    corners = np.concatenate([np.array(face) for face in MIXED])
-    faces = triangulated(vertices, corners, np.array([len(face) for face in MIXED]))
-    assert faces[:2].tolist() == [[0, 2, 3], [0, 3, 1]]
-    assert faces[-1].tolist() == [2, 4, 6]
 
 
 def stl(n=None, head=b"made by hand", tail=b""):
@@ -226,31 +215,3 @@ def test_a_ply_with_a_broken_header_is_refused(tmp_path, old, new):
     (tmp_path / "a.ply").write_bytes(ply("ascii", QUADS).replace(old.encode(), new.encode(), 1))
     with pytest.raises(UserError, match="cannot read the mesh"):
         read_mesh(tmp_path / "a.ply")
-
-
-def test_gltf_of_strips(tmp_path):
-    vertices = np.array(V, "<f4")
-    sides = [4, 0, 5, 1, 7, 3, 6, 2, 4, 0]
-    indices = [np.array(strip, "<u2") for strip in (sides, [0, 2, 1, 3], [4, 5, 6, 7])]
-    data, views, accessors, at = vertices.tobytes(), [], [], 96
-    views.append({"buffer": 0, "byteOffset": 0, "byteLength": 96})
-    accessors.append(
-        {"bufferView": 0, "componentType": 5126, "count": 8, "type": "VEC3",
-         "min": [0, 0, 0], "max": [3, 2, 1]}
-    )  # fmt: skip
-    for number, strip in enumerate(indices, start=1):
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": strip.nbytes})
-        accessors.append(
-            {"bufferView": number, "componentType": 5123, "count": len(strip), "type": "SCALAR"}
-        )
-        data, at = data + strip.tobytes(), at + strip.nbytes
-    parts = [{"attributes": {"POSITION": 0}, "indices": k, "mode": 5} for k in (1, 2, 3)]
-    uri = "data:application/octet-stream;base64," + base64.b64encode(data).decode()
-    content = {
-        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}], "meshes": [{"primitives": parts}],
-        "buffers": [{"byteLength": len(data), "uri": uri}], "bufferViews": views,
-        "accessors": accessors,
-    }  # fmt: skip
-    (tmp_path / "a.gltf").write_text(json.dumps(content))
-    assert abs(volume(tmp_path / "a.gltf")) == pytest.approx(6.0)

@@ -34,14 +34,6 @@ def test_a_stage_is_done_while_its_key_and_files_stay(run):
     assert not again.is_done("a", "key")
 
 
-def test_a_forgotten_stage_keeps_its_files(run):
-    (run.path / "a.npz").write_bytes(b"one")
-    run.mark_done("a", "key", ["a.npz"], 1.0)
-    run.forget(["a", "never there"])
-    assert not RunFolder.read(run.path).is_done("a", "key")
-    assert (run.path / "a.npz").is_file()
-
-
 def test_the_key_sees_every_input():
     inputs = [
         {"a": 1},

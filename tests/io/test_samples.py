@@ -29,13 +29,3 @@ def test_the_conjugate_of_the_lowest_integer_does_not_wrap(integers):
     assert np.array_equal(complex_samples(got), want)
     signal = complex_samples(integers)
     assert np.array_equal(conjugated_samples(signal), np.conj(signal))
-
-
-def test_only_the_mark_of_no_sample_changes(integers):
-    stored = stored_integers(integers)
-    assert np.array_equal(stored, np.clip(integers, -0x7FFF, None))
-    assert NO_SAMPLE in integers
-    assert stored_integers(stored) is stored
-    assert stored_integers(integers[:0]).shape == (0, 7, 2)
-    with pytest.raises(TypeError, match="must be int16, got complex64"):
-        stored_integers(complex_samples(integers))

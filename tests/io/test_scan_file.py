@@ -8,9 +8,8 @@ import pytest
 
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._board import Board
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
-from geraf2.apps.importers._tracks import planes_of
+from geraf2.apps.importers._tracks import log_track, planes_of
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.scan_file import (
@@ -106,7 +105,7 @@ def test_a_recording_is_told_where_each_transmitter_sent(tmp_path):
         axes=np.eye(3),
     )
     for plane, own in zip(SCAN.planes, planes_of(track), strict=True):
-        parts = [board.antennas(own.each_tx(*r), own.at(*r)[1]) for r in own.ranges]
+        parts = [board.antennas(own.tx_positions[slice(*r)], own.at(*r)[1]) for r in own.ranges]
         for found, expected in zip(zip(*parts, strict=True), log.scan.antennas(plane), strict=True):
             assert np.concatenate(found) == pytest.approx(expected, abs=1e-9)
 

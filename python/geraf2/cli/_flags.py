@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 from geraf2._bounds import check_bounds
 from geraf2.cli._fields import Flag, fields_of, values_of, walk
 from geraf2.errors import UserError
-from geraf2.io.former_names import former_setting
 
 T = TypeVar("T")
 
@@ -154,8 +153,7 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
             in_place.append(word)
             continue
         if name not in named:
-            unknown = f"unknown flag {name}{_suggestion(name, named)}"
-            raise UserError(what=former_setting(name) or unknown)
+            raise UserError(what=f"unknown flag {name}{_suggestion(name, named)}")
         flag, words = named[name], [value] if equals else []
         if equals and flag.counts[1] == 0:
             raise UserError(what=f"{name} takes no value", got=repr(value))

@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,7 @@ _written = 0
 
 
 def n_written() -> int:
-    """Return the number of files and folders that this process has renamed, or was about to rename.
-
-    Counted before: a signal that comes with the rename must not find nothing written.
-    """
+    """Return the number of files and folders that this process has renamed, or is about to."""
     return _written
 
 
@@ -42,12 +39,11 @@ def n_written() -> int:
 def atomic_path(path: AnyPath) -> Iterator[Path]:
     """Temporary sibling of `path`, renamed to it on success and removed on failure.
 
-    The sibling lies in the same folder, because a rename is atomic only within one file system,
-    and keeps the extension, because writers choose their format by it. Missing parent folders
-    are created. Failures of the file system are raised as UserError with the reason.
+    It keeps the extension, by which writers choose their format. Missing parent folders are
+    created. Failures of the file system are raised as UserError with the reason.
     """
     target = Path(path)
-    temporary, descriptor = _temporary(target, target.stem, f".tmp{target.suffix}", _make_file)
+    temporary, descriptor = _temporary(target, target.stem, f".tmp{target.suffix}", folder=False)
     try:
         yield temporary
         _flush(temporary)
@@ -100,11 +96,10 @@ def write_npz_atomic(path: AnyPath, arrays: Mapping[str, Array]) -> None:
 def atomic_folder(path: AnyPath) -> Iterator[Path]:
     """Temporary sibling folder of `path` that takes its place at the end.
 
-    What stood at `path` is there until the new folder is whole, and is removed then. On failure the
-    temporary folder is removed and `path` is as it was.
+    On failure the temporary folder is removed and `path` is as it was.
     """
     target = Path(path)
-    temporary, descriptor = _temporary(target, target.name, ".tmp", _make_folder)
+    temporary, descriptor = _temporary(target, target.name, ".tmp", folder=True)
     try:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
@@ -148,16 +143,18 @@ def _count() -> None:
     _written += 1
 
 
-def _temporary(
-    target: Path, stem: str, suffix: str, make: Callable[[str, str, Path], tuple[str, int]]
-) -> tuple[Path, int]:
+def _temporary(target: Path, stem: str, suffix: str, *, folder: bool) -> tuple[Path, int]:
     """Make a locked temporary sibling of `target`; its path, and a descriptor that has the lock."""
     prefix = f".{stem}-"
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target.parent, f"{glob.escape(prefix)}????????{glob.escape(suffix)}")
         while True:
-            name, descriptor = make(prefix, suffix, target.parent)
+            if folder:
+                name = tempfile.mkdtemp(prefix=prefix, suffix=suffix, dir=target.parent)
+                descriptor = os.open(name, os.O_RDONLY)
+            else:
+                descriptor, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=target.parent)
             with suppress(OSError):  # a network folder without locks: nothing is swept there
                 fcntl.flock(descriptor, fcntl.LOCK_EX)
             if Path(name).exists():  # or another process swept it before it was locked
@@ -165,16 +162,6 @@ def _temporary(
             os.close(descriptor)
     except OSError as error:
         raise _cannot_write(target, error) from error
-
-
-def _make_file(prefix: str, suffix: str, folder: Path) -> tuple[str, int]:
-    descriptor, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=folder)
-    return name, descriptor
-
-
-def _make_folder(prefix: str, suffix: str, folder: Path) -> tuple[str, int]:
-    name = tempfile.mkdtemp(prefix=prefix, suffix=suffix, dir=folder)
-    return name, os.open(name, os.O_RDONLY)
 
 
 def _sweep(folder: Path, pattern: str) -> None:

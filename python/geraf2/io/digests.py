@@ -34,10 +34,7 @@ def inside(file: object) -> str:
 
 
 def require_digests(folder: Path, digests: Mapping[str, str]) -> None:
-    """Raise a UserError that names the files which are missing or not what they were.
-
-    digests: hash of each file by its path in the folder.
-    """
+    """Raise a UserError that names the files, by their hashes, that are missing or changed."""
     wrong = []
     for name, digest in digests.items():
         try:

@@ -72,8 +72,6 @@ def refuse_other_kind(path: Path, own: Collection[str] = (), *, is_raw: bool = F
 
     own: kinds that this reader reads, as "zip" or "hdf5".
     is_raw: raw samples are expected: text and output of the serial port are refused as well.
-
-    A missing or unreadable file is left to the reader.
     """
     try:
         if not path.is_file():  # opening a pipe would wait for its writer

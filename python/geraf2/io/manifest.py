@@ -106,9 +106,6 @@ class RawManifest(_Strict):
     layout: ComplexLayout | RealLayout | None = None
     """Order of the 16-bit words, see docs/bring-your-own-scan.md."""
     offset_binary: bool | None = None
-    swap_iq: bool | None = None
-    packet_headers: bool | None = None
-    """Whether each packet still has its sequence number and byte count before it."""
     n_rx: Annotated[int, Field(ge=1, le=64)] | None = None
     n_tx: Annotated[int, Field(ge=1, le=64)] | None = None
     """Transmitters that take turns, chirp by chirp."""

@@ -173,8 +173,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
 def merge_duplicate_vertices(mesh: TriangleMesh) -> TriangleMesh:
     """Mesh with one vertex per position, without faces of no area and unused vertices.
 
-    Positions are compared exactly: writers that repeat a vertex repeat its bits, and a tolerance
-    would weld thin walls.
+    Positions are compared exactly: a tolerance would weld thin walls.
     """
     _, first, inverse = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     # Keep the order of first appearance, so that a clean mesh comes back as it was.

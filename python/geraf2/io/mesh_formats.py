@@ -65,8 +65,7 @@ def parse_obj(data: bytes) -> RawMesh:
 def parse_stl(data: bytes) -> RawMesh:
     """Mesh of an STL, text or binary.
 
-    Some writers begin binary files with 'solid', leave the number of triangles 0 or -1, or write
-    more bytes behind the last one.
+    Some binary files begin with 'solid', state 0 or -1 triangles, or hold more behind the last.
     """
     if _is_text_stl(data):
         pattern = rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)"

@@ -7,9 +7,8 @@ import numpy as np
 
 from geraf2._types import AnyPath, Floats, Ints
 from geraf2.errors import UserError
+from geraf2.io.mesh_formats import parse_ply
 from geraf2.io.regular import BINARY_BYTES, read_regular
-
-_KINDS = {"float": "<f4", "uchar": "u1"}
 
 
 def cloud_bytes(
@@ -54,21 +53,14 @@ def ply_file(
 
 def read_cloud(path: AnyPath) -> tuple[Floats, Floats]:
     """Positions and normals, (n, 3) each, of a file of :func:`cloud_bytes`; else UserError."""
-    data = read_regular(path, BINARY_BYTES)
-    head, end, _ = data[: 1 << 14].partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    names = [(line[2], _KINDS.get(line[1], "")) for line in lines if line[:1] == ["property"]]
-    counts = [line[2] for line in lines if line[:2] == ["element", "vertex"]]
     try:
-        kind = np.dtype(names)
-        rows = np.frombuffer(data, kind, int(counts[0]), len(head) + len(end))
-        columns = [[rows[prefix + axis] for axis in "xyz"] for prefix in ("", "n")]
-        positions, normals = (np.stack(c, axis=1).astype(np.float64) for c in columns)
-    except (ValueError, TypeError, IndexError) as error:
+        raw = parse_ply(read_regular(path, BINARY_BYTES))
+        normals = np.stack([raw.columns["n" + axis] for axis in "xyz"], axis=1)
+    except (ValueError, KeyError) as error:
         raise UserError(
             what="cannot be read as points with normals",
             where=path,
             expected="a PLY file of geraf2",
             hint="run 'geraf2 reconstruct' again",
         ) from error
-    return positions, normals
+    return raw.vertices, normals.astype(np.float64)

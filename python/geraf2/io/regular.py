@@ -7,7 +7,6 @@ link inside a folder of geraf2 may lead anywhere, so such folders hold none.
 import errno
 import os
 import stat
-from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
@@ -31,10 +30,7 @@ _NAMES = {
 
 
 def open_regular(path: AnyPath, most: int | None = None) -> BufferedReader:
-    """Open a file for reading; OSError as of `open`.
-
-    most: limit of its size [bytes]. UserError for a larger one, and for what is no regular file.
-    """
+    """Open a file to read; OSError as of `open`, UserError beyond `most` bytes or for no file."""
     require_regular(path, most)  # to open a device may change it
     handle = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - the caller closes it
     try:
@@ -61,15 +57,7 @@ def read_regular(path: AnyPath, most: int | None = None) -> bytes:
 
 def require_no_links(folder: Path) -> list[Path]:
     """Files below a folder; UserError for links, pipes, sockets and devices."""
-    return [Path(entry.path) for entry in _files(folder)]
-
-
-def _without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)
-
-
-def _files(top: Path) -> Iterator[os.DirEntry[str]]:
-    folders = [str(top)]
+    found, folders = list[Path](), [str(folder)]
     while folders:
         try:
             entries = list(os.scandir(folders.pop()))
@@ -79,11 +67,16 @@ def _files(top: Path) -> Iterator[os.DirEntry[str]]:
             if entry.is_dir(follow_symlinks=False):
                 folders.append(entry.path)
             elif entry.is_file(follow_symlinks=False):
-                yield entry
+                found.append(Path(entry.path))
             elif os.path.lexists(entry.path):
                 kind = _kind(os.lstat(entry.path))
                 hint = "put the file or the folder itself there"
                 raise UserError(what=f"is {kind}", where=entry.path, hint=hint)
+    return found
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def _require_regular(path: AnyPath, found: os.stat_result, most: int | None) -> None:

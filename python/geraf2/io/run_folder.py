@@ -154,9 +154,8 @@ class RunFolder:
     ) -> "RunFolder":
         """Open or make the run folder of a scene.
 
-        Raises UserError for a folder that holds the run of another scene, unless it may be
-        overwritten, or that holds files but no run: nothing in it is touched. The other run goes
-        when the folder is locked.
+        UserError for the run of another scene, unless it may be overwritten (it goes when the
+        folder is locked), and for a folder with files but no run: nothing in it is touched.
         """
         path = Path(path)
         run = cls(path, scene_digest, scene_name)
@@ -241,11 +240,8 @@ class RunFolder:
 
         result: what is to be made; UserError where it is done and was asked for in other words,
         unless it may be overwritten. asked: hash of the request. What killed processes left
-        half-written is removed.
-
-        The lock is a file that only one process can make, on network folders too; it names its
-        process and host. One whose process is gone, after kill -9 for example, is taken over, but
-        a process of another host cannot be looked for.
+        half-written is removed. The lock is a file that names its process and host; one whose
+        process is gone is taken over, but a process of another host cannot be looked for.
         """
         path = self.path / LOCK_NAME
         lock = SoftFileLock(path, timeout=0.5)
@@ -300,8 +296,7 @@ class RunFolder:
     def release(self, *patterns: str) -> None:
         """Forget files of these patterns before they are replaced or removed.
 
-        A run that is stopped before :meth:`keep` then has no wrong record. Stages that wrote one of
-        them are no longer done.
+        Stages that wrote one of them are no longer done.
         """
 
         def goes(file: str) -> bool:
@@ -319,10 +314,7 @@ class RunFolder:
         self._save()
 
     def forget_derived(self, content: bytes) -> None:
-        """Remove scores, report, pictures and views of the mesh that `content` is to replace.
-
-        Call it before the new mesh_content.ply is written; nothing is removed where the bytes stay.
-        """
+        """Remove scores, report, pictures and views of the mesh that other `content` is to replace."""
         mesh = self.path / CONTENT_NAME
         if mesh.is_file() and read_regular(mesh) == content:
             return

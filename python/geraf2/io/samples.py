@@ -17,10 +17,7 @@ NO_SAMPLE = np.int16(-0x8000)
 
 
 def complex_samples(samples: Samples) -> NDArray[np.complex64]:
-    """Complex numbers, (...,) of int16 (..., 2); complex ones are given back as they are.
-
-    Every integer counts here: NO_SAMPLE means something in scenes alone.
-    """
+    """Complex numbers, (...,) of int16 (..., 2), NO_SAMPLE too; complex ones stay as they are."""
     if np.iscomplexobj(samples):
         return np.asarray(samples, dtype=np.complex64)
     signal = np.empty(samples.shape[:-1], dtype=np.complex64)

@@ -174,10 +174,7 @@ class ScanFile:
         )
 
     def log_rows(self) -> Floats:
-        """Robot log: time, position, quaternion w x y z of each position, (n_places, 8).
-
-        The end effector's x, y, z are the plane's looking direction, horizontal, vertical.
-        """
+        """Robot log: time, position, quaternion w x y z of each position, (n_places, 8)."""
         parts = []
         for plane in self.planes:
             x, y, z, w = Rotation.from_matrix(np.asarray(plane.axes).T).as_quat()

@@ -1,9 +1,8 @@
 """Writer of scene folders (geraf2.io.container): pose by pose, whole or not at all."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -20,6 +19,7 @@ from geraf2.io.container import (
     RADAR_NAME,
     SceneReader,
     is_scene,
+    verify_scene,
 )
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
 from geraf2.io.outputs import require_consent, require_folder
@@ -34,12 +34,11 @@ _CHUNK_BYTES = 1 << 24
 _AXES = "rows: looking direction, horizontal, vertical"
 
 
-class SceneWriter(AbstractContextManager["SceneWriter"]):
+class SceneWriter(ExitStack):
     """Writes a scene pose by pose; the folder appears when the block ends without error.
 
-    An existing folder is kept: the same content again changes nothing (`unchanged` is then
-    true), other content needs `overwrite`, and a folder that is no scene is never replaced.
-    With `integers` the samples come as int16, I and Q, and stay so.
+    The same content in an existing folder changes nothing (`unchanged` is then true), other content
+    needs `overwrite`. With `integers` the samples come as int16, I and Q, and stay so.
     """
 
     def __init__(
@@ -52,6 +51,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         overwrite: bool = False,
         integers: bool = False,
     ) -> None:
+        super().__init__()
         self.path = Path(path)
         self.manifest = manifest
         self.unchanged = False
@@ -73,17 +73,8 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
         require_folder(self.path, "scene", own=is_scene(self.path))
 
     def __enter__(self) -> Self:
-        self._block = self._writing()
-        self._block.__enter__()
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> bool | None:
-        return self._block.__exit__(kind, error, trace)
+        self.enter_context(self._writing())
+        return super().__enter__()
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
@@ -101,9 +92,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
     def append(self, pose: RawPose, *, n_antennas: int | None = None) -> None:
         """Write the next pose, or a part of it.
 
-        pose: whole, or some of its antennas.
-        n_antennas: antennas of the whole pose, where `pose` may be a part; its parts follow each
-            other.
+        n_antennas: antennas of the whole pose, where `pose` is a part of it.
         """
         index, keep = len(self._names), pose.signal.shape[0]
         n_antennas = keep if n_antennas is None else n_antennas
@@ -177,6 +166,7 @@ class SceneWriter(AbstractContextManager["SceneWriter"]):
                 and old.manifest.walls == self.manifest.walls
                 and old.manifest.frame == self.manifest.frame
                 and old.holds_same_poses(SceneReader(self.folder))
+                and verify_scene(self.path) == old.n_poses
             )
         except UserError:
             same = False

@@ -20,7 +20,6 @@ import tomli_w
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.former_names import former_preset, former_setting
 from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.text import read_text
 
@@ -157,8 +156,6 @@ def _preset_type(
     got = table.get("preset")
     if isinstance(got, str) and got in by_name:
         return by_name[got]
-    if former := former_preset(str(got)):
-        raise UserError(what=former, where=where)
     unknown = f"key 'preset': unknown name {got!r}{nearest(str(got), by_name)}"
     raise UserError(
         what=unknown if "preset" in table else "key 'preset' is missing",
@@ -174,8 +171,6 @@ def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
     if missing:
         return f"key {key!r} is missing"
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        if former := former_setting(key):
-            return former
         return f"unknown key {key!r}" + nearest(str(location[-1]), _known(kind, location[:-1]))
     if item["type"] == "value_error":  # of a __post_init__, which may name its own key
         reason = item["msg"].removeprefix("Value error, ")

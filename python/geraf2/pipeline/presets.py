@@ -13,7 +13,6 @@ from geraf2.baselines import (
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
 from geraf2.errors import UserError
-from geraf2.io.former_names import former_preset
 from geraf2.io.toml import from_table, merged, nearest, to_table
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.stages.baselines import (
@@ -161,7 +160,7 @@ def preset_type(name: str) -> type[PresetConfig]:
     """Config type of a preset; the UserError of an unknown one suggests a name."""
     if name not in PRESETS:
         raise UserError(
-            what=former_preset(name) or f"unknown preset {name!r}{nearest(name, PRESETS)}",
+            what=f"unknown preset {name!r}{nearest(name, PRESETS)}",
             expected=", ".join(PRESETS),
         )
     return PRESETS[name]

@@ -26,6 +26,7 @@ from helpers.raw_capture import (
     write_words,
 )
 
+GIVEN = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
 ORDERS = [
     (layout, offset, swap)
     for layout in ("4-lane", "2-lane-pairs", "2-lane-sequential", "iq")
@@ -50,9 +51,7 @@ def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
     ("layout", "n_rx", "given", "swap"),
     [
         ("4-lane", 1, None, False),
-        ("4-lane", 2, None, False),
         ("iq", 2, None, False),
-        ("4-lane", 3, 3, False),
         ("4-lane", 3, 3, True),
     ],
 )
@@ -65,7 +64,7 @@ def test_receivers_are_counted_or_given(tmp_path, layout, n_rx, given, swap):
     assert np.array_equal(samples(recording), signal)
 
 
-@pytest.mark.parametrize("n_samples", [60, 96, 128, 200])
+@pytest.mark.parametrize("n_samples", [60, 200])
 def test_samples_per_chirp_are_found_out(tmp_path, n_samples):
     recording = opened(write_words(tmp_path / "a.bin", beat(n_samples=n_samples)))
     assert recording.evidence.n_samples == n_samples
@@ -80,7 +79,6 @@ def test_samples_per_chirp_are_found_out(tmp_path, n_samples):
         ({"n_samples": 128}, "number of samples per chirp, expected 64"),
         ({"n_samples": 32}, "number of samples per chirp, expected 64"),
         ({"n_samples": 48}, "number of samples per chirp, expected 64"),
-        ({"raw": RawManifest(packet_headers=True)}, "has no packet headers"),
         ({"raw": RawManifest(n_tx=2, n_chirps_per_frame=3)}, "no multiple of n_tx"),
         ({"raw": RawManifest(layout="2-lane-pairs", n_rx=3)}, "2-lane-pairs needs an even n_rx"),
         (
@@ -100,15 +98,10 @@ def test_noise_has_no_layout(tmp_path):
     path = write_words(tmp_path / "a.bin", noise)
     with pytest.raises(UserError, match="the layout cannot be found out"):
         opened(path)
-    given = RawManifest(layout="4-lane", offset_binary=False, n_rx=4, swap_iq=False)
-    assert opened(path, raw=given, n_samples=64).n_frames == 40
-
-
-def test_a_signal_without_jumps_has_no_samples_per_chirp(tmp_path):
-    t = np.arange(40 * 64)
-    tone = np.broadcast_to(900 * np.exp(2j * np.pi * 0.07 * t), (1, 4, t.size))
+    assert opened(path, raw=GIVEN, n_samples=64).n_frames == 40
+    tone = np.broadcast_to(900 * np.exp(2j * np.pi * 0.07 * np.arange(2560)), (1, 4, 2560))
     with pytest.raises(UserError, match="samples per chirp cannot be found out"):
-        opened(write_words(tmp_path / "a.bin", tone))
+        opened(write_words(path, tone))
 
 
 @pytest.mark.parametrize(
@@ -128,9 +121,6 @@ def test_what_is_cut_short_is_refused_or_left_out(tmp_path, cut, text, n_frames)
     assert kept.n_frames == n_frames
     assert any("left out" in note for note in kept.notes)
     assert np.array_equal(samples(kept), beat()[:n_frames])
-
-
-GIVEN = RawManifest(layout="4-lane", offset_binary=False, n_rx=4)
 
 
 def test_parts_of_a_recording_are_one_stream(tmp_path):
@@ -154,7 +144,7 @@ class TestPackets:
         (tmp_path / "a.bin").write_bytes(b"".join(packets))
         return tmp_path / "a.bin"
 
-    @pytest.mark.parametrize("payload", [1456, 1000, 46])
+    @pytest.mark.parametrize("payload", [1456, 46])
     def test_headers_are_removed(self, tmp_path, payload):
         recording = opened(self.write(tmp_path, packets_of(self.data, payload)))
         assert np.array_equal(samples(recording), beat())
@@ -187,7 +177,7 @@ class TestPackets:
         whole = np.zeros(stream.n_bytes, dtype=np.uint8)
         stream.read_into(0, whole)
         assert stream.n_bytes == len(self.data)
-        for first, stop in [(0, 1), (1455, 1457), (4000, 12000), (30000, len(self.data))]:
+        for first, stop in [(1455, 1457), (4000, 12000), (30000, len(self.data))]:
             part = np.ones(stop - first, dtype=np.uint8)
             stream.read_into(first, part)
             assert np.array_equal(part, whole[first:stop])
@@ -256,23 +246,14 @@ class TestConfigurations:
         assert recording.config.first_sample_hz() == pytest.approx(77.36e9)
         assert recording.config.sample_rate_hz == pytest.approx(1e6)
 
-    def test_a_profile_that_cannot_be_read_names_the_line(self, tmp_path):
-        text = PROFILE.replace("profileCfg 0 77", "profileCfg 0 fast")
-        (tmp_path / "radar.cfg").write_text(text)
-        path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match="line 4, profileCfg' must be a number"):
-            opened(path, ImportOptions(config=(tmp_path / "radar.cfg",)))
-
-    @pytest.mark.parametrize(("mode", "layout", "good"), [(1, "4-lane", 1), (2, "4-lane", 0)])
-    def test_the_capture_card_defines_the_lanes(self, tmp_path, mode, layout, good):
-        values = {"DCA1000Config": {"lvdsMode": mode, "dataFormatMode": 3}}
-        (tmp_path / "cf.json").write_text(json.dumps(values))
-        write_words(tmp_path / "a.bin", beat(), layout)
-        if good:
-            assert opened(tmp_path).evidence.order.layout == layout
-        else:
-            with pytest.raises(UserError, match="which states 2 lanes"):
-                opened(tmp_path)
+    def test_the_capture_card_defines_the_lanes(self, tmp_path):
+        text = '{"DCA1000Config": {"lvdsMode": %d, "dataFormatMode": 3}}'
+        write_words(tmp_path / "a.bin", beat())
+        (tmp_path / "cf.json").write_text(text % 1)
+        assert opened(tmp_path).evidence.order.layout == "4-lane"
+        (tmp_path / "cf.json").write_text(text % 2)
+        with pytest.raises(UserError, match="which states 2 lanes"):
+            opened(tmp_path)
 
     def test_two_files_that_disagree_are_named(self, tmp_path):
         self.studio(tmp_path)
@@ -289,8 +270,9 @@ class TestPlaces:
         radar = RadarManifest(**{**RADAR, **radar})
         return load_importer("dca1000").open(path, radar, options or ImportOptions())
 
-    @pytest.mark.parametrize("serpentine", [False, True])
-    @pytest.mark.parametrize("block", [1 << 23, 3000, 100])
+    @pytest.mark.parametrize(
+        ("serpentine", "block"), [(False, 1 << 23), (True, 3000), (False, 100)]
+    )
     def test_a_raster_is_filled_row_by_row(self, tmp_path, monkeypatch, serpentine, block):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", block)
         places = raster_positions(4, 6, 0.01, serpentine=serpentine)
@@ -308,7 +290,7 @@ class TestPlaces:
             WAVEFORM.start_frequency_hz
         )
 
-    @pytest.mark.parametrize("num_threads", [1, 2, 7, None])
+    @pytest.mark.parametrize("num_threads", [1, 2, None])
     def test_threads_keep_the_order(self, tmp_path, monkeypatch, num_threads):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", 1100)
         signal = scan_signal(raster_positions(4, 6, 0.01))
@@ -404,19 +386,14 @@ class TestPlaces:
 @pytest.mark.data
 class TestRealCaptures:
     def test_iwr1443_in_two_lanes(self, shared_data):
-        folder = shared_data / "dca1000"
-        options = ImportOptions(config=(folder / "iwr1443_cf.json",))
-        for recording in (
-            opened(folder / "iwr1443_2lane.bin"),
-            opened(folder / "iwr1443_2lane.bin", options),
-        ):
-            evidence = recording.evidence
-            assert str(evidence.order) == "2-lane-pairs, two-complement"
-            assert evidence.energy_ratio > 1000
-            assert evidence.next_ratio < 5
-            assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (400, 256, 4)
-            assert dict(recording.facts)["strongest echo"] == "bin 19 of 256"
-            assert recording.notes == ()
+        recording = opened(shared_data / "dca1000" / "iwr1443_2lane.bin")
+        evidence = recording.evidence
+        assert str(evidence.order) == "2-lane-pairs, two-complement"
+        assert evidence.energy_ratio > 1000
+        assert evidence.next_ratio < 5
+        assert (recording.n_frames, evidence.n_samples, evidence.order.n_rx) == (400, 256, 4)
+        assert dict(recording.facts)["strongest echo"] == "bin 19 of 256"
+        assert recording.notes == ()
 
     def test_awr1243_in_offset_binary_with_a_dead_receiver(self, shared_data):
         folder = shared_data / "dca1000"

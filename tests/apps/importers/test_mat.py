@@ -134,7 +134,7 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
     savemat(path, {"s": values} if in_struct else values)
     whole, rng = path.read_bytes(), np.random.default_rng(0)
     n_refused = 0
-    for _ in range(600):
+    for _ in range(200):
         broken = bytearray(whole)
         broken[rng.integers(124, len(whole))] = rng.integers(256)
         path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
@@ -143,7 +143,7 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
             assert set(found) <= set(values)
         except UserError:
             n_refused += 1
-    assert n_refused > 100
+    assert n_refused > 30
 
 
 def test_one_frequency_needs_no_chirp(save, capture):
@@ -201,9 +201,20 @@ def struct_of(arrays):
 def test_fields_of_structs_are_found(tmp_path, arrays, compressed):
     savemat(tmp_path / "a.mat", struct_of(arrays), do_compression=compressed)
     (part,) = opened(tmp_path / "a.mat").poses()
-    assert np.allclose(part.signal, arrays["signal"][1])
     (named,) = opened(tmp_path / "a.mat", arrays={"signal": "data.scan.signal"}).poses()
-    assert np.allclose(named.signal, part.signal)
+    for one in (part, named):
+        assert np.allclose(one.signal, arrays["signal"][1])
+
+
+def test_a_file_of_version_4_is_read(tmp_path, arrays):
+    plane = {name: arrays[name][1] for name in ("signal", "tx_positions", "rx_positions")}
+    savemat(tmp_path / "a.mat", plane, format="4")
+    numbers = {name: value for name, value in NUMBERS.items() if name != "path_bias_m"}
+    (part,) = opened(tmp_path / "a.mat", **numbers).poses()
+    assert np.allclose(part.signal, arrays["signal"][1])
+    (tmp_path / "a.mat").write_bytes(b"text" * 99)
+    with pytest.raises(UserError, match="cannot be read as a MATLAB file: its version"):
+        opened(tmp_path / "a.mat")
 
 
 def test_groups_of_hdf5_are_found(tmp_path, arrays):

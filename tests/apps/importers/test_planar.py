@@ -46,22 +46,6 @@ def test_without_the_phase_of_the_antenna_notes_warn(tmp_path):
     assert any("path_bias_m" in note for note in scan.notes)
 
 
-@pytest.mark.parametrize(
-    ("changes", "text"),
-    [
-        ({"data": np.zeros((2, 11, 4), np.uint16)}, "array 1 has the wrong shape"),
-        ({"data": np.zeros((2, 10, 4, 3), np.uint16)}, "number of frequencies contradicts"),
-        ({"f1": np.array(np.nan)}, "first frequency must be 1 finite numbers"),
-        ({"step": np.array(0.003)}, "step must be 2 finite numbers"),
-        ({"nf": np.array(10.5)}, "number of frequencies contradicts"),
-        ({"nf": np.array("eleven")}, "number of frequencies must be 1 finite numbers"),
-    ],
-)
-def test_arrays_that_make_no_sense_are_named(tmp_path, changes, text):
-    with pytest.raises(UserError, match=text):
-        opened(write_planar(tmp_path / "scan", **changes))
-
-
 def test_nan_samples_are_refused(tmp_path):
     data = np.random.default_rng(0).normal(size=(2, 11, 5, 4))
     data[0, 3, 2, 1] = np.nan
@@ -153,9 +137,14 @@ def test_one_frequency_is_enough(tmp_path, alone):
         ({"f1": np.array(23e9)}, "last frequency must lie above the first"),
         ({"f1": np.array(22.0), "f2": np.array(22.5)}, "start_frequency_hz"),
         ({"step": np.array([[0.004, -0.004]])}, "steps must be positive"),
+        ({"f1": np.array(np.nan)}, "first frequency must be 1 finite numbers"),
+        ({"step": np.array(0.003)}, "step must be 2 finite numbers"),
+        ({"nf": np.array(5.5)}, "number of frequencies contradicts"),
+        ({"nf": np.array("eleven")}, "number of frequencies must be 1 finite numbers"),
+        ({"data": np.zeros((2, 6, 4), np.uint16)}, "array 1 has the wrong shape"),
     ],
 )
-def test_complex_scans_that_make_no_sense_are_named(tmp_path, changes, text):
+def test_scans_that_make_no_sense_are_named(tmp_path, changes, text):
     with pytest.raises(UserError, match=text) as caught:
         opened(write_hologram(tmp_path / "letter.npy", n=4, **changes))
     assert "\n" not in str(caught.value)

@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.importers._board import board_of
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest
 
@@ -14,8 +14,8 @@ TIMES = np.arange(0.0, 1.0, 0.1)
 POSITIONS = np.stack([0.3 + 0.2 * TIMES, -0.1 * TIMES, 0.05 + 0 * TIMES], axis=1)
 
 
-def write_csv(path, table, names="time_s,x_m,y_m,z_m", separator=","):
-    lines = [separator.join(f"{value:.9g}" for value in row) for row in table]
+def write_csv(path, table, names="time_s,x_m,y_m,z_m"):
+    lines = [",".join(f"{value:.9g}" for value in row) for row in table]
     path.write_text("\n".join([*([names] if names else []), *lines]) + "\n")
     return path
 
@@ -47,28 +47,11 @@ def test_positions_are_interpolated_at_the_frames(log):
 
 
 def test_alternating_transmitters_have_positions_of_their_own_times(log):
-    assert track(log).each_tx(3, 5) is None
-    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).each_tx(3, 5)
+    assert track(log).tx_positions is None
+    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).tx_positions[3:5]
     times = 0.05 * np.arange(3, 5)[:, None] + np.array([-0.01, 0.0, 0.01])
     expected = np.stack([0.3 + 0.2 * times, -0.1 * times, np.full((2, 3), 0.05)], axis=-1)
     assert np.allclose(sent, expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("names", "scales", "separator"),
-    [
-        (None, [1, 1, 1, 1], ","),
-        (None, [1, 1, 1, 1], " "),
-        ("t;x;y;z", [1, 1, 1, 1], ";"),
-        ("timestamp_ms,x_mm,y_mm,z_mm", [1e3, 1e3, 1e3, 1e3], ","),
-        ("time_ns\tx_cm\ty_m\tz_mm", [1e9, 1e2, 1, 1e3], "\t"),
-    ],
-)
-def test_names_and_units_are_understood(tmp_path, names, scales, separator):
-    table = np.column_stack([TIMES, POSITIONS]) * scales
-    found = read_log(write_csv(tmp_path / "l.csv", table, names, separator), keep_good=False)
-    assert np.allclose(found.times_s, TIMES)
-    assert np.allclose(found.positions, POSITIONS)
 
 
 def test_npy_tables_and_records_are_read(tmp_path):
@@ -147,7 +130,7 @@ def test_frames_outside_the_log_are_refused_or_left_out(log):
 
 def test_the_first_row_is_the_first_frame_when_nothing_else_is_known(log):
     found = track(log, start=None)
-    assert found.start_time_s == 0.0
+    assert np.allclose(found.positions[0], POSITIONS[0])
     assert "start_time_s" in found.notes[0]
     with pytest.raises(UserError, match="time between frames is not known"):
         track(log, period=None)

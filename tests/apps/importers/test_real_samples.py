@@ -26,6 +26,7 @@ from helpers.raw_capture import (
 )
 
 LAYOUTS = ("real-sequential", "real-alternating")
+RANGE_BIN_M = SPEED_OF_LIGHT_M_PER_S / (2 * WAVEFORM.bandwidth_hz)
 COMPLEX_LAYOUTS = ("4-lane", "2-lane-sequential", "2-lane-pairs", "iq")
 
 
@@ -54,7 +55,7 @@ JOINED = {(0.07, 128), (0.16, 256)}
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("n_samples", [128, 256])
-@pytest.mark.parametrize("frequency", np.linspace(0.01, 0.4, 14))
+@pytest.mark.parametrize("frequency", [0.01, 0.07, 0.16, 0.25, 0.37])
 def test_a_single_real_echo_never_passes_for_complex(tmp_path, layout, n_samples, frequency):
     path = tmp_path / "a.bin"
     path.write_bytes(real_words(real_echoes([frequency], n_samples=n_samples), layout))
@@ -71,7 +72,7 @@ def test_a_single_real_echo_never_passes_for_complex(tmp_path, layout, n_samples
     assert (evidence.order.layout, evidence.n_samples) == (layout, n_samples // 2)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_two_real_echoes_never_pass_for_complex(tmp_path, seed):
     path = tmp_path / "a.bin"
     frequencies = np.random.default_rng(seed).uniform(0.02, 0.4, 2)
@@ -81,8 +82,7 @@ def test_two_real_echoes_never_pass_for_complex(tmp_path, seed):
 
 
 @pytest.mark.parametrize("layout", COMPLEX_LAYOUTS)
-@pytest.mark.parametrize("noise", [0.01, 0.1])
-@pytest.mark.parametrize("offset", [False, True])
+@pytest.mark.parametrize(("noise", "offset"), [(0.01, True), (0.1, False)])
 def test_complex_samples_are_none_of_these(tmp_path, layout, noise, offset):
     signal = beat(noise=noise)
     signal[:, 2] = 0  # a dead receiver
@@ -118,7 +118,7 @@ def decision(path):
 @pytest.mark.parametrize("layout", [*LAYOUTS, *COMPLEX_LAYOUTS])
 def test_noise_hides_neither_kind(tmp_path, layout):
     path, found = tmp_path / "a.bin", []
-    for trial in range(40):
+    for trial in range(12):
         rng = np.random.default_rng([trial, [*LAYOUTS, *COMPLEX_LAYOUTS].index(layout)])
         signal = random_signal(rng)
         if layout in LAYOUTS:
@@ -128,7 +128,7 @@ def test_noise_hides_neither_kind(tmp_path, layout):
         found.append(decision(path))
     wrong = "complex" if layout in LAYOUTS else "real"
     assert found.count(wrong) <= 2, found  # noise, or an echo at a quarter of the rate
-    assert found.count("refused") <= 18  # noise over the echoes
+    assert found.count("refused") <= 6  # noise over the echoes
 
 
 def test_a_layout_that_is_given_is_believed(tmp_path):
@@ -172,7 +172,7 @@ def real_scan(places):
 def focus_m(capture):
     """Where a capture focuses along x through the target [m], and how sharply."""
     pose, waveform = capture.poses[0], capture.waveform
-    x = np.arange(0.2, 0.5, 0.0005)
+    x = np.arange(0.3, 0.4, 0.0005)
     points = np.stack([x, np.full_like(x, TARGET[1]), np.full_like(x, TARGET[2])], axis=1)
     path = sum(
         np.linalg.norm(points[:, None] - antennas[None], axis=2)
@@ -187,31 +187,50 @@ def focus_m(capture):
     return x[np.abs(image).argmax()], np.abs(image).max() / pose.signal.size
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("given", ["profile", "studio", "toml"])
-def test_real_samples_focus_where_complex_ones_do(tmp_path, layout, given):
-    places = raster_positions(8, 8, 0.002)
-    raster = RasterManifest(n_rows=8, n_columns=8, row_step_m=0.002, column_step_m=0.002)
-    board = AntennaManifest(tx_offsets_m=[[0, 0, 0]], rx_offsets_m=BOARD_RX.tolist())
-    common = {"raster": raster, "antennas": board, "path_bias_m": WAVEFORM.path_bias_m}
-    write_words(tmp_path / "complex.bin", scan_signal(places))
-    complex_radar = RadarManifest(**RADAR, raster=raster, antennas=board)
-    import_capture("dca1000", tmp_path / "complex.bin", tmp_path / "a", radar=complex_radar)
+PLACES = raster_positions(8, 8, 0.002)
+BOARD = {
+    "raster": RasterManifest(n_rows=8, n_columns=8, row_step_m=0.002, column_step_m=0.002),
+    "antennas": AntennaManifest(tx_offsets_m=[[0, 0, 0]], rx_offsets_m=BOARD_RX.tolist()),
+}
+
+
+@pytest.fixture(scope="module")
+def complex_capture(tmp_path_factory):
+    """Capture with complex samples, and where it focuses."""
+    folder = tmp_path_factory.mktemp("complex")
+    write_words(folder / "complex.bin", scan_signal(PLACES))
+    radar = RadarManifest(**RADAR, **BOARD)
+    import_capture("dca1000", folder / "complex.bin", folder / "a", radar=radar)
+    capture = load_capture(folder / "a")
+    at, sharp = focus_m(capture)
+    assert at == pytest.approx(TARGET[0], abs=0.02 * RANGE_BIN_M)
+    return capture, at, sharp
+
+
+@pytest.mark.parametrize(
+    ("given", "layout"),
+    [
+        ("profile", "real-sequential"),
+        ("profile", "real-alternating"),
+        ("studio", "real-alternating"),
+        ("toml", "real-sequential"),
+    ],
+)
+def test_real_samples_focus_where_complex_ones_do(tmp_path, complex_capture, given, layout):
+    expected, at, sharp = complex_capture
     path = tmp_path / "real.bin"
-    path.write_bytes(real_words(real_scan(places), layout))
-    radar, options = RadarManifest(**common), ImportOptions()
+    path.write_bytes(real_words(real_scan(PLACES), layout))
+    radar, options = {**BOARD, "path_bias_m": WAVEFORM.path_bias_m}, ImportOptions()
     if given == "toml":
         numbers = {**RADAR, "sample_rate_hz": 2e6, "n_samples": 128, "raw": RawManifest(n_rx=4)}
-        radar = RadarManifest(**{**common, **numbers})
+        radar |= numbers
     else:
         options = ImportOptions(config=(written_config(tmp_path, given, layout),))
-    import_capture("dca1000", path, tmp_path / "b", radar=radar, options=options)
-    captures = [load_capture(tmp_path / name) for name in "ab"]
-    assert captures[1].waveform == captures[0].waveform
-    (at, sharp), (real_at, real_sharp) = (focus_m(capture) for capture in captures)
-    range_bin_m = SPEED_OF_LIGHT_M_PER_S / (2 * WAVEFORM.bandwidth_hz)
-    assert at == pytest.approx(TARGET[0], abs=0.02 * range_bin_m)
-    assert real_at == pytest.approx(at, abs=0.02 * range_bin_m)
+    import_capture("dca1000", path, tmp_path / "b", radar=RadarManifest(**radar), options=options)
+    capture = load_capture(tmp_path / "b")
+    assert capture.waveform == expected.waveform
+    real_at, real_sharp = focus_m(capture)
+    assert real_at == pytest.approx(at, abs=0.02 * RANGE_BIN_M)
     assert real_sharp == pytest.approx(sharp, rel=0.02)
 
 

@@ -23,8 +23,7 @@ def with_headers(words, n_chirps, sync):
     return np.hstack([np.tile(header, (n_chirps, 1)), chirps]).tobytes()
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("sync", SYNCS)
+@pytest.mark.parametrize(("layout", "sync"), [*zip(LAYOUTS, [*SYNCS] * 2, strict=True)])
 def test_headers_of_chirps_are_removed(tmp_path, layout, sync):
     path = tmp_path / "a.bin"
     path.write_bytes(with_headers(words_of(beat(), layout), 40, SYNCS[sync]))
@@ -77,8 +76,10 @@ def headed(data, kind, payload=1456):
     return packets
 
 
-@pytest.mark.parametrize("kind", ["length before the count", "four bytes behind it"])
-@pytest.mark.parametrize("lost", [None, 0, 7])
+@pytest.mark.parametrize(
+    ("kind", "lost"),
+    [("length before the count", None), ("four bytes behind it", 0), ("four bytes behind it", 7)],
+)
 def test_packet_headers_of_14_bytes_are_removed(tmp_path, kind, lost):
     signal = beat(n_chirps=120)
     packets = headed(words_of(signal).tobytes(), kind)
@@ -92,8 +93,9 @@ def test_packet_headers_of_14_bytes_are_removed(tmp_path, kind, lost):
     assert same.all() == (lost is None)
 
 
-@pytest.mark.parametrize("layout", LAYOUTS)
-@pytest.mark.parametrize("n_zeros", [8, 1000, 70000, 3_000_008])
+@pytest.mark.parametrize(
+    ("layout", "n_zeros"), [*zip(LAYOUTS, [8, 1000, 70000, 3_000_008], strict=True)]
+)
 def test_zeros_at_the_start_are_left_out(tmp_path, layout, n_zeros):
     path = tmp_path / "a.bin"
     path.write_bytes(bytes(n_zeros) + words_of(beat(), layout).tobytes())

@@ -67,8 +67,7 @@ def errors(values):
     return np.abs(np.array(crossings) - photo_sphere.RADIUS_M)
 
 
-@pytest.mark.parametrize("towards", [1.0, -1.0])
-@pytest.mark.parametrize("masks", [True, False])
+@pytest.mark.parametrize(("towards", "masks"), [(1.0, True), (-1.0, False)])
 def test_dents_and_bulges_move_to_where_the_photos_agree(towards, masks):
     start = dented(towards)
     found = refine_by_agreement(start, GRID, printed_ball(masks=masks), ROUNDS, FOOTPRINT_M)

@@ -13,7 +13,6 @@ from geraf2.apps.photos.photo_checks import (
 )
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
-from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene.photos import PhotoSet
 from helpers.scene_photos import SIZE, ring_of_cameras, write_middlebury
 
@@ -136,9 +135,3 @@ def test_photos_and_radar_look_at_the_same():
         require_photos_in_view(photos, np.array([0.0, 0.0, 0.6]), 0.4, "photos")
     with pytest.raises(UserError, match="unit"):
         require_photos_in_view(photos, np.zeros(3), 0.01, "photos")
-
-
-@pytest.mark.data
-def test_the_temple_is_plausible(shared_data):
-    loaded = load_photos(shared_data / "temple_photos", LosOptions(mask_threshold=46.0))
-    assert check_photos(loaded.photos) == ()

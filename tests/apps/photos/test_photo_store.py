@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from geraf2.apps.photos.photo_checks import check_photos
 from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
@@ -94,6 +95,7 @@ def test_the_temple_s_masks_fill_its_published_box(shared_data):
     photos = loaded.photos
     assert len(photos) == 16
     assert loaded.notes == ()
+    assert check_photos(photos) == ()
     middle = TEMPLE_BOUNDS.mean(axis=0)
     assert np.abs(photos.focus() - middle).max() < 0.02
     for camera, mask in zip(photos.cameras, photos.masks, strict=True):

@@ -64,7 +64,7 @@ def test_a_rim_that_no_camera_faces_stays():
     points = GRID.points()
     box = BoxSolid(size_m=(0.16, 0.16, 0.16)).signed_distance(points)
     values = box.reshape(GRID.shape).astype(np.float32)
-    closed = close_unseen(values, GRID, cameras_above(16))
+    closed = close_unseen(values, GRID, cameras_above(8))
     points = points.reshape(*GRID.shape, 3)
     foot = (np.abs(np.abs(points[..., 0]) - 0.072) < 1e-6) & (np.abs(points[..., 1]) < 0.05)
     foot &= np.abs(points[..., 2] + 0.072) < 1e-6

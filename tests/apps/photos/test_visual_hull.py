@@ -1,15 +1,9 @@
 import numpy as np
-import pytest
 
 from geraf2.apps.photos.formats.masks import close_cracks
-from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
+from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.rays import fit_resolution
-from geraf2.apps.photos.visual_hull import (
-    Region,
-    VisualHull,
-    find_region,
-    silhouette_distance,
-)
+from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from helpers import photo_sphere
 
 CUBE = Region(low_m=(-1.0, -1.0, -1.0), high_m=(1.0, 1.0, 1.0))
@@ -41,17 +35,6 @@ def test_without_silhouettes_the_region_is_what_all_cameras_see():
     region = find_region(photo_sphere.photo_set(8, masks=False))
     np.testing.assert_allclose(region.center_m, photo_sphere.CENTER, atol=1e-6)
     assert min(region.sides_m) > 2 * photo_sphere.RADIUS_M
-
-
-def test_distances_to_an_outline_are_negative_inside_and_zero_between_pixels():
-    mask = np.zeros((9, 9), dtype=bool)
-    mask[3:6, 3:6] = True
-    distance = silhouette_distance(mask)
-    assert distance[4, 4] == -1.5
-    assert distance[4, 3] == -0.5
-    assert distance[4, 2] == 0.5
-    assert (silhouette_distance(np.zeros_like(mask)) > 0).all()
-    assert (silhouette_distance(np.ones_like(mask)) < 0).all()
 
 
 def test_cracks_of_a_silhouette_are_closed_and_gaps_are_not():
@@ -86,16 +69,6 @@ def test_a_body_is_closed_at_the_rim_without_crumbs_and_hollows():
     assert (closed[:, :, -1] > 0).all()
     assert (closed[hollow] < 0).all()
     assert (closed[corner] > 0).all()
-
-
-def test_the_blur_keeps_sums_and_constants():
-    import torch  # noqa: PLC0415 - used here only
-
-    values = torch.rand((5, 6, 7), generator=torch.Generator().manual_seed(0))
-    blurred = binomial_blur(values, 3)
-    assert float(blurred.sum()) == pytest.approx(float(values.sum()), rel=1e-5)
-    assert float(blurred.std()) < 0.5 * float(values.std())
-    torch.testing.assert_close(binomial_blur(torch.ones((4, 4, 4))), torch.ones((4, 4, 4)))
 
 
 def test_large_photos_are_made_smaller_and_keep_their_rays():

@@ -51,10 +51,11 @@ class Board:
 
     def mean_axes(self, track: Track) -> Floats:
         """Axes in the capture frame, rotated by the mean rotation of the track."""
+        if track.rotations is None:
+            return self.axes
         first, stop = track.ranges[0][0], track.ranges[-1][1]
         chosen = np.unique(np.linspace(first, stop - 1, 256).astype(int))
-        matrices = np.concatenate([track.at(k, k + 1)[1] for k in chosen])
-        turn = Rotation.from_matrix(matrices).mean().as_matrix()
+        turn = Rotation.from_matrix(track.rotations[chosen].as_matrix()).mean().as_matrix()
         return np.asarray(self.axes @ turn.T)
 
 
@@ -87,10 +88,7 @@ def board_of(antennas: AntennaManifest, *, n_tx: int, n_rx: int, center_hz: floa
 
 
 def ti_receivers(n_rx: int, center_hz: float, axis: Floats) -> Floats:
-    """Receivers of TI's evaluation boards from the first transmitter, (n_rx, 3) [m].
-
-    Receiver k lies 5 mm + (3 - k) lambda / 2 beside it, against the axis.
-    """
+    """Receivers of TI's boards: 5 mm + (3 - k) lambda / 2 beside the transmitter, (n_rx, 3) [m]."""
     half_wave = 0.5 * SPEED_OF_LIGHT_M_PER_S / center_hz
     return -(0.005 + (3 - np.arange(n_rx)) * half_wave)[:, None] * axis
 

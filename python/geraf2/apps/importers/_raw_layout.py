@@ -12,20 +12,18 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._chirp_length import (
-    MIN_JUMP,
-    begins_in_chirp,
-    channels,
-    find_late_chirps,
-    find_n_samples,
-)
 from geraf2.apps.importers._real_samples import predicted_as_real, real_advantage
 from geraf2.apps.importers._word_order import (
     LAYOUTS,
+    MIN_JUMP,
     REAL_LAYOUTS,
     Layout,
     WordOrder,
+    begins_in_chirp,
+    channels,
     decode,
+    find_late_chirps,
+    find_n_samples,
 )
 from geraf2.errors import UserError
 
@@ -146,7 +144,6 @@ def find_layout(
     n_rx: int | None,
     layout: Layout | None,
     offset_binary: bool | None,
-    swap_iq: bool | None,
     n_samples: int | None,
     is_real: bool | None,
     where: object,
@@ -154,7 +151,7 @@ def find_layout(
     """Estimate the unknown parts of the layout; UserError where the given ones contradict the data.
 
     words: some chirps from the beginning of a capture.
-    n_rx, layout, offset_binary, swap_iq, n_samples: known parts; layout, offset_binary and
+    n_rx, layout, offset_binary, n_samples: known parts; layout, offset_binary and
         n_samples are checked against the alternatives. n_samples counts samples as stored.
     is_real: whether a configuration states real samples, or complex ones.
     where: the file, for messages.
@@ -172,7 +169,7 @@ def find_layout(
             raise UserError(what=what, where=where, got=offset_binary)
         if layout is None and n_rx != 1:
             real = _order_of_receivers(words, candidates, real, n_samples, where)
-        return _with_samples(words, real, {}, False, n_samples, where)
+        return _with_samples(words, real, {}, n_samples, where)
     length = min(_SEGMENT, n_samples) if n_samples else _SEGMENT
     beginning = words[:_LAYOUT_WORDS]
     allowed = list(_orders(known or LAYOUTS, n_rx, offset_binary))
@@ -197,7 +194,7 @@ def find_layout(
             expected=f"{MIN_RATIO:g} : 1 or more",
             hint="give layout, offset_binary and n_rx under [raw] of --radar, or --config",
         )
-    evidence = _with_samples(words, chosen, ratios, swap_iq, n_samples, where)
+    evidence = _with_samples(words, chosen, ratios, n_samples, where)
     return replace(evidence, notes=notes)
 
 
@@ -345,7 +342,6 @@ def _with_samples(
     words: NDArray[np.int16],
     chosen: WordOrder,
     ratios: Mapping[WordOrder, float],
-    swap_iq: bool | None,
     n_samples: int | None,
     where: object,
 ) -> LayoutEvidence:
@@ -381,7 +377,7 @@ def _with_samples(
         raise UserError(what=what, where=where, got=n_samples)
     is_found, n_samples = found == n_samples, n_samples // chosen.per_complex
     # Swapping I and Q mirrors the spectrum.
-    order = replace(chosen, swap_iq=ratios[chosen] < 1 if swap_iq is None else swap_iq)
+    order = replace(chosen, swap_iq=bool(ratios) and ratios[chosen] < 1)
     n_chirps = words.size // (2 * order.n_rx * n_samples)
     whole = words[: n_chirps * 2 * order.n_rx * n_samples]
     # Layouts with more alternating receivers are the same samples at a lower rate.

@@ -7,8 +7,8 @@ zero.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Ints
+from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._stream_parts import ByteStream
 from geraf2.errors import UserError
 from geraf2.io.regular import open_regular
 
@@ -27,12 +29,12 @@ _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _SCAN_BYTES = 1 << 24
 # Names that mmWave Studio and the DCA1000 command line give to the parts of one recording.
 _STUDIO_PART = re.compile(r".*_Raw_\d+", re.IGNORECASE)
-_MAX_NAMED = 4
+MAX_NAMED = 4
 # A gap beyond this is a broken header and no loss: 1 GiB, 10 s of a board at full rate.
 _MAX_GAP_BYTES = 1 << 30
 
 
-class PlainStream:
+class PlainStream(ByteStream):
     """Concatenated files, read at any position."""
 
     def __init__(self, files: Sequence[Path]) -> None:
@@ -42,43 +44,20 @@ class PlainStream:
         self.n_bytes = int(self._ends[-1])
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        """Fill `out` (n_bytes,) with the bytes from `start` on."""
         view, at = out.data, start
         while view:
             number = int(np.searchsorted(self._ends, at, side="right"))
-            if number >= len(self.files):
-                raise UserError(what="the file became shorter while it was read", where=self)
             first = int(self._ends[number - 1]) if number else 0
             with open_regular(self.files[number]) as handle:
                 handle.seek(at - first)
                 n_read = handle.readinto(view[: int(self._ends[number]) - at])
             if not n_read:
-                raise UserError(
-                    what="the file became shorter while it was read", where=self.files[number]
-                )
+                what = "the file became shorter while it was read"
+                raise UserError(what, where=self.files[number])
             view, at = view[n_read:], at + n_read
 
     def __str__(self) -> str:
         return str(self.files[0])
-
-
-@dataclass(frozen=True, kw_only=True)
-class PacketLoss:
-    """Numbers of received and lost packets, by their headers."""
-
-    n_packets: int
-    n_lost: int
-    lost_bytes: int
-    n_out_of_order: int
-
-    def __str__(self) -> str:
-        total = self.n_packets + self.n_lost
-        text = f"{self.n_packets} packets, {self.n_lost} lost ({100 * self.n_lost / total:.2g} %)"
-        if self.n_lost:
-            text += f", {self.lost_bytes} bytes zero-filled"
-        if self.n_out_of_order:
-            text += f", {self.n_out_of_order} out of order and put in order"
-        return text
 
 
 class Packets(NamedTuple):
@@ -90,7 +69,7 @@ class Packets(NamedTuple):
     """Where the byte count begins in a header."""
 
 
-class PacketStream:
+class PacketStream(ByteStream):
     """Payload of packets at the positions in their headers; lost payload reads as zero."""
 
     def __init__(self, plain: PlainStream, packets: Packets, *, keep_good: bool) -> None:
@@ -102,19 +81,16 @@ class PacketStream:
         self._n_slots = full + (rest > header_bytes)
         self._last_bytes = rest - header_bytes if rest > header_bytes else payload_bytes
         sequence, n_good = self._read_headers()
-        if n_good < self._n_slots and not keep_good:
-            raise UserError(
-                what=f"packet {n_good} of {self._n_slots} has a broken header",
-                where=plain,
+        self.notes: tuple[str, ...] = ()
+        if n_good < self._n_slots:
+            text = left_out(
+                f"packet {n_good} of {self._n_slots} has a broken header",
+                keep_good,
+                plain,
                 expected="sequence number and byte count to increase together",
                 hint="--keep-good keeps the packets before it",
             )
-        self.notes: tuple[str, ...] = ()
-        if n_good < self._n_slots:
-            self.notes = (
-                f"packet {n_good} of {self._n_slots} has a broken header; it and what follows "
-                "were left out",
-            )
+            self.notes = (f"{text}; it and what follows were left out",)
         sequence = sequence[:n_good]
         n_late = int((sequence[1:] < sequence[:-1]).sum())
         # Packets in the order of their numbers; the first of repeated ones is used.
@@ -122,16 +98,17 @@ class PacketStream:
         last_is_short = int(self._slots[-1]) == self._n_slots - 1
         size = self._last_bytes if last_is_short else payload_bytes
         self.n_bytes = int(self._sequence[-1]) * payload_bytes + size
-        n_lost = int(self._sequence[-1]) + 1 - len(self._sequence)
-        self.loss = PacketLoss(
-            n_packets=len(self._sequence),
-            n_lost=n_lost,
-            lost_bytes=n_lost * payload_bytes,
-            n_out_of_order=n_late,
-        )
+        total = int(self._sequence[-1]) + 1
+        self.n_lost = total - len(self._sequence)
+        share = f"{self.n_lost} lost ({100 * self.n_lost / total:.2g} %)"
+        self.loss = f"{len(self._sequence)} packets, {share}"
+        """Numbers of received and lost packets, by their headers."""
+        if self.n_lost:
+            self.loss += f", {self.n_lost * payload_bytes} bytes zero-filled"
+        if n_late:
+            self.loss += f", {n_late} out of order and put in order"
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        """Fill `out` (n_bytes,) with the payload from `start` on."""
         stop = start + len(out)
         first = int(np.searchsorted(self._sequence, start // self._payload))
         last = int(np.searchsorted(self._sequence, -(-stop // self._payload)))
@@ -187,13 +164,8 @@ def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
 
 
 def find_packets(plain: PlainStream) -> Packets | None:
-    """Sizes of the packets; None where the file has no packet headers.
-
-    The first header carries number n and (n - 1) times the payload; a payload later the next
-    one must too.
-    """
-    head = np.zeros(min(plain.n_bytes, 2 * (_MAX_PAYLOAD + _MOST_HEADER_BYTES)), dtype=np.uint8)
-    plain.read_into(0, head)
+    """Sizes of the packets, from the first two headers; None where the file has none."""
+    head = plain.read(0, 2 * (_MAX_PAYLOAD + _MOST_HEADER_BYTES))
     for header, count_at in _HEADERS:
         payload = _payload_of(head, header, count_at)
         if payload is not None:
@@ -235,8 +207,7 @@ def bin_files(folder: Path) -> list[Path]:
 def recording_files(source: Path) -> tuple[list[Path], list[str]]:
     """Files of one recording, and notes: `source` itself, or the parts in a folder, in order.
 
-    Recorders split a recording into numbered files of one size, the last of which is shorter.
-    Other sets of files are separate captures, which raise UserError.
+    Parts are numbered, of one size, the last is shorter; UserError for separate captures.
     """
     if not source.exists():
         raise UserError(what="no such file or folder", where=source)
@@ -247,8 +218,8 @@ def recording_files(source: Path) -> tuple[list[Path], list[str]]:
         return files, []
     numbered = {path: re.fullmatch(r"(.*?)(\d+)", path.stem) for path in files}
     files = sorted(files, key=lambda path: (int(m[2]) if (m := numbered[path]) else 0, path.name))
-    more = ["..."] if len(files) > _MAX_NAMED else []
-    names = ", ".join([*(path.name for path in files[:_MAX_NAMED]), *more])
+    more = ["..."] if len(files) > MAX_NAMED else []
+    names = ", ".join([*(path.name for path in files[:MAX_NAMED]), *more])
     reason = _why_separate(files, numbered)
     if reason:
         raise UserError(
@@ -287,7 +258,42 @@ def _begins_anew(path: Path) -> bool:
     packets = find_packets(plain)
     if packets is None:
         return False
-    head = np.zeros(packets.header, dtype=np.uint8)
-    plain.read_into(0, head)
-    (number,), _ = _headers(head[None], packets.count_at)
+    (number,), _ = _headers(plain.read(0, packets.header)[None], packets.count_at)
     return bool(number == 1)
+
+
+def place_files(source: Path, names: Sequence[str] | None) -> list[Path]:
+    """Files of the positions, in their order.
+
+    source: folder of the files.
+    names: file of each position; None: all *.bin, by the numbers in their names.
+    """
+    if not source.is_dir():
+        raise UserError(what="is no folder with one file for each position", where=source)
+    if names is None:
+        return sorted(bin_files(source), key=_by_numbers)
+    bad = [name for name in names if not name or Path(name).name != name or "\\" in name]
+    if bad:
+        raise UserError(
+            what="a file of the positions is not named plainly",
+            where=source,
+            expected="names of files in this folder",
+            got=repr(bad[0]),
+        )
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise UserError(what="two positions name the same file", where=source, got=twice[0])
+    missing = [name for name in names if not (source / name).is_file()]
+    if missing:
+        raise UserError(
+            what=f"{len(missing)} of {len(names)} files that the positions name are not there",
+            where=source,
+            got=", ".join(missing[:MAX_NAMED]),
+        )
+    return [source / name for name in names]
+
+
+def _by_numbers(path: Path) -> tuple[tuple[int, int, str], ...]:
+    """Sort key in which scan_2 comes before scan_10."""
+    parts = re.findall(r"\d+|\D+", path.stem)
+    return tuple((0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts)

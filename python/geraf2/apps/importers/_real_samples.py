@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats
-from geraf2.apps.importers._chirp_length import channels, prediction_error
-from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder
+from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder, channels, prediction_error
 
 _N_WORDS = 1 << 18
 # Words of a segment. The one whose best spectra are most concentrated fits the chirps best.
@@ -57,8 +56,7 @@ def real_advantage(
 ) -> tuple[WordOrder, float]:
     """Best of the real orders, and by how much it beats every complex one (negative: not at all).
 
-    The advantage is a mean logarithm over all segments, receivers and bins. Orders differ in
-    whether they are offset binary; the right half of them has far less power.
+    The advantage is a mean logarithm over all segments, receivers and bins.
     """
     complex_orders, real_orders = list(complex_orders), list(real_orders)
     offsets = {order.offset_binary for order in real_orders}
@@ -81,11 +79,7 @@ def real_advantage(
 
 
 def _preferred(levels: dict[WordOrder, float], white: float) -> WordOrder:
-    """Best order, or the one with most alternating receivers that is nearly as good.
-
-    Alternating receivers read as a sequence have a line each, as in the right reading; a sequence
-    read as alternating receivers has a line for each of them in place of one.
-    """
+    """Best order, or the one with most alternating receivers that is nearly as good."""
     best = min(levels, key=lambda order: levels[order])
     enough = white - _SAME_SHARE * (white - levels[best])
     good = [order for order in levels if levels[order] <= enough and not order.is_sequential]

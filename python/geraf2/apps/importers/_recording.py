@@ -1,8 +1,8 @@
 """Raw recordings of a TI board: files, order of the words, frames and samples."""
 
 import os
-from collections import deque
-from collections.abc import Callable, Iterator
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,20 +13,21 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
-from geraf2.apps.importers._chirp_length import begins_in_chirp, late_samples
-from geraf2.apps.importers._place_files import PlaceStream, odd_places, place_files, usual_bytes
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
+    MAX_NAMED,
     PacketStream,
     PlainStream,
     find_packets,
+    place_files,
     recording_files,
 )
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._rows import left_out
 from geraf2.apps.importers._stream_parts import (
     ByteStream,
+    PlaceStream,
     StreamPart,
     leading_zeros,
     trailing_zeros,
@@ -34,7 +35,13 @@ from geraf2.apps.importers._stream_parts import (
 )
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
-from geraf2.apps.importers._word_order import Layout, decode, decode_integers
+from geraf2.apps.importers._word_order import (
+    Layout,
+    begins_in_chirp,
+    decode,
+    decode_integers,
+    late_samples,
+)
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
@@ -89,12 +96,8 @@ class Recording:
         return self.n_chirps_per_frame // self.n_tx
 
     def read_frames(self, first: int, stop: int, *, integers: bool = False) -> Samples:
-        """Read frames, complex (n_frames, n_loops, n_tx, n_rx, n_samples).
-
-        With `integers` I and Q as they are stored, (..., n_samples, 2), of each chirp.
-        """
-        raw = np.empty((stop - first) * self.frame_bytes, dtype=np.uint8)
-        self.stream.read_into(first * self.frame_bytes, raw)
+        """Read (n_frames, n_loops, n_tx, n_rx, n_samples); with `integers` (..., 2), as stored."""
+        raw = self.stream.read(first * self.frame_bytes, (stop - first) * self.frame_bytes)
         read: Callable[..., Samples] = decode_integers if integers else decode
         chirps = read(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
         chirps = chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
@@ -132,24 +135,42 @@ class _Files:
         size -= max(zeros for _, zeros in usual)
         n_files = 1 if size >= _LONG_FILE_BYTES else -(-_LONG_FILE_BYTES // max(size, 1))
         n_bytes = min(_HEAD_BYTES, size) // 2 * 2
-        parts = np.empty((min(n_files, len(usual)), n_bytes), dtype=np.uint8)
-        for (stream, zeros), part in zip(usual, parts, strict=False):
-            stream.read_into(zeros, part)
-        return parts.reshape(-1).view("<i2")
+        parts = [stream.read(zeros, n_bytes) for stream, zeros in usual[:n_files]]
+        return np.concatenate(parts).view("<i2")
 
     def without_zeros(self, frame_bytes: int) -> "_Files":
         """Files less the zeros at their beginning, unless these are whole frames."""
         streams, notes = [], []
         for stream, zeros, name in zip(self.streams, self.zeros, self.names, strict=True):
             is_padding = zeros % frame_bytes > 0
-            streams.append(
-                StreamPart(base=stream, start=zeros, stop=stream.n_bytes) if is_padding else stream
-            )
+            streams.append(StreamPart(stream, zeros) if is_padding else stream)
             if zeros:
                 text = f"the first {zeros} bytes of {name} are zero"
                 whole = f", {zeros // frame_bytes} frames in which nothing was recorded"
                 notes.append(f"{text} and were left out" if is_padding else f"{text}{whole}")
         return replace(self, streams=tuple(streams), notes=[*self.notes, *notes])
+
+
+def usual_bytes(files: Sequence[ByteStream]) -> int:
+    """Most common size of the files [bytes]; the largest of several."""
+    counts = Counter(stream.n_bytes for stream in files)
+    return max(counts, key=lambda size: (counts[size], size))
+
+
+def _odd_places(
+    files: _Files, frame_bytes: int, keep_good: bool, where: Path
+) -> tuple[tuple[int, ...], list[str]]:
+    """Positions whose number of whole frames is not the usual one, and a note; see `left_out`."""
+    n_frames = [stream.n_bytes // frame_bytes for stream in files.streams]
+    usual = usual_bytes(files.streams) // frame_bytes
+    odd = tuple(place for place, n in enumerate(n_frames) if n != usual)
+    if not odd:
+        return (), []
+    named = ", ".join(f"{files.names[k]} ({n_frames[k]})" for k in odd[:MAX_NAMED])
+    text = f"{len(odd)} of {len(n_frames)} files do not hold {usual} frames as the others do"
+    note = f"{text}: {named}"
+    left_out(note, keep_good, where, hint="--keep-good leaves these positions out")
+    return odd, [f"{note}; left out"]
 
 
 def open_recording(
@@ -173,7 +194,9 @@ def open_recording(
     n_bytes = usual_bytes(files.streams)
     stream, n_empty = files.streams[0], 0
     if not files.per_place:
-        _require_whole_chirp(head, evidence, source)
+        order, n_samples = evidence.order, evidence.n_samples
+        if late := late_samples(head, order, n_samples):
+            raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
         n_empty = trailing_zeros(stream)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
@@ -182,11 +205,9 @@ def open_recording(
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
     if files.per_place:
-        missing, odd = odd_places(
-            files.streams, files.names, frame_bytes, keep_good=options.keep_good, where=source
-        )
+        missing, odd = _odd_places(files, frame_bytes, options.keep_good, source)
         notes.extend(odd)
-        stream = PlaceStream(files=files.streams, bytes_per_place=n_frames * frame_bytes)
+        stream = PlaceStream(files.streams, n_frames * frame_bytes)
         n_frames *= len(files.streams)
     else:
         notes.extend(_check_end(stream, evidence, n_empty))
@@ -238,7 +259,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         plain = PlainStream(group)
         if not plain.n_bytes and not (per_place and options.keep_good):
             raise UserError(what="is empty", where=group[0])
-        stream, more, found = _without_headers(plain, radar.raw.packet_headers, options.keep_good)
+        stream, more, found = _without_headers(plain, options.keep_good)
         stream, headers = without_chirp_headers(stream)
         more += headers
         if stream.n_bytes % 2:
@@ -251,7 +272,13 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         facts += [] if per_place else found
     return _Files(
         streams=tuple(streams),
-        zeros=tuple(_padding(stream, per_place=per_place) for stream in streams),
+        # Zeros of lost packets belong to the recording.
+        zeros=tuple(
+            0
+            if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes)
+            else leading_zeros(stream)
+            for stream in streams
+        ),
         names=tuple(group[0].name for group in groups),
         per_place=per_place,
         notes=notes,
@@ -271,25 +298,10 @@ def _evidence(
         n_rx=n_rx,
         layout=radar.raw.layout or _layout_of(config),
         offset_binary=radar.raw.offset_binary,
-        swap_iq=radar.raw.swap_iq,
         n_samples=radar.n_samples or config.n_samples,
         is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
-
-
-def _padding(stream: ByteStream, *, per_place: bool) -> int:
-    """Bytes of zeros before the samples; those of lost packets belong to the recording."""
-    if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes):
-        return 0
-    return leading_zeros(stream)
-
-
-def _require_whole_chirp(head: NDArray[np.int16], evidence: LayoutEvidence, source: Path) -> None:
-    late = late_samples(head, evidence.order, evidence.n_samples)
-    if late:
-        stored = evidence.order.per_complex * evidence.n_samples
-        raise begins_in_chirp(evidence.order, stored, late, source)
 
 
 def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> list[str]:
@@ -297,11 +309,8 @@ def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> li
     chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
     n_chirps = (stream.n_bytes - n_empty) // chirp_bytes
     n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
-    words = np.empty(n_last * chirp_bytes // 2, dtype="<i2")
-    if not n_last:
-        return []
-    stream.read_into((n_chirps - n_last) * chirp_bytes, words.view(np.uint8))
-    late = late_samples(words, evidence.order, evidence.n_samples)
+    words = stream.read((n_chirps - n_last) * chirp_bytes, n_last * chirp_bytes).view("<i2")
+    late = n_last and late_samples(words, evidence.order, evidence.n_samples)
     if not late:
         return []
     return [
@@ -311,23 +320,16 @@ def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> li
 
 
 def _without_headers(
-    plain: PlainStream, expected: bool | None, keep_good: bool
+    plain: PlainStream, keep_good: bool
 ) -> tuple[ByteStream, list[str], list[tuple[str, str]]]:
-    packets = None if expected is False else find_packets(plain)
+    packets = find_packets(plain)
     if packets is None:
-        if expected:
-            raise UserError(
-                what="has no packet headers",
-                where=plain,
-                expected="a sequence number and a byte count before each packet",
-                hint="leave packet_headers out",
-            )
         return plain, [], []
     stream = PacketStream(plain, packets, keep_good=keep_good)
     found = f"headers of {packets.header} bytes found, {packets.payload} bytes each"
     facts = [("packets", f"{stream.loss} ({found})")]
     notes = list(stream.notes)
-    if stream.loss.n_lost:
+    if stream.n_lost:
         notes.append(f"{stream.loss}: expect noise where they belong")
     return stream, notes, facts
 
@@ -407,10 +409,7 @@ def is_kept(recording: Recording, per_place: int) -> bool:
 def read_places(
     recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
 ) -> Iterator[tuple[int, Samples]]:
-    """First index and mean samples (n_places, n_tx, n_rx, n_samples) of consecutive positions.
-
-    Integers (..., n_samples, 2) where `is_kept` holds.
-    """
+    """First index and mean samples (n_places, n_tx, n_rx, n_samples); see also `is_kept`."""
 
     def loops_of(block: tuple[int, int]) -> Samples:
         frames = recording.read_frames(*block, integers=is_kept(recording, per_place))

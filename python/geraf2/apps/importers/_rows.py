@@ -1,9 +1,10 @@
 """Arrays whose rows are antennas, read in blocks of rows."""
 
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.lib import format as npy_format
@@ -16,8 +17,7 @@ from geraf2.io.file_kinds import refuse_other_kind
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
 
-Rows = Callable[[int, int], Array]
-"""Reads rows from one index up to another."""
+_OLD_HEADER = npy_format.read_array_header_1_0
 
 
 def wrong_shape(where: object, name: str, expected: object, got: object) -> UserError:
@@ -50,16 +50,14 @@ def blocks(n_rows: int, row_bytes: int) -> Iterator[tuple[int, int]]:
 
 
 def good_rows(
-    read: Rows, n_rows: int, row_bytes: int, *, keep_good: bool, where: object, what: str
+    parts: Iterable[Array], *, keep_good: bool, where: object, what: str
 ) -> tuple[Bools, list[str]]:
     """Mask of rows without NaN, and notes; UserError for others unless `keep_good`."""
-    good = np.ones(n_rows, dtype=np.bool_)
-    for first, stop in blocks(n_rows, row_bytes):
-        part = read(first, stop).reshape(stop - first, -1)
-        good[first:stop] = np.isfinite(part).all(axis=1)
+    masks = [np.isfinite(part.reshape(len(part), -1)).all(axis=1) for part in parts]
+    good = np.asarray(np.concatenate(masks))
     if good.all():
         return good, []
-    text = f"{int((~good).sum())} of {n_rows} {what} hold NaN, first {int(np.argmin(good))}"
+    text = f"{int((~good).sum())} of {len(good)} {what} hold NaN, first {int(np.argmin(good))}"
     left_out(text, keep_good, where, hint="--keep-good leaves them out")
     if not good.any():
         raise UserError(what=f"all {what} hold NaN", where=where)
@@ -67,69 +65,41 @@ def good_rows(
 
 
 class NpzRows:
-    """One array of an .npz file, read in order from its beginning; C order only."""
+    """One array of an .npz file, whose rows are read in blocks; C order only."""
 
     def __init__(self, path: Path, name: str) -> None:
-        self._path, self._name = path, f"{name}.npy"
-        self._handle: Any = None
-        self._next = 0
-        with self._open() as handle:
-            self.shape, self.dtype = self._header(handle)
+        self._path, self._name = path, name
+        refuse_other_kind(path, ("zip",))
+        self.shape: tuple[int, ...]
+        self.dtype: np.dtype[Any]
+        with self._opened():
+            pass
 
-    @property
-    def row_bytes(self) -> int:
-        """Bytes of one row."""
-        return int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
+    def blocks(self) -> Iterator[Array]:
+        """All rows, in parts that fit in memory."""
+        with self._opened() as handle:
+            row_bytes = int(np.prod(self.shape[1:], dtype=np.int64)) * self.dtype.itemsize
+            for first, stop in blocks(self.shape[0], row_bytes):
+                data = handle.read((stop - first) * row_bytes)
+                if len(data) != (stop - first) * row_bytes:
+                    raise UserError(what=f"{self._name} is cut short", where=self._path)
+                yield np.frombuffer(data, dtype=self.dtype).reshape(-1, *self.shape[1:])
 
-    def read(self, first: int, stop: int) -> Array:
-        """Rows from `first` to `stop`; fast where they follow the previous ones."""
-        if self._handle is None or first < self._next:
-            if self._handle is not None:
-                self._handle.close()
-            self._handle = self._open()
-            self._header(self._handle)
-            self._next = 0
+    @contextmanager
+    def _opened(self) -> Iterator[IO[bytes]]:
+        """Lend the array's file at its first row; its header sets shape and dtype."""
+        name = f"{self._name}.npy"
         try:
-            self._handle.seek((first - self._next) * self.row_bytes, 1)
-            data = self._handle.read((stop - first) * self.row_bytes)
-        except BROKEN_ARRAY as error:
-            raise UserError(
-                what=f"{self._name} cannot be read: {error}", where=self._path
-            ) from None
-        if len(data) != (stop - first) * self.row_bytes:
-            raise UserError(what=f"{self._name} is cut short", where=self._path)
-        self._next = stop
-        if stop == self.shape[0]:
-            self._handle.close()
-            self._handle = None
-        return np.frombuffer(data, dtype=self.dtype).reshape(stop - first, *self.shape[1:])
-
-    def _open(self) -> Any:
-        refuse_other_kind(self._path, ("zip",))
-        try:
-            with zipfile.ZipFile(self._path) as archive:
-                return archive.open(self._name)
+            with zipfile.ZipFile(self._path) as archive, archive.open(name) as handle:
+                is_old = npy_format.read_magic(handle) == (1, 0)
+                read = _OLD_HEADER if is_old else npy_format.read_array_header_2_0
+                self.shape, fortran, self.dtype = read(handle)
+                if self.dtype.hasobject or (fortran and len(self.shape) > 1):
+                    what = f"{name} is not a plain array in C order"
+                    raise UserError(what=what, where=self._path, got=self.dtype)
+                yield handle
         except KeyError:
-            what, name = "the file lacks the array", self._name[:-4]
-            raise UserError(what=what, where=self._path, expected=name) from None
+            what = "the file lacks the array"
+            raise UserError(what=what, where=self._path, expected=self._name) from None
         except BROKEN_ARRAY as error:
-            raise UserError(what=f"cannot be read: {error}", where=self._path) from None
-
-    def _header(self, handle: Any) -> tuple[tuple[int, ...], np.dtype[Any]]:
-        try:
-            version = npy_format.read_magic(handle)
-            read = (
-                npy_format.read_array_header_1_0
-                if version == (1, 0)
-                else npy_format.read_array_header_2_0
-            )
-            shape, fortran, dtype = read(handle)
-        except BROKEN_ARRAY as error:
-            raise UserError(
-                what=f"{self._name} cannot be read: {error}", where=self._path
-            ) from None
-        if dtype.hasobject or (fortran and len(shape) > 1):
-            raise UserError(
-                what=f"{self._name} is not a plain array in C order", where=self._path, got=dtype
-            )
-        return shape, dtype
+            raise UserError(what=f"{name} cannot be read: {error}", where=self._path) from None

@@ -80,10 +80,7 @@ def scene_manifest(
 
 
 def _delay_notes(waveform: dict[str, Any]) -> tuple[dict[str, str], list[str]]:
-    """Provenance of the instrument delay, and notes; an unknown delay is set to 0.
-
-    waveform: values by name; path_bias_m is missing or None where it is not known.
-    """
+    """Provenance of the instrument delay, and notes; an unknown delay is set to 0 in `waveform`."""
     if waveform.get("path_bias_m") is not None:
         return {DELAY_KEY: DELAY_GIVEN}, []
     waveform["path_bias_m"] = 0.0

@@ -4,9 +4,8 @@ The stream configuration of TI's demos (`lvdsStreamCfg -1 1 ...`) puts 64 bytes 
 They begin with the words 0ADC and 0CDA, twice each, in an order that depends on the lanes.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,78 +20,78 @@ _SCAN_BYTES = 1 << 20
 _MAX_ZEROS = 1 << 30
 
 
-class ByteStream(Protocol):
+class ByteStream(ABC):
     """Bytes of a recording, read at any position."""
 
-    @property
-    def n_bytes(self) -> int:
-        """Number of bytes."""
+    n_bytes: int
 
+    @abstractmethod
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
         """Fill `out` (n_bytes,) with the bytes from `start` on."""
 
+    def read(self, start: int, most: int) -> NDArray[np.uint8]:
+        """At most so many bytes from `start` on."""
+        out = np.empty(min(most, self.n_bytes - start), dtype=np.uint8)
+        self.read_into(start, out)
+        return out
 
-@dataclass(frozen=True, kw_only=True)
-class StreamPart:
-    """Bytes of another stream from `start` to `stop`."""
 
-    base: ByteStream
-    start: int
-    stop: int
+class StreamPart(ByteStream):
+    """Bytes of another stream from `start` on."""
 
-    @property
-    def n_bytes(self) -> int:
-        """Number of bytes."""
-        return self.stop - self.start
+    def __init__(self, base: ByteStream, start: int) -> None:
+        self._base, self._start, self.n_bytes = base, start, base.n_bytes - start
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        """Fill `out` (n_bytes,) with the bytes from `start` on."""
-        self.base.read_into(self.start + start, out)
+        self._base.read_into(self._start + start, out)
 
     def __str__(self) -> str:
-        return str(self.base)
+        return str(self._base)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChirpHeaderStream:
+class ChirpHeaderStream(ByteStream):
     """Samples of a stream that has a header at every `period` bytes."""
 
-    base: ByteStream
-    period: int
-
-    @property
-    def payload(self) -> int:
-        """Bytes of samples between two headers."""
-        return self.period - CHIRP_HEADER_BYTES
-
-    @property
-    def n_bytes(self) -> int:
-        """Number of bytes of samples."""
-        full, rest = divmod(self.base.n_bytes, self.period)
-        return full * self.payload + max(0, rest - CHIRP_HEADER_BYTES)
+    def __init__(self, base: ByteStream, period: int) -> None:
+        self._base, self._period, self._payload = base, period, period - CHIRP_HEADER_BYTES
+        full, rest = divmod(base.n_bytes, period)
+        self.n_bytes = full * self._payload + max(0, rest - CHIRP_HEADER_BYTES)
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        """Fill `out` (n_bytes,) with the samples from byte `start` on."""
-        first, stop = start // self.payload, -(-(start + len(out)) // self.payload)
-        raw = np.zeros((stop - first) * self.period, dtype=np.uint8)
-        n_bytes = min(len(raw), self.base.n_bytes - first * self.period)
-        self.base.read_into(first * self.period, raw[:n_bytes])
-        slots = raw.reshape(-1, self.period)
-        heads = np.ascontiguousarray(slots[:, : 2 * _N_SYNC]).view("<u2")
-        is_header = _is_sync(heads)
+        first, stop = start // self._payload, -(-(start + len(out)) // self._payload)
+        raw = np.zeros((stop - first) * self._period, dtype=np.uint8)
+        n_bytes = min(len(raw), self._base.n_bytes - first * self._period)
+        self._base.read_into(first * self._period, raw[:n_bytes])
+        slots = raw.reshape(-1, self._period)
+        is_header = _is_sync(np.ascontiguousarray(slots[:, : 2 * _N_SYNC]).view("<u2"))
         if not is_header.all():
             raise UserError(
                 what=f"chirp {first + int(np.argmin(is_header))} has no header as those before it",
-                where=self,
+                where=self._base,
                 expected=f"{CHIRP_HEADER_BYTES} bytes before each chirp",
                 hint="packets were lost: record again, or without headers (lvdsStreamCfg -1 0 1 0)",
             )
-        samples = slots[:, CHIRP_HEADER_BYTES:].reshape(-1)
-        at = start - first * self.payload
-        out[:] = samples[at : at + len(out)]
+        at = start - first * self._payload
+        out[:] = slots[:, CHIRP_HEADER_BYTES:].reshape(-1)[at : at + len(out)]
 
     def __str__(self) -> str:
-        return str(self.base)
+        return str(self._base)
+
+
+class PlaceStream(ByteStream):
+    """Concatenation of the first `bytes_per_place` bytes of each file."""
+
+    def __init__(self, files: Sequence[ByteStream], bytes_per_place: int) -> None:
+        self._files, self._per_place = files, bytes_per_place
+        self.n_bytes = len(files) * bytes_per_place
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        at = 0
+        while at < len(out):
+            place, begin = divmod(start + at, self._per_place)
+            n = min(self._per_place - begin, len(out) - at)
+            self._files[place].read_into(begin, out[at : at + n])
+            at += n
 
 
 def _is_sync(words: NDArray[np.uint16]) -> NDArray[np.bool_]:
@@ -103,9 +102,7 @@ def _is_sync(words: NDArray[np.uint16]) -> NDArray[np.bool_]:
 
 def without_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
     """Stream without headers of chirps, and notes on what was removed."""
-    head = np.zeros(min(stream.n_bytes, _SCAN_BYTES) // 2 * 2, dtype=np.uint8)
-    stream.read_into(0, head)
-    words = head.view("<u2")
+    words = stream.read(0, min(stream.n_bytes, _SCAN_BYTES) // 2 * 2).view("<u2")
     if len(words) < _N_SYNC:
         return stream, []
     starts = _sync_starts(words)
@@ -124,8 +121,8 @@ def without_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
     base = stream
     if first:
         notes.append(f"{first} bytes before the first header were left out")
-        base = StreamPart(base=stream, start=first, stop=stream.n_bytes)
-    return ChirpHeaderStream(base=base, period=period), notes
+        base = StreamPart(stream, first)
+    return ChirpHeaderStream(base, period), notes
 
 
 def _sync_starts(words: NDArray[np.uint16]) -> Ints:
@@ -136,17 +133,13 @@ def _sync_starts(words: NDArray[np.uint16]) -> Ints:
 
 
 def leading_zeros(stream: ByteStream) -> int:
-    """Count the bytes of padding before the samples; UserError where all are zero.
-
-    Zeros of a dead receiver, or of a weak signal, are samples: as many follow again soon.
-    """
+    """Count the bytes of padding before the samples, which no zeros of a weak signal are."""
     for start, block in _blocks(stream, range(0, min(stream.n_bytes, _MAX_ZEROS), _SCAN_BYTES)):
         if block.any():
             n_zeros = start + int(np.argmax(block != 0)) // 2 * 2
             size = min(_SCAN_BYTES, stream.n_bytes - n_zeros) // 2 * 2
-            after = np.zeros(size, dtype=np.uint8)
-            stream.read_into(n_zeros, after)
-            longest = np.diff(np.flatnonzero(after.view("<i2"))).max(initial=2)
+            after = stream.read(n_zeros, size).view("<i2")
+            longest = np.diff(np.flatnonzero(after)).max(initial=2)
             return n_zeros if n_zeros > 3 * longest else 0
     raise UserError(what="begins with nothing but zeros", where=stream)
 
@@ -165,7 +158,4 @@ def trailing_zeros(stream: ByteStream) -> int:
 
 
 def _blocks(stream: ByteStream, firsts: range) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    for first in firsts:
-        block = np.zeros(min(_SCAN_BYTES, stream.n_bytes - first), dtype=np.uint8)
-        stream.read_into(first, block)
-        yield first, block
+    yield from ((first, stream.read(first, _SCAN_BYTES)) for first in firsts)

@@ -17,15 +17,18 @@ from typing import Any
 
 from geraf2.apps.importers._ti_log import has_calls, read_log
 from geraf2.apps.importers._ti_values import (
+    GIVE,
     TYPED,
     TiConfig,
+    Transmitters,
     bpm_mask,
     is_real_16,
     ones,
     profile_values,
+    require_count,
     to_number,
+    transmitters_of,
 )
-from geraf2.apps.importers._transmitters import Transmitters, transmitters_of
 from geraf2.errors import UserError
 from geraf2.io.regular import TEXT_BYTES, read_regular
 from geraf2.io.text import parse_json, read_text
@@ -35,7 +38,6 @@ _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
-_GIVE = "give the parameters in --radar"
 
 
 def read_ti_configs(paths: Iterable[Path]) -> TiConfig:
@@ -100,7 +102,7 @@ def _read_one(path: Path) -> TiConfig:
             hint=f"give --config {meant}",
         )
     if "DCA1000Config" in values:
-        return _from_capture_card(values["DCA1000Config"], path)
+        return _from_capture_card(values, path)
     raise UserError(
         what="is no configuration of a TI radar",
         where=path,
@@ -109,109 +111,93 @@ def _read_one(path: Path) -> TiConfig:
     )
 
 
-class _Table:
-    """Values of a JSON object; error messages name the key."""
+def _at(values: Any, keys: str, path: Path) -> Any:
+    """Value at dotted keys of a JSON object; UserError names the first one that is missing."""
+    for key in keys.split("."):
+        if not isinstance(values, Mapping) or key not in values:
+            raise UserError(what=f"key {key!r} of {keys} is missing", where=path)
+        values = values[key]
+    return values
 
-    def __init__(self, values: Any, name: str, path: Path) -> None:
-        if not isinstance(values, Mapping):
-            raise UserError(what=f"key {name!r} is missing or no object", where=path)
-        self._values, self._name, self._path = values, name, path
 
-    def table(self, key: str) -> "_Table":
-        return _Table(self._values.get(key), f"{self._name}.{key}", self._path)
+def _number(values: Any, keys: str, path: Path) -> float:
+    return to_number(_at(values, keys, path), keys, path)
 
-    def tables(self, key: str, inner: str) -> list["_Table"]:
-        """Objects `inner` of the list `key`; entries without it are skipped."""
-        entries = self._values.get(key)
-        if not isinstance(entries, list):
-            raise UserError(
-                what=f"key '{self._name}.{key}' is missing or no list", where=self._path
-            )
-        return [
-            _Table(entry[inner], f"{self._name}.{key}[{number}].{inner}", self._path)
-            for number, entry in enumerate(entries)
-            if isinstance(entry, Mapping) and inner in entry
-        ]
 
-    def has(self, key: str) -> bool:
-        return key in self._values
+def _optional(values: Any, keys: str, path: Path) -> float | None:
+    """Return a number, or None where any of its keys is missing."""
+    for key in keys.split("."):
+        values = values.get(key) if isinstance(values, Mapping) else None
+    return None if values is None else to_number(values, keys, path)
 
-    def number(self, key: str) -> float:
-        value = self._values.get(key)
-        return to_number(value, f"{self._name}.{key}", self._path)
 
-    def span(self) -> tuple[int, int]:
-        """First and last chirp."""
-        return int(self.number("chirpStartIdx")), int(self.number("chirpEndIdx"))
+def _tables(values: Any, keys: str, inner: str, path: Path) -> list[Any]:
+    """Objects `inner` of a list; entries without it are skipped."""
+    entries = _at(values, keys, path)
+    if not isinstance(entries, list):
+        raise UserError(what=f"key {keys!r} is no list", where=path)
+    return [entry[inner] for entry in entries if isinstance(entry, Mapping) and inner in entry]
+
+
+def _span(chirps: Any, path: Path) -> tuple[int, int]:
+    """First and last chirp."""
+    return int(_number(chirps, "chirpStartIdx", path)), int(_number(chirps, "chirpEndIdx", path))
 
 
 def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     devices = values["mmWaveDevices"]
     if not isinstance(devices, list) or len(devices) != 1:
-        raise UserError(
-            what="must describe one radar device",
-            where=path,
-            got=len(devices) if isinstance(devices, list) else type(devices).__name__,
-        )
-    device = _Table(devices[0], "mmWaveDevices[0]", path)
-    rf = device.table("rfConfig")
-    profiles = rf.tables("rlProfiles", "rlProfileCfg_t")
+        got = len(devices) if isinstance(devices, list) else type(devices).__name__
+        raise UserError(what="must describe one radar device", where=path, got=got)
+    rf, raw = _at(devices[0], "rfConfig", path), "rawDataCaptureConfig"
+    profiles = _tables(rf, "rlProfiles", "rlProfileCfg_t", path)
     if not profiles:
         raise UserError(what="has no rlProfileCfg_t", where=path)
-    chirps, frame = rf.tables("rlChirps", "rlChirpCfg_t"), rf.table("rlFrameCfg_t")
-    used = {int(chirp.number("profileId")) for chirp in chirps if chirp.has("profileId")}
+    chirps = _tables(rf, "rlChirps", "rlChirpCfg_t", path)
+    used = {_optional(chirp, "profileId", path) for chirp in chirps} - {None}
     if len(used) > 1:
-        raise UserError(
-            what=f"chirps of {len(used)} profiles alternate", where=path, expected="one profile"
-        )
-    profile = next(
-        (p for p in profiles if p.has("profileId") and int(p.number("profileId")) in used),
-        profiles[0],
-    )
-    table = [(*c.span(), int(c.number("txEnable"))) for c in chirps]
-    first, last = frame.span()
-    codes = rf.tables("rlBpmChirps", "rlBpmChirpCfg_t") if rf.has("rlBpmChirps") else ()
-    turned = [(*c.span(), bpm_mask(c.number("constBpmVal"))) for c in codes]
-    n_frames = int(frame.number("numFrames"))
-    lanes, interleaved = None, None
-    if device.has("rawDataCaptureConfig"):
-        raw = device.table("rawDataCaptureConfig")
-        if raw.has("rlDevLaneEnable_t"):
-            lanes = ones(raw.table("rlDevLaneEnable_t").number("laneEn"))
-        if raw.has("rlDevDataFmtCfg_t"):
-            interleaved = raw.table("rlDevDataFmtCfg_t").number("chInterleave") == 0
-    channels = rf.table("rlChanCfg_t") if rf.has("rlChanCfg_t") else None
+        what = f"chirps of {len(used)} profiles alternate"
+        raise UserError(what=what, where=path, expected="one profile")
+    own = [one for one in profiles if _optional(one, "profileId", path) in used]
+    profile = (own or profiles)[0]
+    table = [(*_span(c, path), int(_number(c, "txEnable", path))) for c in chirps]
+    first, last = _span(_at(rf, "rlFrameCfg_t", path), path)
+    codes = _tables(rf, "rlBpmChirps", "rlBpmChirpCfg_t", path) if "rlBpmChirps" in rf else ()
+    turned = [(*_span(c, path), bpm_mask(_number(c, "constBpmVal", path))) for c in codes]
+    lanes = _optional(devices[0], f"{raw}.rlDevLaneEnable_t.laneEn", path)
+    interleave = _optional(devices[0], f"{raw}.rlDevDataFmtCfg_t.chInterleave", path)
+    rx_mask = _optional(rf, "rlChanCfg_t.rxChannelEn", path)
     is_real = None
-    if rf.has("rlAdcOutCfg_t"):
-        out = rf.table("rlAdcOutCfg_t").table("fmt")
-        is_real = is_real_16(out.number("b2AdcBits"), out.number("b2AdcOutFmt"), path)
+    if "rlAdcOutCfg_t" in rf:
+        bits, output = (
+            _number(rf, f"rlAdcOutCfg_t.fmt.{key}", path) for key in ("b2AdcBits", "b2AdcOutFmt")
+        )
+        is_real = is_real_16(bits, output, path)
     return TiConfig(
-        ramp_start_hz=1e9 * profile.number("startFreqConst_GHz"),
-        adc_start_s=1e-6 * profile.number("adcStartTimeConst_usec"),
-        chirp_slope_hz_per_s=1e12 * profile.number("freqSlopeConst_MHz_usec"),
-        sample_rate_hz=1e3 * profile.number("digOutSampleRate"),
-        n_samples=int(profile.number("numAdcSamples")),
-        n_rx=ones(channels.number("rxChannelEn")) if channels else None,
+        ramp_start_hz=1e9 * _number(profile, "startFreqConst_GHz", path),
+        adc_start_s=1e-6 * _number(profile, "adcStartTimeConst_usec", path),
+        chirp_slope_hz_per_s=1e12 * _number(profile, "freqSlopeConst_MHz_usec", path),
+        sample_rate_hz=1e3 * _number(profile, "digOutSampleRate", path),
+        n_samples=int(_number(profile, "numAdcSamples", path)),
+        n_rx=None if rx_mask is None else ones(rx_mask),
         transmitters=transmitters_of(table, first, last, path, turned) if table else None,
-        n_chirps_per_frame=(last - first + 1) * int(frame.number("numLoops")),
-        n_frames=n_frames or None,
-        frame_period_s=1e-3 * frame.number("framePeriodicity_msec"),
-        n_lanes=lanes,
+        n_chirps_per_frame=(last - first + 1) * int(_number(rf, "rlFrameCfg_t.numLoops", path)),
+        n_frames=int(_number(rf, "rlFrameCfg_t.numFrames", path)) or None,
+        frame_period_s=1e-3 * _number(rf, "rlFrameCfg_t.framePeriodicity_msec", path),
+        n_lanes=None if lanes is None else ones(lanes),
         is_real=is_real,
-        interleaved=interleaved,
+        interleaved=None if interleave is None else interleave == 0,
     )
 
 
 def _from_capture_card(values: Any, path: Path) -> TiConfig:
-    table = _Table(values, "DCA1000Config", path)
-    bits = {1: 12, 2: 14, 3: 16}.get(int(table.number("dataFormatMode")))
+    bits = {1: 12, 2: 14, 3: 16}.get(int(_number(values, "DCA1000Config.dataFormatMode", path)))
     if bits != 16:
         raise UserError(what="samples are not of 16 bits", where=path, expected=16, got=bits)
-    lanes = {1: 4, 2: 2}.get(int(table.number("lvdsMode")))
+    lanes = {1: 4, 2: 2}.get(int(_number(values, "DCA1000Config.lvdsMode", path)))
     if lanes is None:
-        raise UserError(
-            what="lvdsMode is not known", where=path, expected="1 (4 lanes) or 2 (2 lanes)"
-        )
+        expected = "1 (4 lanes) or 2 (2 lanes)"
+        raise UserError(what="lvdsMode is not known", where=path, expected=expected)
     return TiConfig(n_lanes=lanes)
 
 
@@ -244,21 +230,13 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 what=f"line {number}: {name}: the profile {_UNREAD_LINES[name]}",
                 where=path,
                 expected="one profileCfg, chirpCfg and frameCfg",
-                hint=_GIVE,
+                hint=GIVE,
             )
         if name not in _LINE_LENGTHS:
             continue
         least, most = _LINE_LENGTHS[name]
         values = [to_number(word, f"line {number}, {name}", path) for word in words]
-        if not least <= len(values) <= most:
-            size = "few" if len(values) < least else "many"
-            raise UserError(
-                what=f"line {number}: {name} has too {size} values",
-                where=path,
-                expected=f"{least} or more" if size == "few" else f"{most} or fewer",
-                got=len(values),
-                hint=None if size == "few" else f"other chips have other values: {_GIVE}",
-            )
+        require_count(f"line {number}: {name}", len(values), least, most, path)
         lines.setdefault(name, []).append(values)
     if len(lines.get("profileCfg", [])) != 1:
         raise UserError(
@@ -271,7 +249,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
             what="frameCfg has eight values, of which the fifth is no number of samples",
             where=path,
             expected=f"{profile[9]:g}, as in profileCfg",
-            hint=_GIVE,
+            hint=GIVE,
         )
     channel, adc = (lines.get(name, [[]])[-1] for name in ("channelCfg", "adcCfg"))
     for _, _, data_format, _ in lines.get("lvdsStreamCfg", [])[-1:]:

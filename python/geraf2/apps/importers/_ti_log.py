@@ -11,10 +11,9 @@ of repeated calls is valid; in a script with branches, calls of different values
 """
 
 import re
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from geraf2.apps.importers._ti_values import (
     TYPED,
@@ -23,8 +22,10 @@ from geraf2.apps.importers._ti_values import (
     is_real_16,
     ones,
     profile_values,
+    require_count,
+    to_number,
+    transmitters_of,
 )
-from geraf2.apps.importers._transmitters import transmitters_of
 from geraf2.errors import UserError
 
 # Steps of the chip: of a 2^26 part of 3.6 GHz (77 GHz devices) or 2.7 GHz (60 GHz devices).
@@ -64,9 +65,6 @@ _MOST = {"ProfileConfig": 18, "ChirpConfig": 10}
 _N_KEYS = {"ProfileConfig": 1, "ChirpConfig": 2, "BpmChirpConfig": 2}
 
 
-_T = TypeVar("_T")
-
-
 @dataclass(frozen=True, kw_only=True)
 class _Call:
     name: str
@@ -92,26 +90,24 @@ def read_log(text: str, path: Path) -> TiConfig:
             where=path,
             expected="a line with API:ProfileConfig, or ar1.ProfileConfig(...)",
         )
-    codes = _first_of(
-        last,
-        {"ChanNAdcConfig": lambda v: (v[7], v[8]), "AdcOutConfig": lambda v: (v[0], v[1])},
-    )
+    known = _profile(_used_profile(calls, last, path), text)
     # In a call the transmitters' mask precedes that of the receivers.
-    rx_mask = _first_of(
-        last, {"ChanNAdcConfig": lambda v: _mask(v[3:7]), "ChannelConfig": lambda v: int(v[1])}
-    )
-    n_lanes = _first_of(
-        last,
-        {
-            "LVDSLaneConfig": lambda v: _mask(v[1:5]).bit_count(),
-            "LaneConfig": lambda v: n if (n := int(v[0]).bit_count()) in (2, 4) else 0,
-        },
-    )
-    known: dict[str, Any] = {
-        **_profile(_used_profile(calls, last, path), text),
+    if "ChanNAdcConfig" in last:
+        values = last["ChanNAdcConfig"].values
+        rx_mask, codes = _mask(values[3:7]), values[7:9]
+    else:
+        rx_mask = int(last["ChannelConfig"].values[1]) if "ChannelConfig" in last else 0
+        codes = last["AdcOutConfig"].values if "AdcOutConfig" in last else []
+    n_lanes = 0
+    if "LVDSLaneConfig" in last:
+        n_lanes = _mask(last["LVDSLaneConfig"].values[1:5]).bit_count()
+    elif "LaneConfig" in last:
+        n_lanes = ones(last["LaneConfig"].values[0])
+        n_lanes = n_lanes if n_lanes in (2, 4) else 0
+    known |= {
         "n_rx": ones(rx_mask) if rx_mask else None,
         "n_lanes": n_lanes or None,
-        "is_real": is_real_16(*codes, path) if codes else None,
+        "is_real": is_real_16(codes[0], codes[1], path) if codes else None,
     }
     if "DataFmtConfig" in last:
         known["interleaved"] = last["DataFmtConfig"].values[4] == 0
@@ -143,24 +139,10 @@ def _calls(text: str, path: Path) -> list[_Call]:
             continue
         where = f"{path}, line {script.count(chr(10), 0, start) + 1}"
         wanted = _LENGTHS[name][0 if raw else 1]
-        words = [word.strip() for word in arguments.split(",")]
-        n_values = len([word for word in words if word])
-        if n_values < wanted or not words[wanted - 1]:
-            raise UserError(
-                what=f"{name} has too few values",
-                where=where,
-                expected=f"{wanted} or more",
-                got=n_values,
-            )
-        if not raw and n_values > _MOST.get(name, n_values):
-            raise UserError(
-                what=f"{name} has too many values",
-                where=where,
-                expected=_MOST[name],
-                got=n_values,
-                hint="other chips have other values: give the parameters in --radar",
-            )
-        values = [_number(word, where) for word in words[:wanted]]
+        words = [word.strip() for word in arguments.strip().rstrip(",").split(",")]
+        most = len(words) if raw else _MOST.get(name, len(words))
+        require_count(name, len(words), wanted, max(most, wanted), where)
+        values = [to_number(word, name, where) for word in words[:wanted]]
         calls.append(_Call(name=name, where=where, raw=raw, values=values))
     if _BRANCH.search(script):
         _require_one_branch([call for call in calls if not call.raw])
@@ -203,16 +185,6 @@ def _used_profile(calls: list[_Call], last: dict[str, _Call], path: Path) -> _Ca
     return named[-1] if named else last["ProfileConfig"]
 
 
-def _number(word: str, where: str) -> float:
-    try:
-        value = float(int(word, 16)) if word.lower().startswith("0x") else float(word)
-    except ValueError:
-        value = float("nan")
-    if not abs(value) < 1e15:
-        raise UserError(what="must be a number", where=where, got=repr(word)[:60])
-    return value
-
-
 def _profile(call: _Call, text: str) -> dict[str, Any]:
     if not call.raw:
         return profile_values(call.values, (1, 3, 11, 13, 14), TYPED)
@@ -224,10 +196,7 @@ def _profile(call: _Call, text: str) -> dict[str, Any]:
 
 
 def _chirps(calls: list[_Call], name: str, at: slice) -> list[tuple[int, int, int]]:
-    """First and last chirp, and mask, of each call, the last one first.
-
-    at: indices of the mask's bits in a script; a log has the mask at the first.
-    """
+    """First and last chirp, and mask, of each call, the last first; `at`: bits in a script."""
     return [
         (
             int(call.values[0]),
@@ -241,10 +210,3 @@ def _chirps(calls: list[_Call], name: str, at: slice) -> list[tuple[int, int, in
 
 def _mask(flags: list[float]) -> int:
     return sum(1 << bit for bit, flag in enumerate(flags) if flag)
-
-
-def _first_of(
-    last: Mapping[str, _Call], read: Mapping[str, Callable[[list[float]], _T]]
-) -> _T | None:
-    """Read the first of some calls that is there; they state the same."""
-    return next((of(last[name].values) for name, of in read.items() if name in last), None)

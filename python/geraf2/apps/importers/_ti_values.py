@@ -1,16 +1,83 @@
-"""Values of a radar configuration of TI's software, and their checks."""
+"""Values of a radar configuration of TI's software, and their checks.
+
+Transmitters that take turns have a chirp each. Transmitters that send together are separated by
+their signs: of two, the second is turned by 180 degrees in every other chirp (BPM), so that
+A = (c0 + c1) / 2 and B = (c0 - c1) / 2. In general a loop of chirps is the code matrix times the
+signals of the transmitters, and its inverse separates them.
+"""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from geraf2.apps.importers._transmitters import Transmitters
+import numpy as np
+
+from geraf2._types import Floats
 from geraf2.errors import UserError
 
+GIVE = "give the parameters in --radar"
 TYPED = (1e9, 1e-6, 1e12)
 """Units of typed values: start [GHz], ADC start [us] and slope [MHz/us]."""
+
+
+# Least singular value over the largest: below it noise is amplified more than ten times.
+_LEAST_SINGULAR = 0.1
+
+Chirps = Sequence[tuple[int, int, int]]
+"""First and last index of chirps, and the mask of their transmitters or of those turned."""
+
+
+@dataclass(frozen=True)
+class Transmitters:
+    """Masks of the chirps of a loop, bit k for transmitter k, and the masks of turned ones."""
+
+    masks: tuple[int, ...]
+    turned: tuple[int, ...]
+
+    @property
+    def n_chirps(self) -> int:
+        """Chirps of a loop."""
+        return len(self.masks)
+
+    @property
+    def take_turns(self) -> bool:
+        """Whether each chirp has a single transmitter."""
+        return all(mask.bit_count() == 1 for mask in self.masks)
+
+    @property
+    def together(self) -> tuple[int, ...]:
+        """Transmitters in the order of their first chirp, the lowest of a chirp first."""
+        bits = [k for mask in self.masks for k in range(mask.bit_length()) if mask >> k & 1]
+        return tuple(dict.fromkeys(bits))
+
+    @cached_property
+    def decoder(self) -> Floats | None:
+        """Matrix that separates transmitters that send together, or None; (n_tx, n_chirps)."""
+        code = np.array(
+            [
+                [(mask >> k & 1) * (1 - 2 * (turned >> k & 1)) for k in self.together]
+                for mask, turned in zip(self.masks, self.turned, strict=True)
+            ],
+            dtype=np.float64,
+        )
+        if code.ndim != 2 or code.shape[0] != code.shape[1]:
+            return None
+        singular = np.linalg.svd(code, compute_uv=False)
+        if singular[-1] < _LEAST_SINGULAR * singular[0]:
+            return None
+        return np.asarray(np.linalg.inv(code), dtype=np.float64)
+
+    def __str__(self) -> str:
+        text = f"mask{'s' * (self.n_chirps > 1)} {', '.join(map(str, self.masks))}"
+        if self.take_turns:
+            return f"{text}, chirp by chirp"
+        if self.decoder is None:
+            return f"{text}: several send together, and no code separates them"
+        order = ", ".join(map(str, self.together))
+        return f"{text}: several send together, separated by their signs, in the order {order}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,27 +109,39 @@ class TiConfig:
         return self.ramp_start_hz + self.chirp_slope_hz_per_s * (self.adc_start_s or 0.0)
 
 
-def to_number(value: Any, name: str, path: Path) -> float:
+def to_number(value: Any, name: str, where: object) -> float:
     """Finite number from JSON or text, hexadecimal too; UserError names its key."""
+    number = math.nan
     try:
         if isinstance(value, str) and value.strip().lower().startswith("0x"):
-            return float(int(value, 16))
-        if isinstance(value, (int, float, str)) and not isinstance(value, bool):
+            number = float(int(value, 16))
+        elif isinstance(value, (int, float, str)) and not isinstance(value, bool):
             number = float(value)
-            if math.isfinite(number):
-                return number
     except (ValueError, OverflowError):
         pass
-    raise UserError(what=f"{name!r} must be a number", where=path, got=repr(value)[:60])
+    if not abs(number) < 1e15:  # of no value here
+        what = f"{name!r} must be a number"
+        raise UserError(what=what, where=where, got=repr(value)[:60])
+    return number
+
+
+def require_count(name: str, got: int, least: int, most: int, where: object) -> None:
+    """UserError where a line or a call has too few or too many values."""
+    if not least <= got <= most:
+        few = got < least
+        raise UserError(
+            what=f"{name} has too {'few' if few else 'many'} values",
+            where=where,
+            expected=f"{least} or more" if few else f"{most} or fewer",
+            got=got,
+            hint=None if few else f"other chips have other values: {GIVE}",
+        )
 
 
 def profile_values(
     values: Sequence[float], at: Sequence[int], units: tuple[float, float, float]
 ) -> dict[str, Any]:
-    """Chirp in SI units; `at` are indices of start, ADC start, slope, samples and rate [kHz].
-
-    units: of start [Hz], ADC start [s] and slope [Hz/s].
-    """
+    """Chirp in SI units; `at`: indices of start, ADC start, slope, samples, rate [kHz]."""
     start, adc_start, slope, n_samples, rate_khz = (values[index] for index in at)
     return {
         "ramp_start_hz": units[0] * start,
@@ -79,10 +158,7 @@ def ones(mask: float) -> int:
 
 
 def bpm_mask(code: float) -> int:
-    """Mask of the transmitters that a BPM code turns by 180 degrees while they are on.
-
-    Bits 2 k and 2 k + 1 of the code are of transmitter k, off and on.
-    """
+    """Mask of the transmitters that a BPM code (bits 2 k and 2 k + 1: off, on) turns while on."""
     return sum(1 << k for k in range(int(code).bit_length()) if int(code) >> 2 * k + 1 & 1)
 
 
@@ -98,3 +174,28 @@ def is_real_16(bits: float, output: float, path: Path) -> bool:
             got=f"{output:g}",
         )
     return output == 0
+
+
+def transmitters_of(
+    chirps: Chirps, first: int, last: int, path: Path, turned: Chirps = ()
+) -> Transmitters | None:
+    """Transmitters of the chirps of a frame, over the shortest period; None where not all known."""
+    if last < first:
+        raise UserError(what="chirpEndIdx of the frame lies before chirpStartIdx", where=path)
+    pairs = [(_mask_of(chirps, k), _mask_of(turned, k) or 0) for k in range(first, last + 1)]
+    masks = [mask for mask, _ in pairs if mask is not None]
+    if len(masks) < len(pairs):
+        return None
+    if not all(masks):
+        raise UserError(
+            what=f"chirp {first + masks.index(0)} has no transmitter",
+            where=path,
+            expected="a mask of one or more",
+        )
+    n = len(pairs)
+    period = next(p for p in range(1, n + 1) if n % p == 0 and pairs == pairs[:p] * (n // p))
+    return Transmitters(tuple(masks[:period]), tuple(code for _, code in pairs[:period]))
+
+
+def _mask_of(chirps: Chirps, index: int) -> int | None:
+    return next((mask for start, end, mask in chirps if start <= index <= end), None)

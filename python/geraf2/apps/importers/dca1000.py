@@ -14,13 +14,18 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, scan_antennas
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._raw_layout import MIN_RATIO
 from geraf2.apps.importers._recording import Recording, is_kept, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers._tracks import Track, planes_of, raster_track, without_places
+from geraf2.apps.importers._tracks import (
+    Track,
+    log_track,
+    planes_of,
+    raster_track,
+    without_places,
+)
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest
@@ -80,7 +85,7 @@ class Dca1000Importer:
                 _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
             ],
             notes=(*recording.notes, *notes, *board.notes, *track.notes),
-            facts=(*recording.facts, ("positions", str(track))),
+            facts=(*recording.facts, ("positions", track.text)),
             integers=is_kept(recording, track.frames_per_place),
             phase_sign=_phase_sign(evidence.energy_ratio),
         )
@@ -138,7 +143,8 @@ def _track(
     if options.static:
         if n_places is not None:
             raise UserError(what="--static has one position, --file-per-position has many")
-        return Track(frames_per_place=n_frames)
+        text = f"one position, {n_frames} frames averaged"
+        return Track(frames_per_place=n_frames, text=text)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
         on_raster = radar.raster.n_rows * radar.raster.n_columns
@@ -180,8 +186,9 @@ def _part(
     """Pose of consecutive positions, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
     stop = place + len(signal)
     positions, rotations = track.at(place, stop)
-    moved = track.each_tx(place, stop)
-    tx, rx = board.antennas(positions if moved is None else moved, rotations)
+    if track.tx_positions is not None:
+        positions = track.tx_positions[place:stop]
+    tx, rx = board.antennas(positions, rotations)
     return RawPose(
         signal=signal.reshape(-1, *signal.shape[3:]),
         tx_positions=tx,
@@ -192,10 +199,7 @@ def _part(
 
 
 def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
-    """About `n_antennas` antennas at random positions; regular steps would alias with rows.
-
-    At most _SOME_BYTES are read: fewer frames are averaged where there are many.
-    """
+    """About `n_antennas` antennas at random positions, of _SOME_BYTES at most."""
     places = np.concatenate([np.arange(*usable) for usable in track.ranges])
     wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))
     affordable = max(1, _SOME_BYTES // recording.frame_bytes)

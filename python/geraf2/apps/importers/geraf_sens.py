@@ -143,28 +143,18 @@ def check_headers(folder: Path) -> Frame:
         if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
             _wrong_array(folder, name, "float32 or float64", array.dtype)
     shapes = {name: array.shape for name, array in arrays.items()}
-    for name in ("tpos", "rpos"):
-        if len(shapes[name]) != 2 or shapes[name][1] != 3:
-            _wrong_array(folder, name, "(n_antennas, 3)", shapes[name])
-    if shapes["rpos"] != shapes["tpos"]:
-        raise UserError(
-            what="tpos.npy and rpos.npy differ in length",
-            where=folder,
-            expected="one transmitter and one receiver per antenna",
-            got=f"{shapes['tpos'][0]} and {shapes['rpos'][0]}",
-        )
-    n_antennas = shapes["tpos"][0]
+    n_antennas, n_samples = (shapes["tpos"] or (0,))[0], (shapes["adcr"] or (0,))[-1]
     if n_antennas == 0:
-        raise UserError(
-            what="frame has 0 antennas", where=folder, hint="remove the folder to skip it"
-        )
-    for name in ("adcr", "adci"):
-        if len(shapes[name]) != 2 or shapes[name][0] != n_antennas or shapes[name][1] == 0:
-            _wrong_array(folder, name, f"({n_antennas}, n_samples)", shapes[name])
-    if shapes["adcr"] != shapes["adci"]:
-        _wrong_array(folder, "adci", f"{shapes['adcr']} as adcr.npy", shapes["adci"])
-    if shapes["rotation"] != (3, 3):
-        _wrong_array(folder, "rotation", "(3, 3)", shapes["rotation"])
+        hint = "remove the folder to skip it"
+        raise UserError(what="frame has 0 antennas", where=folder, hint=hint)
+    wanted: dict[str, tuple[int, ...]] = {
+        **dict.fromkeys(("tpos", "rpos"), (n_antennas, 3)),
+        **dict.fromkeys(("adcr", "adci"), (n_antennas, max(n_samples, 1))),
+        "rotation": (3, 3),
+    }
+    for name, shape in wanted.items():
+        if shapes[name] != shape:
+            _wrong_array(folder, name, f"{shape}, by tpos.npy and adcr.npy", shapes[name])
     index, angle, sub = _order(folder)
     return Frame(
         folder=folder,
@@ -172,7 +162,7 @@ def check_headers(folder: Path) -> Frame:
         angle_deg=angle,
         sub=sub,
         n_antennas=n_antennas,
-        n_samples=shapes["adcr"][1],
+        n_samples=n_samples,
     )
 
 
@@ -311,40 +301,34 @@ def capture_manifest(
 def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
     """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given.
 
-    box_size_m is a side, or a list from the outer box to the inner one of sides or triples of
-    sides. Three numbers are the sides of one box, unless three thicknesses are given.
+    box_size_m is a side, or a list from the outer box to the inner one of sides or triples. Three
+    numbers are the sides of one box, unless three thicknesses are given.
     """
-    sizes, thickness, permittivity = (capture.get(key) for key in _WALL_KEYS)
-    if sizes is None or thickness is None or permittivity is None:
+    values = [capture.get(key) for key in _WALL_KEYS]
+    if any(value is None for value in values):
         return []
+    sizes, thickness, permittivity = values
     entries = sizes if isinstance(sizes, list) else [sizes]
-    flat = all(isinstance(entry, (int, float)) for entry in entries)
+    flat = not any(isinstance(entry, list) for entry in entries)
     if flat and len(entries) == 3 and not (isinstance(thickness, list) and len(thickness) == 3):
         entries = [entries]
-
-    def of_box(name: str, value: Any, index: int) -> float:
-        if isinstance(value, list):
-            if len(value) != len(entries):
-                raise UserError(
-                    what=f"key {name!r} has the wrong length",
-                    where=where,
-                    expected=f"one entry for each of {len(entries)} boxes",
-                    got=len(value),
-                )
-            value = value[index]
-        return _number(name, value, where)
-
-    walls = []
-    for index, entry in enumerate(entries):
-        sides = entry if isinstance(entry, list) else [entry] * 3
-        walls.append(
-            {
-                "size_m": [_number("box_size_m", side, where) for side in sides],
-                "thickness_m": of_box("wall_thickness_m", thickness, index),
-                "permittivity": of_box("wall_permittivity", permittivity, index),
-            }
+    columns = []
+    for name, value in zip(_WALL_KEYS[1:], (thickness, permittivity), strict=True):
+        columns.append(value if isinstance(value, list) else [value] * len(entries))
+        what, expected = (
+            f"key {name!r} has the wrong length",
+            f"one entry for each of {len(entries)} boxes",
         )
-    return walls
+        if len(columns[-1]) != len(entries):
+            raise UserError(what=what, where=where, expected=expected, got=len(columns[-1]))
+    return [
+        {
+            "size_m": entry if isinstance(entry, list) else [entry] * 3,
+            "thickness_m": thickness,
+            "permittivity": permittivity,
+        }
+        for entry, thickness, permittivity in zip(entries, *columns, strict=True)
+    ]
 
 
 def _number(name: str, value: Any, where: Path) -> float:

@@ -11,7 +11,7 @@ from geraf2._types import Progress
 from geraf2.apps.importers import ImportOptions, Scan, load_importer
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.errors import UserError
-from geraf2.io.container import require_scene_folder
+from geraf2.io.container import SceneReader, require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
 from geraf2.io.scene_writer import SceneWriter
@@ -88,7 +88,8 @@ def import_capture(
         raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
-    _require_target(scan, Path(scene), overwrite=overwrite)
+    may_be_same = partial(_may_be_same, scan)
+    require_scene_folder(Path(scene), overwrite=overwrite, may_be_same=may_be_same)
     summarize = partial(
         summarize_in_parts,
         n_antennas=scan.n_antennas,
@@ -131,16 +132,9 @@ def import_capture(
     )
 
 
-def _require_target(scan: Scan, folder: Path, *, overwrite: bool) -> None:
-    """Raise UserError if the folder holds something other than this scan."""
-    require_scene_folder(
-        folder,
-        overwrite=overwrite,
-        may_be_same=lambda old: (
-            old.manifest.waveform == scan.manifest.waveform
-            and tuple(old.n_antennas) == tuple(scan.n_antennas)
-        ),
-    )
+def _may_be_same(scan: Scan, old: SceneReader) -> bool:
+    same_sizes = tuple(old.n_antennas) == tuple(scan.n_antennas)
+    return same_sizes and old.manifest.waveform == scan.manifest.waveform
 
 
 def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
@@ -184,19 +178,13 @@ def _written(
 ) -> Iterator[RawPose]:
     """All parts, each written by one thread while another reads the next."""
     parts = _parts(scan)
-
-    def read() -> tuple[int, RawPose, float] | None:
-        item = next(parts, None)
-        if item is None or not sign.is_positive:
-            return item
-        number, part, done = item
-        return number, replace(part, signal=conjugated_samples(part.signal)), done
-
     with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as writers:
-        coming, writing = readers.submit(read), None
+        coming, writing = readers.submit(next, parts, None), None
         while (item := coming.result()) is not None:
+            coming = readers.submit(next, parts, None)
             number, part, done = item
-            coming = readers.submit(read)
+            if sign.is_positive:
+                part = replace(part, signal=conjugated_samples(part.signal))
             if writing is not None:
                 writing.result()
             writing = writers.submit(writer.append, part, n_antennas=scan.n_antennas[number])

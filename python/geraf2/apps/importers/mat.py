@@ -15,7 +15,6 @@ They may be fields of structs. Other names are given by --arrays signal=adc, or 
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import plane_axes
-from geraf2.apps.importers._mat_tags import Variable, sound_variables
+from geraf2.apps.importers._mat_variables import Variable, read_variables
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
@@ -80,7 +79,6 @@ class MatImporter:
         n_poses, n_antennas, n_samples = (1, *signal.shape)[-3:]
         tx, rx = _positions(arrays, source, n_poses, n_antennas)
         axes = _axes(arrays, source, tx)
-        places = np.concatenate([tx, rx], axis=2).reshape(-1, 6)
         row_bytes = 16 * n_samples
 
         def samples(first: int, stop: int, pose: int) -> Array:
@@ -88,15 +86,16 @@ class MatImporter:
             return signal.read((pose, rows) if len(signal.shape) == 3 else (rows,))
 
         good, notes = np.ones((n_poses, n_antennas), dtype=np.bool_), []
-        check = partial(good_rows, keep_good=options.keep_good, where=source)
         for pose in range(n_poses):
-            here = places[pose * n_antennas : (pose + 1) * n_antennas]
-
-            def both(a: int, b: int, n: int = pose, here: Array = here) -> Array:
-                return np.hstack([np.abs(samples(a, b, n)), here[a:b]])
-
+            places = np.hstack([tx[pose], rx[pose]])
+            parts = (
+                np.hstack([np.abs(samples(a, b, pose)), places[a:b]])
+                for a, b in blocks(n_antennas, row_bytes)
+            )
             what = f"antennas of plane {pose}" if n_poses > 1 else "antennas"
-            good[pose], more = check(both, n_antennas, row_bytes, what=what)
+            good[pose], more = good_rows(
+                parts, keep_good=options.keep_good, where=source, what=what
+            )
             notes += more
         known = {name: _number(arrays, name, source) for name in NUMBERS}
         manifest, more = scene_manifest("mat", source, radar, {**known, "n_samples": n_samples})
@@ -183,34 +182,43 @@ def open_arrays(path: Path, names: Mapping[str, str]) -> tuple[dict[str, _Array]
 
 
 def _open_version_5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
-    from scipy.io import loadmat, whosmat  # noqa: PLC0415 - other formats do without
-
-    tops = [name.split(".")[0] for name in names]
-    variables = sound_variables(path, tops)
-    structs = [variable.name for variable in variables if variable.fields]
-    try:
-        if not variables:
-            variables = [Variable(name=n, shape=s, kind=k) for n, s, k in whosmat(path)]
-        values = loadmat(path, variable_names=[*tops, *structs], struct_as_record=True)
-    except Exception as error:  # SciPy raises anything on broken files
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(what=f"cannot be read as a MATLAB file: {reason}", where=path) from None
+    variables = read_variables(path, {name.split(".")[0] for name in names})
+    if variables is None:
+        variables = _version_4(path)
     known: dict[str, _Array] = {}
-    for name, value in values.items():
-        if not name.startswith("__"):
-            _add_arrays(known, name, np.asarray(value))
+
+    def add(name: str, variable: Variable) -> None:
+        values = variable.values
+        if values is not None:
+            known[name] = _Array(
+                shape=values.shape, kind=values.dtype.kind, read=lambda index: values[index]
+            )
+        for part in variable.fields:
+            add(f"{name}.{part.name}", part)
+
+    for variable in variables:
+        add(variable.name, variable)
     return known, [str(variable) for variable in variables]
 
 
-def _add_arrays(known: dict[str, _Array], name: str, value: Array) -> None:
-    """Add an array of numbers, or those of the fields of a struct."""
-    if value.dtype.names and value.size == 1:
-        for part in value.dtype.names:
-            _add_arrays(known, f"{name}.{part}", np.asarray(value[part].reshape(-1)[0]))
-    elif not value.dtype.names:
-        known[name] = _Array(
-            shape=value.shape, kind=value.dtype.kind, read=lambda index: np.asarray(value[index])
-        )
+def _version_4(path: Path) -> list[Variable]:
+    from scipy.io import loadmat  # noqa: PLC0415 - other formats do without
+
+    with open_regular(path) as handle:
+        begin = handle.read(4)
+    try:
+        if 0 not in begin:  # a file of version 4 has a zero there, others a text
+            msg = "its version is not known"
+            raise ValueError(msg)
+        values = {name: np.asarray(value) for name, value in loadmat(path).items()}
+    except Exception as error:  # SciPy raises anything on broken files
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(what=f"cannot be read as a MATLAB file: {reason}", where=path) from None
+    return [
+        Variable(name=name, shape=v.shape, kind=_KIND_NAMES.get(v.dtype.kind, "other"), values=v)
+        for name, v in values.items()
+        if not name.startswith("__")
+    ]
 
 
 def _open_hdf5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:

@@ -25,18 +25,11 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
-from geraf2.apps.importers._log_track import log_track
 from geraf2.apps.importers._recording import Recording, open_recording, read_places
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import (
-    NpzRows,
-    blocks,
-    good_rows,
-    left_out,
-    require_equal,
-    wrong_shape,
-)
+from geraf2.apps.importers._rows import NpzRows, good_rows, left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
+from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npz
 from geraf2.io.manifest import RadarManifest
@@ -64,22 +57,23 @@ class MmnormImporter:
 
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
     rows, places = _npz_arrays(source)
-    n_places, n_samples, n_rx = rows.shape
+    _, n_samples, n_rx = rows.shape
     check = partial(good_rows, keep_good=options.keep_good, where=source)
-    good, notes = check(rows.read, n_places, rows.row_bytes, what="positions of received_signals")
-    finite, more = check(lambda a, b: places[a:b], n_places, 24, what="antenna_locations")
+    good, notes = check(rows.blocks(), what="positions of received_signals")
+    finite, more = check([places], what="antenna_locations")
     good &= finite
     info = _experiment_info(source.parent, source.parent)
     board = _board(radar, info, places[good], n_rx, source)
     manifest, still_more = _scene_manifest(source, radar, n_samples)
 
     def poses() -> Iterator[RawPose]:
-        for first, stop in blocks(n_places, rows.row_bytes):
-            samples = rows.read(first, stop)
-            chosen = good[first:stop]
+        first = 0
+        for samples in rows.blocks():
+            chosen, here = good[first:][: len(samples)], places[first:][: len(samples)]
+            first += len(samples)
             if not chosen.any():
                 continue
-            here = places[first:stop][chosen]
+            here = here[chosen]
             tx, rx = board.antennas(here, np.broadcast_to(np.eye(3), (len(here), 3, 3)))
             signal = samples[chosen].transpose(0, 2, 1).reshape(-1, n_samples)
             yield RawPose(
@@ -199,10 +193,8 @@ def _recordings(source: Path) -> list[Path]:
 
 def _start_times(files: list[Path]) -> list[tuple[Path, float | None]]:
     """Files in the order of the time in their names."""
-    pairs = []
-    for path in files:
-        match = re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)
-        pairs.append((path, float(match[1]) if match else None))
+    matches = ((path, re.fullmatch(r"adc_data_?(\d+(?:\.\d+)?)", path.stem)) for path in files)
+    pairs = [(path, float(match[1]) if match else None) for path, match in matches]
     return sorted(pairs, key=lambda pair: pair[1] or 0.0)
 
 
@@ -217,12 +209,11 @@ def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
 
 def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
     """Positions of the transmitter, from the nearest antenna*.npz above the recording."""
-    source, outermost = source.resolve(), _above(source)
     folder, found = source, list[Path]()
-    for folder in recording.resolve().parents:
-        inside = folder == source or source in folder.parents
+    for folder in _upwards(recording.parent, source):
+        inside = folder.is_relative_to(source.resolve())
         found = sorted(folder.rglob("antenna*.npz") if inside else folder.glob("antenna*.npz"))
-        if found or folder == outermost:
+        if found:
             break
     if len(found) != 1:
         raise UserError(what=f"has {len(found)} files antenna*.npz", where=folder, expected="one")
@@ -232,8 +223,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     places = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
     require_equal("times_77 and tx_77_locs differ in length", path, len(places), len(times))
     table = np.column_stack([times, places])
-    check = partial(good_rows, keep_good=options.keep_good, where=path)
-    good, notes = check(lambda a, b: table[a:b], len(table), table.shape[1] * 8, what="rows")
+    good, notes = good_rows([table], keep_good=options.keep_good, where=path, what="rows")
     if (np.diff(times[good]) <= 0).any():
         raise UserError(what="times_77 does not increase", where=path)
     return RobotLog(
@@ -245,10 +235,14 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     )
 
 
-def _above(source: Path) -> Path:
-    """Outermost folder searched: two levels above the given one."""
-    source = source.resolve()
-    return source.parents[min(1, len(source.parents) - 1)]
+def _upwards(folder: Path, source: Path) -> Iterator[Path]:
+    """Folder and those above it, up to two levels above the source."""
+    folder, source = folder.resolve(), source.resolve()
+    outermost = source.parents[min(1, len(source.parents) - 1)]
+    for parent in (folder, *folder.parents):
+        yield parent
+        if parent == outermost:
+            return
 
 
 def _positions(array: Array, where: Path, name: str) -> Floats:
@@ -259,14 +253,9 @@ def _positions(array: Array, where: Path, name: str) -> Floats:
 
 def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
     """Contents of the nearest experiment_info.json above; empty without one."""
-    folder, outermost = folder.resolve(), _above(top)
-    for parent in (folder, *folder.parents):
-        path = parent / "experiment_info.json"
-        if path.is_file():
-            return read_object(path)
-        if parent == outermost:
-            break
-    return {}
+    paths = (parent / "experiment_info.json" for parent in _upwards(folder, top))
+    path = next((path for path in paths if path.is_file()), None)
+    return {} if path is None else read_object(path)
 
 
 def _board(

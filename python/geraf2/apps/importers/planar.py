@@ -35,6 +35,14 @@ from geraf2.io.text import read_lines
 from geraf2.records import RawPose
 
 SCAN_NAME, PHASE_NAME = "scan.npy", "antenna_phase.txt"
+# Arrays behind the samples, and how many numbers each holds.
+_NUMBERS = {
+    "first frequency": 1,
+    "last frequency": 1,
+    "number of frequencies": 1,
+    "step": 2,
+    "depth": 1,
+}
 # Frequencies of a stepped scan are samples of a very slow chirp; its sample rate is arbitrary.
 _NOMINAL_RATE_HZ = 1e6
 
@@ -63,15 +71,16 @@ class PlanarImporter:
         scan = _read_scan(_file_of(source))
         sign = options.phase_sign or scan.sign
         phases, notes = _antenna_phases(scan, options)
-        n_frequencies = len(scan.frequencies_hz)
-        waveform: dict[str, float | int | None] = {"n_samples": n_frequencies}
-        if n_frequencies > 1:
+        waveform: dict[str, float | int | None] = {
+            "n_samples": len(scan.frequencies_hz),
+            "start_frequency_hz": float(scan.frequencies_hz[0]),
+            # The phase of the antenna was measured with its delay.
+            "path_bias_m": None if phases is None else 0.0,
+        }
+        if len(scan.frequencies_hz) > 1:
             spacing_hz = float(scan.frequencies_hz[1] - scan.frequencies_hz[0])
             waveform["chirp_slope_hz_per_s"] = spacing_hz * _NOMINAL_RATE_HZ
             waveform["sample_rate_hz"] = _NOMINAL_RATE_HZ
-        waveform["start_frequency_hz"] = float(scan.frequencies_hz[0])
-        # The phase of the antenna was measured with its delay.
-        waveform["path_bias_m"] = None if phases is None else 0.0
         manifest, more_notes = scene_manifest("planar", source, radar, waveform)
         (n_x, n_y), (step_x, step_y) = scan.data.shape[-2:], scan.step_m
 
@@ -104,34 +113,19 @@ def _read_scan(path: Path) -> _PlanarScan:
         raise UserError(what="no such file", where=path)
     refuse_other_kind(path, ("npy",))
     with open_regular(path) as handle:
-        data, first, last, count, step, depth = (
-            _next_array(handle, path, number) for number in range(1, 7)
-        )
-    values = {}
-    for name, array, size in (
-        ("first frequency", first, 1),
-        ("last frequency", last, 1),
-        ("number of frequencies", count, 1),
-        ("step", step, 2),
-        ("depth", depth, 1),
-    ):
+        data, *others = (_next_array(handle, path, number) for number in range(1, 7))
+    values = []
+    for (name, size), array in zip(_NUMBERS.items(), others, strict=True):
         if array.size != size or array.dtype.kind not in "uif" or not np.isfinite(array).all():
-            raise UserError(
-                what=f"{name} must be {size} finite numbers", where=path, got=str(array)[:60]
-            )
-        values[name] = array.astype(np.float64).reshape(-1)
-    if not (values["step"] > 0).all():
-        raise UserError(what="steps must be positive", where=path, got=values["step"])
-    n_frequencies = values["number of frequencies"][0]
+            what = f"{name} must be {size} finite numbers"
+            raise UserError(what=what, where=path, got=str(array)[:60])
+        values.append(array.astype(np.float64).reshape(-1))
+    (low,), (high,), (n_frequencies,), step, (depth,) = values
+    if not (step > 0).all():
+        raise UserError(what="steps must be positive", where=path, got=step)
     data = _checked_samples(data, int(n_frequencies), path)
-    if n_frequencies != data.shape[-3]:
-        raise UserError(
-            what="number of frequencies contradicts the samples",
-            where=path,
-            expected=data.shape[-3],
-            got=f"{n_frequencies:g}",
-        )
-    low, high = values["first frequency"][0], values["last frequency"][0]
+    what = "number of frequencies contradicts the samples"
+    require_equal(what, path, f"{data.shape[-3]:g}", f"{n_frequencies:g}")
     if n_frequencies > 1 and not high > low:
         raise UserError(what="last frequency must lie above the first", where=path, got=high)
     if n_frequencies == 1:
@@ -140,9 +134,9 @@ def _read_scan(path: Path) -> _PlanarScan:
     return _PlanarScan(
         path=path,
         data=data,
-        frequencies_hz=np.linspace(low, high, len(data[0] if data.ndim == 4 else data)),
-        step_m=(float(values["step"][0]), float(values["step"][1])),
-        depth_m=float(values["depth"][0]),
+        frequencies_hz=np.linspace(low, high, data.shape[-3]),
+        step_m=(float(step[0]), float(step[1])),
+        depth_m=float(depth),
     )
 
 

@@ -130,22 +130,17 @@ def refine_by_agreement(
     """Signed distance whose zero level has moved to where the photos agree.
 
     At each vertex of the zero level a square in its tangent plane is moved along the normal and
-    projected into the photos that see it. Agreement is the mean over all pairs of photos of the
+    projected into the photos that see it. Agreement A is the mean over all pairs of photos of the
     normalised cross correlation of its brightness. The displacement u minimises
 
         sum_v 1 - A_v(u_v) + smoothness,
 
-    by alternately choosing the best position at each vertex near the smooth solution and smoothing
-    the choices, with a growing weight of their difference. Without texture, or with fewer than
-    three photos, the neighbours decide. Rounds whose squares would be larger than a quarter of the
-    grid are skipped. A round after which the surface fits the silhouettes worse is undone, and
-    ends the search.
-
-    Plane sweeps along normals: Collins 1996; coupling of choice and smoothing: Newcombe et al.,
-    DTAM, 2011.
+    by choosing the best position at each vertex and smoothing the choices in turns. Rounds whose
+    squares would be larger than a quarter of the grid are skipped; one after which the surface
+    fits the silhouettes worse is undone, and ends the search. Plane sweeps along normals: Collins
+    1996; coupling of choice and smoothing: Newcombe et al., DTAM, 2011.
 
     values, grid: signed distance at the grid's nodes, grid.shape [m].
-    photos: photos, with silhouettes or without.
     rounds: one after the other, from coarse to fine.
     footprint_m: size of a pixel on the surface [m].
     """
@@ -279,10 +274,7 @@ def _agreement(
 
 
 def _sampled(image: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
-    """Brightness at homogeneous positions (n, n_offsets, m, 3), as unit vectors over the last axis.
-
-    Zero where too little of the square is known.
-    """
+    """Brightness at (n, n_offsets, m, 3) as unit vectors over the last axis; zero if unknown."""
     n, n_offsets, m, _ = at.shape
     plane = (at[..., :2] / at[..., 2:].clamp(min=1e-9)).reshape(1, n * n_offsets, m, 2)
     found = grid_sample(image, plane, align_corners=False).reshape(2, n, n_offsets, m)

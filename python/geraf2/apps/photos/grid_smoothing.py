@@ -15,10 +15,7 @@ _SMALLEST_PART = 0.02
 
 
 def binomial_blur(values: Tensor, passes: int = 1) -> Tensor:
-    """Filter (1, 2, 1) / 4 along each axis, `passes` times; beyond the rim it repeats.
-
-    values: (nx, ny, nz). Not differentiable.
-    """
+    """Filter (nx, ny, nz) by (1, 2, 1) / 4 along each axis; the rim repeats. Not differentiable."""
     for _ in range(passes):
         for axis in range(3):
             n = values.shape[axis]
@@ -32,10 +29,7 @@ def binomial_blur(values: Tensor, passes: int = 1) -> Tensor:
 
 
 def steps_to_outline(inside: Bools) -> Floats:
-    """Signed distance of cells from the outline of a set, negative inside, `inside.shape` [cells].
-
-    From middle to middle; the outline runs between them. The set is neither empty nor everything.
-    """
+    """Signed distance of cells from the outline of a set, negative inside [cells]."""
     outward = ndimage.distance_transform_edt(~inside) - 0.5
     return np.asarray(np.where(inside, 0.5 - ndimage.distance_transform_edt(inside), outward))
 
@@ -45,7 +39,6 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
 
     Within 2.5 voxels of the zero level f / |grad f|, which does not move it; farther out the
     distance between voxels, with an error of up to half a voxel.
-    `geraf2.surfaces.isosurface.redistance` is exact and a hundred times slower.
     """
     slope = np.sqrt(sum(np.square(g) for g in np.gradient(values, spacing_m)))
     near = values / np.maximum(slope, _SMALLEST_SLOPE)
@@ -62,9 +55,8 @@ def quick_redistance(values: NDArray[np.float32], spacing_m: float) -> NDArray[n
 def close_body(values: NDArray[np.float32], spacing_m: float) -> NDArray[np.float32]:
     """Field whose inside is closed at the grid's rim, without small parts and hollows.
 
-    Voxels of the rim become outside. Inside parts of less than 2 % of the largest one's volume
-    become outside, and outside parts that the rim does not reach become inside: no photo shows
-    either.
+    Inside parts of less than 2 % of the largest one's volume become outside, and outside parts that
+    the rim does not reach become inside: no photo shows either.
     """
     closed = values.copy()
     for axis in range(3):

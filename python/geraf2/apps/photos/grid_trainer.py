@@ -34,10 +34,9 @@ _UNSEEN_VOXELS = 64
 class GridTrainer(PhotoTrainer):
     """Stages of growing resolution; sharpness by schedule, gradients smoothed.
 
-    Sharpness grows within each stage from `first_sharpness` to `last_sharpness` over the voxel, so
-    that the density is always as narrow as the grid can hold and as wide as it needs to be found.
-    The gradient to the values is smoothed by a binomial filter, which turns many small dents into
-    one move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
+    Sharpness grows within each stage from `first_sharpness` to `last_sharpness` over the voxel. The
+    gradient to the values is smoothed by a binomial filter, which turns many small dents into one
+    move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
     """
 
     def __init__(
@@ -51,10 +50,7 @@ class GridTrainer(PhotoTrainer):
         self._enter(surface)
 
     def _rays_of(self, number: int, region: Region) -> PhotoRays:
-        """Rays of photos whose pixels match the stage's feature spacing; full size in the last.
-
-        Finer detail would be noise to a coarse grid.
-        """
+        """Rays of photos whose pixels match the stage's feature spacing; full size in the last."""
         self._rays_stage, factor = number, 1
         if number + 1 < len(self.config.stages):
             apart = self.field.grid.spacing_m / self.config.model.nodes_per_voxel
@@ -213,10 +209,7 @@ class GridTrainer(PhotoTrainer):
 
 
 def _around(body: Bools, grid: Grid, region: Region) -> Region:
-    """Box about a body with a margin, within the region.
-
-    Silhouettes that are too large leave spikes on the hull; empty space needs no refinement.
-    """
+    """Box about a body with a margin, within the region; empty space needs no refinement."""
     found = np.argwhere(body)
     low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
     high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)

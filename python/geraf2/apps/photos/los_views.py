@@ -50,8 +50,7 @@ def compare_views(
     height: of the views, about; that of the photos when None [pixel].
 
     Numbers: psnr_db over the object (the whole picture without masks); one_colour_db, the same for
-    the mean colour of all these pixels; and with masks silhouette_iou, the intersection over union
-    of the silhouettes.
+    the mean colour of all these pixels; silhouette_iou of the silhouettes, with masks.
     """
     views, errors, overlaps, colours = [], [], [], []
     for index, camera in enumerate(photos.cameras):

@@ -55,12 +55,9 @@ class RenderedView:
 class NeuralSurface:
     """Result of `train_neural_surface`, in metres in the frame of the cameras.
 
-    config: settings of its training.
-    region: box in which it lies.
-    field: signed distance and colour.
-    background: radiance behind the region; None: unknown.
+    config, region: settings of its training, and box in which it lies.
+    field, background: signed distance and colour; radiance behind the region, None: unknown.
     inv_s: sharpness of the logistic density [1/m].
-    frame: name of the frame.
     """
 
     def __init__(

@@ -1,9 +1,7 @@
 """Photos that are turned as their EXIF tags state: those whose cameras stand upright.
 
-Programs that estimate poses read the pixels as stored or turned. A picture on its side shows which
-by its size. One that is stored upside down, or a square one, shows it by its camera: where pixels
-were read as stored, that camera stands on its head. A mirrored picture is always turned, since
-no camera is mirrored.
+A picture on its side shows by its size whether poses are of the pixels as stored. One that is
+upside down, or a square one, shows it by its camera. A mirrored picture is always turned.
 """
 
 from collections.abc import Sequence

@@ -27,24 +27,30 @@ _SAME_PLACE_M = 1e-6
 
 
 def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
-    """List the findings on cameras and images, errors first.
-
-    Errors: too few photos, cameras in one position, cameras that face away from each other, or
-    distances that are not in metres. Warnings: few photos, all from one side, over-exposed, or
-    cameras that do not show the common focus.
-    """
+    """List the findings on cameras and images, errors first."""
     if len(photos) < MIN_PHOTOS:
         return (error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
     positions = photos.positions
     if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
         return (error("all cameras are at one position: such photos show no depth"),)
     focus = photos.focus()
-    findings = [
-        *_check_directions(photos, focus),
-        *_check_scale(positions, focus),
-        *_check_sides(photos, focus),
-        *_check_exposure(photos),
-    ]
+    findings = [*_check_directions(photos, focus), *_check_exposure(photos)]
+    distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
+    if not _NEAREST_M <= distance <= _FARTHEST_M:
+        findings.append(
+            error(
+                f"the cameras are {distance:.3g} m from their common focus; give the poses' unit "
+                "(--unit mm, or metres per unit)"
+            )
+        )
+    gap = largest_gap_rad(photos, focus)
+    if gap >= _LARGEST_GAP_RAD:
+        findings.append(
+            warning(
+                f"all cameras are on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
+                "photographed by none; the surface there is not seen"
+            )
+        )
     if len(photos) < _FEW_PHOTOS:
         findings.append(warning(f"only {len(photos)} photos; 20 to 200 make a good surface"))
     return tuple(sorted(findings, key=lambda finding: finding.severity))
@@ -60,7 +66,6 @@ def require_photos_in_view(
 ) -> None:
     """Raise UserError unless the cameras view about the same point as the radar.
 
-    photos: photos, in what should be the capture frame.
     radar_focus: point that the poses of the radar view, (3,) [m].
     standoff_m: distance of the antennas from it [m].
     """
@@ -102,24 +107,6 @@ def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
         yield warning(
             f"{len(outside)} of {len(photos)} photos do not show the focus of the others "
             f"(e.g. {outside[0]})"
-        )
-
-
-def _check_scale(positions: Floats, focus: Floats) -> Iterator[Finding]:
-    distance = float(np.median(np.linalg.norm(positions - focus, axis=1)))
-    if not _NEAREST_M <= distance <= _FARTHEST_M:
-        yield error(
-            f"the cameras are {distance:.3g} m from their common focus; give the poses' unit "
-            "(--unit mm, or metres per unit)"
-        )
-
-
-def _check_sides(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
-    gap = largest_gap_rad(photos, focus)
-    if gap >= _LARGEST_GAP_RAD:
-        yield warning(
-            f"all cameras are on one side: {np.rad2deg(gap):.0f} degrees around the scene were "
-            "photographed by none; the surface there is not seen"
         )
 
 

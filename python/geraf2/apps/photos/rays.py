@@ -46,12 +46,7 @@ class RayBatch(NamedTuple):
 
 
 class PhotoRays:
-    """Rays of all photos that meet the region; with masks, those about the silhouettes.
-
-    photos: photos and cameras.
-    region: box of the surface.
-    seed: of the choice of background pixels.
-    """
+    """Rays of all photos that meet the region; with masks, those about the silhouettes."""
 
     def __init__(self, photos: PhotoSet, region: Region, *, seed: int = 0) -> None:
         self.has_masks = photos.masks is not None

@@ -20,12 +20,7 @@ _OPACITY_RIM = 1e-3
 
 
 class PhotoTrainer(ABC):
-    """Losses, optimiser and random numbers; subclasses define the update of the field.
-
-    rays: rays of the photos.
-    surface: start of the training.
-    seed: of rays and samples.
-    """
+    """Losses, optimiser and random numbers; subclasses define the update of the field."""
 
     optimiser: torch.optim.Optimizer
     n_steps: int
@@ -76,13 +71,11 @@ class PhotoTrainer(ABC):
     ) -> dict[str, Tensor]:
         """Colour, and silhouette where it is known.
 
-        With silhouettes and `solid`, the colour is divided by the opacity before the comparison and
-        weighted by it without gradient: otherwise a soft rim would be pushed outwards. Without,
-        as in NeuS, the colour is compared directly.
-
-        With `lenient`, silhouettes pull only where a ray is on the wrong side of one half: a ray
-        that grazes a face ends shallow below it, is never opaque while the density is soft, and
-        would push the face outwards (by 2 mm with 4 mm voxels, from the true surface of a carton).
+        solid: the colour is divided by the opacity before the comparison, and weighted by it
+            without gradient: otherwise a soft rim would be pushed outwards. Without, as in NeuS,
+            the colour is compared directly.
+        lenient: silhouettes pull only where a ray is on the wrong side of one half: a ray that
+            grazes a face is never opaque while the density is soft.
         """
         if not self.rays.has_masks:
             return {"colour": (rendering.colour - batch.colours).abs().mean()}

@@ -61,18 +61,13 @@ def train_neural_surface(
 
     photo_set: photos with cameras, at least three; masks are used where it has them.
     config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
-    region: box in which the surface lies; else found from the silhouettes, or from the common
-        view of all cameras.
+    region: box in which the surface lies; else found from the silhouettes or the common view.
     progress: called after every step.
-    checkpoint: file that is written every `checkpoint_every_s` seconds, at the end and when the
-        training is interrupted; None: no file.
-    resume: continue from `checkpoint` if it exists. The result is bit-identical to that without
-        interruption, at the same number of threads.
-    checkpoint_every_s: see `checkpoint` [s].
+    checkpoint: file that is written every `checkpoint_every_s` seconds and at the end.
+    resume: continue from `checkpoint` if it exists, with bit-identical result.
 
-    Returns NeuralSurface in the frame of the cameras, in metres.
-    Raises UserError: for photos without a common object, a loss that is not finite (it names the
-        term and the step), or a checkpoint of other settings or photos.
+    Returns NeuralSurface in the frame of the cameras, in metres. Raises UserError for photos
+    without a common object, a loss that is not finite, or a checkpoint of other settings.
     """
     config = GridPhotoConfig() if config is None else config
     if len(photo_set) < MIN_PHOTOS:
@@ -156,11 +151,7 @@ def _run(
 
 @contextmanager
 def _between_steps() -> Iterator[list[int]]:
-    """Delay the first Ctrl-C or SIGTERM to the end of a step, so that the checkpoint is whole.
-
-    Its number is appended to the list. Signals are delayed only in the main thread, and only if
-    they would raise.
-    """
+    """Delay the first Ctrl-C or SIGTERM to the end of a step; its number is in the list."""
     got: list[int] = []
 
     def remember(number: int, _: object) -> None:

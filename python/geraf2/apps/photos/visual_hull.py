@@ -77,13 +77,10 @@ class Region:
 class VisualHull:
     """Signed distance to the largest body that fits all silhouettes.
 
-    The silhouette of a photo gives each point x at depth z its signed distance to the outline in
-    the picture, times z over the focal length; the hull is their maximum (positive outside). That
-    is zero on the hull, and at most the distance to it up to the pixels' error. With many photos
-    the largest values are dropped, one for every 100. Points that most photos do not show are
-    outside.
-
-    Baumgart 1974; Laurentini, The visual hull concept, 1994.
+    The silhouette of a photo gives each point at depth z its signed distance to the outline in the
+    picture, times z over the focal length; the hull is their maximum (positive outside), less the
+    largest of each 100. Points that most photos do not show are outside. Baumgart 1974; Laurentini,
+    The visual hull concept, 1994.
     """
 
     def __init__(self, photos: PhotoSet) -> None:

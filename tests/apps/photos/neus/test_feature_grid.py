@@ -58,19 +58,3 @@ def test_features_have_a_gradient_to_the_table():
         return torch.func.functional_call(features, {"table": table}, (points,))
 
     assert torch.autograd.gradcheck(evaluate, features.table.detach().clone().requires_grad_())
-
-
-def test_a_copy_on_the_same_nodes_has_the_same_features():
-    features = random_grid(np.ones(GRID.shape, dtype=bool))
-    copy = random_grid(np.ones(GRID.shape, dtype=bool), seed=5)
-    copy.copy_from(features)
-    points = torch.from_numpy(random_points(20)).float()
-    torch.testing.assert_close(copy(points), features(points), atol=1e-5, rtol=1e-5)
-
-
-def test_active_points_are_the_places_of_the_rows():
-    active = np.zeros(GRID.shape, dtype=bool)
-    active[3, 1, 2] = True
-    features = random_grid(active)
-    expected = np.asarray(GRID.origin_m) + GRID.spacing_m * np.array([3, 1, 2])
-    np.testing.assert_allclose(features.active_points().numpy(), [expected], atol=1e-6)

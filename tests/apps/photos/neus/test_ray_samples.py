@@ -8,7 +8,6 @@ from geraf2.apps.photos.neus.ray_samples import (
     intersect_ball,
     intersect_box,
     middle_and_step,
-    slopes,
 )
 
 
@@ -51,15 +50,6 @@ def test_a_ray_along_a_face_and_an_axis_is_no_nan():
     assert torch.isfinite(far).all()
 
 
-def test_edges_rise_and_stay_within_the_span():
-    near, far = torch.tensor([0.1, 2.0]), torch.tensor([0.4, 2.0])
-    edges = even_edges(near, far, 8, torch.Generator().manual_seed(0))
-    assert edges.shape == (2, 9)
-    assert (edges[:, 1:] >= edges[:, :-1]).all()
-    assert torch.equal(edges[:, 0], near)
-    torch.testing.assert_close(edges[:, -1], far)
-
-
 def test_importance_gathers_samples_at_the_first_surface():
     edges = even_edges(torch.zeros(1), torch.ones(1), 64)
     middles, _ = middle_and_step(edges)
@@ -76,9 +66,3 @@ def test_a_ray_that_misses_is_sampled_where_it_passes_closest():
     middles, _ = middle_and_step(edges)
     found = importance_edges(edges, 0.04 + (middles - 0.6).abs(), 200.0, 16)
     assert np.median(np.abs(found.numpy() - 0.6)) < 0.02
-
-
-def test_slopes_are_those_of_a_straight_line_and_never_rise():
-    middles = torch.linspace(0.0, 1.0, 11)[None]
-    torch.testing.assert_close(slopes(0.5 - 0.7 * middles, middles), torch.full((1, 11), -0.7))
-    assert torch.equal(slopes(middles.clone(), middles), torch.zeros((1, 11)))

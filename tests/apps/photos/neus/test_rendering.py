@@ -43,14 +43,6 @@ class Plane(torch.nn.Module):
         return weight.sum(dim=1, keepdim=True).expand(-1, 3)
 
 
-class Ball(Plane):
-    """Ball of radius 0.25 m about the origin, white."""
-
-    def surface_sample(self, points):
-        length = points.norm(dim=1)
-        return FeatureSample(length - 0.25, points / length[:, None], points[:, :0])
-
-
 def small_mlp():
     return ColouredMlp(DOMAIN, SMALL_MLP, seed=3).double()
 
@@ -97,14 +89,6 @@ def test_the_weight_of_a_plane_is_unbiased(height, slant, inv_s, shift):
     middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
     peak = float(middles[0, seen.weight[0].argmax()])
     assert peak == pytest.approx(hit, abs=2 * hit / n)
-
-
-def test_a_ray_that_grazes_is_half_opaque():
-    origins = torch.tensor([[-0.5, 0.0, 0.25]], dtype=torch.float64)
-    directions = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
-    edges = torch.linspace(0.0, 1.0, 401, dtype=torch.float64)[None]
-    seen = render_rays(Ball(), (origins, directions), edges, 200.0)
-    assert float(seen.opacity) == pytest.approx(0.5, abs=0.02)
 
 
 def colours_of_samples(field, points, direction, sample, weight):

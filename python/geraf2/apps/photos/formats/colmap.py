@@ -5,7 +5,7 @@ The scale of a model is arbitrary. https://colmap.github.io/format.html
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -196,7 +196,7 @@ def _count_images(path: Path) -> int:
     try:
         if path.suffix.lower() == ".txt":
             return len(_read_images_text(path))
-        return int(_Bytes(path).take("Q")[0])
+        return int.from_bytes(_binary(path)[:8], "little")
     except UserError:
         return 0
 
@@ -237,66 +237,47 @@ def _image_pose(name: str, camera_id: int, values: Floats) -> _ImagePose:
     return _ImagePose(name, camera_id, inverse_rigid(rotation, values[4:]))
 
 
-class _Bytes:
-    """Little-endian values of a file, one after another."""
+def _binary(path: Path) -> bytes:
+    refuse_other_kind(path)
+    try:
+        return read_regular(path, BINARY_BYTES)
+    except OSError as error:
+        raise UserError(what=f"cannot be read: {error.strerror}", where=path) from error
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        refuse_other_kind(path)
-        try:
-            self._data = read_regular(path, BINARY_BYTES)
-        except OSError as error:
-            raise UserError(what=f"cannot be read: {error.strerror}", where=path) from error
-        self._at = 0
 
-    def take(self, layout: str) -> tuple[int | float, ...]:
-        size = struct.calcsize("<" + layout)
-        if self._at + size > len(self._data):
-            raise UserError(what="the file is cut off", where=self.path, got=f"{self._at} bytes")
-        values = struct.unpack_from("<" + layout, self._data, self._at)
-        self._at += size
-        return values
-
-    def skip(self, size: int) -> None:
-        if size < 0 or self._at + size > len(self._data):
-            raise UserError(what="the file is cut off", where=self.path, got=f"{self._at} bytes")
-        self._at += size
-
-    def text(self) -> str:
-        end = self._data.find(b"\0", self._at, self._at + _LONGEST_NAME)
-        if end < 0:
-            raise UserError(what="a name has no end", where=self.path, got=f"byte {self._at}")
-        text = self._data[self._at : end].decode("utf-8", errors="replace")
-        self._at = end + 1
-        return text
-
-    def entries(self) -> Iterator[int]:
-        """Numbers of the entries that follow; their count comes first."""
-        (count,) = self.take("Q")
-        yield from range(int(count))
+def _cut_off(path: Path) -> UserError:
+    return UserError(what="the file is cut off", where=path, got=f"{path.stat().st_size} bytes")
 
 
 def _read_cameras_binary(path: Path) -> dict[int, _CameraModel]:
-    data, cameras = _Bytes(path), {}
-    for _ in data.entries():
-        camera_id, model_id, width, height = (int(value) for value in data.take("iiQQ"))
-        if model_id not in _MODELS:
-            raise UserError(what=f"unknown camera model number {model_id}", where=path)
-        model, count = _MODELS[model_id]
-        values = np.array(data.take(f"{count}d"))
-        where = f"{path}, camera {camera_id}"
-        cameras[camera_id] = _camera_model(model, (width, height), values, where)
+    data, at, cameras = _binary(path), 8, {}
+    try:
+        for _ in range(struct.unpack_from("<Q", data)[0]):
+            camera_id, model_id, width, height = struct.unpack_from("<iiQQ", data, at)
+            if model_id not in _MODELS:
+                raise UserError(what=f"unknown camera model number {model_id}", where=path)
+            model, count = _MODELS[model_id]
+            values = np.array(struct.unpack_from(f"<{count}d", data, at + 24))
+            at += 24 + 8 * count
+            where = f"{path}, camera {camera_id}"
+            cameras[camera_id] = _camera_model(model, (width, height), values, where)
+    except struct.error:
+        raise _cut_off(path) from None
     return cameras
 
 
 def _read_images_binary(path: Path) -> list[_ImagePose]:
-    data, images = _Bytes(path), []
-    for _ in data.entries():
-        data.take("i")
-        values = np.array(data.take("7d"))
-        camera_id = int(data.take("i")[0])
-        name = data.text()
-        n_points = int(data.take("Q")[0])
-        data.skip(24 * n_points)
-        images.append(_image_pose(name, camera_id, values))
+    data, at, images = _binary(path), 8, []
+    try:
+        for _ in range(struct.unpack_from("<Q", data)[0]):
+            _, *values, camera_id = struct.unpack_from("<i7di", data, at)
+            end = data.find(b"\0", at + 64, at + 64 + _LONGEST_NAME)
+            (n_points,) = struct.unpack_from("<Q", data, end + 1)
+            name = data[at + 64 : end].decode("utf-8", errors="replace")
+            at = end + 9 + 24 * n_points
+            if end < 0 or at > len(data):
+                raise _cut_off(path)
+            images.append(_image_pose(name, camera_id, np.array(values)))
+    except struct.error:
+        raise _cut_off(path) from None
     return images

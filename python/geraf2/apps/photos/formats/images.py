@@ -30,10 +30,8 @@ def read_image(
 ) -> ReadImage:
     """Read an image of `PICTURE_FORMATS`; UserError if it is missing or broken.
 
-    path: image file.
     size: width and height of the picture that poses and intrinsics belong to. A stored picture of
-        the other orientation is turned if its EXIF tag states so; else pixels stay as stored, as
-        COLMAP does.
+        the other orientation is turned if its EXIF tag states so; else pixels stay as stored.
     turn: whether the picture is turned as its EXIF tag states; None: as `size` decides.
     """
     with opened_picture(path) as stored:

@@ -26,11 +26,11 @@ def threshold_mask(
     image: (height, width, 3), sRGB.
     threshold: brightness of the background at most, 0 to 255.
     within: pixels in which the object may be, (height, width); None: anywhere.
-    fill_shadows: fill shadows: cracks that a disc of 1/200 of the larger side closes, and enclosed
-        holes that hold no disc of 1/64 of it, where their median brightness is nearer to the
-        threshold than to the median of the background. A gap that shows the background stays.
+    fill_shadows: fill cracks that a disc of 1/200 of the larger side closes, and enclosed holes
+        that hold no disc of 1/64 of it, where they are nearer to the threshold than to the
+        background. A gap that shows the background stays.
 
-    Returns (height, width), True where the object is. All False where nothing is bright.
+    Returns (height, width); all False where nothing is bright.
     """
     brightness = ndimage.gaussian_filter(image.max(axis=2).astype(np.float32), _BLUR_PIXELS)
     bright = brightness > threshold

@@ -55,10 +55,7 @@ def read_neus(path: Path) -> PhotoSource:
 
 
 def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
-    """Masks with the images' names; if none has and their number is equal, in order.
-
-    The DTU scans of NeuS name their images 000000.png and their masks 000.png.
-    """
+    """Masks with the images' names; if none has (as in DTU) and their number fits, in order."""
     named = [folder / "mask" / image.with_suffix(".png").name for image in images]
     if not any(mask.is_file() for mask in named) and (folder / "mask").is_dir():
         others = images_in(folder / "mask")
@@ -68,13 +65,10 @@ def _masks(folder: Path, images: list[Path]) -> list[Path | None]:
 
 
 def decompose_projection(projection: Floats, where: object) -> tuple[Floats, Floats]:
-    """Intrinsics and camera-to-world pose of a projection K [R | t] of any scale.
-
-    projection: (4, 4) or (3, 4).
-    where: named in errors.
+    """Intrinsics and camera-to-world pose of a projection K [R | t], (3, 4), of any scale.
 
     Returns K with K[2, 2] = 1 and positive focal lengths, the half pixel added, (3, 3); pose, (4,
-    4).
+    4). `where` is named in errors.
     """
     from scipy.linalg import rq  # noqa: PLC0415 - used here only
 

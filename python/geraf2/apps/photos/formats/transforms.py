@@ -48,8 +48,7 @@ def find_transforms(source: Path) -> Path | None:
 def read_transforms(path: Path) -> PhotoSource:
     """Photo set of a transforms.json; images are relative to its folder.
 
-    An image that is not at its path, for instance one of another computer, is searched for in the
-    folder by the end of that path.
+    An image that is not at its path is searched for in the folder by the end of that path.
     """
     values = read_object(path)
     frames = values.get("frames")
@@ -147,10 +146,7 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
 
 
 def _image_path(folder: Path, name: str) -> Path:
-    """Image of a frame, or the path where it should be.
-
-    The synthetic sets of NeRF leave .png out.
-    """
+    """Image of a frame, without .png in NeRF's synthetic sets, or the path where it should be."""
     paths = [folder / name, *(folder / end for end in _ends_of(name))]
     for path in paths:
         for candidate in _candidates(path):

@@ -39,13 +39,10 @@ class BackgroundConfig:
 class NerfBackground(nn.Module):
     """Radiance field outside a ball, over the inverted sphere.
 
-    A point at distance r > 1 radii from the middle in the unit direction e is given to the network
-    as (e, 1 / r), so that infinity has finite coordinates (Zhang et al., NeRF++, 2020).
-    Samples are even in 1 / r.
+    A point at distance r > 1 radii in the unit direction e is given to the network as (e, 1 / r)
+    (Zhang et al., NeRF++, 2020). Samples are even in 1 / r.
 
     center, radius_m: the ball [m].
-    config: size of the network.
-    seed: of its initial weights.
     """
 
     def __init__(

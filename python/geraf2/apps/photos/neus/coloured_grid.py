@@ -46,14 +46,11 @@ class ColouredGrid(nn.Module):
     """Signed distance and features on grids; one small network a ray, not a sample.
 
     The features of a ray's samples are averaged by weight, and the network turns their mean, the
-    mean normal and the direction into a colour (as "deferred" shading in Hedman et al., Baking
-    Neural Radiance Fields, 2021). The view-independent colour is separate from the view-dependent
-    part, which starts at zero.
+    mean normal and the direction into a colour ("deferred" shading, Hedman et al. 2021). The
+    view-independent colour is separate from the view-dependent part, which starts at zero.
 
     domain: cube about the region.
-    grid: voxels of the signed distance.
-    values: signed distance at them, grid.shape [m].
-    config: size of the colour's part.
+    grid, values: voxels of the signed distance, and the distance at them, grid.shape [m].
     """
 
     def __init__(
@@ -91,9 +88,8 @@ class ColouredGrid(nn.Module):
     def regrid(self, grid: Grid, values: Tensor, *, is_first: bool = False) -> None:
         """Replace grid and values, and carry the colour over to nodes about the new surface.
 
-        `is_first`: nodes reach as far from the surface as at the start.
-
-        Parameters are replaced; create a new optimiser.
+        `is_first`: nodes reach as far from the surface as at the start. Parameters are replaced;
+        create a new optimiser.
         """
         old = self.features
         self.distance.regrid(grid, values)

@@ -33,11 +33,7 @@ class ColouredMlp(nn.Module):
     """Perceptron of the signed distance, and one that gives each sample its colour.
 
     The colour depends on position, direction, gradient and features (Yariv et al. 2020, as NeuS has
-    it). Both networks are weight-normalised.
-
-    domain: cube about the ball in which the surface lies.
-    config: sizes.
-    seed: of the initial weights.
+    it). `domain`: cube about the ball in which the surface lies.
     """
 
     def __init__(self, domain: CubeDomain, config: ColouredMlpConfig, *, seed: int = 0) -> None:

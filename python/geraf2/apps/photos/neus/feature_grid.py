@@ -15,14 +15,10 @@ _CORNERS = torch.tensor([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 
 
 
 class FeatureGrid(nn.Module):
-    """Trilinear features, stored for a band of nodes only.
-
-    A surface touches few nodes of a grid: of 200^3 nodes around a cube, two nodes to either side,
-    one in eight. Only they have a row; all others share row zero.
+    """Trilinear features, stored for a band of nodes only; all others share row zero.
 
     grid: the nodes.
     active: nodes with features of their own, grid.shape.
-    n_features: features of each.
     """
 
     def __init__(self, grid: Grid, active: Bools, n_features: int) -> None:

@@ -54,11 +54,7 @@ def even_edges(
 
 
 def slopes(sdf: torch.Tensor, middles: torch.Tensor) -> torch.Tensor:
-    """Slope of the signed distance along each ray from its samples, (n_rays, n), at most 0.
-
-    It is the smaller of the differences to the sample before and after, as in NeuS: the steeper
-    descent counts, so that no thin part is missed.
-    """
+    """Slope of the signed distance along rays, (n_rays, n): the steeper of both sides, below 0."""
     steps = (middles[:, 1:] - middles[:, :-1]).clamp(min=torch.finfo(middles.dtype).tiny)
     between = (sdf[:, 1:] - sdf[:, :-1]) / steps
     if between.shape[1] == 0:
@@ -78,13 +74,10 @@ def importance_edges(
     """Edges of intervals that are dense where a ray meets the surface.
 
     The density is the weight of the coarse intervals at sharpness `inv_s`, plus a hundredth of
-    Phi (1 - Phi), which has no transmittance: a ray that misses is sampled where it passes closest,
-    and one that hits a wall also behind it, where the surface may have to go.
+    Phi (1 - Phi), which has no transmittance: a ray that misses is sampled where it passes closest.
 
     edges: of contiguous coarse intervals, rising, (n_rays, n_coarse + 1) [m].
     sdf: signed distance at their middles, (n_rays, n_coarse) [m].
-    inv_s: sharpness [1/m].
-    n_intervals: intervals wanted.
     generator: of a random shift; none: the middles of equal shares.
 
     Returns (n_rays, n_intervals + 1), rising [m]. No gradient.
