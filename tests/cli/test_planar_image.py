@@ -39,14 +39,6 @@ def test_points_before_a_flat_sheet_are_sharp_at_their_depth(tmp_path, capsys):
     assert (tmp_path / "out" / "figures" / "depth.png").stat().st_size > 10_000
 
 
-def test_the_extent_is_that_of_the_antennas_when_not_given(tmp_path):
-    stored, about = imaged(
-        write_planar(tmp_path / "scan"), tmp_path, "--depth-m", "0.08", "0.1", "--spacing-m", "0.01"
-    )
-    assert stored["volume"].shape == (3, 10, 9)
-    assert about["depths_m"] == pytest.approx([0.08, 0.09, 0.1])
-
-
 def test_info_copes_with_a_scene_without_a_box(tmp_path, capsys):
     source = write_planar(tmp_path / "scan")
     assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 0
