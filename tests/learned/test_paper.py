@@ -10,14 +10,7 @@ from scipy.ndimage import gaussian_filter
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
-from geraf2.learned.checkpoints import (
-    KIND,
-    VERSION,
-    config_of,
-    load_model,
-    load_state,
-    save_state,
-)
+from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlp, SdfMlpConfig, SdfMlpGrid
 from geraf2.learned.heatmaps import TargetChooser, heat_maps
@@ -25,12 +18,7 @@ from geraf2.learned.model import PaperModel, domain_of
 from geraf2.learned.optimiser import blur, make_optimiser, set_rates
 from geraf2.learned.plane_loss import charbonnier, depth_loss, eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
-from geraf2.learned.trainer import (
-    PaperTrainer,
-    StepReport,
-    run_steps,
-    without_wall_pieces,
-)
+from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
 from geraf2.ops import _tensors, matched_filter
 from geraf2.pipeline.presets import CorrectedPaperPreset
 from geraf2.pipeline.stages.learned import TRAIN
@@ -115,8 +103,7 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
 
 
 @pytest.mark.parametrize(
-    ("stop_after", "field"),
-    [(3, "grid"), (6, "grid"), (8, "grid"), (8, "mlp-grid")],
+    ("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "grid"), (8, "mlp-grid")]
 )
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
