@@ -10,15 +10,9 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.scene import load_capture, save_capture
 from helpers.carton import PRIOR, carton_capture, with_bias
 from helpers.console import the_error
-from helpers.drawing import small_pictures
 
 BOX = ["--box", "0.2", "0.2", "0.2"]
 PLAIN = ["--no-channels", "--no-positions"]
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch):
-    small_pictures(monkeypatch)
 
 
 @pytest.fixture(scope="session")

@@ -102,9 +102,7 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
 
 
-@pytest.mark.parametrize(
-    ("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "grid"), (8, "mlp-grid")]
-)
+@pytest.mark.parametrize(("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "mlp-grid")])
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
 ):
@@ -123,12 +121,11 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
         assert torch.equal(value, parameters(second)[name]), name
 
 
-@pytest.mark.parametrize("n_threads", [2, 5])
-def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, n_threads):
+def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps):
     config, before = replace(SMALL, n_planes=3), torch.get_num_threads()
     alone = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=1)
-    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=n_threads)
-    assert beside.threads.n_of_plane == max(n_threads // 3, 1)
+    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
+    assert beside.threads.n_of_plane == 1
     for trainer in (alone, beside):
         run_steps(trainer)
     assert torch.get_num_threads() == before

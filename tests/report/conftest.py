@@ -1,8 +1,1 @@
-import pytest
-
-from helpers.drawing import small_pictures
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch):
-    small_pictures(monkeypatch)
+from helpers.drawing import drawn_coarsely  # noqa: F401 - applies to all tests here
