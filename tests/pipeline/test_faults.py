@@ -166,11 +166,6 @@ def test_a_file_size_limit_of_zero_is_one_line(scene, tmp_path):
     assert done.stderr.splitlines()[-1].startswith(b"geraf2.errors." + said)
 
 
-def test_a_folder_that_cannot_be_written_to_is_refused(scene):
-    assert "/proc: cannot be written to" in one_line(reconstruct(scene, "/proc/out"))
-    assert "/dev/null: is a file" in one_line(reconstruct(scene, "/dev/null"))
-
-
 @pytest.mark.parametrize("most", [10, 24])
 def test_a_limit_of_open_files_is_one_line(scene, tmp_path, most):
     done = reconstruct(scene, tmp_path / "out", limits=[(resource.RLIMIT_NOFILE, most)])

@@ -67,7 +67,7 @@ def run(built, tmp_path):
 @pytest.fixture(scope="module")
 def reported(built, truth, tmp_path_factory):
     """Folder of the run with a report that holds everything."""
-    run = shutil.copytree(built, tmp_path_factory.mktemp("reported") / "run")
+    run = shutil.copytree(built, tmp_path_factory.mktemp("reported") / "A <ball> & its shell")
     volume = np.random.default_rng(0).random((5, 5, 5))
     with pytest.MonkeyPatch.context() as patch:
         small_pictures(patch)
@@ -75,9 +75,7 @@ def reported(built, truth, tmp_path_factory):
             run,
             truth=truth,
             heatmap=(volume, Grid.cube((0, 0, 0), 0.05, 5)),
-            title="A <ball> & its shell",
             provenance={"importer": "geraf-sens"},
-            warnings=["antennas are far apart"],
         )
     assert report == run / "report.html"
     return run
@@ -121,7 +119,6 @@ def test_report_holds_pictures_metrics_definitions_and_configuration(reported):
     assert "no alignment, scaling or cropping" in text
     assert "seconds.image</td><td>3.25" in text
     assert "geraf-sens" in text
-    assert "antennas are far apart" in text
     assert "all is well" not in text
     assert "interrupted" not in text  # of the run before
     assert "<td>glints</td><td>3.1</td>" in text
@@ -129,7 +126,7 @@ def test_report_holds_pictures_metrics_definitions_and_configuration(reported):
 
 def test_report_is_self_contained_and_escapes_what_it_shows(reported):
     text = (reported / "report.html").read_text()
-    assert "<title>A &lt;ball&gt; &amp; its shell</title>" in text
+    assert "<title>geraf2: A &lt;ball&gt; &amp; its shell</title>" in text
     assert "a &lt; b &amp; c" in text
     assert "spacing is &lt;wide&gt;" in text
     assert "default-src 'none'" in text
