@@ -31,18 +31,7 @@ from geraf2.cli.main import main
 
 MOST_CPU_S, MOST_S = 10.0, 60.0
 """Processor time; and wall time, of a machine that others use, too."""
-TABLES = (
-    commands,
-    flags,
-    scenes,
-    meshes,
-    importers,
-    irregular,
-    photos,
-    runs,
-    specs,
-    doors,
-)
+TABLES = (commands, flags, scenes, meshes, importers, irregular, photos, runs, specs, doors)
 ROWS = {
     f"{table.__name__.rpartition('.')[2]}_{number} {row.name}"[:150]: row
     for table in TABLES

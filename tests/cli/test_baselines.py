@@ -12,6 +12,7 @@ from geraf2.learned.checkpoints import KIND, VERSION, config_of
 from geraf2.learned.model import DOMAIN_MARGIN
 from helpers.small_scene import BOX
 
+UNCHECKED = ["--calibrate", "no", "--trust-los", "--no-report"]
 COARSE = {
     "matched-filter": "--matched-filter.spacing-m 0.006",
     "back-projection": "--back-projection.spacing-m 0.006",
@@ -23,7 +24,7 @@ COARSE = {
 @pytest.mark.parametrize("preset", COARSE)
 def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scene, tmp_path):
     out = tmp_path / "out"
-    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", preset, "--no-report"]
+    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", preset, *UNCHECKED]
     assert main([*arguments, *COARSE[preset].split()]) == 0
     content = read_mesh(out / "mesh_content.ply")
     assert content.faces.shape[0] > 20
@@ -38,11 +39,11 @@ def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scen
 
 def test_geraf1_trains_inside_the_cropped_box_and_is_not_rendered(built_scene, tmp_path, capsys):
     out = tmp_path / "out"
-    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", "geraf1"]
+    arguments = ["reconstruct", str(built_scene), str(out), *BOX, "--preset", "geraf1", *UNCHECKED]
     small = (
         "--paper.stage1.n-steps 3 --paper.n-cells 8 --paper.n-samples 8 --paper.n-antennas 16 "
         "--paper.n-targets 64 --paper.mesh-n 25 --paper.grid-n 17 --level.n-levels 3 "
-        "--level.n-planes 1 --level.n-points 1000 --no-report"
+        "--level.n-planes 1 --level.n-points 1000"
     )
     assert main([*arguments, *small.split()]) == 0
     fields = load_checkpoint(out / "fields.safetensors", kind=KIND, version=VERSION)

@@ -54,10 +54,7 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     found = Silhouettes.load(finished / "silhouettes.npz")
     assert RunFolder.read(finished).stages["selection"].numbers["outlines"] == len(found)
     assert run(scene, finished, "--resume", "--overwrite", "--refine.no-shadows") == 0
-    assert stages(finished) == [
-        *(("reused", n) for n in FIRST),
-        *(("done", n) for n in AFTERWARDS),
-    ]
+    assert stages(finished) == [*(("reused", n) for n in FIRST), *(("done", n) for n in AFTERWARDS)]
     assert not (finished / "silhouettes.npz").exists()
 
 
@@ -69,7 +66,4 @@ def test_resume_computes_nothing_again(finished, scene):
 def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume", "--overwrite") == 0
-    assert stages(out) == [
-        *(("reused", n) for n in FIRST),
-        *(("done", n) for n in AFTERWARDS),
-    ]
+    assert stages(out) == [*(("reused", n) for n in FIRST), *(("done", n) for n in AFTERWARDS)]

@@ -7,18 +7,12 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.cli.main import main
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.report import canvas
 from geraf2.scene import load_capture, save_capture
 from helpers.carton import PRIOR, carton_capture, with_bias
 from helpers.console import the_error
 
 BOX = ["--box", "0.2", "0.2", "0.2"]
 PLAIN = ["--no-channels", "--no-positions"]
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch):
-    monkeypatch.setattr(canvas, "_DPI", 40)
 
 
 @pytest.fixture(scope="session")

@@ -35,7 +35,7 @@ def test_a_point_appears_where_it_is(points, tmp_path, capsys):
     about = json.loads((tmp_path / "out" / "image.json").read_text())
     assert about["shape"] == [17, 17, 17]
     assert about["unit"] == "metre"
-    assert (tmp_path / "out" / "figures" / "projections.png").stat().st_size > 10_000
+    assert (tmp_path / "out" / "figures" / "projections.png").stat().st_size > 1000
 
 
 def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):

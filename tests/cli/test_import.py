@@ -7,7 +7,6 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.scene import load_capture
-from helpers.console import the_error
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
 
@@ -58,25 +57,6 @@ def test_importing_again_changes_nothing_and_another_capture_is_refused(source, 
         load_capture(source.parent / "scene").poses[0].signal, capture.poses[0].signal
     )
     assert run_import(other, "--overwrite") == 0
-
-
-def test_parameters_may_come_from_a_toml_file(tmp_path, capture, capsys):
-    source = write_geraf_sens(tmp_path / "capture", capture, parameters=None)
-    assert run_import(source) == 2
-    error = the_error(capsys)
-    for word in ("start_frequency_hz, ", "are not known", "--radar"):
-        assert word in error
-    assert not (tmp_path / "scene").exists()
-    radar = tmp_path / "radar.toml"
-    radar.write_text(
-        "start_frequency_hz = 77.3704e9\nchirp_slope_hz_per_s = 70.15e12\n"
-        "sample_rate_hz = 625e3\npath_bias_m = 0.15\n"
-        "[[walls]]\nsize_m = [0.2, 0.2, 0.3]\nthickness_m = 0.004\npermittivity = 1.6\n"
-    )
-    assert run_import(source, "--radar", str(radar)) == 0
-    loaded = load_capture(tmp_path / "scene")
-    assert loaded.waveform == capture.waveform
-    assert loaded.walls[0].size_m == (0.2, 0.2, 0.3)
 
 
 def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.report import canvas, overview
+from geraf2.report import overview
 from geraf2.scene import Wall, save_capture
 from helpers.synthetic import point_capture
 
@@ -88,7 +88,6 @@ def test_offsets_and_interference_are_named(tmp_path, capsys, change, message):
 
 
 def test_one_picture_of_the_scan(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(canvas, "_DPI", 40)
     monkeypatch.setattr(overview, "_N_VOXELS", 12)
     capture = replace(with_first_signal(point_capture(4, n_side=12), lost), walls=(WALL,))
     save_capture(capture, tmp_path / "scene")

@@ -10,11 +10,10 @@ from types import SimpleNamespace
 import pytest
 
 from geraf2 import __version__
-from geraf2.cli import _console, info
+from geraf2.cli import _console, doctor, info
 from geraf2.cli._console import CONSOLE, printing, rows, say, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
-from geraf2.pipeline import machine
 
 
 def test_help_lists_every_command(capsys):
@@ -134,7 +133,7 @@ def test_doctor_says_what_does_not_work(monkeypatch, capsys):
         msg = "no such device"
         raise RuntimeError(msg)
 
-    monkeypatch.setattr(machine, "check_embree", broken)
+    monkeypatch.setattr(doctor, "_check_embree", broken)
     assert main(["doctor"]) == 2
     captured = capsys.readouterr()
     assert "FAILS: RuntimeError: no such device" in captured.out

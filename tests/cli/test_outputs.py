@@ -1,7 +1,6 @@
 """One rule for what lies in OUT: nothing finished is replaced without --overwrite."""
 
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -128,26 +127,10 @@ def test_a_stopped_run_of_another_preset_leaves_no_files(finished_run, built_sce
     assert not (finished_run / "glints.npz").exists()
 
 
-@pytest.mark.parametrize("name", ["figures", "log.jsonl", "views"])
-def test_a_run_folder_with_links_leads_nowhere(finished_run, built_scene, tmp_path, capsys, name):
-    outside = tmp_path / "outside"
-    outside.mkdir()
-    (outside / "mine.png").write_text("mine")
-    path = finished_run / name
-    if path.is_dir():
-        shutil.rmtree(path)
-    path.unlink(missing_ok=True)
-    path.symlink_to(outside)
-    command = ["reconstruct", str(built_scene), str(finished_run), *BOX, *FAST]
-    assert main(command) == 2
-    assert f"{name}: is a link" in the_error(capsys)
-    assert [p.name for p in outside.iterdir()] == ["mine.png"]
-
-
-@pytest.mark.parametrize("file", ["../mine.txt", "/mine.txt", "figures/../../mine.txt"])
-def test_a_record_that_names_files_elsewhere_is_refused(finished_run, built_scene, capsys, file):
+def test_a_record_that_names_files_elsewhere_is_refused(finished_run, built_scene, capsys):
     record = json.loads((finished_run / "run.json").read_text())
-    record["stages"]["mesh"]["files"][file] = "0"
-    (finished_run / "run.json").write_text(json.dumps(record))
-    assert main(["reconstruct", str(built_scene), str(finished_run), *BOX, "--overwrite"]) == 2
-    assert "cannot be read as the record of a run" in the_error(capsys)
+    for file in ("../mine.txt", "/mine.txt", "figures/../../mine.txt"):
+        record["stages"]["mesh"]["files"] = {file: "0"}
+        (finished_run / "run.json").write_text(json.dumps(record))
+        assert main(["reconstruct", str(built_scene), str(finished_run), *BOX, "--overwrite"]) == 2
+        assert "cannot be read as the record of a run" in the_error(capsys)

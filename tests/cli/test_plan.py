@@ -6,7 +6,6 @@ from geraf2.apps.planning.next_plane import next_planes
 from geraf2.apps.planning.scan_time import Scanner
 from geraf2.cli.main import main
 from geraf2.io.scan_file import read_scan_file
-from geraf2.report import canvas
 
 BOX = ["--box", "0.22", "0.22", "0.22"]
 CHIRP = """
@@ -15,11 +14,6 @@ chirp_slope_hz_per_s = 70.0e12
 sample_rate_hz = 200e3
 n_samples = 8
 """
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch):
-    monkeypatch.setattr(canvas, "_DPI", 40)
 
 
 def test_a_plan_in_numbers_and_a_drawing(tmp_path, capsys):

@@ -17,7 +17,7 @@ def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch
 
     said = []
     bench = Bench(tmp_path, ["fast", "los"])
-    assert run_trials(bench, 4, 3, said.append) == 0, said
+    assert run_trials(bench, 2, 3, said.append) == 0, said
 
 
 @pytest.mark.slow
@@ -26,7 +26,7 @@ def test_of_two_runs_in_one_folder_one_wins(tmp_path, monkeypatch):
     from signals import run_pairs  # noqa: PLC0415 - as above
 
     said = []
-    assert run_pairs(tmp_path, 2, 0, said.append) == 0, said
+    assert run_pairs(tmp_path, 1, 0, said.append) == 0, said
 
 
 INTERRUPTED = """

@@ -1,6 +1,5 @@
 import json
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +9,11 @@ from geraf2.errors import UserError
 from geraf2.evaluation import describe, evaluate_mesh, sample_surface, write_metrics
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.evaluation.mesh_metrics import chamfer_1e3_m2, threshold_score
-from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh
+from geraf2.io.mesh import Evidence, TriangleMesh
 from helpers import solids
 from reference import mesh_metrics as twin
 
 sphere = partial(solids.ball, subdivisions=4)
-SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
 
 
 def square(side, height):
@@ -229,12 +227,3 @@ def test_an_empty_mesh_is_a_user_error():
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
     with pytest.raises(UserError, match="the mesh has no surface"):
         evaluate_mesh(empty, sphere(0.05))
-
-
-@pytest.mark.data
-@pytest.mark.skipif(not SPOT_TRUTH.exists(), reason="shared test captures are absent")
-def test_the_shared_truth_against_itself():
-    truth = read_mesh(SPOT_TRUTH)
-    metrics = evaluate_mesh(truth, truth)
-    assert metrics.f1(0.003) > 0.999
-    assert 0.0010 < metrics.chamfer_1e3_m2 < 0.0025

@@ -10,14 +10,7 @@ from scipy.ndimage import gaussian_filter
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
-from geraf2.learned.checkpoints import (
-    KIND,
-    VERSION,
-    config_of,
-    load_model,
-    load_state,
-    save_state,
-)
+from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlp, SdfMlpConfig, SdfMlpGrid
 from geraf2.learned.heatmaps import TargetChooser, heat_maps
@@ -25,12 +18,7 @@ from geraf2.learned.model import PaperModel, domain_of
 from geraf2.learned.optimiser import blur, make_optimiser, set_rates
 from geraf2.learned.plane_loss import charbonnier, depth_loss, eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
-from geraf2.learned.trainer import (
-    PaperTrainer,
-    StepReport,
-    run_steps,
-    without_wall_pieces,
-)
+from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
 from geraf2.ops import _tensors, matched_filter
 from geraf2.pipeline.presets import CorrectedPaperPreset
 from geraf2.pipeline.stages.learned import TRAIN
@@ -114,10 +102,7 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
 
 
-@pytest.mark.parametrize(
-    ("stop_after", "field"),
-    [(3, "grid"), (6, "grid"), (8, "grid"), (8, "mlp-grid")],
-)
+@pytest.mark.parametrize(("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "mlp-grid")])
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
 ):
@@ -136,12 +121,11 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
         assert torch.equal(value, parameters(second)[name]), name
 
 
-@pytest.mark.parametrize("n_threads", [2, 5])
-def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps, n_threads):
+def test_planes_side_by_side_train_what_one_after_the_other_does(capture, maps):
     config, before = replace(SMALL, n_planes=3), torch.get_num_threads()
     alone = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=1)
-    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=n_threads)
-    assert beside.threads.n_of_plane == max(n_threads // 3, 1)
+    beside = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
+    assert beside.threads.n_of_plane == 1
     for trainer in (alone, beside):
         run_steps(trainer)
     assert torch.get_num_threads() == before

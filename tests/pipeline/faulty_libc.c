@@ -1,10 +1,8 @@
 /* Preloaded: faults that a test cannot ask of the machine without harm.
  *
  * CLOCK_JUMPS: the time of day goes a day back and forth with each look.
- * FSYNCS=n: a disk quota, which shows at the n-th fsync, as on network folders.
  */
 #define _GNU_SOURCE
-#include <errno.h>
 #include <stdlib.h>
 #include <sys/syscall.h>
 #include <time.h>
@@ -17,14 +15,4 @@ int clock_gettime(clockid_t clock, struct timespec *now) {
         now->tv_sec += (looks++ % 3 - 1) * 86400;
     }
     return (int)failed;
-}
-
-int fsync(int file) {
-    static int done;
-    const char *most = getenv("FSYNCS");
-    if (most && ++done >= atoi(most)) {
-        errno = EDQUOT;
-        return -1;
-    }
-    return (int)syscall(SYS_fsync, file);
 }

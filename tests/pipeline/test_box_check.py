@@ -51,8 +51,7 @@ def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
 
 
 @pytest.mark.parametrize(
-    "prior",
-    [given(), given(SIZE + 0.004), given(center=(0.005, 0.0, 0.03)), given(degrees=2.5)],
+    "prior", [given(), given(SIZE + 0.004), given(center=(0.005, 0.0, 0.03)), given(degrees=2.5)]
 )
 def test_a_correct_prior_is_kept(prior, monkeypatch):
     assert check(prior, a_box(), monkeypatch).prior is prior

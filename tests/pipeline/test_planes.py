@@ -15,11 +15,7 @@ def with_angles(*angles):
 
 @pytest.mark.parametrize(
     ("angles", "planes"),
-    [
-        ((0, 60, 120, 180, 240, 300), [0, 1, 3, 4]),
-        ((10, None, 350), [0, 2]),
-        ((45,), [0]),
-    ],
+    [((0, 60, 120, 180, 240, 300), [0, 1, 3, 4]), ((10, None, 350), [0, 2]), ((45,), [0])],
 )
 def test_quarter_planes_are_the_nearest(angles, planes):
     assert quarter_planes(with_angles(*angles), "scene") == planes

@@ -1,10 +1,1 @@
-import pytest
-
-from geraf2.report import canvas, figures
-
-
-@pytest.fixture(autouse=True)
-def _small_pictures(monkeypatch):
-    """Draw coarsely: the tests ask what is drawn, not how finely."""
-    monkeypatch.setattr(canvas, "_DPI", 40)
-    monkeypatch.setattr(figures, "_MESH_PIXELS", 40)
+from helpers.drawing import drawn_coarsely  # noqa: F401 - applies to all tests here

@@ -17,7 +17,7 @@ from geraf2.io.mesh import write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.report import canvas, figures, write_report
+from geraf2.report import write_report
 from geraf2.scene import Grid
 from helpers.browsing import (
     PHONE,
@@ -28,6 +28,7 @@ from helpers.browsing import (
     serious_findings,
     settle,
 )
+from helpers.drawing import small_pictures
 from helpers.glint_sets import glints_on_sphere
 from helpers.solids import triangles
 
@@ -87,8 +88,7 @@ def page_url(tmp_path_factory):
     grid = Grid.cube((0, 0, 0), 0.06, 48)
     heat = np.exp(-np.abs(grid.points()[:, 1] + 0.02) / 0.01).reshape(grid.shape)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(canvas, "_DPI", 80)
-        patch.setattr(figures, "_MESH_PIXELS", 40)
+        small_pictures(patch, dpi=80)
         return write_report(out, truth=truth, heatmap=(heat, grid)).resolve().as_uri()
 
 

@@ -5,14 +5,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report import (
-    canvas,
-    error_curves,
-    glint_overview,
-    mesh_views,
-    projections,
-    sdf_slices,
-)
+from geraf2.report import canvas, error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
 from helpers import solids

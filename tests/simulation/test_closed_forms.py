@@ -80,16 +80,6 @@ def test_flat_plate_peak_null_and_lobes_within_a_fifth_of_a_decibel():
     assert got[-1] < 1e-4 * peak
 
 
-def test_first_null_of_the_plate_is_where_the_closed_form_has_it():
-    side, range_m = 0.04, 200.0
-    elements, areas = plate_elements(side)
-    expected = np.arcsin(C / FREQUENCIES[0] / (2 * side))
-    angles = np.linspace(0.9, 1.1, 81) * expected
-    places = range_m * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    power = np.abs(monostatic(elements, areas, places)[:, 0]) ** 2
-    assert angles[power.argmin()] == pytest.approx(expected, rel=0.005)
-
-
 def range_gated(signal, path_m, half_width_m):
     """Mean over the band of the part of a signal that arrives near a path length."""
     window = np.hanning(len(FREQUENCIES) + 2)[1:-1]

@@ -139,10 +139,7 @@ def test_a_scene_simulates_and_reconstructs():
     assert len(capture.poses) == spec.scan.n_planes == 6
     assert np.ptp(truth.vertices, axis=0) == pytest.approx(thing(0).extents_m)
     result = geraf2.reconstruct(
-        capture,
-        spec.walls[0].size_m,
-        "fast",
-        options=geraf2.RunOptions(calibrate="no"),
+        capture, spec.walls[0].size_m, "fast", options=geraf2.RunOptions(calibrate="no")
     )
     metrics = geraf2.evaluate(result, truth, n_samples=2000, report=False)
     assert metrics.f1(0.015) > 0.3

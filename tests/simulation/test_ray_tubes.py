@@ -140,10 +140,9 @@ def test_back_face_of_a_plate_echoes_at_its_apparent_depth():
     assert np.abs(np.angle(ratio)).max() < 0.2
 
 
-def test_slab_is_airys_formula_and_two_faces_lack_only_inner_reflections():
+def test_two_faces_of_a_slab_lack_only_the_inner_reflections_of_airys_formula():
     slab = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
     cosine = np.cos(np.deg2rad([0.0, 20.0, 40.0, 60.0]))
-    airy = slab_reflection(cosine, slab, FREQUENCIES, inner_reflections=True)
     two = slab_reflection(cosine, slab, FREQUENCIES)
     # Transfer of the tangential fields through the layer (Born and Wolf, section 1.6.2), TE.
     inner = np.sqrt(1.6 - 1 + cosine**2)[:, None]
@@ -151,7 +150,7 @@ def test_slab_is_airys_formula_and_two_faces_lack_only_inner_reflections():
     phase = K * 0.004 * inner
     m11, m12, m21 = np.cos(phase), 1j / inner * np.sin(phase), 1j * inner * np.sin(phase)
     b, d = m11 + m12 * c, m21 + m11 * c
-    assert np.abs(airy - (c * b - d) / (c * b + d)).max() < 1e-4
+    airy = (c * b - d) / (c * b + d)
     r = (c - inner) / (c + inner)
     assert (np.abs(two - airy) < 2.1 * np.abs(r) ** 3).all()
 

@@ -10,14 +10,7 @@ from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.ops.physical_optics import physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
-from geraf2.simulation import (
-    DisturbanceSpec,
-    FigureSpec,
-    ScanSpec,
-    SceneSpec,
-    WorldSpec,
-    simulate,
-)
+from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
 from geraf2.simulation.elements import rough_displacement, wall_elements
 from geraf2.simulation.placement import position_error
 from geraf2.simulation.scan import antenna_blocks, block_centers, scan_planes

@@ -7,10 +7,7 @@ from geraf2.baselines.back_projection import (
     cloud_as_mesh,
 )
 from geraf2.baselines.level import LevelConfig
-from geraf2.baselines.matched_filter_surface import (
-    MatchedFilterConfig,
-    matched_filter_surface,
-)
+from geraf2.baselines.matched_filter_surface import MatchedFilterConfig, matched_filter_surface
 from geraf2.baselines.normal_field import NormalFieldConfig, normal_field_surface
 
 BASELINE_VERSION = 2

@@ -65,12 +65,7 @@ def value_of(flag: str, arguments: Sequence[str]) -> str | None:
 
 
 def help_text(
-    kind: type[Any],
-    *,
-    prog: str,
-    description: str = "",
-    default: Any = None,
-    hidden: bool = False,
+    kind: type[Any], *, prog: str, description: str = "", default: Any = None, hidden: bool = False
 ) -> str:
     """Help of a command; if `hidden`, of its hidden groups alone, a sentence each."""
     flags = [flag for flag in walk(kind, values_of(default)) if flag.hidden == hidden]

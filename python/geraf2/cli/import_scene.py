@@ -27,8 +27,7 @@ class Config(ImportOptions):
     radar: Path | None = None
     """TOML file with radar parameters that the capture lacks; they go before its own."""
     raster: Annotated[
-        tuple[int, int, float, float] | None,
-        Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M"),
+        tuple[int, int, float, float] | None, Arg(metavar="ROWS COLUMNS ROW_STEP_M COLUMN_STEP_M")
     ] = None
     """The radar scanned a raster, row by row."""
     serpentine: bool = False

@@ -259,10 +259,7 @@ def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     from geraf2.cli._console import printing  # noqa: PLC0415 - the module has loaded it
 
     with printing(
-        name,
-        as_json="--json" in asked,
-        quiet="--quiet" in asked,
-        verbose="--verbose" in asked,
+        name, as_json="--json" in asked, quiet="--quiet" in asked, verbose="--verbose" in asked
     ) as result:
         result["exit_code"] = module.main(config)
     return int(result["exit_code"])

@@ -32,11 +32,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     planes = render(
-        config.out,
-        config.options,
-        scene=config.scene,
-        num_threads=config.threads,
-        listener=CONSOLE,
+        config.out, config.options, scene=config.scene, num_threads=config.threads, listener=CONSOLE
     )
     table = [
         (

@@ -167,13 +167,9 @@ def join_peaks(parts: Sequence[PeakSet]) -> PeakSet:
     return PeakSet(**columns)
 
 
-def box_spans(poses: Iterable[Pose], prior: LosPrior, margin_m: float = 0.0) -> Floats:
-    """Spans of ranges of the prior's box from each plane, (n_planes, 2) [m].
-
-    margin_m: added in front and behind [m].
-    """
-    spans = np.array([_box_span(pose, prior) for pose in poses]).reshape(-1, 2)
-    return spans + margin_m * np.array([-1.0, 1.0])
+def box_spans(poses: Iterable[Pose], prior: LosPrior) -> Floats:
+    """Spans of ranges of the prior's box from each plane, (n_planes, 2) [m]."""
+    return np.array([_box_span(pose, prior) for pose in poses]).reshape(-1, 2)
 
 
 def _box_span(pose: Pose, prior: LosPrior) -> tuple[float, float]:

@@ -18,12 +18,7 @@ from scipy.special import gammainccinv
 from geraf2._bounds import ApertureM, Bounded, LengthM
 from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_between
-from geraf2.ops.subaperture import (
-    CosineAxis,
-    Lattice,
-    SubapertureBins,
-    Subapertures,
-)
+from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
 from geraf2.scene import Pose, Waveform
 
 # Largest sideways error of a raster's antennas, in wavelengths. The phase error, 4 pi u * offset

@@ -58,16 +58,13 @@ def plane_images(
     capture: Capture,
     grid: Grid,
     *,
-    poses: Sequence[int] | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> Iterator[NDArray[np.complex64]]:
     """Complex full-aperture image of each pose, grid.shape; arguments of :func:`image_volume`."""
-    chosen = range(len(capture.poses)) if poses is None else poses
-    for number, index in enumerate(chosen):
-        part = _part(progress, number, len(chosen))
-        pose, waveform = capture.poses[index], capture.waveform
-        yield pose_image(pose, grid, waveform, num_threads=num_threads, progress=part)
+    for number, pose in enumerate(capture.poses):
+        part = _part(progress, number, len(capture.poses))
+        yield pose_image(pose, grid, capture.waveform, num_threads=num_threads, progress=part)
 
 
 def pose_image(

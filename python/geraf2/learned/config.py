@@ -6,16 +6,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import (
-    Bounded,
-    Count,
-    CountOrZero,
-    Few,
-    MarginM,
-    NotNegative,
-    Positive,
-    Share,
-)
+from geraf2._bounds import Bounded, Count, CountOrZero, Few, MarginM, NotNegative, Positive, Share
 
 TRAINING_VERSION = 7
 """Raised when the trained field changes for the same capture and settings."""

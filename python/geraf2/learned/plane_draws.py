@@ -28,7 +28,6 @@ class PlaneDraw(NamedTuple):
 class PlaneDraws:
     """Source of all random draws of a training, from one generator.
 
-    planes: indices of the planes to train on.
     renderer: its sampler draws the rays, its vision field bounds the targets.
     maps: measured heat maps; bright voxels are preferred as targets.
     device: where rays are needed.
@@ -37,7 +36,6 @@ class PlaneDraws:
     def __init__(
         self,
         capture: Capture,
-        planes: list[int],
         config: PaperConfig,
         renderer: LenslessRenderer,
         maps: MeasuredMaps,
@@ -45,8 +43,8 @@ class PlaneDraws:
         device: torch.device,
         seed: int = 0,
     ) -> None:
-        self.capture, self.planes, self.config = capture, planes, config
-        self.n_planes = min(config.n_planes, len(planes))
+        self.capture, self.config, self.planes = capture, config, range(len(capture.poses))
+        self.n_planes = min(config.n_planes, len(self.planes))
         """Planes of a step."""
         self.device = device
         self.sampler = renderer.sampler
@@ -58,7 +56,7 @@ class PlaneDraws:
         """Rays of each plane that may be drawn, see :func:`bright_rays`; empty: all."""
         if config.dark_scene > 0.0 and config.dark_plane > 0.0:
             dark = {"dark_plane": config.dark_plane, "dark_scene": config.dark_scene}
-            for plane in planes:
+            for plane in self.planes:
                 axes = capture.poses[plane].axes
                 self.bright[plane] = bright_rays(maps, plane, self.sampler, axes, **dark)
         self.generator = torch.Generator().manual_seed(seed)
@@ -67,7 +65,7 @@ class PlaneDraws:
         """Planes of a step: evenly spaced in the scan from a random first one."""
         n = len(self.planes)
         first = int(torch.randint(n, (1,), generator=self.generator))
-        return [self.planes[(first + k * n // self.n_planes) % n] for k in range(self.n_planes)]
+        return [(first + k * n // self.n_planes) % n for k in range(self.n_planes)]
 
     def draw(self, plane: int) -> PlaneDraw:
         """Draw antennas, rays and targets of a plane, in this order."""

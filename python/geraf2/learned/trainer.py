@@ -59,7 +59,6 @@ class PaperTrainer:
 
     prior: outside of the box; f_v is the distance to it.
     config: all settings.
-    planes: indices of the planes to train on; all when None.
     seed: of networks and samples.
     maps: measured heat maps of the capture; computed when None.
 
@@ -76,17 +75,15 @@ class PaperTrainer:
         prior: LosPrior,
         config: PaperConfig,
         *,
-        planes: list[int] | None = None,
         seed: int = 0,
         num_threads: int | None = None,
         maps: MeasuredMaps | None = None,
     ) -> None:
         self.capture, self.prior, self.config = capture, prior, config
         self.device = training_device(config)
-        planes = list(range(len(capture.poses))) if planes is None else list(planes)
         # The products of a network already use all threads.
         is_serial = self.device.type == "cuda" or config.field == "mlp"
-        n_parallel = 1 if is_serial else min(config.n_planes, len(planes))
+        n_parallel = 1 if is_serial else min(config.n_planes, len(capture.poses))
         self.threads = PlaneThreads(n_parallel, num_threads=num_threads)
         self.domain = domain_of(prior, config)
         start = StartDistance(prior, config, num_threads=num_threads)
@@ -95,9 +92,7 @@ class PaperTrainer:
         )
         if maps is None:
             maps = measure_maps(capture, self.domain, num_threads=num_threads)
-        self.draws = PlaneDraws(
-            capture, planes, config, renderer, maps, device=self.device, seed=seed
-        )
+        self.draws = PlaneDraws(capture, config, renderer, maps, device=self.device, seed=seed)
         self.stages = TrainingStages(config)
         self.model = PaperModel(self.domain, config, seed=seed)
         self.stages.open_octaves(self.model.sdf)

@@ -8,13 +8,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import (
-    FIT_NAME,
-    GLINTS_NAME,
-    RIM_NAME,
-    SILHOUETTES_NAME,
-    RunFolder,
-)
+from geraf2.io.run_folder import FIT_NAME, GLINTS_NAME, RIM_NAME, SILHOUETTES_NAME, RunFolder
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
 from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.scene import LosPrior

@@ -1,13 +1,7 @@
 """Figures and the HTML report."""
 
 from geraf2.report.depth import sharpest_slice
-from geraf2.report.figures import (
-    error_curves,
-    glint_overview,
-    mesh_views,
-    projections,
-    sdf_slices,
-)
+from geraf2.report.figures import error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.render import MeshPainter, View
 from geraf2.report.run_report import RunArtefacts, read_run, run_view, write_report
 

@@ -307,7 +307,9 @@ def _draw_glints_near(
     close = np.abs(glints.positions[:, cut] - center[cut]) <= near_m
     points = 1e3 * glints.positions[close][:, [across, up]]
     tips = points + 5.0 * glints.normals[close][:, [across, up]]
-    panel.plot(*np.stack([points.T, tips.T], axis=1), color=GLINT_COLOUR, linewidth=0.7)
+    # One line with gaps: a line for each glint takes half of the time of the picture.
+    lines = np.stack([points, tips, np.full_like(points, np.nan)], axis=1).reshape(-1, 2)
+    panel.plot(lines[:, 0], lines[:, 1], color=GLINT_COLOUR, linewidth=0.7)
     edge: dict[str, Any] = {"edgecolors": "black", "linewidths": 0.3}
     panel.scatter(points[:, 0], points[:, 1], s=9, color=GLINT_COLOUR, zorder=3, **edge)
 

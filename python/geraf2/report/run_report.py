@@ -124,22 +124,17 @@ def write_report(
     *,
     truth: TriangleMesh | None = None,
     heatmap: tuple[Array, Grid] | None = None,
-    title: str | None = None,
     provenance: Mapping[str, str] | None = None,
-    warnings: Sequence[str] = (),
     num_threads: int | None = None,
 ) -> Path:
     """Draw the pictures of a run and write `report.html`, one file with everything it shows.
 
     run_dir: run folder; its files are used where they exist.
     truth: true surface, drawn beside the reconstruction. Without it, earlier pictures with the
-    truth
-        of `metrics.json` are kept.
+        truth of `metrics.json` are kept.
     heatmap: matched-filter volume and its grid; by default an existing `figures/projections.png` is
         shown.
-    title: heading; by default the folder's name.
     provenance: origin of the data, name to text; stored in `provenance.json` for later reports.
-    warnings: further warnings, shown first.
 
     Returns the path of the report. The pictures are also in `figures/` as PNG.
     """
@@ -172,43 +167,27 @@ def write_report(
         *run_sections.settings(run.config_text, run.stages),
         *run_sections.definitions(run.stages, run.metrics, run.surface),
     ]
-    all_warnings = [*warnings, *run.warnings]
-    heading = title if title is not None else f"geraf2: {folder.resolve().name}"
-    write_text_atomic(
-        folder / run_folder.REPORT_NAME,
-        _page(run, heading, sections, answer, view, all_warnings, log),
-    )
-    return folder / run_folder.REPORT_NAME
-
-
-def _page(
-    run: RunArtefacts,
-    title: str,
-    sections: Sequence[Section],
-    answer: Answer,
-    view: str | None,
-    warnings: Sequence[str],
-    log: Sequence[Mapping[str, Any]],
-) -> str:
-    """HTML document; notes of calibration are in its section, not among the warnings."""
+    # Notes of calibration are in its section, not among the warnings.
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
-    return html.rendered(
+    page = html.rendered(
         "run.html",
-        title=title,
+        title=f"geraf2: {folder.resolve().name}",
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
         answer=answer,
-        warnings=[line for line in dict.fromkeys(warnings) if line not in notes],
+        warnings=[line for line in dict.fromkeys(run.warnings) if line not in notes],
         view=view,
     )
+    write_text_atomic(folder / run_folder.REPORT_NAME, page)
+    return folder / run_folder.REPORT_NAME
 
 
-def run_view(run_dir: AnyPath, *, num_threads: int | None = None) -> str | None:
+def run_view(run_dir: AnyPath) -> str | None:
     """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
     if read_run(folder).surface is None:
         return None
-    scene = run_scene(folder, num_threads=num_threads)
+    scene = run_scene(folder)
     assert scene is not None
     return html.rendered(
         "view_page.html",

@@ -13,12 +13,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.boxes import FACES, SIGNS, box_corners
 from geraf2.geometry.shells import outer_shells
 from geraf2.geometry.transforms import apply_rigid, triple
-from geraf2.geometry.triangles import (
-    count_open_edges,
-    enclosed_volume_m3,
-    face_areas,
-    unit_normals,
-)
+from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3, face_areas, unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
 from geraf2.scene.notebook import (

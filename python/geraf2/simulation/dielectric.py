@@ -48,12 +48,10 @@ def slab_reflection(
     frequencies_hz: Floats,
     *,
     crossing: float = 1.0,
-    inner_reflections: bool = False,
 ) -> NDArray[np.complex64]:
     """Reflection coefficient of a plate at the face that is met first, TE, (n, n_frequencies).
 
-    r (1 - (1 - r^2) E), E = a^2 exp(-2 j k t q): both faces once. With all reflections between them
-    it is Airy's r (1 - E) / (1 - r^2 E).
+    r (1 - (1 - r^2) E), E = a^2 exp(-2 j k t q): both faces once.
 
     cosine: of the angle of incidence, (n,).
     frequencies_hz: equidistant.
@@ -62,8 +60,6 @@ def slab_reflection(
     r = face_reflection(cosine, slab.permittivity).astype(np.float32)[:, None]
     inner = np.sqrt(slab.permittivity - 1.0 + cosine**2)
     turn = phasors(2.0 * slab.thickness_m * inner, frequencies_hz).T * np.float32(crossing**2)
-    if inner_reflections:
-        return np.asarray(r * (1.0 - turn) / (1.0 - r**2 * turn))
     return np.asarray(r * (1.0 - (1.0 - r**2) * turn))
 
 

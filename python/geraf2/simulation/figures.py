@@ -127,17 +127,14 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "mug": _mug,
 }
 """Procedural objects by name; each builds its solid."""
+_N_VERTICAL = 80  # grid cells over the height of an object
 
 
-def build_figure(name: str, n_vertical: int = 80) -> TriangleMesh:
-    """Mesh of a procedural object, one unit high, standing on z = 0.
-
-    name: a key of :data:`FIGURES`.
-    n_vertical: Grid cells over the object's height.
-    """
+def build_figure(name: str) -> TriangleMesh:
+    """Mesh of a procedural object of :data:`FIGURES`, one unit high, standing on z = 0."""
     figure = FIGURES[name]()
     low, high = np.asarray(figure.low), np.asarray(figure.high)
-    step = float(high[2] - low[2]) / n_vertical
+    step = float(high[2] - low[2]) / _N_VERTICAL
     mesh = zero_level(figure.solid(grid_points(low, high, step)), step)
     vertices = mesh.vertices - mesh.vertices.min(axis=0)
     return TriangleMesh(vertices=vertices / vertices[:, 2].max(), faces=mesh.faces)

@@ -12,12 +12,7 @@ from geraf2._types import Bools, Floats
 from geraf2.geometry.triangles import barycentric, vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
-from geraf2.simulation.photo_scene import (
-    LAMP_COLOUR,
-    lamp_position,
-    room_light,
-    sunflower,
-)
+from geraf2.simulation.photo_scene import LAMP_COLOUR, lamp_position, room_light, sunflower
 
 _Array = NDArray[np.float32]
 

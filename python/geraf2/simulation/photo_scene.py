@@ -130,7 +130,6 @@ class CartonScene:
         self.wall = wall
         self.size_m = float(max(wall.size_m))
         self.center = np.asarray(wall.center_m, dtype=np.float64)
-        self.floor_m = float(self.center[2] - 0.5 * wall.size_m[2])
         rectangles = [*_box_rectangles(wall, seed), *_ground_rectangles(wall, seed)]
         corners = np.concatenate([rectangle.corners() for rectangle in rectangles])
         first = 4 * np.arange(len(rectangles))[:, None]

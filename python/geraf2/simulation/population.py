@@ -176,9 +176,7 @@ def _world(rng: np.random.Generator, population: Population, thing: RandomObject
         effects = (e for e in EFFECTS if e != _PLASTIC and (has_waves or e not in _WAVES))
         world = WorldSpec(preset=preset, effects=tuple(effects))
     return replace(
-        world,
-        figure_permittivity=thing.permittivity,
-        figure_loss_tangent=thing.loss_tangent,
+        world, figure_permittivity=thing.permittivity, figure_loss_tangent=thing.loss_tangent
     )
 
 

@@ -90,18 +90,15 @@ class _Canvas:
         return Texture(np.clip(self.albedo, 0.01, 0.95), np.clip(self.gloss, 0.0, 1.0))
 
 
-def carton_face(
-    size_m: tuple[float, float], seed: int, *, side: int, texel_m: float = 0.0004
-) -> Texture:
+def carton_face(size_m: tuple[float, float], seed: int, *, side: int) -> Texture:
     """One face of a shipping carton.
 
     size_m: width and height of the face [m].
     seed: of fibres, print and wear.
     side: 0 to 3: side faces, which are printed differently; 4: top and 5: bottom, taped along x.
-    texel_m: side of a texel [m].
     """
     rng = np.random.default_rng([seed, side])
-    canvas = _Canvas(*size_m, texel_m)
+    canvas = _Canvas(*size_m, 0.0004)
     _cardboard(canvas, rng)
     print_on = (_print_front, _print_label, _print_front, _print_symbols)
     if side < 4:
@@ -115,10 +112,10 @@ def carton_face(
     return canvas.texture()
 
 
-def board(side_m: float, seed: int, texel_m: float = 0.001) -> Texture:
+def board(side_m: float, seed: int) -> Texture:
     """Wooden board with a circle of marks, as turntables have, around its middle."""
     rng = np.random.default_rng([seed, 10])
-    canvas = _Canvas(side_m, side_m, texel_m)
+    canvas = _Canvas(side_m, side_m, 0.001)
     grain = canvas.noise(rng, (0.002, 0.08))
     knots = canvas.noise(rng, (0.03, 0.06))
     brightness = 1.0 + 0.13 * grain + 0.10 * knots + 0.05 * canvas.noise(rng, (0.001, 0.001))
@@ -134,10 +131,10 @@ def board(side_m: float, seed: int, texel_m: float = 0.001) -> Texture:
     return canvas.texture()
 
 
-def table(side_m: float, seed: int, texel_m: float = 0.005) -> Texture:
+def table(side_m: float, seed: int) -> Texture:
     """Speckled table top."""
     rng = np.random.default_rng([seed, 11])
-    canvas = _Canvas(side_m, side_m, texel_m)
+    canvas = _Canvas(side_m, side_m, 0.005)
     cloud = canvas.noise(rng, (0.15, 0.15)) + 0.6 * canvas.noise(rng, (0.02, 0.02))
     brightness = np.maximum(1.0 + 0.14 * cloud, 0.2)
     canvas.albedo[:] = np.asarray(_TABLE, np.float32) * brightness[:, :, None]

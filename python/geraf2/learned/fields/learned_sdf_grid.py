@@ -7,7 +7,6 @@ from torch import Tensor, nn
 from geraf2._validation import require_shape
 from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample, require_points
 from geraf2.ops import sdf_grid
-from geraf2.ops.sdf_grid import Interpolation
 from geraf2.scene import Grid
 
 _INIT_RADIUS = 0.5
@@ -15,11 +14,10 @@ _INIT_RADIUS = 0.5
 
 
 class LearnedSdfGrid(SdfField):
-    """Grid values as parameters; native interpolation with second derivatives to the values.
+    """Grid values as parameters; native cubic interpolation with second derivatives to them.
 
     domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
     n_per_side: voxels along a side at the start.
-    interpolation: "cubic" has a continuous gradient, which normals need; "linear" is cheaper.
 
     Notes
     -----
@@ -28,11 +26,9 @@ class LearnedSdfGrid(SdfField):
 
     values: Tensor
 
-    def __init__(
-        self, domain: CubeDomain, n_per_side: int = 25, interpolation: Interpolation = "cubic"
-    ) -> None:
+    def __init__(self, domain: CubeDomain, n_per_side: int = 25) -> None:
         super().__init__(domain)
-        self.grid, self.interpolation = domain.grid(n_per_side), interpolation
+        self.grid = domain.grid(n_per_side)
         center, radius = np.asarray(domain.center_m), _INIT_RADIUS * domain.half_side_m
         self.values = nn.Parameter(torch.zeros(self.grid.shape))
         self.initialise(lambda points: np.linalg.norm(points - center, axis=1) - radius)
@@ -40,7 +36,7 @@ class LearnedSdfGrid(SdfField):
     def forward(self, points: Tensor) -> SdfSample:
         """Value and gradient at points (n, 3) [m]."""
         require_points(points)
-        sample = sdf_grid(self.values, self.grid, points, interpolation=self.interpolation)
+        sample = sdf_grid(self.values, self.grid, points, interpolation="cubic")
         return SdfSample(torch.as_tensor(sample.value), torch.as_tensor(sample.gradient))
 
     def value(self, points: Tensor) -> Tensor:

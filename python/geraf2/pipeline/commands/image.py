@@ -23,11 +23,7 @@ from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import IMAGE_NAME, RunFolder, stage_key
 from geraf2.ops import explain_method
-from geraf2.pipeline.estimates import (
-    DEFAULT_IMAGE_SIDE_M,
-    DEFAULT_IMAGE_SPACING_M,
-    image_estimate,
-)
+from geraf2.pipeline.estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M, image_estimate
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, Grid, Pose
 from geraf2.scene.capture import LazyPoses

@@ -43,12 +43,7 @@ from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
-from geraf2.pipeline.presets import (
-    STAGE_NAMES,
-    PresetConfig,
-    preset_type,
-    stages_of,
-)
+from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
 from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, made_prior
 from geraf2.pipeline.reconstruction import Reconstruction
@@ -287,11 +282,7 @@ def start_job(
         prior=prior,
         config=record.config,
         seed=record.options.seed,
-        inputs={
-            "scene": run.scene_digest,
-            "prior": key,
-            "hold_out": record.options.hold_out,
-        },
+        inputs={"scene": run.scene_digest, "prior": key, "hold_out": record.options.hold_out},
         listener=heard,
         peaks=peaks.about(prior, tolerance_m)
         if peaks is not None

@@ -36,21 +36,10 @@ from geraf2.surfaces.extraction import (
     extract_cropped_meshes,
     extract_meshes,
 )
-from geraf2.surfaces.fit import (
-    FIT_VERSION,
-    Evidence,
-    FitConfig,
-    fit_sdf,
-    zero_level,
-)
+from geraf2.surfaces.fit import FIT_VERSION, Evidence, FitConfig, fit_sdf, zero_level
 from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.pieces import piece_numbers, pieces_of
-from geraf2.surfaces.refinement import (
-    SELECTION_VERSION,
-    SelectedGlints,
-    evidence_of,
-    select_glints,
-)
+from geraf2.surfaces.refinement import SELECTION_VERSION, SelectedGlints, evidence_of, select_glints
 
 # Fit through first surfaces, which only has to block lines of sight.
 _FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1)
@@ -163,10 +152,7 @@ SDF = _fitted_stage(
     (GLINTS,),
     lambda config: config.fit,
     lambda job, progress: fit_sdf(
-        job[GLINTS].glints,
-        job.config.fit,
-        num_threads=job.num_threads,
-        progress=progress,
+        job[GLINTS].glints, job.config.fit, num_threads=job.num_threads, progress=progress
     ),
 )
 

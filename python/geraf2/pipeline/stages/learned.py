@@ -188,11 +188,7 @@ class _Watcher:
     """Logs, saves and draws during the training, and reports its progress."""
 
     def __init__(
-        self,
-        training: _Training,
-        trainer: "PaperTrainer",
-        checkpoint: Path,
-        progress: Progress,
+        self, training: _Training, trainer: "PaperTrainer", checkpoint: Path, progress: Progress
     ) -> None:
         self._training, self._run = training, training.job.run
         self._trainer, self._checkpoint, self._progress = trainer, checkpoint, progress
