@@ -314,7 +314,7 @@ class RunFolder:
         self._save()
 
     def forget_derived(self, content: bytes) -> None:
-        """Remove scores, report, pictures and views of the mesh that other `content` is to replace."""
+        """Remove what was derived of another mesh than this `content`."""
         mesh = self.path / CONTENT_NAME
         if mesh.is_file() and read_regular(mesh) == content:
             return
