@@ -3,16 +3,13 @@
     geraf2 simulate SPEC.toml SCENE --scan SUPER.json      # of each figure; see `superset`
     python bench/python/scan_time.py superset SUPER.json
     python bench/python/scan_time.py scores SCENE... --out OUT [--preset fast best] [--only NAME...]
-    python bench/python/scan_time.py loop SCENE... [--start 0 6] [--planes 6]
     python bench/python/scan_time.py draw OUT --to docs/scan-time.svg
 
 `superset` writes a scan of 12 planes around the box of 22 cm, 8 at 40 degrees and 1 above at 4 mm,
 with 8 channels at 0.1 m/s. `scores` takes planes of it out of each scene, as DESIGNS
 says, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
 planes see apart. Rows that OUT/scores.json holds are not made again. Minutes are those of 8
-channels and of one. `loop` begins with some planes of each scene and adds, one after the other,
-what `geraf2 plan --after` would rank first of the others. `draw` draws the means over the figures
-against the minutes.
+channels and of one. `draw` draws the means over the figures against the minutes.
 """
 
 import argparse
@@ -29,7 +26,6 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2 import LosPrior, reconstruct
-from geraf2.apps.planning.next_plane import expected_errors
 from geraf2.apps.planning.scan_time import Design, Scanner, swept_planes
 from geraf2.evaluation import evaluate_mesh
 from geraf2.geometry.triangles import face_areas, unit_normals
@@ -175,25 +171,6 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
     }
 
 
-def loop(scene: Path, start: list[int], n_planes: int) -> None:
-    """Print the planes of each step of a loop of next planes, and what they reach."""
-    capture, truth = load_capture(scene), read_mesh(scene / "truth.ply")
-    planes, use = [Aperture.of_pose(pose) for pose in capture.poses], list(start)
-    prior, center = LosPrior.from_box(capture.walls[0].size_m), np.zeros(3)
-    while True:
-        part = replace(capture, poses=tuple(capture.poses[i] for i in sorted(use)))
-        with tempfile.TemporaryDirectory() as folder:
-            mesh = reconstruct(part, prior, "fast", folder, num_threads=1).content_mesh
-        metrics = evaluate_mesh(mesh, truth, num_threads=1)
-        f1 = [round(metrics.f1(tau), 3) for tau in (0.015, 0.005, 0.003, 0.002)]
-        print(scene.name, len(use), use, *f1, flush=True)
-        if len(use) >= n_planes:
-            return
-        left = [i for i in range(len(planes)) if i not in use]
-        seen, others = ([planes[i] for i in some] for some in (use, left))
-        use.append(left[int(np.argmin(expected_errors(mesh, seen, others, center)[1]))])
-
-
 def but_bottom(mesh: TriangleMesh, truth: TriangleMesh, seed: int) -> dict[str, float]:
     """F1 at 5 mm over all but the bottom, and the median error of the top.
 
@@ -303,20 +280,12 @@ def main() -> None:
     scores.add_argument("--preset", nargs="+", default=["fast"])
     scores.add_argument("--only", nargs="+", default=list(DESIGNS), choices=list(DESIGNS))
     scores.add_argument("--seed", type=int, default=0)
-    looped = what.add_parser("loop")
-    looped.add_argument("scenes", nargs="+", type=Path)
-    looped.add_argument("--start", nargs="+", type=int, default=[0, 6])
-    looped.add_argument("--planes", type=int, default=6)
     drawn = what.add_parser("draw")
     drawn.add_argument("out", type=Path)
     drawn.add_argument("--to", type=Path, required=True)
     options = parser.parse_args()
     if options.what == "superset":
         write_superset(options.out)
-        return
-    if options.what == "loop":
-        for scene in options.scenes:
-            loop(scene, options.start, options.planes)
         return
     if options.what == "draw":
         rows = json.loads((options.out / "scores.json").read_text())

@@ -12,7 +12,7 @@ from PIL import Image
 
 from geraf2.apps.batch.folder import MARKER_NAME, BatchFolder, JobResult
 from geraf2.apps.batch.page import write_pages
-from helpers.browsing import SCREENS, require_readable, serious_findings
+from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
 
 pytestmark = pytest.mark.browser
 
@@ -64,7 +64,7 @@ def shown(page):
     return page.locator("#jobs tbody tr:visible td.name").all_inner_texts()
 
 
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
+@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
 def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, axe, size, dark):
     page = open_page(page_url, size, dark)
     assert page.trouble == []

@@ -7,7 +7,7 @@ import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
 from helpers.browsing import (
-    SCREENS,
+    FEW_SCREENS,
     pixels,
     require_first_screen,
     require_readable,
@@ -47,7 +47,7 @@ def page_url(tmp_path_factory):
     return (out / "inspection.html").resolve().as_uri()
 
 
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
+@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
 def test_the_answer_is_drawn_without_trouble_requests_or_overflow(
     open_page, page_url, axe, size, dark
 ):

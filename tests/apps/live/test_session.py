@@ -23,16 +23,6 @@ from geraf2.surfaces import FitConfig
 COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 
 
-@pytest.fixture(scope="module")
-def capture():
-    return examples.small_capture()[0]
-
-
-@pytest.fixture(scope="module")
-def whole(capture):
-    return geraf2.reconstruct(capture, examples.BOX_M, COARSE)
-
-
 def _about(capture):
     return replace(capture, poses=())
 

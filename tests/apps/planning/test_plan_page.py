@@ -14,7 +14,7 @@ from geraf2.apps.planning.plan_page import write_plan_page
 from geraf2.apps.planning.planning import PlanOptions, make_timed_plan
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from helpers.browsing import SCREENS, require_first_screen, require_readable, serious_findings
+from helpers.browsing import FEW_SCREENS, require_first_screen, require_readable, serious_findings
 
 pytestmark = pytest.mark.browser
 
@@ -33,7 +33,7 @@ def written(tmp_path_factory):
         return files, make_timed_plan(OPTIONS)
 
 
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
+@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
 def test_it_fits_and_can_be_reached(open_page, written, axe, size, dark):
     page = open_page(written[0][0].as_uri(), size, dark)
     assert page.locator(".viewer.works").count() == 1

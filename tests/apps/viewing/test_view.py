@@ -24,7 +24,7 @@ from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
-from helpers.browsing import SCREENS, pixels, require_readable, serious_findings, settle
+from helpers.browsing import FEW_SCREENS, pixels, require_readable, serious_findings, settle
 from helpers.glint_sets import glints_on_sphere
 
 RADIUS_M = 0.03
@@ -122,7 +122,7 @@ def test_the_page_is_read_anew_at_each_visit(view, run):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
+@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
 def test_two_runs_have_linked_cameras_scales_and_slices(open_page, view, axe, size, dark):
     page = open_page(view.url, size, dark)
     first, second = page.locator(".viewer.works").all()

@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 from geraf2.apps.benchmark.rows import Row
 from geraf2.apps.benchmark.runner import Runner
@@ -28,48 +29,47 @@ class Cost:
     """Number of remaining rows and scenes without an estimate."""
 
 
+class _Piece(NamedTuple):
+    """A run or a scene, which rows may share."""
+
+    experiment: str
+    kind: str
+    """Name of its method, or _SCENE."""
+    size: float
+    """Quantity to which the cost is proportional; 0 for a scene copied with other walls."""
+    seconds: float | None
+    """Processor time; None where it is to be made."""
+
+
 def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
     """Cost of each experiment, in the order of the rows; failed rows count as remaining."""
-    known: dict[str, float] = {}
-    sums: dict[str, float] = defaultdict(float)
-    counts: dict[str, float] = defaultdict(float)
+    pieces: dict[str, _Piece] = {}
     for row in rows:
         scene, run = (folder.name for folder in runner.place(row))
-        result, scene_s = runner.known(row), runner.known_scene_seconds(row)
-        if result is not None and result.error is None and run not in known:
-            known[run] = result.all_cpu_seconds or 0.0
-            sums[row.method] += known[run]
-            counts[row.method] += 1.0
-        if scene_s is not None and scene not in known:
-            known[scene] = scene_s
-            sums[_SCENE] += scene_s
-            counts[_SCENE] += _size_of_scene(row)
-    means = {kind: sums[kind] / count for kind, count in counts.items() if count}
-    total: dict[str, Cost] = {}
-    seen: set[str] = set()
-    for row in rows:
-        scene, run = (folder.name for folder in runner.place(row))
-        cost = total.setdefault(row.experiment, Cost())
-        per_size, size = means.get(_SCENE), _size_of_scene(row)
-        scene_guess = 0.0 if size == 0.0 else None if per_size is None else per_size * size
-        for folder, guess in ((scene, scene_guess), (run, means.get(row.method))):
-            if folder in seen:
-                continue
-            seen.add(folder)
-            cost.n_rows += folder == run
-            if folder in known:
-                cost.n_known += folder == run
-                cost.spent_s += known[folder]
-            elif guess is not None:
-                cost.remaining_s += guess
-            else:
-                cost.n_unknown += 1
+        size = float(row.spec.scan.n_planes) if row.case.told_permittivity == "true" else 0.0
+        scene_s, result = runner.known_scene_seconds(row), runner.known(row)
+        is_done = result is not None and result.error is None
+        seconds = (result.all_cpu_seconds or 0.0) if is_done and result is not None else None
+        pieces.setdefault(scene, _Piece(row.experiment, _SCENE, size, scene_s))
+        pieces.setdefault(run, _Piece(row.experiment, row.method, 1.0, seconds))
+    spent: dict[str, float] = defaultdict(float)
+    sizes: dict[str, float] = defaultdict(float)
+    for piece in pieces.values():
+        if piece.seconds is not None:
+            spent[piece.kind] += piece.seconds
+            sizes[piece.kind] += piece.size
+    total = {row.experiment: Cost() for row in rows}
+    for piece in pieces.values():
+        cost = total[piece.experiment]
+        cost.n_rows += piece.kind != _SCENE
+        if piece.seconds is not None:
+            cost.n_known += piece.kind != _SCENE
+            cost.spent_s += piece.seconds
+        elif sizes[piece.kind] or not piece.size:
+            cost.remaining_s += piece.size * spent[piece.kind] / max(sizes[piece.kind], 1.0)
+        else:
+            cost.n_unknown += 1
     return total
-
-
-def _size_of_scene(row: Row) -> float:
-    """Quantity to which the cost is proportional; 0 for a copy with other walls."""
-    return float(row.spec.scan.n_planes) if row.case.told_permittivity == "true" else 0.0
 
 
 def listed(suite: Suite, spent: Mapping[str, Cost]) -> list[tuple[str, str]]:

@@ -283,22 +283,12 @@ def _silent(
     found = []
     for group, _ in echoes.silent:
         own = np.flatnonzero(np.isin(echoes.patch, group))
-        area = float(areas[own].sum())
-        if area < MIN_REGION_M2:
+        if float(areas[own].sum()) < MIN_REGION_M2:
             continue
-        share = areas[own] / area
-        gap_m = float(share @ gap[nearest[own]])
-        if gap_m <= tolerance_m:
-            continue
-        found.append(
-            Region(
-                what="absent",
-                center_m=triple(share @ points[own]),
-                area_m2=area,
-                deviation_m=-gap_m,
-                sigma_m=float(share @ sigma[nearest[own]]),
-            )
-        )
+        at = nearest[own]
+        region = _region("absent", points[own], areas[own], -gap[at], sigma[at])
+        if -region.deviation_m > tolerance_m:
+            found.append(region)
     return found
 
 
@@ -323,21 +313,24 @@ def _regions(
     areas = face_areas(mesh.vertices[faces])
     total = np.bincount(labels, areas, minlength=n_regions)
     kept = np.flatnonzero(total >= MIN_REGION_M2)
-    return [
-        _region(mesh, faces[labels == r], areas[labels == r], values, sigma, what) for r in kept
-    ]
+    found = []
+    for r in kept:
+        own = faces[labels == r]
+        of_faces = (column[own].mean(axis=1) for column in (values, sigma))
+        points = mesh.vertices[own].mean(axis=1)
+        found.append(_region(what, points, areas[labels == r], *of_faces))
+    return found
 
 
-def _region(
-    mesh: TriangleMesh, faces: Ints, areas: Floats, values: Floats, sigma: Floats, what: str
-) -> Region:
+def _region(what: str, points: Floats, areas: Floats, values: Floats, sigma: Floats) -> Region:
+    """Region of pieces with a deviation and its uncertainty each."""
     share = areas / areas.sum()
     return Region(
         what=what,
-        center_m=triple(share @ mesh.vertices[faces].mean(axis=1)),
+        center_m=triple(share @ points),
         area_m2=float(areas.sum()),
-        deviation_m=float(share @ values[faces].mean(axis=1)),
-        sigma_m=float(share @ sigma[faces].mean(axis=1)),
+        deviation_m=float(share @ values),
+        sigma_m=float(share @ sigma),
     )
 
 
