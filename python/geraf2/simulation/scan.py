@@ -28,6 +28,8 @@ class ScanPlane:
     """Antennas horizontally and vertically; None without a raster."""
     spacing_m: float
     """Their distance [m]."""
+    name: str = ""
+    """Its name; by its number and angle when empty."""
 
 
 def scan_planes(scan: ScanSpec) -> list[ScanPlane]:

@@ -13,6 +13,7 @@ from geraf2.ops._threads import resolve_num_threads
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, Pose, Wall
+from geraf2.simulation.belt import belt_planes
 from geraf2.simulation.dielectric import face_reflection
 from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, Points, plane_echo, wall_layers
 from geraf2.simulation.electronics import amplify, convert, leakage
@@ -67,12 +68,12 @@ def simulate(
         placed = replace(truth, vertices=(truth.vertices - middle) @ turn.T + middle)
     _require_inside(placed, walls)
     scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
-    planes = scan_planes(spec.scan)
+    planes, moved = recorded_planes(spec, seed)
     _require_outside(planes, walls)
     echoes: list[PlaneEcho] = []
     for i, plane in enumerate(planes):
         order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
-        placed_plane = true_plane(plane, spec, seed, i)
+        placed_plane = true_plane(moved[i], spec, seed, i)
         if spec.world.box_turn_deg:
             placed_plane = turned_plane(placed_plane, turn, middle)
         antennas = AntennaBlocks(
@@ -86,6 +87,15 @@ def simulate(
         if progress is not None:
             progress((i + 1) / len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
+
+
+def recorded_planes(spec: SceneSpec, seed: int) -> tuple[list[ScanPlane], list[ScanPlane]]:
+    """Planes as they are recorded, and as the motion of a belt moves them."""
+    if spec.belt is None:
+        planes = scan_planes(spec.scan)
+        return planes, planes
+    recorded, moved = zip(*belt_planes(spec.belt, seed), strict=True)
+    return list(recorded), list(moved)
 
 
 def _in_world(spec: SceneSpec) -> SceneSpec:
@@ -115,7 +125,7 @@ def _capture(
             tx_positions=plane.tx,
             rx_positions=plane.rx,
             axes=plane.axes,
-            name=f"{i}_{plane.angle_deg:g}",
+            name=plane.name or f"{i}_{plane.angle_deg:g}",
             angle_deg=plane.angle_deg,
         )
         for i, (plane, signal) in enumerate(zip(planes, signals, strict=True))

@@ -11,6 +11,7 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.scan_file import ScanFile, read_scan_file
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
+from geraf2.simulation.belt_spec import BeltSpec
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.world import ErrorM, WorldSpec
 
@@ -206,6 +207,8 @@ class SceneSpec:
     """The chirp."""
     scan: ScanSpec = field(default_factory=ScanSpec)
     """Positions of the antennas."""
+    belt: BeltSpec | None = None
+    """A belt with fixed arrays, whose planes replace those of the scan."""
     disturbance: DisturbanceSpec = field(default_factory=DisturbanceSpec)
     """Noise and clutter."""
     world: WorldSpec = field(default_factory=WorldSpec)

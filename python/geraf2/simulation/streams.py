@@ -6,7 +6,7 @@ import numpy as np
 _NAMES = (
     *("jitter", "scatterers", "noise", "drift", "channels", "roughness"),
     *("channel_gains", "leakage", "walk", "plane_phase", "dc", "ripple"),
-    *("angles", "bulge", "lines", "patches"),
+    *("angles", "bulge", "lines", "patches", "vibration", "encoder"),
 )
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
-from geraf2.apps.planning.arrays import ARRAYS, find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import (
@@ -27,6 +26,7 @@ from geraf2.io.toml import read_toml
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene import Waveform
 from geraf2.scene.aperture import Aperture
+from geraf2.scene.arrays import ARRAYS, find_array
 from geraf2.scene.plan import (
     PlanePlan,
     ScanPlan,

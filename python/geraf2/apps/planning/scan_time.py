@@ -11,12 +11,12 @@ from annotated_types import Interval
 
 from geraf2._bounds import Bounded, Seconds
 from geraf2._types import Bools, Floats
-from geraf2.apps.planning.arrays import column, find_array
 from geraf2.apps.planning.expected import Expected, expected_of
 from geraf2.errors import UserError
 from geraf2.freespace.specular import inner_points, received_normals, sphere_points
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.scene.aperture import Aperture
+from geraf2.scene.arrays import column, find_array
 from geraf2.scene.plan import nyquist_spacing_m
 
 Order = Literal["tdm", "ddm"]

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2.io.atomic import atomic_folder
+from geraf2.io.belt_file import write_belt
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME, require_scene_folder
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import stage_key
@@ -16,6 +17,7 @@ from geraf2.scene.photos import save_photos
 from geraf2.scene.plan import rows_columns
 from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec, simulate, simulate_photos
+from geraf2.simulation.belt import belt_record
 
 # Python with its libraries: with those of the samples, 136 to 146 MiB were the peaks of 2 to 12
 # planes, within 1.2 of the estimate (`bench/python/memory.py`).
@@ -80,6 +82,8 @@ def simulate_scene(
             wall = capture.walls[0]
             box = LosPrior.from_box(wall.size_m, wall.center_m)
             write_mesh(box.mesh, folder / LOS_NAME, frame=capture.frame, made_from=made_from)
+        if spec.belt is not None:
+            write_belt(folder, belt_record(spec.belt))
         if photos is not None:
             save_photos(photos, folder / PHOTOS_NAME)
 
@@ -94,7 +98,9 @@ def simulate_bytes(spec: SceneSpec) -> dict[str, float]:
     """Memory that a simulation takes, by the settings that make it large."""
     scan, numerics = spec.scan, spec.numerics
     n_antennas = float(scan.sweeps.n_antennas) if scan.sweeps is not None else 0.0
-    for ring in scan.all_rings:
+    if spec.belt is not None:
+        n_antennas = float(spec.belt.n_antennas)
+    for ring in scan.all_rings if spec.belt is None else ():
         assert ring.aperture_m is not None
         assert ring.spacing_m is not None
         rows, columns = rows_columns(ring.aperture_m, ring.spacing_m)

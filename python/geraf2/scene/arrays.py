@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.scan_file import SweptArray
@@ -49,6 +49,29 @@ class AntennaArray:
             tx[:, 1] += TX_RX_DISTANCE_M
         middle = 0.5 * (tx.mean(axis=0) + rx.mean(axis=0))
         return tx - middle, rx - middle
+
+    def line(self, step_m: float) -> tuple[Floats, Floats, Ints]:
+        """Channels of the main line whose phase centres lie about `step_m` [m] apart.
+
+        Of the pairs at one position, that with the shortest baseline: its midpoint errs least.
+
+        Returns positions of transmitters and receivers, along and across, (n, 2) [m] each, and the
+        number of each transmitter, (n,).
+        """
+        tx, rx = self.places_m()
+        t, r = (grid.ravel() for grid in np.meshgrid(range(len(tx)), range(len(rx)), indexing="ij"))
+        across = 0.5 * (tx[t, 1] + rx[r, 1])
+        levels, counts = np.unique(np.round(across, 6), return_counts=True)
+        own = np.flatnonzero(np.abs(across - levels[counts.argmax()]) < 1e-6)
+        t, r = t[own], r[own]
+        quarter = 0.25 * SPEED_OF_LIGHT_M_PER_S / self.design_hz
+        along = 0.5 * (tx[t, 0] + rx[r, 0])
+        position = np.rint((along - along.min()) / quarter).astype(np.int64)
+        step = max(1, round(step_m / quarter))
+        order = np.lexsort((np.abs(tx[t, 0] - rx[r, 0]), position))
+        first = order[np.unique(position[order], return_index=True)[1]]
+        kept = first[position[first] % step == 0]
+        return tx[t[kept]], rx[r[kept]], t[kept]
 
     def swept(self, *, order: str = "tdm", chirp_s: float = 1e-3) -> SweptArray:
         """Array whose long side stands upright, so that a sweep along the horizontal covers it.

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.planning.arrays import ARRAYS, column, find_array
 from geraf2.errors import UserError
+from geraf2.scene.arrays import ARRAYS, column, find_array
 
 
 def phase_centers(array):

@@ -1,0 +1,72 @@
+"""Samples of separate transmitters and receivers, as antennas at their midpoints would record.
+
+Half the path of a channel with the half baseline h is, seen from its midpoint,
+
+    q(r) = r + (h^2 - (h . u)^2) / (2 r) + O(h^4 / 8 r^3),
+
+so the excess depends on range and direction. Range profiles are stretched by it in the direction of
+the belt's middle line; of another direction u' the error (h . (u' - u)) (h . (u' + u)) / (2 r) is
+left, 0.1 mm for h = 2 cm, r = 0.35 m and 20 degrees. Stretching moves the band by h^2 / 2 r^2 of
+the carrier: a share of the bandwidth is lost, not the phase.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from geraf2._types import Floats
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.belt_file import BeltStation
+from geraf2.records import Pose, Waveform
+
+_OVERSAMPLING = 4
+# Nearer echoes are leakage, whose excess is not that of the far field [m].
+_LEAST_RANGE_M = 0.1
+# Excess up to which a midpoint is as good: 19 degrees of two-way phase at 77 GHz is 0.1 mm [m].
+NEGLIGIBLE_M = 1e-5
+
+
+def excess_m(tx: Floats, rx: Floats, ranges_m: Floats) -> Floats:
+    """Half path via a point of the middle line, less the midpoint's range, (n, n_ranges) [m].
+
+    tx, rx: (n, 3) [m]. ranges_m: from the midpoint towards the line y = z = 0, (n_ranges,) [m].
+    """
+    middles = 0.5 * (tx + rx)
+    toward = -middles * [0.0, 1.0, 1.0]
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    far = np.maximum(ranges_m, _LEAST_RANGE_M)
+    points = middles[:, None] + far[:, None] * toward[:, None]
+    paths = [np.linalg.norm(points - ends[:, None], axis=2) for ends in (tx, rx)]
+    return np.asarray(0.5 * (paths[0] + paths[1]) - far)
+
+
+def stretching(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] | None:
+    """Matrices that turn samples into those at the midpoints, (n_channels, n_samples, n_samples).
+
+    None where transmitters and receivers are so close that midpoints are exact.
+    """
+    n = waveform.n_samples
+    ranges = waveform.unambiguous_range_m * np.arange(_OVERSAMPLING * n) / (_OVERSAMPLING * n)
+    excess = excess_m(np.array(array.tx_m), np.array(array.rx_m), ranges)
+    if np.abs(excess).max() < NEGLIGIBLE_M:
+        return None
+    k = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    back = np.exp(-2j * np.outer(k, ranges)) / len(ranges)
+    matrices = [back @ np.exp(2j * np.outer(ranges + own, k)) for own in excess]
+    # The delay turns both sides alike: exp(-j k_t b) A exp(j k_t' b).
+    delay = np.exp(-1j * k * waveform.path_bias_m)
+    return np.asarray(delay[:, None] * np.array(matrices) * delay.conj(), dtype=np.complex64)
+
+
+def at_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
+    """Plane of whole frames with transmitter and receiver of each channel at its midpoint."""
+    if matrices is None:
+        return pose
+    n_channels, n_samples, _ = matrices.shape
+    frames = pose.signal.reshape(-1, n_channels, n_samples).transpose(1, 2, 0)
+    signal = (matrices @ frames).transpose(2, 0, 1).reshape(-1, n_samples)
+    middles = pose.phase_centers
+    return replace(
+        pose, signal=np.ascontiguousarray(signal), tx_positions=middles, rx_positions=middles
+    )
