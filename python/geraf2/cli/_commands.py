@@ -59,6 +59,9 @@ COMMANDS = {
     "batch": Command(
         "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON
     ),
+    "belt": Command(
+        "belt", "parcels on a belt, each reconstructed on a worker", "STREAM OUT", _GOES_ON
+    ),
     "benchmark": Command(
         "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
     ),

@@ -49,6 +49,13 @@ def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
     write_text_atomic(folder.out / PAGE_NAME, _as_html(folder, rows))
 
 
+def write_last(folder: BatchFolder, name: str, most: int) -> None:
+    """Write a page of the last scenes by their names, the latest first."""
+    paths = sorted(folder.all_paths(), key=lambda own: own.scene)[-most:][::-1]
+    rows = [_Row.read(own, own.read()) for own in paths]
+    write_text_atomic(folder.out / name, _as_html(folder, rows))
+
+
 @dataclass(frozen=True, kw_only=True)
 class _Row:
     paths: JobPaths

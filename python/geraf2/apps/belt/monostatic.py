@@ -23,6 +23,8 @@ from geraf2.records import Pose, Waveform
 _OVERSAMPLING = 4
 # Nearer echoes are leakage, whose excess is not that of the far field [m].
 _LEAST_RANGE_M = 0.1
+# Largest displacement onto a raster [m]: its error, for 24 degrees off the middle, is 0.5 rad.
+_MOST_MOVED_M = 4e-3
 # Excess up to which a midpoint is as good: 19 degrees of two-way phase at 77 GHz is 0.1 mm [m].
 NEGLIGIBLE_M = 1e-5
 
@@ -70,3 +72,32 @@ def at_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
     return replace(
         pose, signal=np.ascontiguousarray(signal), tx_positions=middles, rx_positions=middles
     )
+
+
+def on_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
+    """Plane of whole frames with antennas on a raster, at most 0.4 mm from where they were.
+
+    Transmitters that take turns, an encoder's errors and a parcel that turns displace them. The
+    samples are corrected for the frame's origin, the middle of the parcel: a displacement d errs by
+    d . (u - u_0) in another direction. The same plane where no raster is near.
+    """
+    local = (pose.phase_centers @ pose.axes.T).reshape(-1, n_channels, 3)
+    frames = np.arange(len(local)) - 0.5 * (len(local) - 1)
+    along = local[..., 1].mean(axis=1)
+    step = frames @ (along - along.mean()) / max(float(frames @ frames), 1.0)
+    raster = np.empty_like(local)
+    raster[..., 0] = local[..., 0].mean()
+    raster[..., 1] = (along.mean() + step * frames)[:, None]
+    raster[..., 2] = local[..., 2].mean(axis=0)
+    places = (raster.reshape(-1, 3)) @ pose.axes
+    moved = places - pose.phase_centers
+    if np.abs(moved).max() > _MOST_MOVED_M:
+        return pose
+    ends = [pose.tx_positions, pose.rx_positions]
+    path = np.sum(
+        [np.linalg.norm(at, axis=1) - np.linalg.norm(at + moved, axis=1) for at in ends], 0
+    )
+    turns = path[:, None] * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    signal = (pose.signal * np.exp(2j * np.pi * turns)).astype(np.complex64)
+    tx, rx = (at + moved for at in ends)
+    return replace(pose, signal=signal, tx_positions=tx, rx_positions=rx)

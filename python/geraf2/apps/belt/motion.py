@@ -15,28 +15,34 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
+from geraf2.apps.belt.monostatic import on_raster
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.peaks import PeakSet, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.io.belt_file import BeltRecord, BeltStation
 from geraf2.records import Pose, Waveform
 from geraf2.scene import Capture, LosPrior
 
-_PEAKS = SubapertureConfig(size_m=0.07, step_m=0.015, direction_oversampling=2.0)
+_STEP_M = 0.01
+_PEAKS = SubapertureConfig(size_m=0.07, step_m=_STEP_M, direction_oversampling=2.0)
 _MARGIN_DB = 15.0
 # Least distance of two stations [m]; largest distance of rows of both arrays [m].
 _LEAST_APART_M, _SAME_ROW_M = 0.05, 0.003
 # Largest distance of two sub-apertures [m], and difference of their directions.
-_NEAR_M, _SAME_COSINE = 0.02, 0.06
-# Largest misfit of a pair in each round [m].
-_GATES_M = (0.02, 0.006, 0.003)
+_NEAR_M, _SAME_COSINE = 0.012, 0.04
+# Largest misfit of a pair, in the first round and in the last [m].
+_MOST_MISFIT_M, _GATE_M, _N_ROUNDS = 0.015, 0.003, 20
 # Expected errors: of the speed, of its change [1/m], of the yaw [rad/m], of the delay [m].
-SIGMAS = np.array([0.02, 0.05, 0.1, 0.002])
+SIGMAS = np.array([0.02, 0.01, 0.1, 0.002])
 # Least range error of a pair [m]; neighbouring pairs that share an error.
 _RANGE_SIGMA_M, _OVERLAP = 1e-4, 4.0
 _LEAST_PAIRS = 20
+# Peaks whose phases are compared, and rounds of that.
+_N_PHASES, _N_PHASE_ROUNDS = 400, 4
 # Largest error of the speed that profiles are searched for.
 _MOST_WRONG = 0.15
 
@@ -82,18 +88,9 @@ def corrected(pose: Pose, array: BeltStation, motion: Motion) -> Pose:
     """Plane of whole frames with its antennas where the motion puts them."""
     n_frames = pose.n_antennas // array.n_channels
     recorded = pose.phase_centers
-    moved = motion.placed(np.tile(array.phase_centers_m, (n_frames, 1)), recorded)
-    shift = moved - recorded
-    path = moved.reshape(n_frames, -1, 3).mean(axis=1)
-    slope = np.polyfit(path[:, 0], path[:, 1], 1)[0] if n_frames > 1 else 0.0
-    cos, sin = np.array([1.0, slope]) / np.hypot(1.0, slope)
-    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    return replace(
-        pose,
-        tx_positions=pose.tx_positions + shift,
-        rx_positions=pose.rx_positions + shift,
-        axes=pose.axes @ turn.T,
-    )
+    shift = motion.placed(np.tile(array.phase_centers_m, (n_frames, 1)), recorded) - recorded
+    tx, rx = pose.tx_positions + shift, pose.rx_positions + shift
+    return replace(pose, tx_positions=tx, rx_positions=rx)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -154,13 +151,18 @@ def find_motion(
     """
     if not lines:
         return Motion()
-    motion = Motion(scale=_coarse_scale(lines[0]), n_pairs=1)
-    for gate_m in _GATES_M:
-        rows = [_pairs(waveform, line, motion, region, gate_m, num_threads) for line in lines]
-        misfit, design = (np.concatenate(part) for part in zip(*rows, strict=True))
-        if len(misfit) < _LEAST_PAIRS:
-            return Motion()
-        motion = _refined(motion, misfit, design)
+    first = Motion(scale=_coarse_scale(lines[0]))
+    seen = [_seen(waveform, line, first, region, num_threads) for line in lines]
+    pairs = [_pairs(line, *peaks) for line, peaks in zip(lines, seen, strict=True)]
+    motion = _fitted(first, pairs, np.geomspace(_MOST_MISFIT_M, _GATE_M, _N_ROUNDS))
+    # Phases are unambiguous within a quarter of the wavelength.
+    gates = np.full(_N_ROUNDS, 0.22 * waveform.center_wavelength_m)
+    for _ in range(_N_PHASE_ROUNDS if motion.n_pairs else 0):
+        points = [
+            _phase_misfits(waveform, line, first, motion, peaks[0])
+            for line, peaks in zip(lines, seen, strict=True)
+        ]
+        motion = _fitted(motion, points, gates)
     return motion
 
 
@@ -192,34 +194,90 @@ def _interpolated(x: Floats, known: Floats, values: Floats) -> Floats:
     return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
 
 
-def _pairs(
-    waveform: Waveform,
-    line: Line,
-    motion: Motion,
-    region: LosPrior,
-    gate_m: float,
-    num_threads: int | None,
-) -> tuple[Floats, Floats]:
-    """Misfits R_2 - R_1 + (c_2 - c_1) . u of pairs, (n,) [m], and derivatives, (n, 4)."""
+def _seen(
+    waveform: Waveform, line: Line, first: Motion, region: LosPrior, num_threads: int | None
+) -> tuple[PeakSet, PeakSet]:
+    """Peaks of both arrays, on their recorded raster at the scale that was found first."""
     planes = tuple(
-        corrected(pose, array, motion) for pose, array in zip(line.poses, line.arrays, strict=True)
+        on_raster(corrected(pose, array, first), array.n_channels, waveform)
+        for pose, array in zip(line.poses, line.arrays, strict=True)
     )
     capture = Capture(waveform=waveform, poses=planes)
     peaks = collect_peaks(capture, region, _PEAKS, _MARGIN_DB, num_threads=num_threads)
     one, other = (_true_directions(peaks.of_plane(k), planes[k]) for k in (0, 1))
-    i, j = _near(one.centers, other.centers)
+    return one, other
+
+
+def _pairs(line: Line, one: PeakSet, other: PeakSet) -> tuple[Floats, Floats]:
+    """Misfits R_2 - R_1 + (c_2 - c_1) . u of pairs, (n,) [m], and derivatives, (n, 4)."""
+    i, j = _near(one.centers, other.centers, _NEAR_M)
     misfit, mean = _misfit(one, i, other, j)
-    keep = (np.abs(misfit) < gate_m) & (
+    keep = (np.abs(misfit) < _MOST_MISFIT_M) & (
         np.abs(one.directions[i] - other.directions[j]).max(axis=1) < _SAME_COSINE
     )
-    i, misfit, mean = i[keep], misfit[keep], mean[keep]
-    c1, c2 = one.centers[i], other.centers[j[keep]]
+    i, j = i[keep], j[keep]
+    return misfit[keep], _design(line, one.centers[i], other.centers[j], mean[keep])
+
+
+def _design(line: Line, one: Floats, other: Floats, directions: Floats) -> Floats:
+    """Return the derivatives of R_2 - R_1 by scale, change, turn and delay, (n, 4).
+
+    one, other: positions of both arrays' sub-apertures, (n, 3) [m]. directions: (n, 3).
+    """
     moves = [
-        _moves(array.station_m - c[:, 0], c) for array, c in zip(line.arrays, (c1, c2), strict=True)
+        _moves(array.station_m - c[:, 0], c)
+        for array, c in zip(line.arrays, (one, other), strict=True)
     ]
     # A displacement d of the antenna changes the range by -u . d.
-    design = -np.einsum("ni,nki->nk", mean, moves[1] - moves[0])
-    return misfit, np.concatenate([design, np.ones((len(design), 1))], axis=1)
+    design = -np.einsum("ni,nki->nk", directions, moves[1] - moves[0])
+    return np.concatenate([design, np.ones((len(design), 1))], axis=1)
+
+
+def _phase_misfits(
+    waveform: Waveform, line: Line, first: Motion, motion: Motion, peaks: PeakSet
+) -> tuple[Floats, Floats]:
+    """R_2 - R_1 by the phases of both arrays at the strongest peaks, (n,) [m], and derivatives.
+
+    first: motion in whose frame the peaks are. motion: at which both arrays are focused.
+    """
+    margins = peaks.margins_db
+    strong = peaks.select(np.sort(np.argsort(-margins, kind="stable")[:_N_PHASES]))
+    array = line.arrays[0]
+    recorded = strong.centers.copy()
+    recorded[:, 0] = array.station_m - (array.station_m - recorded[:, 0]) / (1.0 + first.scale)
+    nominal = recorded.copy()
+    nominal[:, 0] = array.station_m
+    centers = motion.placed(nominal, recorded)
+    points = strong.points + centers - strong.centers
+    sums = [
+        _focused(waveform, corrected(pose, own, motion), centers, points)
+        for own, pose in zip(line.arrays, line.poses, strict=True)
+    ]
+    both = sums[1] * sums[0].conj()
+    wavenumber = 2.0 * np.pi / waveform.center_wavelength_m
+    directions = (points - centers) / strong.ranges_m[:, None]
+    keep = np.abs(both) > 0.0
+    misfit = -np.angle(both) / (2.0 * wavenumber)
+    return misfit[keep], _design(line, centers, centers, directions)[keep]
+
+
+def _focused(
+    waveform: Waveform, pose: Pose, centers: Floats, points: Floats
+) -> NDArray[np.complex128]:
+    """Sum the antennas around each centre, focused on its point, (n,)."""
+    window = np.hanning(waveform.n_samples + 2)[1:-1]
+    k = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    antennas = pose.phase_centers
+    near = KDTree(antennas).query_ball_point(centers, 0.5 * _PEAKS.size_m)
+    sums = np.zeros(len(centers), dtype=np.complex128)
+    for number, own in enumerate(near):
+        if len(own) < _LEAST_PAIRS:
+            continue
+        apart = np.linalg.norm(antennas[own] - centers[number], axis=1) / _PEAKS.size_m
+        path = 2.0 * np.linalg.norm(antennas[own] - points[number], axis=1) + waveform.path_bias_m
+        focused = (pose.signal[own] * np.exp(1j * np.outer(path, k))) @ window
+        sums[number] = np.cos(np.pi * apart) ** 2 @ focused
+    return sums
 
 
 def _moves(travel: Floats, centers: Floats) -> Floats:
@@ -241,9 +299,9 @@ def _misfit(one: PeakSet, i: Ints, other: PeakSet, j: Ints) -> tuple[Floats, Flo
     return other.ranges_m[j] - one.ranges_m[i] + np.einsum("ni,ni->n", apart, mean), mean
 
 
-def _near(one: Floats, other: Floats) -> tuple[Ints, Ints]:
-    """Pairs of positions at most `_NEAR_M` apart."""
-    found = KDTree(one).query_ball_tree(KDTree(other), _NEAR_M)
+def _near(one: Floats, other: Floats, most_m: float) -> tuple[Ints, Ints]:
+    """Pairs of positions at most so far apart [m]."""
+    found = KDTree(one).query_ball_tree(KDTree(other), most_m)
     counts = [len(part) for part in found]
     first = np.repeat(np.arange(len(one)), counts)
     return first, np.array([k for part in found for k in part], dtype=np.int64)
@@ -254,9 +312,9 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     period = float(peaks.periods[0, 0]) if len(peaks) else np.inf
     if not np.isfinite(period):
         return peaks
-    i, j = _near(peaks.centers, peaks.centers)
+    i, j = _near(peaks.centers, peaks.centers, 2.0 * _STEP_M)
     along = (peaks.centers[j] - peaks.centers[i]) @ pose.axes[1]
-    keep = (np.abs(along) > 0.25 * _NEAR_M) & (
+    keep = (np.abs(along) > 0.25 * _STEP_M) & (
         np.abs(peaks.directions[i] - peaks.directions[j]).max(axis=1) < _SAME_COSINE
     )
     i, j, along = i[keep], j[keep], along[keep]
@@ -265,7 +323,7 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     rest = np.abs(misfit + best * along * period)
     order = np.lexsort((rest, i))
     first = order[np.unique(i[order], return_index=True)[1]]
-    first = first[(rest[first] < 0.1 * period * _NEAR_M) & (np.abs(best[first]) <= 2.0)]
+    first = first[(rest[first] < 0.1 * period * _STEP_M) & (np.abs(best[first]) <= 2.0)]
     found = peaks.select(i[first])
     cosines = found.directions @ pose.axes[1:].T
     cosines[:, 0] += best[first] * period
@@ -275,22 +333,30 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     return replace(found, directions=np.column_stack([ahead, cosines]) @ pose.axes)
 
 
-def _refined(motion: Motion, misfit: Floats, design: Floats) -> Motion:
-    """Robust least squares with the expected errors as prior."""
-    solution, rest = np.zeros(4), misfit
-    for _ in range(10):
-        scale = max(1.4826 * float(np.median(np.abs(rest))), _RANGE_SIGMA_M)
-        weight = 1.0 / (1.0 + (rest / (2.0 * scale)) ** 2) ** 2
-        normal = (design.T * weight) @ design / (scale**2 * _OVERLAP) + np.diag(SIGMAS**-2.0)
-        solution = np.linalg.solve(normal, (design.T * weight) @ misfit / (scale**2 * _OVERLAP))
-        rest = misfit - design @ solution
+def _fitted(first: Motion, rows: Sequence[tuple[Floats, Floats]], gates_m: Floats) -> Motion:
+    """Robust least squares with the expected errors as prior; a limit of misfit for each round."""
+    misfit, design = (np.concatenate(part) for part in zip(*rows, strict=True))
+    known = np.array([first.scale, first.change_per_m, first.turn_rad_per_m, 0.0])
+    # The first scale is that of the profiles, wherever the speed lies.
+    known[0] *= first.n_pairs > 0
+    step = np.zeros(4)
+    for gate_m in gates_m:
+        rest = misfit - design @ step
+        kept = np.abs(rest) < gate_m
+        if int(kept.sum()) < _LEAST_PAIRS:
+            return Motion()
+        scale = max(1.4826 * float(np.median(np.abs(rest[kept]))), _RANGE_SIGMA_M)
+        weight = kept / (1.0 + (rest / (2.0 * scale)) ** 2) ** 2
+        weight /= scale**2 * _OVERLAP
+        normal = (design.T * weight) @ design + np.diag(SIGMAS**-2.0)
+        step = np.linalg.solve(normal, (design.T * weight) @ misfit - SIGMAS**-2.0 * known)
     sigma = np.sqrt(np.diag(np.linalg.inv(normal)))
     return Motion(
-        scale=motion.scale + float(solution[0]),
-        change_per_m=motion.change_per_m + float(solution[1]),
-        turn_rad_per_m=motion.turn_rad_per_m + float(solution[2]),
+        scale=first.scale + float(step[0]),
+        change_per_m=first.change_per_m + float(step[1]),
+        turn_rad_per_m=first.turn_rad_per_m + float(step[2]),
         scale_sigma=float(sigma[0]),
         change_sigma_per_m=float(sigma[1]),
         turn_sigma_rad_per_m=float(sigma[2]),
-        n_pairs=len(misfit),
+        n_pairs=int(kept.sum()),
     )

@@ -1,0 +1,134 @@
+"""One parcel of a recording as an ordinary scan: planes in the frame of the parcel."""
+
+import json
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from geraf2._types import Ints
+from geraf2.apps.belt.cutting import frames_of
+from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
+from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
+from geraf2.apps.belt.vibration import steadied
+from geraf2.errors import UserError
+from geraf2.io.belt_file import BeltRecord, read_belt
+from geraf2.io.container import SceneReader, is_scene, joined
+from geraf2.records import Pose
+from geraf2.scene import Capture, LosPrior
+from geraf2.scene.store import capture_without_poses, save_capture
+
+MOTION_KEY = "belt_motion"
+"""Entry of a parcel's provenance."""
+# Side of the region of a parcel over the distance of the nearest array.
+_REGION = 1.4
+# Travel of one plane [m].
+_PLANE_M = 0.25
+
+
+def parcel_scan(
+    recorded: Capture, record: BeltRecord, *, num_threads: int | None = None
+) -> tuple[Capture, Motion]:
+    """Planes of a parcel with estimated motion, antennas at midpoints and on rasters.
+
+    recorded: planes of one parcel in the frame of the belt, the parcel's middle at the origin.
+    record: the belt's arrays. num_threads: all when None.
+
+    The second of two arrays on one line gives the motion; its planes are left out.
+    """
+    waveform = recorded.waveform
+    matrices = {array.name: stretching(array, waveform) for array in record.arrays}
+    parts: dict[str, list[Pose]] = {array.name: [] for array in record.arrays}
+    for pose in recorded.poses:
+        name = record.of_plane(pose.name).name
+        parts[name].append(at_midpoints(pose, matrices[name]))
+    present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
+    whole = {
+        array.name: on_raster(joined(parts[array.name]), array.n_channels, waveform)
+        for array in present.arrays
+    }
+    distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
+    region = LosPrior.from_box((_REGION * float(min(distances)),) * 3)
+    whole = steadied(whole, waveform, region, num_threads)
+    lines = common_lines(present, whole)
+    motion = find_motion(waveform, lines, region, num_threads)
+    second = {line.arrays[1].name for line in lines}
+    poses: list[Pose] = []
+    for array in present.arrays:
+        if array.name in second:
+            continue
+        moved = corrected(whole[array.name], array, motion)
+        n_planes = max(1, round(float(np.ptp(moved.phase_centers[:, 0])) / _PLANE_M))
+        frames = np.arange(moved.n_antennas).reshape(-1, array.n_channels)
+        for number, own in enumerate(np.array_split(frames, n_planes)):
+            plane = part_of(moved, own.ravel(), f"{array.name}/{number}")
+            poses.append(on_raster(along_path(plane), array.n_channels, waveform))
+    about = {**recorded.provenance, MOTION_KEY: json.dumps(asdict(motion))}
+    return replace(recorded, poses=tuple(poses), provenance=about), motion
+
+
+def part_of(pose: Pose, antennas: Ints, name: str) -> Pose:
+    """Select antennas of a plane."""
+    return replace(
+        pose,
+        signal=pose.signal[antennas],
+        tx_positions=pose.tx_positions[antennas],
+        rx_positions=pose.rx_positions[antennas],
+        name=name,
+    )
+
+
+def along_path(pose: Pose) -> Pose:
+    """Plane whose axes are turned about the vertical, into the direction of its path."""
+    x, y = (pose.phase_centers - pose.phase_centers.mean(axis=0))[:, :2].T
+    slope = float(x @ y) / max(float(x @ x), 1e-300)
+    cos, sin = np.array([1.0, slope]) / np.hypot(1.0, slope)
+    turn = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return replace(pose, axes=pose.axes @ turn.T)
+
+
+def cut_parcel(
+    stream: str, out: str, window_m: list[float], planes: list[int], num_threads: int
+) -> dict[str, Any]:
+    """Write one parcel of a stream as a scene; arguments and result are plain values.
+
+    window_m: lower end, middle and upper end of its frames in the frame of the belt [m].
+    planes: of the stream that hold them.
+
+    Returns the motion and the processor time, or an error line.
+    """
+    start, folder = time.process_time(), Path(out)
+    if is_scene(folder):  # by a process that was stopped
+        found = SceneReader(folder).manifest.provenance[MOTION_KEY]
+        return {"motion": json.loads(found), "cpu_seconds": 0.0}
+    record, (low, middle, high) = read_belt(Path(stream)), window_m
+    reader = SceneReader(Path(stream))
+    last: dict[str, float] = {}
+    poses = []
+    try:
+        for number in planes:
+            pose = reader.read_pose(number)
+            array = record.of_plane(pose.name)
+            frames = frames_of(pose, number, array, record, last.get(array.name))
+            own = frames.kept & (frames.x_m >= low) & (frames.x_m <= high)
+            if frames.kept.any():
+                last[array.name] = float(frames.x_m[frames.kept][-1])
+            index = np.arange(pose.n_antennas).reshape(-1, array.n_channels)[own].ravel()
+            if len(index):
+                poses.append(moved_along(part_of(pose, index, pose.name), -middle))
+        recorded = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
+        scan, motion = parcel_scan(recorded, record, num_threads=num_threads)
+        save_capture(scan, folder)
+    except UserError as error:
+        return {"error": str(error), "cpu_seconds": time.process_time() - start}
+    return {"motion": asdict(motion), "cpu_seconds": time.process_time() - start}
+
+
+def moved_along(pose: Pose, shift_m: float) -> Pose:
+    """Plane moved along the belt."""
+    shift = np.array([shift_m, 0.0, 0.0])
+    return replace(
+        pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift
+    )
