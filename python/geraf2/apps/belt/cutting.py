@@ -1,6 +1,6 @@
 """Cut a stream of parcels apart by their own echoes.
 
-In the frame of the belt a parcel keeps its place, and an array lies in front of it when its x is
+In the frame of the belt a parcel rests, and an array lies in front of it when its x is
 the parcel's. There the walls reflect squarely: the power of all arrays together rises by some 10 dB
 between the parcel's front and its back. Frames count by their recorded travel, so a belt that stops
 repeats frames, which are dropped.
@@ -24,7 +24,7 @@ _ABOVE_EMPTY_DB, _BELOW_TOP_DB = 6.0, 9.0
 _MEDIAN_M = 0.05
 # Gaps that are closed, and shortest parcel [m].
 _GAP_M, _SHORTEST_M = 0.03, 0.04
-# Largest deviation of a channel from its place in the record [m].
+# Largest deviation of a channel from its position in the record [m].
 _SAME_PLACE_M = 1e-3
 # Smallest step that counts as motion, share of the nominal one; largest gap, steps; largest step
 # back, steps: an encoder's error is far smaller.

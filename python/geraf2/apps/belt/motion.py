@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
 from geraf2.apps.belt.monostatic import on_raster
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.echo_phases import response_at
 from geraf2.imaging.peaks import PeakSet, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.io.belt_file import BeltRecord, BeltStation
@@ -28,12 +28,16 @@ from geraf2.records import Pose, Waveform
 from geraf2.scene import Capture, LosPrior
 
 _STEP_M = 0.01
-_PEAKS = SubapertureConfig(size_m=0.07, step_m=_STEP_M, direction_oversampling=2.0)
+# Side of a sub-aperture over that of the region of the parcel: 7 cm at 0.35 m. A larger one would
+# defocus echoes that are far from its normal.
+_SIZE = 0.14
 _MARGIN_DB = 15.0
 # Least distance of two stations [m]; largest distance of rows of both arrays [m].
 _LEAST_APART_M, _SAME_ROW_M = 0.05, 0.003
 # Largest distance of two sub-apertures [m], and difference of their directions.
-_NEAR_M, _SAME_COSINE = 0.012, 0.04
+_NEAR_M, _SAME_COSINE = 0.012, 0.06
+# Distance of sub-apertures whose ranges show an alias: 4 mm of raster and 1 cm make 5 mm [m].
+_ALIAS_M = (0.01, 0.03)
 # Largest misfit of a pair, in the first round and in the last [m].
 _MOST_MISFIT_M, _GATE_M, _N_ROUNDS = 0.015, 0.003, 20
 # Expected errors: of the speed, of its change [1/m], of the yaw [rad/m], of the delay [m].
@@ -79,9 +83,9 @@ class Motion:
         """
         travel = nominal[:, 0] - recorded[:, 0]
         travel = travel * (1.0 + self.scale + self.change_per_m * travel)
-        x, y = nominal[:, 0] - travel, nominal[:, 1]
+        x, y = nominal[:, 0] - travel, recorded[:, 1]
         cos, sin = np.cos(self.turn_rad_per_m * travel), -np.sin(self.turn_rad_per_m * travel)
-        return np.stack([cos * x - sin * y, sin * x + cos * y, nominal[:, 2]], axis=1)
+        return np.stack([cos * x - sin * y, sin * x + cos * y, recorded[:, 2]], axis=1)
 
 
 def corrected(pose: Pose, array: BeltStation, motion: Motion) -> Pose:
@@ -159,7 +163,7 @@ def find_motion(
     gates = np.full(_N_ROUNDS, 0.22 * waveform.center_wavelength_m)
     for _ in range(_N_PHASE_ROUNDS if motion.n_pairs else 0):
         points = [
-            _phase_misfits(waveform, line, first, motion, peaks[0])
+            _phase_misfits(waveform, line, (first, motion), peaks[0], _SIZE * region.size_m[0])
             for line, peaks in zip(lines, seen, strict=True)
         ]
         motion = _fitted(motion, points, gates)
@@ -203,7 +207,10 @@ def _seen(
         for pose, array in zip(line.poses, line.arrays, strict=True)
     )
     capture = Capture(waveform=waveform, poses=planes)
-    peaks = collect_peaks(capture, region, _PEAKS, _MARGIN_DB, num_threads=num_threads)
+    images = SubapertureConfig(
+        size_m=_SIZE * region.size_m[0], step_m=_STEP_M, direction_oversampling=2.0
+    )
+    peaks = collect_peaks(capture, region, images, _MARGIN_DB, num_threads=num_threads)
     one, other = (_true_directions(peaks.of_plane(k), planes[k]) for k in (0, 1))
     return one, other
 
@@ -234,12 +241,14 @@ def _design(line: Line, one: Floats, other: Floats, directions: Floats) -> Float
 
 
 def _phase_misfits(
-    waveform: Waveform, line: Line, first: Motion, motion: Motion, peaks: PeakSet
+    waveform: Waveform, line: Line, motions: tuple[Motion, Motion], peaks: PeakSet, size_m: float
 ) -> tuple[Floats, Floats]:
     """R_2 - R_1 by the phases of both arrays at the strongest peaks, (n,) [m], and derivatives.
 
-    first: motion in whose frame the peaks are. motion: at which both arrays are focused.
+    motions: in whose frame the peaks are, and at which both arrays are focused. size_m: of the
+    sub-apertures.
     """
+    first, motion = motions
     margins = peaks.margins_db
     strong = peaks.select(np.sort(np.argsort(-margins, kind="stable")[:_N_PHASES]))
     array = line.arrays[0]
@@ -250,7 +259,7 @@ def _phase_misfits(
     centers = motion.placed(nominal, recorded)
     points = strong.points + centers - strong.centers
     sums = [
-        _focused(waveform, corrected(pose, own, motion), centers, points)
+        _focused(waveform, corrected(pose, own, motion), centers, points, size_m)
         for own, pose in zip(line.arrays, line.poses, strict=True)
     ]
     both = sums[1] * sums[0].conj()
@@ -262,21 +271,19 @@ def _phase_misfits(
 
 
 def _focused(
-    waveform: Waveform, pose: Pose, centers: Floats, points: Floats
+    waveform: Waveform, pose: Pose, centers: Floats, points: Floats, size_m: float
 ) -> NDArray[np.complex128]:
     """Sum the antennas around each centre, focused on its point, (n,)."""
-    window = np.hanning(waveform.n_samples + 2)[1:-1]
-    k = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
     antennas = pose.phase_centers
-    near = KDTree(antennas).query_ball_point(centers, 0.5 * _PEAKS.size_m)
+    near = KDTree(antennas).query_ball_point(centers, 0.5 * size_m)
     sums = np.zeros(len(centers), dtype=np.complex128)
     for number, own in enumerate(near):
         if len(own) < _LEAST_PAIRS:
             continue
-        apart = np.linalg.norm(antennas[own] - centers[number], axis=1) / _PEAKS.size_m
+        apart = np.linalg.norm(antennas[own] - centers[number], axis=1) / size_m
         path = 2.0 * np.linalg.norm(antennas[own] - points[number], axis=1) + waveform.path_bias_m
-        focused = (pose.signal[own] * np.exp(1j * np.outer(path, k))) @ window
-        sums[number] = np.cos(np.pi * apart) ** 2 @ focused
+        weight = np.cos(np.pi * apart) ** 2
+        sums[number] = weight @ response_at(pose.signal[own], path, waveform)
     return sums
 
 
@@ -312,18 +319,24 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     period = float(peaks.periods[0, 0]) if len(peaks) else np.inf
     if not np.isfinite(period):
         return peaks
-    i, j = _near(peaks.centers, peaks.centers, 2.0 * _STEP_M)
+    i, j = _near(peaks.centers, peaks.centers, _ALIAS_M[1])
     along = (peaks.centers[j] - peaks.centers[i]) @ pose.axes[1]
-    keep = (np.abs(along) > 0.25 * _STEP_M) & (
+    keep = (np.abs(along) > _ALIAS_M[0]) & (
         np.abs(peaks.directions[i] - peaks.directions[j]).max(axis=1) < _SAME_COSINE
     )
     i, j, along = i[keep], j[keep], along[keep]
     misfit, _ = _misfit(peaks, i, peaks, j)
     best = np.rint(-misfit / (along * period))
     rest = np.abs(misfit + best * along * period)
-    order = np.lexsort((rest, i))
-    first = order[np.unique(i[order], return_index=True)[1]]
-    first = first[(rest[first] < 0.1 * period * _STEP_M) & (np.abs(best[first]) <= 2.0)]
+    keep = (rest < 0.2 * period * _ALIAS_M[0]) & (np.abs(best) <= 2.0)
+    i, best = i[keep], best[keep]
+    # The alias that most neighbours confirm.
+    pairs, first, counts = np.unique(
+        np.stack([i, best], axis=1), axis=0, return_index=True, return_counts=True
+    )
+    order = np.lexsort((-counts, pairs[:, 0]))
+    chosen = order[np.unique(pairs[order, 0], return_index=True)[1]]
+    first = first[chosen]
     found = peaks.select(i[first])
     cosines = found.directions @ pose.axes[1:].T
     cosines[:, 0] += best[first] * period

@@ -159,6 +159,8 @@ class _Line:
         self.cut_s: dict[str, float] = {}
         self.cpu_s: list[float] = []
         self.n_failed, self.start = 0, time.monotonic()
+        folder = BatchFolder(out)
+        folder.keep(folder.jobs() or {})
 
     def take(self, spans: list[Span]) -> None:
         """Cut and reconstruct some parcels."""
