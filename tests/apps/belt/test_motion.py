@@ -76,7 +76,7 @@ def test_placed_antennas_follow_the_motion_written_out():
 
 
 def test_a_vibration_is_found_frame_by_frame():
-    shaken = {"vibration_rms_m": 0.0003}
+    shaken = {"vibration_rms_m": 0.0002}
     capture, record = small_parcel(**shaken)
     array = record.arrays[0]
     matrices = stretching(array, capture.waveform)
@@ -94,4 +94,4 @@ def test_a_vibration_is_found_frame_by_frame():
     smooth = np.ones(15) / 15.0
     rest, whole = (v - np.convolve(v, smooth, "same") for v in (found_m - vibration, vibration))
     inner = slice(15, -15)
-    assert rest[inner].std() < 0.6 * whole[inner].std()
+    assert rest[inner].std() < 0.7 * whole[inner].std()
