@@ -1,0 +1,118 @@
+"""`geraf2 belt` from a stream to rows and run folders, also with workers that die."""
+
+import csv
+import os
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+
+import pytest
+
+from geraf2.apps.belt.running import BeltOptions, run_belt
+from geraf2.apps.belt.store import ParcelStore
+from geraf2.cli.main import main
+from geraf2.errors import UserError
+from helpers.belt_stream import stream_planes, write_stream
+
+pytest.importorskip("distributed")
+
+
+def run(stream, out, **changes):
+    lines = []
+    options = BeltOptions(workers=1, idle_s=2.0, threads=1, **changes)
+    return run_belt(stream, out, "fast", options=options, on_line=lines.append), lines
+
+
+def meshes(out):
+    """Bytes of each parcel's mesh, by its name."""
+    return {
+        path.parent.name.rpartition("-")[0]: path.read_bytes()
+        for path in sorted((out / "runs").glob("*/mesh_content.ply"))
+    }
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """A stream of two parcels, of which the first is damaged, and the run of the second."""
+    folder = tmp_path_factory.mktemp("belt")
+    planes = stream_planes(2)
+    shorter = [p for p in planes if not p.name.startswith("above") or int(p.name[6:]) > 5]
+    stream = write_stream(folder / "stream", shorter)
+    return stream, folder / "out", *run(stream, folder / "out")
+
+
+@pytest.mark.slow
+def test_each_parcel_is_a_row_and_a_good_one_a_run(done):
+    _, out, outcome, lines = done
+    assert (outcome.n_done, outcome.n_failed) == (1, 1)
+    assert outcome.cores == pytest.approx(outcome.cpu_seconds * 6000 / 3600)
+    assert any("frames of array above are missing" in line for line in lines)
+    with sqlite3.connect(out / "parcels.sqlite") as one:
+        rows = one.execute("SELECT parcel, state, run, cpu_seconds FROM parcels").fetchall()
+    assert [row[:2] for row in rows] == [("parcel-00001", "bad input"), ("parcel-00002", "done")]
+    assert (out / rows[1][2] / "mesh_content.ply").is_file()
+    assert rows[1][3] > 0.0
+    with (out / "parcels.csv").open(newline="") as file:
+        table = list(csv.DictReader(file))
+    assert [row["parcel"] for row in table] == ["parcel-00001", "parcel-00002"]
+    assert float(table[1]["position_m"]) == pytest.approx(-0.6, abs=0.02)
+    page = (out / "parcels.html").read_text()
+    assert "parcel-00002" in page
+
+
+@pytest.mark.slow
+def test_a_command_that_is_killed_continues_to_the_same_bytes(done, tmp_path):
+    stream, out, _, _ = done
+    code = "import sys; from geraf2.cli.main import main; sys.exit(main(['belt', *sys.argv[1:]]))"
+    again = tmp_path / "out"
+    arguments = [str(stream), str(again), "--preset", "fast", "--workers", "1"]
+    command = [sys.executable, "-c", code, *arguments, "--idle-s", "2", "--threads", "1"]
+    process = subprocess.Popen(command, start_new_session=True)
+    while not (again / "parcels" / "parcel-00002" / "scene.toml").is_file():
+        time.sleep(0.05)
+        assert process.poll() is None
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    outcome, _ = run(stream, again)
+    assert outcome.n_done == 1
+    assert meshes(again) == meshes(out)
+    assert list(meshes(again)) == ["parcel-00002"]
+
+
+def test_a_stream_without_arrays_is_one_line(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError, match=r"belt\.json"):
+        run(tmp_path / "empty", tmp_path / "out")
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("kept")
+    assert main(["belt", str(tmp_path / "stream"), str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err.strip()
+    assert "holds files" in error
+    assert "\n" not in error
+    assert (tmp_path / "out" / "mine.txt").read_text() == "kept"
+
+
+def test_rows_keep_what_was_known(tmp_path):
+    store = ParcelStore(tmp_path)
+    store.put("parcel-00002", {"length_m": 0.2})
+    store.put("parcel-00001", {"length_m": 0.3})
+    store.put("parcel-00002", {"state": "done", "attempts": 2})
+    rows = ParcelStore(tmp_path).rows()
+    assert [(r["parcel"], r["length_m"], r["state"], r["attempts"]) for r in rows] == [
+        ("parcel-00001", 0.3, None, None),
+        ("parcel-00002", 0.2, "done", 2),
+    ]
+    head, _, second = (tmp_path / "parcels.csv").read_text().splitlines()
+    assert head.startswith("parcel,position_m,length_m,state")
+    assert second.startswith("parcel-00002,,0.2,done")
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    (tmp_path / "parcels.sqlite").write_text("no table of anything, but long enough to be read")
+    with pytest.raises(UserError, match="no table of parcels"):
+        ParcelStore(tmp_path)
