@@ -52,7 +52,7 @@ class BeltStation(Bounded):
     @property
     def phase_centers_m(self) -> Floats:
         """Middle of transmitter and receiver, (n_channels, 3) [m]."""
-        return 0.5 * (np.array(self.tx_m) + np.array(self.rx_m))
+        return np.asarray(0.5 * (np.array(self.tx_m) + np.array(self.rx_m)))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,6 +5,7 @@ travelled s(t); s = 0 when the middle of the parcel is at station 0.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def belt_planes(belt: BeltSpec, seed: int) -> Iterator[tuple[ScanPlane, ScanPlan
         for number, own in enumerate(np.array_split(frames, n_planes)):
             times = own[:, None] * record.frame_s + delays
             back = motion.recorded_m(own, times)[:, :, None] * [1.0, 0.0, 0.0]
-            common = {
+            common: dict[str, Any] = {
                 "axes": plane_frame(angle, elevation, 0.0)[1],
                 "angle_deg": angle,
                 "shape": None,

@@ -13,6 +13,7 @@ s (a + b s) along the belt and the rotation by p s, displace c_2 and c_1 by diff
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,7 +138,7 @@ def _rows_of(array: BeltStation, pose: Pose, channels: Ints) -> tuple[BeltStatio
         tx_positions=pose.tx_positions[index],
         rx_positions=pose.rx_positions[index],
     )
-    parts = {
+    parts: dict[str, Any] = {
         name: tuple(getattr(array, name)[c] for c in channels)
         for name in ("tx_m", "rx_m", "delays_s")
     }

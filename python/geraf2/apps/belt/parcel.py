@@ -16,6 +16,7 @@ from geraf2.apps.belt.vibration import steadied
 from geraf2.errors import UserError
 from geraf2.io.belt_file import BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
+from geraf2.io.samples import complex_pose
 from geraf2.records import Pose
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.store import capture_without_poses, save_capture
@@ -46,7 +47,7 @@ def parcel_scan(
         parts[name].append(at_midpoints(pose, matrices[name]))
     present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
     whole = {
-        array.name: on_raster(joined(parts[array.name]), array.n_channels, waveform)
+        array.name: on_raster(complex_pose(joined(parts[array.name])), array.n_channels, waveform)
         for array in present.arrays
     }
     distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
