@@ -65,13 +65,9 @@ ROWS = [
     *sweep(
         RUN + " {}",
         """
-        threads 0 1.5
-        seed -1
-        fit.spacing-m 0 1e-9 10
-        fit.margin-m inf
+        threads 0
+        fit.spacing-m 0
         fit.cap-lean -9 -9|0.2
-        fit.max-voxels 1e6 none
-        glints.subaperture.size-m 0
         glints.subaperture.rim-sizes-m 0
         preset hybrid bestt Glint
         """,
@@ -81,12 +77,10 @@ ROWS = [
     *sweep(
         "image scene out --every 4 {}",
         """
-        spacing-m 0 1e-7
-        pose -1 99
+        pose 99
         size-m 0 0 0|nan 1 1|1e9 1e9 1e9
-        center-m nan 0 0|inf 0 0
-        depth-m 0.3 0.2|-1 -0.5
-        angles-deg 60 0|0 95
+        depth-m 0.3 0.2
+        angles-deg 60 0
         max-memory 1e-6
         """,
     ),

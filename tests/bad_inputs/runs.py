@@ -40,22 +40,15 @@ ROWS = [
         "reconstruct scene out --config run/config.toml",
         "run/config.toml",
         """
-        seed -1 1.5 "one"
+        seed 1.5 "one"
         calibrate "maybe"
         box [1,2]|[nan,1,1]|"big"
-        hold_out [nan]|3
         trust_los 1
         fit.spacing_m nan "fine"
-        fit.bending_weight -2.0
         fit.unknown 1
         fit.cap_lean [0.2]|[2,3]
-        fit.max_voxels 0 1.5
-        glints.least_probability -1 2.0
-        glints.subaperture.step_m 0.0
-        glints.subaperture.max_cosine 1.0 nan
-        photos.mask_threshold 300 -1
-        photos.preset "slow"
-        photos.seed -2
+        glints.subaperture.max_cosine 1.0
+        photos.mask_threshold 300
         """,
     ),
 ]

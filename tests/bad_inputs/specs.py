@@ -47,27 +47,18 @@ ROWS = [
         "spec.toml",
         """
         figure.name 3
-        figure.height_m 0 100
         figure.mesh "a.ply"
         figure.typo 1
-        waveform.start_frequency_hz 77
-        waveform.chirp_slope_hz_per_s 70.15
-        waveform.sample_rate_hz "fast"
         scan.n_poses 0
-        scan.spacing_m 0 1e-7 "3mm"
+        scan.spacing_m "3mm"
         scan.standoff_m 0.05
         scan.aperture_m [0,0.1]|[1000,1000]
-        scan.colour "red"
-        walls.size_m [0.05,0.05,0.05]|[0,1,1]
+        walls.size_m [0.05,0.05,0.05]
         walls.thickness_m 0.2
-        walls.permittivity 0.5
-        numerics.max_facet_edge_m 1e-7 1
-        world.effects ["leak"]|["iq","iqq"]|"iq"|["iq"]
-        world.converter_bits 1 30
-        world.figure_permittivity 0.5
+        world.effects ["leak"]|"iq"|["iq"]
         disturbance.snr_db "high"
-        photos.size_px [4,4]|[1000000,1000000]|[640]
-        photos.ring_elevations_deg []|[90]
+        photos.size_px [640]
+        photos.ring_elevations_deg []
         """,
     ),
     bad(SIMULATE, toml("spec.toml", "figure.center_m", "[1,0,0]"), says="fit into"),

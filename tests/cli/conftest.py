@@ -5,7 +5,7 @@ import shutil
 import pytest
 
 from geraf2.cli.main import main
-from helpers.drawing import drawn_coarsely  # noqa: F401 - applies to all tests here
+from helpers.drawing import drawn, not_drawn  # noqa: F401 - fixtures of the tests here
 from helpers.small_scene import BOX, FAST, SPEC
 
 

@@ -46,6 +46,7 @@ def test_nothing_is_written_unasked(carton, capsys):
     assert "nothing was written: give OUT, or --write" in shown
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
     out = tmp_path / "corrected"
     assert main(["calibrate", str(carton), str(out), "--channels", "37"]) == 0

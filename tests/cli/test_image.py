@@ -18,6 +18,7 @@ def points(tmp_path):
 FLAGS = ["--size-m", "0.08", "0.08", "0.08", "--center-m", "0", "0", "0", "--spacing-m", "0.005"]
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_point_appears_where_it_is(points, tmp_path, capsys):
     assert main(["image", str(points), str(tmp_path / "out"), *FLAGS]) == 0
     out = capsys.readouterr().out

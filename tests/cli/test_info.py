@@ -87,6 +87,7 @@ def test_offsets_and_interference_are_named(tmp_path, capsys, change, message):
         assert (other in message) == (other in shown)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_one_picture_of_the_scan(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(overview, "_N_VOXELS", 12)
     capture = replace(with_first_signal(point_capture(4, n_side=12), lost), walls=(WALL,))

@@ -118,6 +118,7 @@ def test_planes_can_be_held_out(built_scene, tmp_path, capsys):
     assert run(built_scene, tmp_path / "out", *more) == 0
 
 
+@pytest.mark.usefixtures("drawn")
 def test_planes_are_rendered_beside_the_measured(paper_run, tmp_path, capsys):
     options = ["--angles", "0", "40", "--n-draws", "1", "--spacing-m", "0.02"]
     assert main(["render", str(paper_run), *options]) == 0

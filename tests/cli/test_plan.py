@@ -16,6 +16,7 @@ n_samples = 8
 """
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_plan_in_numbers_and_a_drawing(tmp_path, capsys):
     figure = tmp_path / "plan.png"
     assert main(["plan", *BOX, "--figure", str(figure)]) == 0

@@ -25,6 +25,7 @@ def sharpest(stored, about):
     return power, *(start + stored["spacing_m"] * np.arange(n) for start, n in axes)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_points_before_a_flat_sheet_are_sharp_at_their_depth(tmp_path, capsys):
     source = write_planar(tmp_path / "scan", flat=30.0)
     flags = ["--depth-m", "0.06", "0.12", "--extent-m", "0.05", "0.04", "--spacing-m", "0.002"]
@@ -72,6 +73,7 @@ def test_a_letter_is_seen_without_a_flag(tmp_path, capsys, frequencies):
     assert min(bright) > 0.25 * power.max()
 
 
+@pytest.mark.usefixtures("drawn")
 def test_a_scene_of_one_frequency_has_no_ranges(tmp_path, capsys, monkeypatch):
     source = write_hologram(tmp_path / "letter.npy", frequencies=22.3e9)
     assert main(["import", "planar", str(source), str(tmp_path / "scene")]) == 0

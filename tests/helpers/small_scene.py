@@ -23,6 +23,6 @@ QUICK_BEST = [
 ]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 COARSE_RENDER = [
-    *("--spacing-m", "0.02", "--echo.max-edge-m", "0.006", "--echo.wall-edge-m", "0.009"),
-    *("--echo.n-planes", "3", "--echo.n-nodes", "3", "--echo.n-targets", "300"),
+    *("--spacing-m", "0.02", "--echo.max-edge-m", "0.009", "--echo.wall-edge-m", "0.015"),
+    *("--echo.n-planes", "2", "--echo.n-nodes", "3", "--echo.n-targets", "200"),
 ]

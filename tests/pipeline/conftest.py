@@ -1,1 +1,1 @@
-from helpers.drawing import drawn_coarsely  # noqa: F401 - applies to all tests here
+from helpers.drawing import drawn, not_drawn  # noqa: F401 - fixtures of the tests here

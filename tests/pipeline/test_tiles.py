@@ -56,6 +56,7 @@ def test_slabs_cover_each_voxel_once_and_follow_from_memory():
         Slabs.of(grid, 0.5 * layer)
 
 
+@pytest.mark.usefixtures("drawn")
 def test_chunks_hold_the_bytes_of_the_whole_image(scene, tmp_path, monkeypatch):
     whole = image_scene(scene, tmp_path / "whole", OPTIONS)
     done, image_slab = [], tiles.image_slab
@@ -125,6 +126,7 @@ def test_a_full_disk_leaves_whole_slabs_and_the_same_command_continues(
     assert tiles.image_tiles(scene, out, OPTIONS).n_done == 5
 
 
+@pytest.mark.usefixtures("drawn")
 def test_depths_of_one_pose_are_computed_from_slabs(scene, tmp_path):
     options = replace(OPTIONS, plane=0, depth_m=(0.3, 0.4), size_m=None, extent_m=(0.1, 0.06))
     whole = image_scene(scene, tmp_path / "whole", options)

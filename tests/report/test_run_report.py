@@ -14,11 +14,11 @@ from geraf2.io.mesh import Evidence, write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.report import html, read_run, write_report
+from geraf2.report import canvas, html, read_run, write_report
 from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
 from helpers import solids
-from helpers.drawing import small_pictures
+from helpers.drawing import blank, small_pictures
 from helpers.glint_sets import glints_on_sphere
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
@@ -60,7 +60,9 @@ def built(truth, tmp_path_factory):
 
 
 @pytest.fixture
-def run(built, tmp_path):
+def run(built, tmp_path, monkeypatch):
+    """A copy, whose reports have blank pictures."""
+    monkeypatch.setattr(canvas, "save", blank)
     return shutil.copytree(built, tmp_path / "run")
 
 

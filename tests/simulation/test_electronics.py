@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
-from geraf2.simulation.electronics import amplify, convert, leakage, receiver_gains
+from geraf2.simulation.electronics import amplify, convert, receiver_gains
 from geraf2.simulation.spec import AWR1843
 
 C = 299792458.0
@@ -47,18 +47,6 @@ def test_leakage_is_the_same_everywhere_short_and_as_strong_as_asked():
     for vector, rest in ((leaked[0, 0], 0.01), (noise(32), 1.0)):
         left = vector - rows @ (rows.conj().T @ vector)
         assert 0.5 * rest < np.linalg.norm(left) / np.linalg.norm(vector) + 0.5 * rest < 1.5 * rest
-
-
-def test_leakage_of_a_direct_path_alone_is_its_delay(monkeypatch):
-    monkeypatch.setattr("geraf2.simulation.electronics._NEAR_AMPLITUDE", 0.0)
-    got = leakage(WorldSpec(leakage_db=0.0), AWR1843, np.array([0.005, 0.02]), 3)
-    expected = [
-        [np.exp(-2j * np.pi * f * (apart + 0.15) / C) for f in AWR1843.frequencies_hz]
-        for apart in (0.005, 0.02)
-    ]
-    ratio = got / np.array(expected)
-    assert ratio == pytest.approx(np.full(ratio.shape, ratio[0, 0]), abs=1e-9)
-    assert np.abs(ratio[0, 0]) == pytest.approx(1.0)
 
 
 def test_channels_gains_are_of_the_asked_size_and_the_same_in_all_planes():
