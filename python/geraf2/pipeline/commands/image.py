@@ -120,20 +120,9 @@ def image_scene(
 ) -> ImageResult:
     """Image a scene with the matched filter, and write volume, record and pictures.
 
-    Parameters
-    ----------
-    scene
-        Capture, or the folder of one.
-    out
-        Run folder of the scene, made if need be; gets image.npz, image.json and figures/.
-    options
-        Poses, voxels, angles.
-    overwrite
-        Replace an image of other options, or the run of another scene.
-    num_threads
-        Threads; all when None.
-    listener
-        Hears progress, warnings and findings.
+    scene: capture, or the folder of one.
+    out: run folder of the scene, made if need be; gets image.npz, image.json and figures/.
+    overwrite: replace an image of other options, or the run of another scene.
 
     UserError for an implausible capture, options that do not fit it, a folder of another scene.
     """
