@@ -47,10 +47,3 @@ def test_what_cannot_be_exported_is_one_line(name, flags, line, finished_run, tm
     assert line in capsys.readouterr().err
     assert (tmp_path / "there.ply").read_text() == "mine"
     assert not (tmp_path / "new").exists()
-
-
-def test_an_stl_has_the_triangles_of_the_surface(finished_run, tmp_path):
-    assert main(["export", str(finished_run), str(tmp_path / "m.stl")]) == 0
-    whole, written = load_run(finished_run).content_mesh, read_mesh(tmp_path / "m.stl")
-    got, wanted = written.vertices[written.faces], whole.vertices[whole.faces]
-    np.testing.assert_allclose(got, wanted, atol=1e-7)

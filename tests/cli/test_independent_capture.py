@@ -35,13 +35,3 @@ def test_from_the_capture_to_its_scores(source, tmp_path, capsys):
     assert scores[5] >= 0.98
     assert scores[3] >= 0.9
     assert metrics["chamfer_1e3_m2"] <= 0.0075
-
-
-@pytest.mark.data
-def test_a_box_smaller_than_the_carton_is_refused(source, tmp_path, capsys):
-    scene = str(tmp_path / "scene")
-    assert main(["import", "geraf-sens", str(source), scene]) == 0
-    box = ["--box", "0.16", "0.16", "0.16"]
-    capsys.readouterr()
-    assert main(["reconstruct", scene, str(tmp_path / "out"), *box]) == 2
-    assert "the scan shows another box than the prior" in capsys.readouterr().err

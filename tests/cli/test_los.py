@@ -1,12 +1,10 @@
 """`geraf2 los` and `--los` with photos: priors from boxes, meshes, scans with holes, photos."""
 
-import io
 import json
 import shutil
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from geraf2.apps.photos import los, los_views, training
 from geraf2.apps.photos.config import GridPhotoConfig, GridStage
@@ -231,49 +229,6 @@ def test_photos_in_another_unit_are_refused_before_training(
     assert "--unit" in the_error(capsys)
     assert not tiny_training
     assert not (tmp_path / "run").exists()
-
-
-def test_what_is_wrong_with_photos_is_said_and_the_rest_is_used(
-    photo_folder, tiny_training, tmp_path, capsys
-):
-    folder = shutil.copytree(photo_folder, tmp_path / "photos")
-    (folder / "photo_003.png").write_bytes(b"\x89PNG broken")
-    (folder / "photo_005.png").unlink()
-    whole, small = folder / "photo_007.png", folder / "masks" / "photo_007.png"
-    for path in (whole, small):  # of another size
-        write_image(path, np.ascontiguousarray(read_image(path).colour[::2, ::2]))
-    jpeg = io.BytesIO()
-    Image.fromarray(read_image(folder / "photo_009.png").colour).save(jpeg, format="JPEG")
-    (folder / "photo_009.png").write_bytes(jpeg.getvalue()[:-400])  # told by content, not name
-    assert run("los", folder, tmp_path / "out") == 0
-    warnings = [x for x in capsys.readouterr().err.splitlines() if x.startswith("warning")]
-    assert sum("photo_003.png" in line for line in warnings) == 1
-    assert sum("photo_005.png" in line for line in warnings) == 1
-    assert sum("photo_009.png" in line for line in warnings) == 1
-    assert record_of(tmp_path / "out")["numbers"]["n_photos"] == 9
-    for index in range(12):
-        (folder / f"photo_{index:03d}.png").unlink(missing_ok=True)
-    assert run("los", folder, tmp_path / "other") == 2
-    assert "none of the 12 photos can be used" in the_error(capsys)
-
-
-def test_photos_of_one_side_and_without_masks_are_used_with_warnings(
-    photo_folder, tmp_path, caplog
-):
-    folder = shutil.copytree(photo_folder, tmp_path / "photos")
-    values = json.loads((folder / "transforms.json").read_text())
-    frames = [frame for frame in values["frames"] if frame["transform_matrix"][0][3] > 0.1]
-    for frame in frames:
-        del frame["mask_path"]
-    (folder / "transforms.json").write_text(json.dumps(values | {"frames": frames}))
-    los.read_photos(folder, LosOptions())
-    assert sum("all cameras are on one side" in line for line in caplog.messages) == 1
-    assert sum("no masks" in line for line in caplog.messages) == 1
-    assert sum("without silhouettes" in line for line in caplog.messages) == 1
-    caplog.clear()
-    los.read_photos(folder, LosOptions(bounds=(-0.1, -0.1, -0.1, 0.1, 0.1, 0.1)))
-    assert caplog.messages
-    assert not any("no masks" in line for line in caplog.messages)
 
 
 def test_photos_are_added_to_a_scene_that_is_there(tmp_path):

@@ -140,26 +140,6 @@ def test_doctor_says_what_does_not_work(monkeypatch, capsys):
     assert captured.err == "geraf2: error: Embree does not work on this machine\n"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["import", "mat", "a"], "missing from geraf2 import: SCENE; see 'geraf2 import --help'"),
-        (["info", "a", "--nope", "3"], "error: unknown flag --nope; see 'geraf2 info --help'"),
-        (["image", "a", "b", "--spacing", "1"], "--spacing (did you mean --spacing-m FLOAT?)"),
-        (["import", "mat", "a", "b", "--raster", "3"], "expected ROWS COLUMNS ROW_STEP_M COL"),
-        (["plan", "--box", "1", "1", "1", "--preset", "awr"], "got 'awr' (did you mean awr1843?)"),
-        (["recnstruct", "a"], "unknown command 'recnstruct' (did you mean reconstruct?), expected"),
-    ],
-)
-def test_wrong_arguments_are_one_line(capsys, arguments, line):
-    assert main(arguments) == 2
-    captured = capsys.readouterr()
-    assert line in captured.err
-    assert captured.err.startswith("geraf2: error: ")
-    assert captured.err.count("\n") == 1
-    assert captured.out == ""
-
-
 def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     name = "a\x1b[2J\r\nerror: b\u202e\udcff é"
     say(name)

@@ -153,17 +153,6 @@ def test_what_stops_a_run_is_one_line_and_resume_gives_the_uninterrupted_one(
     assert digests(out) == digests(built_run)
 
 
-def test_a_changed_setting_runs_only_what_depends_on_it(finished_run, scene):
-    other = ["--resume", "--overwrite", "--fit.bending-weight", "0.5"]
-    assert run(scene, finished_run, *BOX, *other) == 0
-    last = [e for e in events(finished_run) if e["event"] in {"reused", "done"}][-3:]
-    assert [(e["event"], e["stage"]) for e in last] == [
-        ("reused", "glints"),
-        ("done", "sdf"),
-        ("done", "mesh"),
-    ]
-
-
 def test_a_damaged_file_is_made_again(finished_run, scene):
     before = digests(finished_run)
     (finished_run / "sdf_fit.npz").write_bytes(b"rubbish")

@@ -209,32 +209,6 @@ def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
     assert worst[2] < worst[1] < worst[0] < 0.1
 
 
-def test_ways_through_the_same_face_need_no_correction_and_no_way_more_than_from_face_to_corner():
-    """f_v is the same all over a face of the grown box, but for what lies beside the box itself."""
-    lensless, s = sampler(), 120.0
-    rays = rays_of(lensless)
-    renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
-    places = rays.points.reshape(-1, 3).numpy()
-    origins = np.broadcast_to(POSE.phase_centers.mean(axis=0), places.shape)
-    n, n_samples = len(places), rays.step.shape[1]
-    inv_s = torch.tensor(s, dtype=torch.float64)
-    shift = renderer._boundary_shift(ball_field(), inv_s, rays, np.arange(n), origins).numpy()
-    primary = np.repeat(rays.starts.numpy(), n_samples, axis=0)
-    secondary = lensless.boundary.first_meetings(origins, places)
-
-    def face(starts):
-        """Axis of the face, -1 where the nearest point of the box lies on an edge."""
-        far = np.abs(starts) > 0.5 * SIDE_M
-        return np.where(far.sum(axis=1) == 1, far.argmax(axis=1), -1)
-
-    same = (face(primary) == face(secondary)) & (face(primary) >= 0)
-    assert 0.2 < same.mean() < 0.95
-    assert np.abs(shift[same]).max() < 1e-3
-    distance = 0.05 * SIDE_M * np.array([1.0, 3.0**0.5])
-    middle, corner = 1.0 / (1.0 + np.exp(-s * distance))
-    assert 0.3 * (corner - middle) < np.abs(shift).max() < corner - middle + 1e-3
-
-
 def echo_powers(field, rays, inv_s, lensless, **config):
     """Points and |amplitude|^2 of samples: the signal is linear in reflectivity, so its slope."""
     seen = {}

@@ -1,6 +1,5 @@
 """Real faults of the machine: what is there stays whole, and one line says why."""
 
-import json
 import os
 import re
 import resource
@@ -40,18 +39,6 @@ def whole(scene, tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "out"
     assert reconstruct(scene, out).returncode == 0
     return out
-
-
-@pytest.fixture(scope="module")
-def faulty_libc(tmp_path_factory):
-    """Environment with faulty_libc.c."""
-    made = tmp_path_factory.mktemp("libc") / "faulty_libc.so"
-    compiler = shutil.which("cc")
-    if compiler is None or sys.platform != "linux":
-        pytest.skip("needs a C compiler, on Linux")
-    source = Path(__file__).with_name("faulty_libc.c")
-    subprocess.run([compiler, "-shared", "-fPIC", "-o", made, source], check=True)
-    return {"LD_PRELOAD": str(made)}
 
 
 def geraf2_with(*words, limits=(), env=None, cwd=None, before=""):
@@ -102,30 +89,6 @@ def test_files_that_cannot_be_written_stop_a_run_which_then_goes_on(scene, whole
     assert not list(out.rglob(".*.tmp*"))
     assert reconstruct(scene, out, "--resume").returncode == 0
     assert_same(out, whole)
-
-
-SIGNALS = """
-import atexit, signal
-signal.signal(signal.SIGALRM, lambda *_: None)
-signal.siginterrupt(signal.SIGALRM, True)
-signal.setitimer(signal.ITIMER_REAL, 2e-3, 2e-3)
-atexit.register(signal.setitimer, signal.ITIMER_REAL, 0.0)  # Python drops handlers at its end
-"""
-
-
-def test_clock_jumps_and_interrupted_calls_change_nothing(scene, whole, faulty_libc, tmp_path):
-    """Signals come 500 times a second, the time of day goes back and forth, files are of 2100."""
-    out, faults = tmp_path / "out", {"env": faulty_libc | {"CLOCK_JUMPS": "1"}, "before": SIGNALS}
-    done = reconstruct(scene, out, **faults)
-    assert done.returncode == 0, done.stderr
-    assert_same(out, whole)
-    for number, path in enumerate(sorted(out.iterdir())):
-        os.utime(path, (4.1e9, 4.1e9) if number % 2 else (0.0, 0.0))
-    done = reconstruct(scene, out, "--resume", **faults)
-    assert done.returncode == 0, done.stderr
-    events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    assert [e["stage"] for e in events if e["event"] == "reused"] == ["glints", "sdf", "mesh"]
-    assert all(e["seconds"] < 100 for e in events if "seconds" in e)
 
 
 @pytest.fixture

@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 
 from geraf2.apps.importers.import_capture import import_capture
-from geraf2.calibration.driver import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.mesh import write_mesh
-from geraf2.pipeline.commands.calibrate import calibrate
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import load_prior
-from geraf2.scene import LosPrior, Wall, load_capture, save_capture
-from helpers.carton import carton_capture, with_bias
+from geraf2.scene import LosPrior, Wall, load_capture
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
 
 
@@ -43,20 +40,6 @@ def test_an_import_returns_its_findings_and_reports_notes(tmp_path, capfd):
     assert first.summary.n_antennas == sum(pose.n_antennas for pose in capture.poses)
     assert load_capture(first.scene).provenance["phase_sign_evidence"] == str(first.sign)
     assert import_capture("geraf-sens", source, tmp_path / "scene").unchanged
-    assert capfd.readouterr() == ("", "")
-
-
-def test_a_calibration_writes_nothing_before_it_is_saved(tmp_path, capfd):
-    scene, out = tmp_path / "scene", tmp_path / "out"
-    save_capture(with_bias(carton_capture(n_poses=4), 0.0), scene)
-    config = CalibrationConfig(frame=False, channels=False, positions=False)
-    prior = load_prior((0.2, 0.2, 0.2))
-    calibrated = calibrate(scene, prior, config, prior_name="three sides")
-    assert not out.exists()
-    assert calibrated.table.path_bias_m == pytest.approx(0.15, abs=2e-3)
-    assert "positions" not in dict(calibrated.rows())
-    calibrated.save(out)
-    assert load_capture(out).calibration == (calibrated.table,)
     assert capfd.readouterr() == ("", "")
 
 

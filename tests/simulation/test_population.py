@@ -12,7 +12,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.simulation import FigureSpec, NumericsSpec, build_solid, simulate
 from geraf2.simulation.population import RADARS, draw_scene
 from geraf2.simulation.population_settings import POPULATION
-from geraf2.simulation.random_objects import _PARTS, random_object
+from geraf2.simulation.random_objects import random_object
 
 SEEDS = (6, 9, 10)  # one body that stands; two and three that float
 # Of these distributions the objects are those of the population; the scans are tiny.
@@ -109,17 +109,6 @@ def test_the_content_lies_in_its_box_and_the_planes_outside(seed):
     assert spec.scan.standoff_m > 0.5 * np.linalg.norm(wall.size_m)
     assert record["estimated_s"] <= POPULATION.waves_budget_s
     assert spec.waveform == RADARS[record["radar"]]
-
-
-@pytest.mark.parametrize("kind", sorted(_PARTS))
-def test_a_part_holds_its_origin_and_reaches_no_farther_than_its_size(kind):
-    rng = np.random.default_rng(0)
-    directions = rng.normal(size=(4000, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    for _ in range(5):
-        solid = _PARTS[kind](rng, POPULATION, 0.1)
-        assert solid(np.zeros((1, 3)))[0] < 1e-6
-        assert (solid(0.11 * directions) > 0).all()
 
 
 def test_a_budget_coarsens_the_raster_before_it_takes_planes():
