@@ -13,10 +13,10 @@ MARGIN = {0.015: 0.01, 0.005: 0.02, 0.003: 0.03}
 def test_the_demo_leaves_mesh_pictures_and_readmes_scores(tmp_path, capsys):
     demo = (files("geraf2.simulation") / "demo.toml").read_text(encoding="utf-8")
     spec = tmp_path / "spec.toml"
-    assert "n_poses = 24" in demo  # of which half, and half of the 8 raised ones, score alike
+    assert "n_poses = 24" in demo  # of which 9, and 3 of the 8 raised ones, score alike
     assert "n_poses = 8" in demo
     spec.write_text(
-        demo.replace("n_poses = 24", "n_poses = 12").replace("n_poses = 8", "n_poses = 4")
+        demo.replace("n_poses = 24", "n_poses = 9").replace("n_poses = 8", "n_poses = 3")
         + "[numerics]\nwall_patch_m = 0.02\nantenna_block_m = 0.07\n"
     )
     out = tmp_path / "demo"
