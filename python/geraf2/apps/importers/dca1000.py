@@ -73,7 +73,7 @@ class Dca1000Importer:
 
         def poses() -> Iterator[RawPose]:
             for own in tracks:
-                yield from _read_pose(recording, own, board, options.num_threads)
+                yield from _read_pose(recording, own, board)
 
         return Scan(
             manifest=manifest,
@@ -168,14 +168,12 @@ def _track(
     )
 
 
-def _read_pose(
-    recording: Recording, track: Track, board: Board, num_threads: int | None
-) -> Iterator[RawPose]:
+def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[RawPose]:
     """Parts of one pose of a recording, each a block of the file."""
     axes = board.mean_axes(track)
     for first_place, stop_place in track.ranges:
         for place, signal in read_places(
-            recording, first_place, stop_place, track.frames_per_place, num_threads=num_threads
+            recording, first_place, stop_place, track.frames_per_place
         ):
             yield _part(recording, track, board, axes, place, signal)
 

@@ -16,14 +16,13 @@ from geraf2._types import AnyPath
 from geraf2.apps.photos.config import GridPhotoConfig, PhotoConfig
 from geraf2.apps.photos.grid_smoothing import quick_redistance
 from geraf2.apps.photos.grid_trainer import GridTrainer
-from geraf2.apps.photos.mlp_trainer import MlpTrainer
 from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.photo_checks import MIN_PHOTOS
 from geraf2.apps.photos.rays import PhotoRays, fit_resolution
-from geraf2.apps.photos.trainer import PhotoTrainer
+from geraf2.apps.photos.trainer import MlpTrainer, PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
