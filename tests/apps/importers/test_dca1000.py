@@ -49,11 +49,7 @@ def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
 
 @pytest.mark.parametrize(
     ("layout", "n_rx", "given", "swap"),
-    [
-        ("4-lane", 1, None, False),
-        ("iq", 2, None, False),
-        ("4-lane", 3, 3, True),
-    ],
+    [("4-lane", 1, None, False), ("iq", 2, None, False), ("4-lane", 3, 3, True)],
 )
 def test_receivers_are_counted_or_given(tmp_path, layout, n_rx, given, swap):
     signal = beat(n_rx=n_rx)

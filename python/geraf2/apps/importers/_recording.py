@@ -282,11 +282,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
 
 
 def _evidence(
-    head: NDArray[np.int16],
-    n_rx: int | None,
-    radar: RadarManifest,
-    config: TiConfig,
-    source: Path,
+    head: NDArray[np.int16], n_rx: int | None, radar: RadarManifest, config: TiConfig, source: Path
 ) -> LayoutEvidence:
     return find_layout(
         head,

@@ -19,13 +19,7 @@ from geraf2.apps.importers._recording import Recording, is_kept, open_recording,
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers._tracks import (
-    Track,
-    log_track,
-    planes_of,
-    raster_track,
-    without_places,
-)
+from geraf2.apps.importers._tracks import Track, log_track, planes_of, raster_track, without_places
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest

@@ -290,11 +290,7 @@ def capture_manifest(
     if radar.n_samples is None:
         radar = radar.model_copy(update={"n_samples": capture.get("n_adc_samples")})
     return scene_manifest(
-        "geraf-sens",
-        source,
-        radar,
-        {**known, "n_samples": n_samples},
-        walls=_walls(capture, where),
+        "geraf-sens", source, radar, {**known, "n_samples": n_samples}, walls=_walls(capture, where)
     )
 
 
