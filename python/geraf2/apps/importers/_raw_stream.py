@@ -175,7 +175,7 @@ _HEADERS = ((10, 4), (14, 8), (14, 4))
 _MOST_HEADER_BYTES = 14
 # 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
 _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
-_SCAN_BYTES = 1 << 24
+_PACKET_SCAN_BYTES = 1 << 24
 # Names that mmWave Studio and the DCA1000 command line give to the parts of one recording.
 _STUDIO_PART = re.compile(r".*_Raw_\d+", re.IGNORECASE)
 MAX_NAMED = 4
@@ -285,7 +285,7 @@ class PacketStream(ByteStream):
     def _read_headers(self) -> tuple[NDArray[np.uint32], int]:
         """Numbers of all packets from 0, and the number before the first broken header."""
         sequence = np.empty(self._n_slots, dtype=np.uint32)
-        per_block = max(1, _SCAN_BYTES // self._step)
+        per_block = max(1, _PACKET_SCAN_BYTES // self._step)
         block = np.zeros(per_block * self._step, dtype=np.uint8)
         for first in range(0, self._n_slots, per_block):
             n_slots = min(per_block, self._n_slots - first)
