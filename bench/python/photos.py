@@ -152,10 +152,10 @@ def main():
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
     config = replace(GridPhotoConfig(), seed=options.seed)
 
-    def tell(progress):
-        if progress.step % 100 == 0:
-            terms = "  ".join(f"{name} {value:.4f}" for name, value in progress.losses.items())
-            print(f"{progress.step}/{progress.n_steps}  {terms}", flush=True)
+    def tell(trainer, losses):
+        if trainer.step_number % 100 == 0:
+            terms = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
+            print(f"{trainer.step_number}/{trainer.n_steps}  {terms}", flush=True)
 
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     surface = train_neural_surface(photos.subset(np.nonzero(~held)[0]), config, progress=tell)

@@ -38,38 +38,6 @@ load_importer = cache(_load_importer)  # which looks through all installed packa
 _FRAME = ("tpos.npy", "rpos.npy", "adcr.npy", "adci.npy", "rotation.npy")
 _SIGNAL = "radar.zarr/signal/"
 
-PARTS = {
-    "scene": (
-        "scene.toml",
-        "radar.zarr/zarr.json",
-        _SIGNAL + "zarr.json",
-        _SIGNAL + "c/0/0/0",
-        "radar.zarr/axes/zarr.json",
-        "radar.zarr/antenna_count/c/0",
-        "radar.zarr/angle/zarr.json",
-        "radar.zarr/tx_positions/c/1/0/0",
-    ),
-    "frames": (*(f"mf/1_120_0/{name}" for name in _FRAME), "capture.json"),
-    "mat": ("scan.mat",),
-    "mmnorm": ("norm.npz",),
-    "planar": ("scan.npy", "antenna_phase.txt"),
-    "raw": ("adc.bin",),
-    "ti": ("studio.mmwave.json", "cf.json", "a.cfg", "a_LogFile.txt", "a.lua"),
-    "robot": ("robot.csv", "robot.npy"),
-    "mesh": ("box.ply", "a.obj", "a.stl", "a.glb", "a.gltf"),
-    "colmap": ("sparse/0/cameras.bin", "sparse/0/images.bin"),
-    "colmap_text": ("sparse/0/cameras.txt", "sparse/0/images.txt"),
-    "nerf": ("transforms.json", "images/photo0.png"),
-    "neus": ("cameras_sphere.npz",),
-    "llff": ("poses_bounds.npy",),
-    "ring": ("ring_par.txt",),
-    "safetensors": ("a.safetensors",),
-    "transform": ("a.txt", "a.json", "a.npy"),
-    "toml": ("spec.toml", "radar.toml", "config.toml"),
-    "run": ("run.json",),
-}
-"""Of each reader, the files that data may stand for."""
-
 
 @cache
 def _good():
@@ -126,7 +94,7 @@ def read(name, data):
     before = file.read_bytes() if file.exists() else None
     file.write_bytes(data[1:])
     try:
-        _READERS[name](folder, file)
+        READERS[name][0](folder, file)
     finally:
         if before is None:
             file.unlink()
@@ -177,24 +145,48 @@ def _photos(folder, _):
     load_photos(folder)
 
 
-_READERS = {
-    "scene": _scene,
-    "frames": _import("geraf-sens"),
-    "mat": _import("mat"),
-    "mmnorm": _import("mmnorm"),
-    "planar": _import("planar"),
-    "raw": _import("dca1000", **_CHIRP),
-    "ti": lambda folder, file: read_ti_configs([file]),
-    "robot": lambda folder, file: read_log(file, keep_good=bool(file.stat().st_size % 2)),
-    "mesh": lambda folder, file: read_mesh(file),
-    "colmap": _photos,
-    "colmap_text": _photos,
-    "nerf": _photos,
-    "neus": _photos,
-    "llff": _photos,
-    "ring": _photos,
-    "safetensors": lambda folder, file: load_checkpoint(file, kind="paper", version=1),
-    "transform": lambda folder, file: read_transform(file),
-    "toml": _toml,
-    "run": lambda folder, file: RunFolder.read(folder),
+READERS = {
+    "scene": (
+        _scene,
+        "scene.toml",
+        "radar.zarr/zarr.json",
+        _SIGNAL + "zarr.json",
+        _SIGNAL + "c/0/0/0",
+        "radar.zarr/axes/zarr.json",
+        "radar.zarr/antenna_count/c/0",
+        "radar.zarr/angle/zarr.json",
+        "radar.zarr/tx_positions/c/1/0/0",
+    ),
+    "frames": (_import("geraf-sens"), *(f"mf/1_120_0/{name}" for name in _FRAME), "capture.json"),
+    "mat": (_import("mat"), "scan.mat"),
+    "mmnorm": (_import("mmnorm"), "norm.npz"),
+    "planar": (_import("planar"), "scan.npy", "antenna_phase.txt"),
+    "raw": (_import("dca1000", **_CHIRP), "adc.bin"),
+    "ti": (
+        lambda folder, file: read_ti_configs([file]),
+        *("studio.mmwave.json", "cf.json", "a.cfg", "a_LogFile.txt", "a.lua"),
+    ),
+    "robot": (
+        lambda folder, file: read_log(file, keep_good=bool(file.stat().st_size % 2)),
+        *("robot.csv", "robot.npy"),
+    ),
+    "mesh": (
+        lambda folder, file: read_mesh(file),
+        *("box.ply", "a.obj", "a.stl", "a.glb", "a.gltf"),
+    ),
+    "colmap": (_photos, "sparse/0/cameras.bin", "sparse/0/images.bin"),
+    "colmap_text": (_photos, "sparse/0/cameras.txt", "sparse/0/images.txt"),
+    "nerf": (_photos, "transforms.json", "images/photo0.png"),
+    "neus": (_photos, "cameras_sphere.npz"),
+    "llff": (_photos, "poses_bounds.npy"),
+    "ring": (_photos, "ring_par.txt"),
+    "safetensors": (
+        lambda folder, file: load_checkpoint(file, kind="paper", version=1),
+        "a.safetensors",
+    ),
+    "transform": (lambda folder, file: read_transform(file), "a.txt", "a.json", "a.npy"),
+    "toml": (_toml, "spec.toml", "radar.toml", "config.toml"),
+    "run": (lambda folder, file: RunFolder.read(folder), "run.json"),
 }
+PARTS = {name: parts for name, (_, *parts) in READERS.items()}
+"""Of each reader, the files that data may stand for."""

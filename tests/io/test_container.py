@@ -13,12 +13,7 @@ from geraf2.io.container import SceneReader, is_scene
 from geraf2.io.scene_writer import SceneWriter
 from geraf2.records import RawPose
 from geraf2.scene import Wall
-from geraf2.scene.store import (
-    capture_digest,
-    load_capture,
-    manifest_of,
-    save_capture,
-)
+from geraf2.scene.store import capture_digest, load_capture, manifest_of, save_capture
 from helpers.synthetic import point_capture, point_pose
 
 WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6, center_m=(0, 0, 0.01))

@@ -8,12 +8,7 @@ import trimesh
 from PIL import Image
 
 from geraf2.errors import UserError
-from geraf2.io.mesh import (
-    Evidence,
-    TriangleMesh,
-    read_mesh,
-    write_mesh,
-)
+from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh, write_mesh
 from geraf2.io.mesh_colours import error_colours, to_linear
 from geraf2.scene import LosPrior
 

@@ -12,10 +12,7 @@ from geraf2.io.regular import BINARY_BYTES, read_regular
 
 
 def cloud_bytes(
-    positions: Floats,
-    normals: Floats,
-    columns: Mapping[str, Any],
-    comments: Sequence[str] = (),
+    positions: Floats, normals: Floats, columns: Mapping[str, Any], comments: Sequence[str] = ()
 ) -> bytes:
     """Binary PLY of points (n, 3) [m] with their normals.
 

@@ -74,9 +74,7 @@ def _require_depth(value: Any, levels: int) -> None:
 
 
 def from_table(
-    table: Any,
-    kind: type[_Record] | tuple[type[_Record], ...],
-    where: object,
+    table: Any, kind: type[_Record] | tuple[type[_Record], ...], where: object
 ) -> _Record:
     """Check a table and make a record of it; a UserError has every complaint on one line.
 

@@ -49,11 +49,7 @@ def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
 
 @pytest.mark.parametrize(
     ("layout", "n_rx", "given", "swap"),
-    [
-        ("4-lane", 1, None, False),
-        ("iq", 2, None, False),
-        ("4-lane", 3, 3, True),
-    ],
+    [("4-lane", 1, None, False), ("iq", 2, None, False), ("4-lane", 3, 3, True)],
 )
 def test_receivers_are_counted_or_given(tmp_path, layout, n_rx, given, swap):
     signal = beat(n_rx=n_rx)
@@ -290,22 +286,10 @@ class TestPlaces:
             WAVEFORM.start_frequency_hz
         )
 
-    @pytest.mark.parametrize("num_threads", [1, 2, None])
-    def test_threads_keep_the_order(self, tmp_path, monkeypatch, num_threads):
-        monkeypatch.setattr(_recording, "BLOCK_BYTES", 1100)
-        signal = scan_signal(raster_positions(4, 6, 0.01))
-        path = write_words(tmp_path / "a.bin", signal)
-        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
-        for _ in range(2):
-            assert np.array_equal(whole_pose(scan)[0], signal.reshape(-1, 64))
-
-    @pytest.mark.parametrize("num_threads", [1, 2])
-    def test_a_file_that_shrinks_while_it_is_read_is_named(
-        self, tmp_path, monkeypatch, num_threads
-    ):
+    def test_a_file_that_shrinks_while_it_is_read_is_named(self, tmp_path, monkeypatch):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", 1100)
         path = write_words(tmp_path / "a.bin", scan_signal(raster_positions(4, 6, 0.01)))
-        scan = self.scan(path, ImportOptions(num_threads=num_threads), raster=self.raster)
+        scan = self.scan(path, raster=self.raster)
         path.write_bytes(path.read_bytes()[:8000])
         with pytest.raises(UserError, match="became shorter while it was read"):
             whole_pose(scan)

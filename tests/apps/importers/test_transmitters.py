@@ -10,14 +10,7 @@ from geraf2.apps.importers._ti_config import read_ti_configs
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
-from helpers.raw_capture import (
-    PROFILE,
-    RADAR,
-    STUDIO,
-    quantised,
-    whole_pose,
-    words_of,
-)
+from helpers.raw_capture import PROFILE, RADAR, STUDIO, quantised, whole_pose, words_of
 
 # Chirps by their masks, and those whose second transmitter is turned.
 TOGETHER = {
@@ -123,12 +116,7 @@ def test_two_that_send_together_are_separated(tmp_path, write, name):
 
 @pytest.mark.parametrize(
     ("write", "masks", "turned"),
-    [
-        (profile, [3], {}),
-        (studio, [3, 3], {}),
-        (script, [7, 7], {1: 2}),
-        (profile, [3, 4], {}),
-    ],
+    [(profile, [3], {}), (studio, [3, 3], {}), (script, [7, 7], {1: 2}), (profile, [3, 4], {})],
 )
 def test_what_cannot_be_separated_is_refused_and_named(tmp_path, capsys, write, masks, turned):
     recorded(tmp_path, masks, turned, [0, 1, 2])

@@ -99,9 +99,9 @@ def test_a_resumed_training_ends_at_the_same_bits(config, tmp_path):
     whole = train_neural_surface(photos, config, region=REGION)
     path = tmp_path / "checkpoint.safetensors"
 
-    def interrupt(progress):
+    def interrupt(trainer, _):
         # in the middle of the second grid
-        if progress.step == (60 if config is GRID else 20):
+        if trainer.step_number == (60 if config is GRID else 20):
             os.kill(os.getpid(), signal.SIGINT)
 
     # A shell gives what it runs in the background an ignored Ctrl-C.
@@ -117,7 +117,7 @@ def test_a_resumed_training_ends_at_the_same_bits(config, tmp_path):
         config,
         checkpoint=path,
         resume=True,
-        progress=lambda p: steps.append(p.step),
+        progress=lambda trainer, _: steps.append(trainer.step_number),
     )
     assert steps[0] == (61 if config is GRID else 21)
     expected, _ = whole.state()
@@ -159,19 +159,12 @@ def test_a_checkpoint_of_other_settings_is_refused(tmp_path):
         train_neural_surface(photos.subset([0, 1, 2]), short, checkpoint=path, resume=True)
 
 
-def test_a_loss_that_is_not_finite_is_named(monkeypatch):
-    surfaces = []
-
-    def remember(*arguments):
-        surfaces.append(start_surface(*arguments))
-        return surfaces[0]
-
-    def poison(progress):
-        if progress.step == 2:
+def test_a_loss_that_is_not_finite_is_named():
+    def poison(trainer, _):
+        if trainer.step_number == 2:
             with torch.no_grad():
-                surfaces[0].field.features.table.fill_(torch.nan)
+                trainer.surface.field.features.table.fill_(torch.nan)
 
-    monkeypatch.setattr("geraf2.apps.photos.training.start_surface", remember)
     with pytest.raises(UserError, match=r"step 3 of 80: .* 'colour' of the loss is nan"):
         train_neural_surface(photo_sphere.photo_set(4), GRID, progress=poison)
 

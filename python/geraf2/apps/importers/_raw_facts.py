@@ -77,10 +77,7 @@ def describe(
 
 
 def describe_peak(
-    signal: NDArray[np.complex64],
-    evidence: LayoutEvidence,
-    radar: RadarManifest,
-    config: TiConfig,
+    signal: NDArray[np.complex64], evidence: LayoutEvidence, radar: RadarManifest, config: TiConfig
 ) -> tuple[str, str]:
     """Fact: bin of the strongest echo, and its range [m] where the waveform is known."""
     n = evidence.n_samples

@@ -1,11 +1,8 @@
 """Raw recordings of a TI board: files, order of the words, frames and samples."""
 
-import os
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,22 +14,20 @@ from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
     MAX_NAMED,
+    ByteStream,
     PacketStream,
+    PlaceStream,
     PlainStream,
+    StreamPart,
     find_packets,
+    leading_zeros,
     place_files,
     recording_files,
-)
-from geraf2.apps.importers._robot_log import read_log
-from geraf2.apps.importers._rows import left_out
-from geraf2.apps.importers._stream_parts import (
-    ByteStream,
-    PlaceStream,
-    StreamPart,
-    leading_zeros,
     trailing_zeros,
     without_chirp_headers,
 )
+from geraf2.apps.importers._robot_log import read_log
+from geraf2.apps.importers._rows import left_out
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import (
@@ -287,11 +282,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
 
 
 def _evidence(
-    head: NDArray[np.int16],
-    n_rx: int | None,
-    radar: RadarManifest,
-    config: TiConfig,
-    source: Path,
+    head: NDArray[np.int16], n_rx: int | None, radar: RadarManifest, config: TiConfig, source: Path
 ) -> LayoutEvidence:
     return find_layout(
         head,
@@ -396,10 +387,6 @@ def _count_frames(
     return n_frames
 
 
-# Threads that read and decode; one decodes 2 GB/s, and a disk takes less.
-_MAX_THREADS = 2
-
-
 def is_kept(recording: Recording, per_place: int) -> bool:
     """Whether samples are kept as integers, as without averaging."""
     averaged = per_place > 1 or recording.n_loops > 1
@@ -407,17 +394,14 @@ def is_kept(recording: Recording, per_place: int) -> bool:
 
 
 def read_places(
-    recording: Recording, first: int, stop: int, per_place: int, *, num_threads: int | None = 1
+    recording: Recording, first: int, stop: int, per_place: int
 ) -> Iterator[tuple[int, Samples]]:
     """First index and mean samples (n_places, n_tx, n_rx, n_samples); see also `is_kept`."""
-
-    def loops_of(block: tuple[int, int]) -> Samples:
-        frames = recording.read_frames(*block, integers=is_kept(recording, per_place))
-        return frames[:, 0] if frames.shape[1] == 1 else np.asarray(frames.mean(axis=1))
-
     pending: NDArray[np.complex128] | None = None
     blocks = recording.blocks(first * per_place, stop * per_place, step=per_place)
-    for (begin, end), loops in _read_ahead(loops_of, blocks, num_threads):
+    for begin, end in blocks:
+        frames = recording.read_frames(begin, end, integers=is_kept(recording, per_place))
+        loops = frames[:, 0] if frames.shape[1] == 1 else np.asarray(frames.mean(axis=1))
         if per_place == 1:
             yield begin, loops
         elif begin % per_place == 0 and (end - begin) % per_place == 0:
@@ -431,21 +415,3 @@ def read_places(
                 if (frame + 1) % per_place == 0:
                     yield frame // per_place, (pending[None] / per_place).astype(np.complex64)
                     pending = None
-
-
-def _read_ahead(
-    read: Callable[[tuple[int, int]], Samples],
-    blocks: Iterator[tuple[int, int]],
-    num_threads: int | None,
-) -> Iterator[tuple[tuple[int, int], Samples]]:
-    """Blocks with their values of `read`, in order; threads read a few blocks ahead."""
-    n_threads = min(num_threads or os.cpu_count() or 1, _MAX_THREADS)
-    if n_threads == 1:
-        yield from ((block, read(block)) for block in blocks)
-        return
-    with ThreadPoolExecutor(n_threads) as pool:
-        coming = deque((block, pool.submit(read, block)) for block in islice(blocks, n_threads + 1))
-        while coming:
-            block, result = coming.popleft()
-            yield block, result.result()
-            coming.extend((block, pool.submit(read, block)) for block in islice(blocks, 1))

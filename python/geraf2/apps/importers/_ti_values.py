@@ -119,7 +119,7 @@ def to_number(value: Any, name: str, where: object) -> float:
             number = float(value)
     except (ValueError, OverflowError):
         pass
-    if not abs(number) < 1e15:  # of no value here
+    if not math.isfinite(number):
         what = f"{name!r} must be a number"
         raise UserError(what=what, where=where, got=repr(value)[:60])
     return number

@@ -19,13 +19,7 @@ from geraf2.apps.importers._recording import Recording, is_kept, open_recording,
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers._tracks import (
-    Track,
-    log_track,
-    planes_of,
-    raster_track,
-    without_places,
-)
+from geraf2.apps.importers._tracks import Track, log_track, planes_of, raster_track, without_places
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest
@@ -73,7 +67,7 @@ class Dca1000Importer:
 
         def poses() -> Iterator[RawPose]:
             for own in tracks:
-                yield from _read_pose(recording, own, board, options.num_threads)
+                yield from _read_pose(recording, own, board)
 
         return Scan(
             manifest=manifest,
@@ -168,14 +162,12 @@ def _track(
     )
 
 
-def _read_pose(
-    recording: Recording, track: Track, board: Board, num_threads: int | None
-) -> Iterator[RawPose]:
+def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[RawPose]:
     """Parts of one pose of a recording, each a block of the file."""
     axes = board.mean_axes(track)
     for first_place, stop_place in track.ranges:
         for place, signal in read_places(
-            recording, first_place, stop_place, track.frames_per_place, num_threads=num_threads
+            recording, first_place, stop_place, track.frames_per_place
         ):
             yield _part(recording, track, board, axes, place, signal)
 

@@ -290,11 +290,7 @@ def capture_manifest(
     if radar.n_samples is None:
         radar = radar.model_copy(update={"n_samples": capture.get("n_adc_samples")})
     return scene_manifest(
-        "geraf-sens",
-        source,
-        radar,
-        {**known, "n_samples": n_samples},
-        walls=_walls(capture, where),
+        "geraf-sens", source, radar, {**known, "n_samples": n_samples}, walls=_walls(capture, where)
     )
 
 
@@ -314,16 +310,18 @@ def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
         entries = [entries]
     columns = []
     for name, value in zip(_WALL_KEYS[1:], (thickness, permittivity), strict=True):
-        columns.append(value if isinstance(value, list) else [value] * len(entries))
-        what, expected = (
-            f"key {name!r} has the wrong length",
-            f"one entry for each of {len(entries)} boxes",
-        )
-        if len(columns[-1]) != len(entries):
-            raise UserError(what=what, where=where, expected=expected, got=len(columns[-1]))
+        column = value if isinstance(value, list) else [value] * len(entries)
+        expected = f"one entry for each of {len(entries)} boxes"
+        if len(column) != len(entries):
+            what = f"key {name!r} has the wrong length"
+            raise UserError(what=what, where=where, expected=expected, got=len(column))
+        columns.append([_number(name, entry, where) for entry in column])
     return [
         {
-            "size_m": entry if isinstance(entry, list) else [entry] * 3,
+            "size_m": [
+                _number("box_size_m", side, where)
+                for side in (entry if isinstance(entry, list) else [entry] * 3)
+            ],
             "thickness_m": thickness,
             "permittivity": permittivity,
         }

@@ -297,7 +297,7 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
         photos,
         photo_config(job.options.preset, job.options.seed),
         region=region,
-        progress=lambda progress: report(progress.step / progress.n_steps),
+        progress=lambda trainer, _: report(trainer.step_number / trainer.n_steps),
         checkpoint=checkpoint,
         resume=True,
     )

@@ -112,10 +112,10 @@ class PhotoRays:
         )
 
 
-def fit_resolution(photos: PhotoSet, max_rays: int = MAX_RAYS) -> PhotoSet:
-    """Photos of at most `max_rays` pixels in total, reduced by whole factors where needed."""
+def fit_resolution(photos: PhotoSet) -> PhotoSet:
+    """Photos of at most MAX_RAYS pixels in total, reduced by whole factors where needed."""
     n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
-    return reduced(photos, int(np.ceil(np.sqrt(n_pixels / max_rays))))
+    return reduced(photos, int(np.ceil(np.sqrt(n_pixels / MAX_RAYS))))
 
 
 def reduced(photos: PhotoSet, factor: int) -> PhotoSet:

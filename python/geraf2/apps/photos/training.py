@@ -4,9 +4,9 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,14 +16,13 @@ from geraf2._types import AnyPath
 from geraf2.apps.photos.config import GridPhotoConfig, PhotoConfig
 from geraf2.apps.photos.grid_smoothing import quick_redistance
 from geraf2.apps.photos.grid_trainer import GridTrainer
-from geraf2.apps.photos.mlp_trainer import MlpTrainer
 from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.photo_checks import MIN_PHOTOS
 from geraf2.apps.photos.rays import PhotoRays, fit_resolution
-from geraf2.apps.photos.trainer import PhotoTrainer
+from geraf2.apps.photos.trainer import MlpTrainer, PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -31,20 +30,11 @@ from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 from geraf2.scene.photos import PhotoSet
 
+_CHECKPOINT_EVERY_S = 60.0
 _START_BALL = 0.5
 """Radius of the first ball over the region's smallest half side, as in NeuS."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class PhotoProgress:
-    """Progress of a training."""
-
-    step: int
-    """Steps done."""
-    n_steps: int
-    """Steps in all."""
-    losses: dict[str, float]
-    """Weighted terms of the loss at this step."""
+Progress = Callable[[PhotoTrainer, dict[str, float]], None]
 
 
 def train_neural_surface(
@@ -52,18 +42,17 @@ def train_neural_surface(
     config: PhotoConfig | None = None,
     *,
     region: Region | None = None,
-    progress: Callable[[PhotoProgress], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: AnyPath | None = None,
     resume: bool = False,
-    checkpoint_every_s: float = 60.0,
 ) -> NeuralSurface:
     """Surface of a photo set, trained by volume rendering.
 
     photo_set: photos with cameras, at least three; masks are used where it has them.
     config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
     region: box in which the surface lies; else found from the silhouettes or the common view.
-    progress: called after every step.
-    checkpoint: file that is written every `checkpoint_every_s` seconds and at the end.
+    progress: receives the trainer and the weighted terms of its loss after every step.
+    checkpoint: file that is written every minute and at the end.
     resume: continue from `checkpoint` if it exists, with bit-identical result.
 
     Returns NeuralSurface in the frame of the cameras, in metres. Raises UserError for photos
@@ -96,7 +85,7 @@ def train_neural_surface(
         trainer = MlpTrainer(rays, surface, config)
     if stored is not None:
         trainer.restore(stored.arrays, stored.header)
-    _run(trainer, config.rays_per_step, progress, _Writer(path, photos, checkpoint_every_s))
+    _run(trainer, config.rays_per_step, progress, path, photos.names)
     return trainer.surface
 
 
@@ -134,19 +123,29 @@ def start_surface(
 def _run(
     trainer: PhotoTrainer,
     n_rays: int,
-    progress: Callable[[PhotoProgress], None] | None,
-    writer: "_Writer",
+    progress: Progress | None,
+    path: Path | None,
+    names: Sequence[str],
 ) -> None:
+    saved_s = time.monotonic()
     with _between_steps() as stops:
         while trainer.step_number < trainer.n_steps and not stops:
             losses = trainer.step(n_rays)
-            writer.write(trainer)
+            if path is not None and time.monotonic() - saved_s >= _CHECKPOINT_EVERY_S:
+                _save(path, trainer, names)
+                saved_s = time.monotonic()
             if progress is not None:
-                step, n_steps = trainer.step_number, trainer.n_steps
-                progress(PhotoProgress(step=step, n_steps=n_steps, losses=losses))
-        writer.write(trainer, now=True)
+                progress(trainer, losses)
+        if path is not None:
+            _save(path, trainer, names)
         if stops:
             raise KeyboardInterrupt(stops[0])
+
+
+def _save(path: Path, trainer: PhotoTrainer, names: Sequence[str]) -> None:
+    arrays, header = trainer.state()
+    header = parse_json(json.dumps(header | {"photos": list(names)}))
+    save_checkpoint(path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header))
 
 
 @contextmanager
@@ -169,24 +168,6 @@ def _between_steps() -> Iterator[list[int]]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-class _Writer:
-    """Writer of periodic checkpoints."""
-
-    def __init__(self, path: Path | None, photos: PhotoSet, every_s: float) -> None:
-        self._path, self._names, self._every_s = path, list(photos.names), every_s
-        self._last = time.monotonic()
-
-    def write(self, trainer: PhotoTrainer, *, now: bool = False) -> None:
-        if self._path is None or (not now and time.monotonic() - self._last < self._every_s):
-            return
-        arrays, header = trainer.state()
-        header = parse_json(json.dumps(header | {"photos": self._names}))
-        save_checkpoint(
-            self._path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header)
-        )
-        self._last = time.monotonic()
 
 
 def _require_same(path: Path, stored: Checkpoint, config: PhotoConfig, photos: PhotoSet) -> None:

@@ -19,12 +19,7 @@ from geraf2.apps.photos.formats.images import read_size
 from geraf2.apps.photos.formats.records import PhotoSource, found
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
-from geraf2.io.photo_files import (
-    DISTORTION,
-    TRANSFORMS_NAME,
-    UNITS_M,
-    PhotoRecord,
-)
+from geraf2.io.photo_files import DISTORTION, TRANSFORMS_NAME, UNITS_M, PhotoRecord
 from geraf2.io.text import read_object
 
 _NERF_NAME = "transforms_train.json"
