@@ -31,7 +31,7 @@ def _keys(record, prefix=""):
         kinds = [kind for kind in get_args(hint) or (hint,) if kind not in (NoneType, Ellipsis)]
         if not is_dataclass(kinds[0]):
             yield prefix + name, kinds
-        elif name not in ("photos", "rings", "sweeps"):
+        elif name not in ("photos", "rings", "sweeps", "arrays"):
             yield from _keys(kinds[0], f"{name}.")
 
 

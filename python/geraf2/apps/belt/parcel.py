@@ -17,6 +17,7 @@ from geraf2.errors import UserError
 from geraf2.io.belt_file import BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
+from geraf2.io.text import parse_json
 from geraf2.records import Pose
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.store import capture_without_poses, save_capture
@@ -103,7 +104,7 @@ def cut_parcel(
     start, folder = time.process_time(), Path(out)
     if is_scene(folder):  # by a process that was stopped
         found = SceneReader(folder).manifest.provenance[MOTION_KEY]
-        return {"motion": json.loads(found), "cpu_seconds": 0.0}
+        return {"motion": parse_json(found), "cpu_seconds": 0.0}
     record, (low, middle, high) = read_belt(Path(stream)), window_m
     reader = SceneReader(Path(stream))
     last: dict[str, float] = {}
