@@ -25,7 +25,7 @@ def scan_path(n_rows=10, n_planes=1, *, serpentine=True):
             z = (row - n_rows / 2) * STEP_M
             for k, y in enumerate(ends[:: -1 if serpentine and row % 2 else 1]):
                 rows += [(at, y, z, turn), (at + 0.05, y, z, turn)]
-                at += 0.05 + (WIDTH_M / SPEED_M_PER_S if k == 0 else 0.2)
+                at += 0.05 + (WIDTH_M / SPEED_M_PER_S if k == 0 else 0.1)
         at += 1.0
     times, y, z, turns = np.array(rows).T
     positions = np.stack([0 * y, y, z], axis=1)

@@ -35,8 +35,9 @@ _MAX_SINE = 0.87
 _N_RANGES = 24
 # Shift of a scene's echoes between lines 2 mm apart that is not linear: .15 ms at .1 m/s.
 _SCENE_M = 1.5e-5
-# Least ratio of the highest likelihood to the median.
-_MIN_CONTRAST = 1.5
+# Least ratio of the highest likelihood to the median, less 1, times the root of the number of
+# triples: noise alone reaches 2.
+_MIN_CONTRAST = 3.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +115,7 @@ def find_clock_offset(
         contrast = peak if number == 0 else contrast
         offset = float(np.clip(offset + change, -MAX_OFFSET_S, MAX_OFFSET_S))
         steps = np.linspace(-_N_FINE, _N_FINE, 4 * _N_FINE + 1) * _STEP_S
-    is_found = abs(offset) < MAX_OFFSET_S and contrast > _MIN_CONTRAST
+    is_found = abs(offset) < MAX_OFFSET_S and (contrast - 1) * np.sqrt(n) > _MIN_CONTRAST
     return ClockOffset(offset_s=offset, sigma_s=sigma if is_found else np.inf, n_lines=n + 2)
 
 

@@ -17,7 +17,6 @@ from geraf2.io.mesh_colours import error_colours
 CLOUD_TOPIC, MESH_TOPIC = "/geraf2/vertices", "/geraf2/mesh"
 _FLOAT32 = 7  # of sensor_msgs/PointField
 _TRIANGLE_LIST = 11  # of visualization_msgs/Marker
-_ROS1_MAGIC = b"#ROSBAG"
 
 
 def ros_module(name: str) -> Any:
@@ -33,12 +32,9 @@ def ros_module(name: str) -> Any:
 def opened_bag(path: Path) -> Iterator[Any]:
     """Reader of a rosbag2 folder, .mcap or .db3; UserError for what cannot be read."""
     highlevel, typesys = ros_module("highlevel"), ros_module("typesys")
-    if not path.exists():
-        raise UserError(what="no such file or folder", where=path)
     if path.suffix == ".bag":
-        is_ros1 = path.is_file() and path.open("rb").read(len(_ROS1_MAGIC)) == _ROS1_MAGIC
         raise UserError(
-            what="is a ROS 1 bag" if is_ros1 else "is no bag",
+            what="is a ROS 1 bag",
             where=path,
             expected="a rosbag2 folder, .mcap or .db3",
             hint=f"rosbags-convert --src {path.name} --dst {path.stem}",

@@ -27,6 +27,7 @@ from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.records import RawPose
 
 ENTRY_POINT_GROUP = "geraf2.importers"
+_OffsetMs = Annotated[float, Interval(ge=-1e6, le=1e6)]
 
 # As in pyproject.toml: a source tree that was never installed has no entry points.
 _OWN = {
@@ -59,7 +60,7 @@ class ImportOptions:
     """Topic of a bag with the radar's poses, where several may be meant."""
     frames: Annotated[tuple[str, str] | None, Arg(metavar="FIXED RADAR")] = None
     """Frames of a bag between which the transforms are chained."""
-    clock_offset_ms: Annotated[float | None, Interval(ge=-1e6, le=1e6)] = None
+    clock_offset_ms: _OffsetMs | None = None
     """By how much the radar's time stamps in a bag are late; estimated when not given."""
     static: bool = False
     """The radar stood still: all frames are averaged."""

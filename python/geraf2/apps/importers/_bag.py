@@ -199,7 +199,7 @@ def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, 
 
 def _arrays_of(fields: Any, kind: str, depth: int = 0) -> list[tuple[tuple[str, ...], str]]:
     """Paths of the arrays of words in a type of message, with their kinds of numbers."""
-    found = []
+    found: list[tuple[tuple[str, ...], str]] = []
     for name, (node, inner) in fields[kind][1] if kind in fields else ():
         if node in (_ARRAY, _SEQUENCE) and inner[0][0] != _NAME:
             word = _WORDS.get(inner[0][1][0])
@@ -303,7 +303,7 @@ def _checked(rows: list[list[float]], name: str, options: ImportOptions, where: 
     good = table[~bad & (times > latest)]
     if not len(good):
         raise UserError(what=f"{name} holds no usable pose", where=where)
-    return good
+    return np.asarray(good)
 
 
 def _log(link: Floats, where: Path) -> RobotLog:

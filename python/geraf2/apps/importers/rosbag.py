@@ -46,6 +46,8 @@ class RosbagImporter:
         if options.positions is not None or radar.raster is not None or options.static:
             what = "a bag holds its own poses"
             raise UserError(what=what, where=source, hint="leave out positions, raster and static")
+        if not source.exists():
+            raise UserError(what="no such file or folder", where=source)
         config = read_ti_configs(list(options.config) or find_ti_configs(source))
         bag = read_bag(source, options, radar.raw.frame_period_s or config.frame_period_s)
         recording = _recording(bag, source, radar, options)
@@ -87,6 +89,7 @@ class RosbagImporter:
 
 def _recording(bag: Bag, source: Path, radar: RadarManifest, options: ImportOptions) -> Recording:
     """Open the frames as a recording, a message each."""
+    options = replace(options, keep_good=True)  # compares the sizes itself
     recording = open_recording(source, radar, options, stream=bag.frames)
     chirp_bytes = recording.frame_bytes // recording.n_chirps_per_frame
     n_chirps, rest = divmod(bag.frame_bytes, chirp_bytes)
