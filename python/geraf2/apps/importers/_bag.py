@@ -16,9 +16,9 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from geraf2._types import Floats, Ints
 from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers._raw_stream import ByteStream
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import left_out
-from geraf2.apps.importers._stream_parts import ByteStream
 from geraf2.errors import UserError
 from geraf2.io.ros import opened_bag
 
