@@ -19,7 +19,7 @@ class Config(ImportOptions):
     """Turn a capture of another format into a scene; checks it and finds the phase sign."""
 
     format: Positional[Annotated[str, Arg(metavar="FORMAT")]]
-    """Format of the capture: dca1000, geraf-sens, mat, mmnorm, planar, or one of a plug-in."""
+    """Format of the capture: dca1000, geraf-sens, mat, mmnorm, planar, rosbag, or a plug-in's."""
     source: Positional[Annotated[Path, Arg(metavar="SRC")]]
     """Folder or file of the capture."""
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]

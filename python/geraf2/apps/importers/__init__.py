@@ -19,12 +19,15 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Protocol
 
+from annotated_types import Interval
+
 from geraf2._bounds import Arg, ThreadCount
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.records import RawPose
 
 ENTRY_POINT_GROUP = "geraf2.importers"
+_OffsetMs = Annotated[float, Interval(ge=-1e6, le=1e6)]
 
 # As in pyproject.toml: a source tree that was never installed has no entry points.
 _OWN = {
@@ -33,6 +36,7 @@ _OWN = {
     "mat": "mat:MatImporter",
     "mmnorm": "mmnorm:MmnormImporter",
     "planar": "planar:PlanarImporter",
+    "rosbag": "rosbag:RosbagImporter",
 }
 
 
@@ -50,6 +54,14 @@ class ImportOptions:
     file_per_position: bool = False
     """The source holds one recording a position; a column 'file' of the positions names it, else
     their numbers."""
+    adc_topic: Annotated[str | None, Arg(metavar="TOPIC")] = None
+    """Topic of a bag with the radar's samples, where several may be meant."""
+    pose_topic: Annotated[str | None, Arg(metavar="TOPIC")] = None
+    """Topic of a bag with the radar's poses, where several may be meant."""
+    frames: Annotated[tuple[str, str] | None, Arg(metavar="FIXED RADAR")] = None
+    """Frames of a bag between which the transforms are chained."""
+    clock_offset_ms: _OffsetMs | None = None
+    """By how much the radar's time stamps in a bag are late; estimated when not given."""
     static: bool = False
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False

@@ -169,12 +169,19 @@ def _odd_places(
 
 
 def open_recording(
-    source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS
+    source: Path,
+    radar: RadarManifest,
+    options: ImportOptions = NO_OPTIONS,
+    *,
+    stream: ByteStream | None = None,
 ) -> Recording:
-    """Open a recording and estimate its layout; needs neither waveform nor positions."""
+    """Open a recording and estimate its layout; needs neither waveform nor positions.
+
+    stream: words of the recording, where `source` is no raw file.
+    """
     source = Path(source)
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
-    files = _open_files(source, radar, options)
+    files = _one_stream(stream) if stream else _open_files(source, radar, options)
     head = files.head()
     n_rx = radar.raw.n_rx or config.n_rx
     evidence = _evidence(head, n_rx, radar, config, source)
@@ -229,6 +236,11 @@ def open_recording(
         notes=tuple(notes),
         facts=tuple(facts),
     )
+
+
+def _one_stream(stream: ByteStream) -> _Files:
+    names = (str(stream),)
+    return _Files(streams=(stream,), zeros=(0,), names=names, per_place=False, notes=[], facts=[])
 
 
 def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:

@@ -18,7 +18,7 @@ from geraf2.io.toml import from_table
 
 # Other sources of missing values, by format.
 _OTHER_SOURCES = {
-    "dca1000": ", or --config",
+    **dict.fromkeys(("dca1000", "rosbag"), ", or --config"),
     "geraf-sens": ", or start_frequency_hz, chirp_slope_hz_per_s and adc_sample_rate_hz in "
     "capture.json",
 }

@@ -5,7 +5,7 @@ position. The order of the words and the samples per chirp are estimated where n
 positions come from a robot log or a raster, or the radar stood still.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,54 +35,72 @@ class Dca1000Importer:
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Estimate layout and frames, check the positions; see Importer.open."""
         recording = open_recording(source, radar, options)
-        evidence, config = recording.evidence, recording.config
-        _require_single_places(recording, radar)
-        per_complex, rate = evidence.order.per_complex, config.sample_rate_hz
-        manifest, notes = scene_manifest(
-            "dca1000",
-            Path(source),
-            _of_complex(radar, per_complex),
-            {
-                "start_frequency_hz": config.first_sample_hz(),
-                "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
-                "sample_rate_hz": rate / per_complex if rate else None,
-                "n_samples": evidence.n_samples,
-            },
-            provenance=dict(recording.facts),
-        )
-        waveform = manifest.waveform
-        half_sweep_s = 0.5 * (waveform.n_samples - 1) / waveform.sample_rate_hz
         log = None
         if options.positions is not None:
             log = read_log(options.positions, keep_good=options.keep_good)
-        board = board_of(
-            scan_antennas(radar.antennas, log, recording.n_tx, evidence.order.n_rx),
-            n_tx=recording.n_tx,
-            n_rx=evidence.order.n_rx,
-            center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
-        )
-        track = _track(recording, radar, options, board, log)
-        tracks = planes_of(without_places(track, recording.missing_places))
-        per_place = recording.n_tx * evidence.order.n_rx
+        return scan_of("dca1000", recording, radar, options, log=log)
 
-        def poses() -> Iterator[RawPose]:
-            for own in tracks:
-                yield from _read_pose(recording, own, board)
 
-        return Scan(
-            manifest=manifest,
-            n_antennas=tuple(
-                per_place * sum(stop - first for first, stop in own.ranges) for own in tracks
-            ),
-            poses=poses,
-            thinned=lambda n_antennas: [
-                _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
-            ],
-            notes=(*recording.notes, *notes, *board.notes, *track.notes),
-            facts=(*recording.facts, ("positions", track.text)),
-            integers=is_kept(recording, track.frames_per_place),
-            phase_sign=_phase_sign(evidence.energy_ratio),
-        )
+def scan_of(
+    name: str,
+    recording: Recording,
+    radar: RadarManifest,
+    options: ImportOptions,
+    *,
+    log: RobotLog | None,
+    divide: Callable[[Track], Track] = lambda track: track,
+) -> Scan:
+    """Scan of a recording with its positions.
+
+    name: of the importer.
+    log: positions, where there is no raster and the radar moved.
+    divide: finds the planes of a track.
+    """
+    evidence, config = recording.evidence, recording.config
+    _require_single_places(recording, radar)
+    per_complex, rate = evidence.order.per_complex, config.sample_rate_hz
+    manifest, notes = scene_manifest(
+        name,
+        recording.source,
+        _of_complex(radar, per_complex),
+        {
+            "start_frequency_hz": config.first_sample_hz(),
+            "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
+            "sample_rate_hz": rate / per_complex if rate else None,
+            "n_samples": evidence.n_samples,
+        },
+        provenance=dict(recording.facts),
+    )
+    waveform = manifest.waveform
+    half_sweep_s = 0.5 * (waveform.n_samples - 1) / waveform.sample_rate_hz
+    board = board_of(
+        scan_antennas(radar.antennas, log, recording.n_tx, evidence.order.n_rx),
+        n_tx=recording.n_tx,
+        n_rx=evidence.order.n_rx,
+        center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
+    )
+    track = divide(_track(recording, radar, options, board, log))
+    tracks = planes_of(without_places(track, recording.missing_places))
+    per_place = recording.n_tx * evidence.order.n_rx
+
+    def poses() -> Iterator[RawPose]:
+        for own in tracks:
+            yield from _read_pose(recording, own, board)
+
+    return Scan(
+        manifest=manifest,
+        n_antennas=tuple(
+            per_place * sum(stop - first for first, stop in own.ranges) for own in tracks
+        ),
+        poses=poses,
+        thinned=lambda n_antennas: [
+            _read_some(recording, own, board, -(-n_antennas // len(tracks))) for own in tracks
+        ],
+        notes=(*recording.notes, *notes, *board.notes, *track.notes),
+        facts=(*recording.facts, ("positions", track.text)),
+        integers=is_kept(recording, track.frames_per_place),
+        phase_sign=_phase_sign(evidence.energy_ratio),
+    )
 
 
 def _of_complex(radar: RadarManifest, per_complex: int) -> RadarManifest:

@@ -1,0 +1,370 @@
+"""Frames and poses of a ROS 2 bag: words of the radar, and positions of its antennas."""
+
+import os
+import weakref
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from geraf2._types import Floats, Ints
+from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers._raw_stream import ByteStream
+from geraf2.apps.importers._robot_log import RobotLog
+from geraf2.apps.importers._rows import left_out
+from geraf2.errors import UserError
+from geraf2.io.ros import opened_bag
+
+_TF = "tf2_msgs/msg/TFMessage"
+_POSES = ("geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry")
+# Their arrays of bytes are no samples.
+_NO_SAMPLES = ("sensor_msgs", "nav_msgs", "visualization_msgs", "rcl_interfaces", "map_msgs")
+_WORDS = {"uint8": "u1", "int8": "i1", "int16": "<i2", "uint16": "<u2"}
+_ARRAY, _SEQUENCE, _NAME = 3, 4, 2  # kinds of fields in rosbags
+_MAX_DEPTH = 3
+# Stamps of the host jitter; one that is later than its frame by less than this share is in order.
+_JITTER = 0.5
+
+
+class FrameFile(ByteStream):
+    """Words of all frames in a temporary file, with zeros where a frame was lost."""
+
+    def __init__(self, source: Path, descriptor: int, offsets: Ints, frame_bytes: int) -> None:
+        self._source, self._offsets, self._frame_bytes = source, offsets, frame_bytes
+        self._descriptor = os.dup(descriptor)
+        weakref.finalize(self, os.close, self._descriptor)
+        self.n_bytes = len(offsets) * frame_bytes
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        at = 0
+        while at < len(out):
+            frame, begin = divmod(start + at, self._frame_bytes)
+            part = out[at : at + self._frame_bytes - begin]
+            part[:] = 0
+            if self._offsets[frame] >= 0:
+                os.preadv(self._descriptor, [part.data], int(self._offsets[frame]) + begin)
+            at += len(part)
+
+    def __str__(self) -> str:
+        return str(self._source)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bag:
+    """Frames of the radar and positions of its board; times begin at the first frame."""
+
+    frames: FrameFile
+    frame_bytes: int
+    lost: tuple[int, ...]
+    """Numbers of the frames that are missing; their words are zero."""
+    start_s: float
+    period_s: float
+    log: RobotLog
+    facts: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...]
+
+
+def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Bag:
+    """Read frames and poses of a bag; UserError where either is missing.
+
+    period_s: time between frames where the radar's configuration states it.
+    """
+    with opened_bag(source) as reader, TemporaryFile() as file:
+        topics = {name: info.msgtype or "?" for name, info in sorted(reader.topics.items())}
+        samples = _samples_topic(reader, topics, options, source)
+        table, frame_id = _copy_frames(reader, samples, file, source)
+        log, origin = _read_log(reader, topics, options, frame_id, int(table[0, 0]), source)
+        frame_bytes = int(np.median(table[:, 1]))
+        notes, good = _usable(table, frame_bytes, samples, options, source)
+        table = table[good]
+        times = (table[:, 0] - table[0, 0]) * 1e-9
+        numbers, start_s, period_s = frame_clock(times, period_s, samples, source)
+        offsets = np.full(numbers[-1] + 1, -1, dtype=np.int64)
+        offsets[numbers] = table[:, 2]
+        file.flush()
+        frames = FrameFile(source, file.fileno(), offsets, frame_bytes)
+    lost = np.flatnonzero(offsets < 0)
+    if len(lost):
+        text = f"{len(lost)} of {len(offsets)} frames are missing from {samples}"
+        details = {
+            "expected": f"a message every {1e3 * period_s:.4g} ms",
+            "got": f"none {times[np.searchsorted(numbers, lost[0]) - 1]:.4g} s after the first",
+            "hint": "--keep-good imports the others",
+        }
+        notes.append(left_out(text, options.keep_good, source, **details))
+    return Bag(
+        frames=frames,
+        frame_bytes=frame_bytes,
+        lost=tuple(lost.tolist()),
+        start_s=start_s,
+        period_s=period_s,
+        log=log,
+        facts=(
+            ("frames from", f"{samples} ({topics[samples]}), {len(times)} messages"),
+            ("positions from", origin),
+        ),
+        notes=tuple(notes),
+    )
+
+
+def frame_clock(
+    times_s: Floats, period_s: float | None, topic: str, where: object
+) -> tuple[Ints, float, float]:
+    """Find the number of each frame, the time of the first and the period from jittered stamps.
+
+    The radar sends at equal intervals; a straight line through the stamps is its clock.
+    """
+    if len(times_s) < 2:
+        raise UserError(what=f"{topic} has a single usable message", where=where)
+    period_s = period_s or float(np.median(np.diff(times_s)))
+    numbers = np.arange(len(times_s))
+    missing = (times_s[-1] - times_s[0]) / period_s - numbers[-1]
+    if missing > 0.01 * len(numbers) or np.diff(times_s).max() > (2 - 0.1) * period_s:
+        numbers = np.cumsum([0, *np.maximum(1, np.rint(np.diff(times_s) / period_s))]).astype(int)
+    for _ in range(2):
+        period_s, start_s = np.polyfit(numbers, times_s, 1)
+        late = np.abs(times_s - start_s - period_s * numbers)
+        near = late <= max(4 * float(np.median(late)), 1e-6)
+        period_s, start_s = np.polyfit(numbers[near], times_s[near], 1)
+    return numbers, float(start_s), float(period_s)
+
+
+def _usable(
+    table: Ints, frame_bytes: int, topic: str, options: ImportOptions, where: Path
+) -> tuple[list[str], NDArray[np.bool_]]:
+    """Mask of the usable messages, after notes on the others."""
+    notes = []
+    odd = table[:, 1] != frame_bytes
+    if odd.any():
+        text = f"{int(odd.sum())} of {len(odd)} messages of {topic} have another size"
+        expected, hint = f"{frame_bytes} bytes", "--keep-good leaves them out"
+        got = f"{table[odd][0, 1]} bytes"
+        more = {"expected": expected, "got": got, "hint": hint}
+        notes.append(left_out(text, options.keep_good, where, **more))
+    latest = np.maximum.accumulate(np.concatenate([[-1], table[:-1, 0]]))
+    back = table[:, 0] <= latest
+    if back.any():
+        text = (
+            f"time stamps of {topic} do not increase at {int(back.sum())} of {len(back)} messages"
+        )
+        hint = "--keep-good leaves them out"
+        notes.append(left_out(text, options.keep_good, where, hint=hint))
+    return notes, np.asarray(~odd & ~back)
+
+
+def _listing(topics: dict[str, str]) -> str:
+    return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "no topic"
+
+
+def _require_topic(topics: dict[str, str], topic: str, flag: str, where: Path) -> str:
+    if topic not in topics:
+        what = f"has no topic {topic}, which {flag} names"
+        raise UserError(what=what, where=where, expected=_listing(topics))
+    return topic
+
+
+def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, where: Path) -> str:
+    """Topic of the radar's samples: the given one, or the only one with an array of words."""
+    fields = reader.typestore.fielddefs
+    found = [
+        name
+        for name, kind in topics.items()
+        if kind.split("/")[0] not in _NO_SAMPLES and _arrays_of(fields, kind)
+    ]
+    if options.adc_topic is not None:
+        topic = _require_topic(topics, options.adc_topic, "--adc-topic", where)
+        if not _arrays_of(fields, topics[topic]):
+            what = f"{topic} holds no samples of a radar"
+            expected = "an array of uint8, int16 or uint16"
+            raise UserError(what=what, where=where, expected=expected, got=topics[topic])
+        return topic
+    if len(found) != 1:
+        several = "has several topics that may hold the radar's samples"
+        raise UserError(
+            what=several if found else "has no topic with samples of a radar",
+            where=where,
+            expected="a message with an array of uint8, int16 or uint16 for each frame",
+            got=_listing({name: topics[name] for name in found} or topics),
+            hint="--adc-topic names it",
+        )
+    return found[0]
+
+
+def _arrays_of(fields: Any, kind: str, depth: int = 0) -> list[tuple[tuple[str, ...], str]]:
+    """Paths of the arrays of words in a type of message, with their kinds of numbers."""
+    found: list[tuple[tuple[str, ...], str]] = []
+    for name, (node, inner) in fields[kind][1] if kind in fields else ():
+        if node in (_ARRAY, _SEQUENCE) and inner[0][0] != _NAME:
+            word = _WORDS.get(inner[0][1][0])
+            found += [((name,), word)] if word else []
+        elif node == _NAME and depth < _MAX_DEPTH:
+            found += [((name, *path), word) for path, word in _arrays_of(fields, inner, depth + 1)]
+    return found
+
+
+def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:
+    """Time [ns] and content of each message, by the header's stamp where there is one."""
+    for connection, logged, data in reader.messages(reader.topics[topic].connections):
+        message = reader.deserialize(data, connection.msgtype)
+        yield _stamp(message) or logged, message
+
+
+def _stamp(message: Any) -> int:
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _copy_frames(reader: Any, topic: str, file: Any, where: Path) -> tuple[Ints, str]:
+    """Stamp [ns], size and offset in the file of each message, and the radar's frame."""
+    rows, frame_id, path, word = [], "", None, ""
+    arrays = _arrays_of(reader.typestore.fielddefs, reader.topics[topic].msgtype)
+    for stamp, message in _messages(reader, topic):
+        if path is None:  # others hold shapes and settings
+            path, word = max(arrays, key=lambda array: len(_value(message, array[0])))
+            frame_id = str(getattr(getattr(message, "header", None), "frame_id", ""))
+        data = np.ascontiguousarray(_value(message, path)).astype(word).tobytes()
+        rows.append((stamp, len(data), file.tell()))
+        file.write(data)
+    if not rows:
+        raise UserError(what=f"{topic} holds no message", where=where)
+    return np.array(rows, dtype=np.int64), frame_id
+
+
+def _value(message: Any, path: tuple[str, ...]) -> Any:
+    for name in path:
+        message = getattr(message, name)
+    return message
+
+
+def _read_log(
+    reader: Any,
+    topics: dict[str, str],
+    options: ImportOptions,
+    frame_id: str,
+    zero_ns: int,
+    where: Path,
+) -> tuple[RobotLog, str]:
+    """Poses of the radar at times from `zero_ns` on, and their origin."""
+    given = options.pose_topic
+    found = [name for name, kind in topics.items() if kind == _TF or kind in _POSES]
+    if given is not None:
+        found = [_require_topic(topics, given, "--pose-topic", where)]
+        if topics[given] not in (_TF, *_POSES):
+            expected = " or ".join((_TF, *_POSES))
+            what = f"{given} holds no poses"
+            raise UserError(what=what, where=where, expected=expected, got=topics[given])
+    trees = [name for name in topics if topics[name] == _TF]
+    single = [name for name in found if topics[name] != _TF]
+    if not found or (len(single) > 1 and not trees):
+        raise UserError(
+            what="has several topics of poses" if found else "has no poses of the radar",
+            where=where,
+            expected=" or ".join((_TF, *_POSES)),
+            got=_listing({name: topics[name] for name in single} or topics),
+            hint="--pose-topic names one",
+        )
+    if any(topics[name] == _TF for name in found):
+        return _log_of_tree(reader, trees, options, frame_id, zero_ns, where)
+    rows = []
+    for stamp, message in _messages(reader, single[0]):
+        pose = message.pose.pose if topics[single[0]] == _POSES[1] else message.pose
+        rows.append(_row(stamp, zero_ns, pose.position, pose.orientation))
+    link = _checked(rows, single[0], options, where)
+    return _log(link, where), f"{single[0]} ({topics[single[0]]}), {len(link)} poses"
+
+
+def _row(stamp: int, zero_ns: int, position: Any, turn: Any) -> list[float]:
+    """Time [s], position [m], quaternion x y z w."""
+    at = [position.x, position.y, position.z, turn.x, turn.y, turn.z, turn.w]
+    return [(stamp - zero_ns) * 1e-9, *at]
+
+
+def _checked(rows: list[list[float]], name: str, options: ImportOptions, where: Path) -> Floats:
+    """Poses (n, 8) in rising order of time, without repetitions; UserError for broken ones."""
+    table = np.array(rows, dtype=np.float64).reshape(-1, 8)
+    sizes = np.linalg.norm(table[:, 4:], axis=1)
+    bad = ~np.isfinite(table).all(axis=1) | (np.abs(sizes - 1) > 0.01)
+    times = table[:, 0]
+    latest = np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
+    for wrong, reason in (
+        (bad, "are no numbers, or have a quaternion that is not 1 long"),
+        (times < latest, "have time stamps that do not increase"),
+    ):
+        if wrong.any():
+            text = f"{int(wrong.sum())} of {len(wrong)} poses of {name} {reason}"
+            left_out(text, options.keep_good, where, hint="--keep-good leaves them out")
+    good = table[~bad & (times > latest)]
+    if not len(good):
+        raise UserError(what=f"{name} holds no usable pose", where=where)
+    return np.asarray(good)
+
+
+def _log(link: Floats, where: Path) -> RobotLog:
+    return RobotLog(
+        path=where,
+        times_s=link[:, 0],
+        positions=link[:, 1:4],
+        quaternions=link[:, [7, 4, 5, 6]],
+        rows=np.arange(1, len(link) + 1),
+    )
+
+
+def _log_of_tree(
+    reader: Any,
+    topics: list[str],
+    options: ImportOptions,
+    frame_id: str,
+    zero_ns: int,
+    where: Path,
+) -> tuple[RobotLog, str]:
+    """Poses of the radar's frame in the fixed frame, over a chain of transforms."""
+    links: dict[tuple[str, str], list[list[float]]] = defaultdict(list)
+    for topic in topics:
+        for _, message in _messages(reader, topic):
+            for one in message.transforms:
+                stamp, move = _stamp(one), one.transform
+                names = one.header.frame_id.lstrip("/"), one.child_frame_id.lstrip("/")
+                links[names].append(_row(stamp, zero_ns, move.translation, move.rotation))
+    parent_of = {child: parent for parent, child in links}
+    fixed, radar = options.frames or ("", frame_id.lstrip("/"))
+    known = sorted({name for pair in links for name in pair})
+    chain = [radar]
+    while chain[-1] != fixed and chain[-1] in parent_of and len(chain) <= len(known):
+        chain.append(parent_of[chain[-1]])
+    if radar not in parent_of or (fixed and chain[-1] != fixed):
+        raise UserError(
+            what=f"no transforms lead from frame {fixed or 'of the room'!r} to {radar!r}",
+            where=where,
+            expected=f"two of {', '.join(known)}",
+            hint="--frames FIXED RADAR names them",
+        )
+    tables = [
+        _checked(links[parent, child], f"{parent} to {child}", options, where)
+        for child, parent in pairwise(chain)
+    ]
+    moving = [table for table in tables if len(table) > 1]
+    if not moving:
+        what = f"the radar does not move: no transform from {chain[-1]!r} to {radar!r} changes"
+        raise UserError(what=what, where=where, hint="--frames FIXED RADAR names others")
+    begin, end = max(t[0, 0] for t in moving), min(t[-1, 0] for t in moving)
+    times = max(moving, key=len)[:, 0]
+    times = times[(times >= begin) & (times <= end)]
+    position, turn = np.zeros((len(times), 3)), Rotation.identity(len(times))
+    for table in tables:  # from the radar to the fixed frame
+        turns = Rotation.from_quat(table[:, 4:])
+        if len(table) > 1:
+            own = Slerp(table[:, 0], turns)(times)
+            shift = [np.interp(times, table[:, 0], table[:, axis]) for axis in (1, 2, 3)]
+            move = np.stack(shift, axis=1)
+        else:
+            own, move = turns[0], table[0, 1:4]
+        position, turn = own.apply(position) + move, own * turn
+    text = f"{' and '.join(topics)}, {chain[-1]} to {radar}, {len(times)} poses"
+    return _log(np.column_stack([times, position, turn.as_quat()]), where), text

@@ -1,0 +1,184 @@
+"""Raw ADC samples and poses of a ROS 2 bag: a rosbag2 folder, .mcap or .db3.
+
+A message holds one frame in the order of a DCA1000, as an array of uint8, int16 or uint16. The
+poses come from transforms, PoseStamped or Odometry, linear in position and slerp in rotation.
+Stretches between which the board turns are planes. The offset between the clocks of radar and arm
+is estimated from lines that run in opposite directions (calibration.clock_offset).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from geraf2._types import Floats
+from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
+from geraf2.apps.importers._bag import Bag, read_bag
+from geraf2.apps.importers._recording import Recording, open_recording
+from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
+from geraf2.apps.importers._tracks import Track
+from geraf2.apps.importers.dca1000 import scan_of
+from geraf2.calibration.clock_offset import (
+    MAX_OFFSET_S,
+    ClockOffset,
+    Sweep,
+    find_clock_offset,
+    straight_lines,
+)
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
+
+# The offset is estimated from as many neighbouring lines as these bytes of samples hold.
+_SWEEP_BYTES, _MAX_SWEEPS = 1 << 26, 48
+# Speed of a turn, over twice this time; planes differ by more than 2 degrees.
+_TURN_RAD_PER_S, _TURN_S, _TURN_RAD = 0.05, 0.1, 0.035
+# An offset with a larger standard deviation is not determined.
+_MAX_SIGMA_S = 2e-3
+
+
+class RosbagImporter:
+    """Reads frames and poses of ROS 2 bags."""
+
+    def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
+        """Read the bag, estimate the layout and the clock offset; see Importer.open."""
+        source = Path(source)
+        if options.positions is not None or radar.raster is not None or options.static:
+            what = "a bag holds its own poses"
+            raise UserError(what=what, where=source, hint="leave out positions, raster and static")
+        if not source.exists():
+            raise UserError(what="no such file or folder", where=source)
+        config = read_ti_configs(list(options.config) or find_ti_configs(source))
+        bag = read_bag(source, options, radar.raw.frame_period_s or config.frame_period_s)
+        recording = _recording(bag, source, radar, options)
+        notes, offset = [], options.clock_offset_ms
+        if offset is None:
+            found = _find_offset(bag, recording, radar)
+            text = f"{1e3 * found.offset_s:.2f} +- {1e3 * found.sigma_s:.2f} ms"
+            text = f"radar {text} late, from {found.n_lines} lines"
+            if found.sigma_s > _MAX_SIGMA_S:
+                text, found = "not determined, taken as 0 ms", replace(found, offset_s=0.0)
+                notes.append(
+                    "the clock offset between radar and poses is not determined: that needs lines "
+                    "in opposite directions; give --clock-offset-ms"
+                )
+            offset = 1e3 * found.offset_s
+        else:
+            text = f"radar {offset:g} ms late, given"
+        raw = radar.raw.model_copy(
+            update={
+                "start_time_s": bag.start_s - 1e-3 * offset,
+                "frame_period_s": bag.period_s,
+            }
+        )
+        recording = replace(
+            recording,
+            missing_places=bag.lost,
+            notes=(*bag.notes, *recording.notes, *notes),
+            facts=(*bag.facts, ("clock offset", text), *recording.facts),
+        )
+        return scan_of(
+            "rosbag",
+            recording,
+            radar.model_copy(update={"raw": raw}),
+            options,
+            log=bag.log,
+            divide=lambda track: divided_at_turns(track, bag.period_s),
+        )
+
+
+def _recording(bag: Bag, source: Path, radar: RadarManifest, options: ImportOptions) -> Recording:
+    """Open the frames as a recording, a message each."""
+    options = replace(options, keep_good=True)  # compares the sizes itself
+    recording = open_recording(source, radar, options, stream=bag.frames)
+    chirp_bytes = recording.frame_bytes // recording.n_chirps_per_frame
+    n_chirps, rest = divmod(bag.frame_bytes, chirp_bytes)
+    is_given = radar.raw.n_chirps_per_frame or recording.config.n_chirps_per_frame
+    if not rest and n_chirps != recording.n_chirps_per_frame and not is_given:
+        raw = radar.raw.model_copy(update={"n_chirps_per_frame": n_chirps})
+        return open_recording(
+            source, radar.model_copy(update={"raw": raw}), options, stream=bag.frames
+        )
+    if bag.frame_bytes != recording.frame_bytes:
+        raise UserError(
+            what="a message is not one frame",
+            where=source,
+            expected=f"{recording.frame_bytes} bytes: {recording.n_chirps_per_frame} chirps of "
+            f"{recording.evidence.order.n_rx} receivers, {recording.evidence.n_samples} samples",
+            got=f"{bag.frame_bytes} bytes",
+            hint="correct --config, or n_chirps_per_frame and n_samples of --radar",
+        )
+    return recording
+
+
+def _find_offset(bag: Bag, recording: Recording, radar: RadarManifest) -> ClockOffset:
+    """Clock offset by the samples of the first transmitter on some lines in the middle."""
+    log, config = bag.log, recording.config
+    assert log.times_s is not None
+    log_times, positions = log.times_s, log.positions
+
+    def positions_at(times_s: Floats) -> Floats:
+        axes = [np.interp(times_s, log_times, positions[:, axis]) for axis in range(3)]
+        return np.stack(axes, axis=-1)
+
+    lines = straight_lines((float(log_times[0]), float(log_times[-1])), positions_at)
+    sample_bytes = 8 * recording.evidence.order.n_rx * recording.evidence.n_samples
+    delay_s = -0.5 * (radar.raw.chirp_s or 0.0) * (recording.n_tx - 1)
+    lost, sweeps = np.array(bag.lost, dtype=int), []
+    n_bytes = sum(b - a + 2 * MAX_OFFSET_S for a, b in lines) / bag.period_s * sample_bytes
+    n_lines = min(_MAX_SWEEPS, int(len(lines) * min(1.0, _SWEEP_BYTES / max(n_bytes, 1))))
+    first_line = (len(lines) - n_lines) // 2
+    for begin, end in lines[first_line : first_line + n_lines]:
+        ends = np.array([begin - MAX_OFFSET_S, end + MAX_OFFSET_S])
+        first, stop = np.clip(
+            np.ceil((ends - bag.start_s) / bag.period_s).astype(int), 0, recording.n_frames
+        )
+        if stop <= first:
+            continue
+        numbers = np.arange(first, stop)
+        kept = ~np.isin(numbers, lost)
+        signal = recording.read_frames(int(first), int(stop)).mean(axis=1)[kept, 0]
+        times = bag.start_s + bag.period_s * numbers[kept] + delay_s
+        sweeps.append(Sweep(interval_s=(begin, end), times_s=times, signal=signal))
+    start_hz = radar.first_sample_hz() or config.first_sample_hz()
+    slope = radar.chirp_slope_hz_per_s or config.chirp_slope_hz_per_s
+    rate = radar.sample_rate_hz or config.sample_rate_hz
+    if not (start_hz and slope and rate):  # reported with the waveform
+        return ClockOffset(offset_s=0.0, sigma_s=np.inf, n_lines=0)
+    n_samples = recording.evidence.n_samples
+    sweep_s = n_samples * recording.evidence.order.per_complex / rate
+    wavelength_m = SPEED_OF_LIGHT_M_PER_S / (start_hz + 0.5 * slope * sweep_s)
+    return find_clock_offset(sweeps, positions_at, wavelength_m)
+
+
+def divided_at_turns(track: Track, period_s: float) -> Track:
+    """Track whose planes are the stretches in which the board keeps its rotation.
+
+    Frames during a turn are left out, unless the board turns all the time.
+    """
+    if track.rotations is None:
+        return track
+    first, stop = track.ranges[0][0], track.ranges[-1][1]
+    turns = track.rotations[first:stop]
+    reach = max(1, round(_TURN_S / period_s))
+    frames = np.arange(stop - first)
+    before = turns[np.maximum(frames - reach, 0)]
+    angles = (turns[np.minimum(frames + reach, len(frames) - 1)] * before.inv()).magnitude()
+    still = angles < _TURN_RAD_PER_S * 2 * reach * period_s
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    starts: list[int] = []
+    ranges: list[tuple[int, int]] = []
+    last = None
+    for begin, end in edges.reshape(-1, 2):
+        middle = turns[int(begin + end) // 2]
+        if last is None or (middle * last.inv()).magnitude() > _TURN_RAD:
+            starts.append(int(first + begin))
+            last = middle
+        cut = [(max(a, int(first + begin)), min(b, int(first + end))) for a, b in track.ranges]
+        ranges += [(a, b) for a, b in cut if a < b]
+    if len(starts) < 2:
+        return track
+    n_out = sum(b - a for a, b in track.ranges) - sum(b - a for a, b in ranges)
+    note = f"{len(starts)} planes; {n_out} frames during turns between them were left out"
+    notes = (*track.notes, note)
+    return replace(track, ranges=tuple(ranges), plane_starts=tuple(starts), notes=notes)

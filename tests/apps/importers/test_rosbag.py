@@ -1,0 +1,240 @@
+"""ROS 2 bags: samples, chains of poses, planes, the clock offset, faults; results as MCAP."""
+
+import sys
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+
+from geraf2.apps.importers import ImportOptions, load_importer
+from geraf2.apps.importers._bag import frame_clock
+from geraf2.calibration.clock_offset import Sweep, find_clock_offset
+from geraf2.cli.main import main
+from geraf2.errors import UserError
+from geraf2.geometry.triangles import vertex_normals
+from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
+from geraf2.io.ros import write_mesh_mcap
+from helpers.raw_capture import RADAR, RADAR_TOML
+from helpers.ros_bag import at_times, frames_of, scan_path, write_bag
+from helpers.solids import ball
+
+RADAR_MANIFEST = RadarManifest(
+    **RADAR, raw=RawManifest(n_rx=1), antennas=AntennaManifest(rx_offsets_m=[[0.0, 0.0, 0.0]])
+)
+LATE_S = 0.033
+
+
+def opened(bag, **options):
+    return load_importer("rosbag").open(bag, RADAR_MANIFEST, ImportOptions(**options))
+
+
+@pytest.fixture(scope="module")
+def path():
+    return scan_path()
+
+
+@pytest.fixture(scope="module")
+def frames(path):
+    return frames_of(path)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory, path, frames):
+    return write_bag(tmp_path_factory.mktemp("ros") / "scan", path, frames, late_s=LATE_S)
+
+
+def offset_ms(scan):
+    text = dict(scan.facts)["clock offset"].split()
+    return float(text[1]), float(text[3])
+
+
+def test_an_offset_of_the_clocks_is_found_and_applied(bag, path, frames):
+    scan = opened(bag)
+    found, sigma = offset_ms(scan)
+    assert abs(found - 1e3 * LATE_S) < 0.3
+    assert 0.0 < sigma < 0.3
+    assert scan.manifest.provenance["clock offset"] == dict(scan.facts)["clock offset"]
+    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    expected, _ = at_times(path, frames[0])
+    assert np.abs(places - expected).max() < 1e-4
+    signal = np.concatenate([pose.signal for pose in scan.poses()])
+    assert signal.dtype == np.int16
+    assert np.array_equal(signal[7].reshape(-1), frames[1][7])
+
+
+def test_the_command_states_the_offset_and_info_shows_it(tmp_path, bag, capsys):
+    text = RADAR_TOML + "[raw]\nn_rx = 1\n[antennas]\nrx_offsets_m = [[0.0, 0.0, 0.0]]\n"
+    (tmp_path / "radar.toml").write_text(text)
+    scene, radar = str(tmp_path / "scene"), ["--radar", str(tmp_path / "radar.toml")]
+    assert main(["import", "rosbag", str(bag), scene, *radar]) == 0
+    assert "clock offset" in capsys.readouterr().out
+    assert main(["info", scene]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "clock offset radar 3" in shown
+    assert "from 10 lines" in shown
+
+
+def test_a_given_offset_goes_before_the_estimate(bag, path, frames):
+    scan = opened(bag, clock_offset_ms=30.0)
+    assert dict(scan.facts)["clock offset"] == "radar 30 ms late, given"
+    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    assert np.allclose(places, at_times(path, frames[0] + 0.003)[0], atol=1e-5)
+
+
+def test_lines_in_one_direction_do_not_determine_the_offset(tmp_path):
+    path = scan_path(6, serpentine=False)
+    bag = write_bag(tmp_path / "b", path, frames_of(path), late_s=0.01)
+    scan = opened(bag)
+    assert dict(scan.facts)["clock offset"] == "not determined, taken as 0 ms"
+    assert any("give --clock-offset-ms" in note for note in scan.notes)
+
+
+def test_noise_has_no_offset():
+    rng = np.random.default_rng(0)
+    path = scan_path(8)
+    times = np.arange(0.0, path[0][-1], 0.01)
+    noise = rng.normal(size=(len(times), 1, 32, 2)) @ [1, 1j]
+    lines = [(0.05 + 1.35 * k, 1.25 + 1.35 * k) for k in range(8)]
+    sweeps = [Sweep(interval_s=line, times_s=times, signal=noise) for line in lines]
+    found = find_clock_offset(sweeps, lambda t: at_times(path, t)[0], 0.0038)
+    assert found.n_lines == 8
+    assert found.sigma_s == np.inf
+
+
+@pytest.mark.parametrize("kind", ["std_msgs/msg/UInt8MultiArray", "std_msgs/msg/Int16MultiArray"])
+def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, frames, kind):
+    bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses="pose", storage="SQLITE3")
+    scan = opened(bag, clock_offset_ms=0.0)
+    assert dict(scan.facts)["positions from"].startswith("/radar/pose")
+    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    assert np.abs(places - at_times(path, frames[0])[0]).max() < 1e-5
+
+
+def test_stretches_between_turns_are_planes(tmp_path):
+    path = scan_path(4, n_planes=2)
+    bag = write_bag(tmp_path / "b", path, frames_of(path))
+    scan = opened(bag, clock_offset_ms=0.0)
+    assert len(scan.n_antennas) == 2
+    assert any("2 planes" in note for note in scan.notes)
+    axes = [pose.axes[0] for pose in scan.poses()]
+    assert np.allclose(axes[0], [1, 0, 0], atol=1e-3)
+    assert np.allclose(axes[1], [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], atol=1e-3)
+
+
+def test_lost_frames_are_refused_or_left_out(tmp_path, path, frames):
+    times, words = frames
+    kept = np.delete(np.arange(len(times)), [200, 201, 700])
+    some = times[kept], [words[k] for k in kept]
+    bag = write_bag(tmp_path / "b", path, some)
+    with pytest.raises(UserError, match=r"3 of 1341 frames are missing from /radar/adc.*got none"):
+        opened(bag)
+    scan = opened(bag, keep_good=True, clock_offset_ms=0.0)
+    assert scan.n_antennas == (1338,)
+    signal = np.concatenate([pose.signal for pose in scan.poses()])
+    assert np.array_equal(signal[200].reshape(-1), words[202])
+
+
+def test_stamps_that_go_back_are_refused_or_left_out(tmp_path, path, frames):
+    times = frames[0].copy()
+    times[50] -= 0.1
+    bag = write_bag(tmp_path / "b", path, (times, frames[1]))
+    with pytest.raises(UserError, match="do not increase at 1 of 1341 messages"):
+        opened(bag)
+    assert opened(bag, keep_good=True, clock_offset_ms=0.0).n_antennas == (1340,)
+
+
+def test_jittered_stamps_are_frames_at_equal_times():
+    rng = np.random.default_rng(1)
+    true = 0.01001 * np.arange(2000)
+    numbers, start, period = frame_clock(true + rng.uniform(0, 0.004, 2000), 0.01, "/a", "b")
+    assert np.array_equal(numbers, np.arange(2000))
+    assert abs(period - 0.01001) < 1e-6
+    assert abs(start - 0.002) < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("adc", "poses", "options", "text"),
+    [
+        (None, "tf", {}, r"has no topic with samples of a radar.*got /tf \(tf2_msgs"),
+        ("std_msgs/msg/UInt8MultiArray", None, {}, "has no poses of the radar"),
+        ("std_msgs/msg/UInt8MultiArray", "tf", {}, "no transforms lead from frame"),
+        (
+            "std_msgs/msg/UInt8MultiArray",
+            "tf",
+            {"frames": ("room", "hand")},
+            "from frame 'room' to 'hand', expected two of arm, radar, room, table",
+        ),
+        (
+            "std_msgs/msg/UInt8MultiArray",
+            "tf",
+            {"adc_topic": "/x"},
+            r"no topic /x, which adc_topic names, expected /radar/adc \(std_msgs",
+        ),
+        ("std_msgs/msg/UInt8MultiArray", "tf", {"adc_topic": "/tf"}, "/tf holds no samples"),
+        ("std_msgs/msg/UInt8MultiArray", "tf", {"pose_topic": "/radar/adc"}, "holds no poses"),
+    ],
+)
+def test_what_a_bag_lacks_is_named(tmp_path, path, frames, adc, poses, options, text):
+    few = frames[0][:40], frames[1][:40]
+    bag = write_bag(tmp_path / "b", path, few, adc=adc, poses=poses)
+    with pytest.raises(UserError, match=text):
+        opened(bag, **options)
+
+
+def test_broken_files_are_one_line(tmp_path, bag, capsys):
+    data = next(bag.glob("*.mcap")).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "text.mcap").write_text("no bag")
+    (tmp_path / "folder").mkdir()
+    for name, text in [
+        ("cut.mcap", "cannot be read"),
+        ("old.bag", "is a ROS 1 bag"),
+        ("text.mcap", "cannot be read"),
+        ("folder", "cannot be read"),
+        ("none.mcap", "no such file"),
+    ]:
+        assert main(["import", "rosbag", str(tmp_path / name), str(tmp_path / "scene")]) == 2
+        error = capsys.readouterr().err.strip()
+        assert text in error
+        assert "Traceback" not in error
+        assert not (tmp_path / "scene").exists()
+
+
+def test_a_missing_extra_is_one_line(tmp_path, bag, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
+    with pytest.raises(UserError, match=r"need rosbags; pip install 'geraf2\[ros\]'"):
+        opened(bag)
+
+
+def test_a_message_that_is_not_one_frame_is_refused(bag):
+    radar = RADAR_MANIFEST.model_copy(update={"raw": RawManifest(n_rx=1, n_chirps_per_frame=2)})
+    with pytest.raises(UserError, match="a message is not one frame, expected 512 bytes"):
+        load_importer("rosbag").open(bag, radar, ImportOptions())
+
+
+def test_results_are_read_by_other_libraries(tmp_path):
+    n = len(ball(0.05, 1).vertices)
+    mesh = ball(0.05, 1, expected_error_m=np.linspace(0.001, 0.004, n))
+    target = tmp_path / "mesh.mcap"
+    write_mesh_mcap(mesh, target)
+    assert list(tmp_path.iterdir()) == [target]
+    with target.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        cloud, marker = (decoded for *_, decoded in reader.iter_decoded_messages())
+    assert cloud.header.frame_id == "capture"
+    table = np.frombuffer(cloud.data, "<f4").reshape(cloud.width, -1)
+    names = [field.name for field in cloud.fields]
+    assert names == ["x", "y", "z", "normal_x", "normal_y", "normal_z", "expected_error"]
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    assert np.allclose(
+        table, np.column_stack([mesh.vertices, normals, mesh.expected_error_m]), atol=1e-6
+    )
+    assert marker.type == 11  # TRIANGLE_LIST
+    corners = np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3, 3)
+    assert np.allclose(corners, mesh.corners)
+    assert len(marker.colors) == len(marker.points)
+    with AnyReader([target]) as reader:
+        assert {c.msgtype.split("/")[-1] for c in reader.connections} == {"PointCloud2", "Marker"}
