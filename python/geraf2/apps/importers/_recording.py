@@ -196,10 +196,7 @@ def open_recording(
     n_bytes = usual_bytes(files.streams)
     stream, n_empty = files.streams[0], 0
     if not files.per_place:
-        order, n_samples = evidence.order, evidence.n_samples
-        if late := late_samples(head, order, n_samples):
-            raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
-        n_empty = trailing_zeros(stream)
+        n_empty = _empty_end(stream, head, evidence, source)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
         text = f"the last {n_empty} bytes are zero ({share})"
@@ -236,6 +233,16 @@ def open_recording(
         notes=tuple(notes),
         facts=tuple(facts),
     )
+
+
+def _empty_end(
+    stream: ByteStream, head: NDArray[np.int16], evidence: LayoutEvidence, source: Path
+) -> int:
+    """Bytes of zeros at the end; UserError if the recording begins within a chirp."""
+    order, n_samples = evidence.order, evidence.n_samples
+    if late := late_samples(head, order, n_samples):
+        raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
+    return trailing_zeros(stream)
 
 
 def _one_stream(stream: ByteStream) -> _Files:
