@@ -179,7 +179,6 @@ def open_recording(
 
     stream: words of the recording, where `source` is no raw file.
     """
-    source = Path(source)
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
     files = _one_stream(stream) if stream else _open_files(source, radar, options)
     head = files.head()
@@ -199,8 +198,8 @@ def open_recording(
         n_empty = _empty_end(stream, head, evidence, source)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
-        text = f"the last {n_empty} bytes are zero ({share})"
-        notes.append(f"{text}: the recording stopped before its end")
+        text = f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"
+        notes.append(text)
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
     if files.per_place:
