@@ -5,7 +5,7 @@ or mm, not a poor choice.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Annotated
 
@@ -13,7 +13,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from geraf2._types import Floats
+from geraf2._types import Floats, Ints
 from geraf2._validation import require_finite, require_positive, require_shape
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 
@@ -194,3 +194,17 @@ class Pose(RawPose):
     def __post_init__(self) -> None:
         require_shape("signal", self.signal, (None, None))
         super().__post_init__()
+
+    def select(self, antennas: Ints) -> "Pose":
+        """Select antennas by their indices, (n,)."""
+        return replace(
+            self,
+            signal=self.signal[antennas],
+            tx_positions=self.tx_positions[antennas],
+            rx_positions=self.rx_positions[antennas],
+        )
+
+    def moved(self, shift_m: Floats) -> "Pose":
+        """Move antennas by one displacement, (3,) [m], or by their own, (n_antennas, 3) [m]."""
+        tx, rx = self.tx_positions + shift_m, self.rx_positions + shift_m
+        return replace(self, tx_positions=tx, rx_positions=rx)

@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 
-from geraf2.apps.belt.parcel import moved_along
 from geraf2.io.belt_file import write_belt
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.scene.store import manifest_of
@@ -47,7 +46,7 @@ def stream_planes(n_parcels, **changes):
         for number, pose in enumerate(capture.poses):
             array = pose.name.rpartition("/")[0]
             noise = 1e-3 * rng.normal(size=(*pose.signal.shape, 2)) @ [1.0, 1j]
-            moved = moved_along(pose, -k * PITCH_M)
+            moved = pose.moved(np.array([-k * PITCH_M, 0.0, 0.0]))
             signal = (pose.signal + noise).astype(np.complex64)
             name = f"{array}/{k * len(capture.poses) + number}"
             planes.append(replace(moved, name=name, signal=signal))

@@ -140,11 +140,7 @@ def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
     poses = []
     for pose, own in zip(capture.poses, coefficients_m, strict=True):
         shift = (trajectory_basis(pose.n_antennas, len(own)) @ own)[:, None] * pose.axes[0]
-        poses.append(
-            replace(
-                pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift
-            )
-        )
+        poses.append(pose.moved(shift))
     return replace(capture, poses=tuple(poses))
 
 

@@ -230,11 +230,7 @@ def find_box(
 
 def _shifted(capture: Capture, shift_m: Floats) -> Capture:
     """Capture in a frame with a shifted origin."""
-    poses = (
-        replace(p, tx_positions=p.tx_positions + shift_m, rx_positions=p.rx_positions + shift_m)
-        for p in capture.poses
-    )
-    return replace(capture, poses=tuple(poses))
+    return replace(capture, poses=tuple(pose.moved(shift_m) for pose in capture.poses))
 
 
 def _initial_faces(

@@ -23,7 +23,7 @@ from geraf2.records import Pose, Waveform
 _OVERSAMPLING = 4
 # Nearer echoes are leakage, whose excess is not that of the far field [m].
 _LEAST_RANGE_M = 0.1
-# Largest displacement onto a raster [m]: its error, for 24 degrees off the middle, is 0.5 rad.
+# Largest displacement onto a raster [m]; its error 24 degrees off the middle is 0.4 of it.
 _MOST_MOVED_M = 4e-3
 # Excess up to which a midpoint is as good: 19 degrees of two-way phase at 77 GHz is 0.1 mm [m].
 NEGLIGIBLE_M = 1e-5
@@ -75,7 +75,7 @@ def at_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
 
 
 def on_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
-    """Plane of whole frames with antennas on a raster, at most 0.4 mm from where they were.
+    """Plane of whole frames with antennas on a raster, at most 4 mm from where they were.
 
     Transmitters that take turns, an encoder's errors and a parcel that turns displace them. The
     samples are corrected for the frame's origin, the middle of the parcel: a displacement d errs by

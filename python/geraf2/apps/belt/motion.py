@@ -93,9 +93,8 @@ def corrected(pose: Pose, array: BeltStation, motion: Motion) -> Pose:
     """Plane of whole frames with its antennas where the motion puts them."""
     n_frames = pose.n_antennas // array.n_channels
     recorded = pose.phase_centers
-    shift = motion.placed(np.tile(array.phase_centers_m, (n_frames, 1)), recorded) - recorded
-    tx, rx = pose.tx_positions + shift, pose.rx_positions + shift
-    return replace(pose, tx_positions=tx, rx_positions=rx)
+    nominal = np.tile(array.phase_centers_m, (n_frames, 1))
+    return pose.moved(motion.placed(nominal, recorded) - recorded)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,17 +131,11 @@ def common_lines(record: BeltRecord, poses: dict[str, Pose]) -> list[Line]:
 
 def _rows_of(array: BeltStation, pose: Pose, channels: Ints) -> tuple[BeltStation, Pose]:
     index = (np.arange(pose.n_antennas).reshape(-1, array.n_channels)[:, channels]).ravel()
-    kept = replace(
-        pose,
-        signal=pose.signal[index],
-        tx_positions=pose.tx_positions[index],
-        rx_positions=pose.rx_positions[index],
-    )
     parts: dict[str, Any] = {
         name: tuple(getattr(array, name)[c] for c in channels)
         for name in ("tx_m", "rx_m", "delays_s")
     }
-    return replace(array, **parts), kept
+    return replace(array, **parts), pose.select(index)
 
 
 def find_motion(

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Ints
 from geraf2.apps.belt.cutting import frames_of
 from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
 from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
@@ -65,21 +64,10 @@ def parcel_scan(
         n_planes = max(1, round(float(np.ptp(moved.phase_centers[:, 0])) / _PLANE_M))
         frames = np.arange(moved.n_antennas).reshape(-1, array.n_channels)
         for number, own in enumerate(np.array_split(frames, n_planes)):
-            plane = part_of(moved, own.ravel(), f"{array.name}/{number}")
+            plane = replace(moved.select(own.ravel()), name=f"{array.name}/{number}")
             poses.append(on_raster(along_path(plane), array.n_channels, waveform))
     about = {**recorded.provenance, MOTION_KEY: json.dumps(asdict(motion))}
     return replace(recorded, poses=tuple(poses), provenance=about), motion
-
-
-def part_of(pose: Pose, antennas: Ints, name: str) -> Pose:
-    """Select antennas of a plane."""
-    return replace(
-        pose,
-        signal=pose.signal[antennas],
-        tx_positions=pose.tx_positions[antennas],
-        rx_positions=pose.rx_positions[antennas],
-        name=name,
-    )
 
 
 def along_path(pose: Pose) -> Pose:
@@ -119,18 +107,10 @@ def cut_parcel(
                 last[array.name] = float(frames.x_m[frames.kept][-1])
             index = np.arange(pose.n_antennas).reshape(-1, array.n_channels)[own].ravel()
             if len(index):
-                poses.append(moved_along(part_of(pose, index, pose.name), -middle))
+                poses.append(pose.select(index).moved(np.array([-middle, 0.0, 0.0])))
         recorded = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
         scan, motion = parcel_scan(recorded, record, num_threads=num_threads)
         save_capture(scan, folder)
     except UserError as error:
         return {"error": str(error), "cpu_seconds": time.process_time() - start}
     return {"motion": asdict(motion), "cpu_seconds": time.process_time() - start}
-
-
-def moved_along(pose: Pose, shift_m: float) -> Pose:
-    """Plane moved along the belt."""
-    shift = np.array([shift_m, 0.0, 0.0])
-    return replace(
-        pose, tx_positions=pose.tx_positions + shift, rx_positions=pose.rx_positions + shift
-    )

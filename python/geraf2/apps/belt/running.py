@@ -15,7 +15,7 @@ from geraf2.apps.batch import BatchJob, BatchOptions, JobResult, run
 from geraf2.apps.batch.child import ChildEndedError, child
 from geraf2.apps.batch.cluster import connected, require_workers, tend
 from geraf2.apps.batch.engine import Answer, Task, drive
-from geraf2.apps.batch.folder import BAD_INPUT, DONE, KILLED, BatchFolder
+from geraf2.apps.batch.folder import BAD_INPUT, DONE, KILLED, BatchFolder, JobPaths
 from geraf2.apps.batch.page import write_last
 from geraf2.apps.batch.running import if_lost
 from geraf2.apps.belt.cutting import Cutter, Span
@@ -241,9 +241,9 @@ class _Line:
             for key in ("typical_error_mm", "not_seen_percent", "f1_5mm")
             if key in numbers
         }
-        run_folder = BatchFolder(self.out).out / "runs" / f"{name}-{result.key[:10]}"
+        run_folder = JobPaths(self.out, result.key, name).run
         values |= {"state": DONE, "cpu_seconds": round(cpu_s, 2), "attempts": result.attempts}
-        values |= {"run": str(run_folder.relative_to(BatchFolder(self.out).out)), "error": ""}
+        values |= {"run": str(run_folder.relative_to(self.out)), "error": ""}
         self.store.put(name, values)
         error = values.get("typical_error_mm")
         text = "" if error is None else f"  typical error {error:.1f} mm"

@@ -189,6 +189,12 @@ class RobotLog:
         """Rotation at any time, interpolated between the rows along the shortest turn."""
         return Slerp(self.times_s, self.rotations)
 
+    def positions_at(self, times_s: Floats) -> Floats:
+        """Positions at any times, (..., 3) [m]; before and after the log those at its ends."""
+        assert self.times_s is not None
+        columns = [np.interp(times_s, self.times_s, self.positions[:, k]) for k in range(3)]
+        return np.stack(columns, axis=-1)
+
 
 # Positions beyond are no antenna positions.
 _MAX_PLACE_M = 1e5

@@ -135,11 +135,6 @@ class _Frames:
         stop = int(np.floor((last_s - self.start_s) / self.period_s + 0.01)) + 1
         return max(first, 0), min(stop, self.n_frames)
 
-    def positions(self, times_s: Floats) -> Floats:
-        """Positions at any times, (..., 3); before and after the log those at its ends."""
-        rows = self.log.positions
-        return np.stack([np.interp(times_s, self.rows_s, rows[:, k]) for k in range(3)], axis=-1)
-
 
 def log_track(
     log: RobotLog,
@@ -192,7 +187,7 @@ def log_track(
     # Rounding may put the last frame after the last row.
     inside_s = np.clip(times_s, log.times_s[0], log.times_s[-1])
     return Track(
-        positions=frames.positions(inside_s),
+        positions=frames.log.positions_at(inside_s),
         rotations=None if log.quaternions is None else log.turns(inside_s),
         tx_positions=_tx_positions(frames, times_s, tx_delays_s),
         ranges=ranges,
@@ -211,7 +206,7 @@ def _tx_positions(frames: _Frames, times_s: Floats, delays_s: tuple[float, ...])
     """Positions at each transmitter's chirp; None for simultaneous chirps and without times."""
     scan = frames.log.scan
     if scan is None:
-        return frames.positions(times_s[:, None] + np.array(delays_s)) if delays_s else None
+        return frames.log.positions_at(times_s[:, None] + np.array(delays_s)) if delays_s else None
     if scan.motion != "continuous" or not scan.array.tx_delays_s.any():
         return None
     slack = 0.01 * frames.period_s  # clocks are rounded
@@ -220,7 +215,8 @@ def _tx_positions(frames: _Frames, times_s: Floats, delays_s: tuple[float, ...])
         on = (times_s >= line.start_s - slack) & (times_s <= line.end_s + slack)
         velocity[on] = line.velocity_m_per_s
     return np.asarray(
-        frames.positions(times_s)[:, None] + scan.array.tx_delays_s[:, None] * velocity[:, None]
+        frames.log.positions_at(times_s)[:, None]
+        + scan.array.tx_delays_s[:, None] * velocity[:, None]
     )
 
 

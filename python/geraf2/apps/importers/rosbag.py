@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._bag import Bag, read_bag
 from geraf2.apps.importers._recording import Recording, open_recording
@@ -115,13 +114,7 @@ def _find_offset(bag: Bag, recording: Recording, radar: RadarManifest) -> ClockO
     """Clock offset by the samples of the first transmitter on some lines in the middle."""
     log, config = bag.log, recording.config
     assert log.times_s is not None
-    log_times, positions = log.times_s, log.positions
-
-    def positions_at(times_s: Floats) -> Floats:
-        axes = [np.interp(times_s, log_times, positions[:, axis]) for axis in range(3)]
-        return np.stack(axes, axis=-1)
-
-    lines = straight_lines((float(log_times[0]), float(log_times[-1])), positions_at)
+    lines = straight_lines((float(log.times_s[0]), float(log.times_s[-1])), log.positions_at)
     sample_bytes = 8 * recording.evidence.order.n_rx * recording.evidence.n_samples
     delay_s = -0.5 * (radar.raw.chirp_s or 0.0) * (recording.n_tx - 1)
     lost, sweeps = np.array(bag.lost, dtype=int), []
@@ -148,7 +141,7 @@ def _find_offset(bag: Bag, recording: Recording, radar: RadarManifest) -> ClockO
     n_samples = recording.evidence.n_samples
     sweep_s = n_samples * recording.evidence.order.per_complex / rate
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (start_hz + 0.5 * slope * sweep_s)
-    return find_clock_offset(sweeps, positions_at, wavelength_m)
+    return find_clock_offset(sweeps, log.positions_at, wavelength_m)
 
 
 def divided_at_turns(track: Track, period_s: float) -> Track:
