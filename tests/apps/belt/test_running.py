@@ -59,6 +59,8 @@ def test_each_parcel_is_a_row_and_a_good_one_a_run(done):
     assert [row["parcel"] for row in table] == ["parcel-00001", "parcel-00002"]
     assert float(table[1]["position_m"]) == pytest.approx(-0.6, abs=0.02)
     page = (out / "parcels.html").read_text()
+    assert "geraf2 belt" in page
+    assert "the latest first" in page
     assert "parcel-00002" in page
 
 

@@ -46,14 +46,18 @@ def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
     rows = [_Row.read(paths, known.get(paths.key) or paths.read()) for paths in folder.all_paths()]
     rows.sort(key=lambda row: (row.rank, row.paths.scene))
     write_text_atomic(folder.out / TABLE_NAME, _as_csv(rows))
-    write_text_atomic(folder.out / PAGE_NAME, _as_html(folder, rows))
+    title = f"geraf2 batch {folder.out.name}"
+    page = _as_html(title, "Failed scenes come first", rows)
+    write_text_atomic(folder.out / PAGE_NAME, page)
 
 
 def write_last(folder: BatchFolder, name: str, most: int) -> None:
-    """Write a page of the last scenes by their names, the latest first."""
+    """Write the page of a belt: its last parcels by their names, the latest first."""
     paths = sorted(folder.all_paths(), key=lambda own: own.scene)[-most:][::-1]
     rows = [_Row.read(own, own.read()) for own in paths]
-    write_text_atomic(folder.out / name, _as_html(folder, rows))
+    title = f"geraf2 belt {folder.out.name}"
+    page = _as_html(title, f"The last {most}, the latest first", rows)
+    write_text_atomic(folder.out / name, page)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +122,7 @@ def _as_csv(rows: Sequence[_Row]) -> str:
     return csv_text(head, lines)
 
 
-def _as_html(folder: BatchFolder, rows: Sequence[_Row]) -> str:
+def _as_html(title: str, order: str, rows: Sequence[_Row]) -> str:
     ranks = [row.rank for row in rows]
     used = [e for e in _NUMBERS if e[1] and any(row.number(e[0], e[2]) for row in rows)]
     counts = {
@@ -133,15 +137,16 @@ def _as_html(folder: BatchFolder, rows: Sequence[_Row]) -> str:
         counts |= {"did not pass": verdicts.count("fail")}
     return html.rendered(
         "batch.html",
-        title=f"geraf2 batch {folder.out.name}",
+        title=title,
+        order=order,
         facts=counts.items(),
-        numbers=[title for _, title, _ in used],
+        numbers=[name for _, name, _ in used],
         inspected=bool(verdicts),
         heads=[
             "scene",
             "state",
             *["inspection"] * bool(verdicts),
-            *(title for _, title, _ in used),
+            *(name for _, name, _ in used),
             "warnings",
             "error",
         ],
