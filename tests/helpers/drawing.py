@@ -1,6 +1,7 @@
 """Pictures that are drawn coarsely or not at all, for tests that ask for other things.
 
-A report of five pictures takes 3 s, a coarse one 1.5 s, one with blank pictures 0.3 s.
+A report of five pictures takes 3 s, a coarse one 1.5 s, one with blank pictures 0.3 s. The fixtures
+last for a module: folders of tests are no packages, where the scope "package" lasts for all tests.
 """
 
 import pytest
@@ -22,7 +23,7 @@ def blank(figure, path):
         Image.new("RGB", (8, 8)).save(temporary, format="png")
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def drawn_coarsely():
     """For the conftest.py of a folder of tests."""
     with pytest.MonkeyPatch.context() as patch:
@@ -30,7 +31,7 @@ def drawn_coarsely():
         yield
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def not_drawn():
     """For the conftest.py of a folder of tests: figures are made, their files are blank."""
     with pytest.MonkeyPatch.context() as patch:

@@ -126,6 +126,8 @@ class Runner:
         spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
         if row.spec.world.is_off:  # keeps names of older folders
             del spec["world"]
+        if row.spec.belt is None:
+            del spec["belt"]
         scan = {
             name: value
             for name, value in vars(row.spec.scan).items()
