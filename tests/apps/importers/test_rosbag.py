@@ -203,6 +203,20 @@ def test_broken_files_are_one_line(tmp_path, bag, capsys):
         assert not (tmp_path / "scene").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [(b"xwr_driver/msg/AdcFrame", b"x/msg/A:\n pass\nimport o"), (b" samples\n", b" s=1;b()\n")],
+)
+def test_a_definition_with_code_in_its_names_is_refused(tmp_path, bag, name, code):
+    """Rosbags makes classes of the definitions in a bag: names must be identifiers."""
+    assert len(name) == len(code)
+    data = next(bag.glob("*.mcap")).read_bytes()
+    assert name in data
+    (tmp_path / "code.mcap").write_bytes(data.replace(name, code))
+    with pytest.raises(UserError, match=r"cannot be read: Could not parse"):
+        opened(tmp_path / "code.mcap")
+
+
 def test_a_missing_extra_is_one_line(tmp_path, bag, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
     with pytest.raises(UserError, match=r"need rosbags; pip install 'geraf2\[ros\]'"):
