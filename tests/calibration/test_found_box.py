@@ -156,6 +156,15 @@ def test_antennas_within_the_walls_are_refused(scan):
         find_box(replace(scan, poses=poses))
 
 
+def test_planes_that_meet_before_any_box_have_no_walls(scan):
+    near = tuple(
+        pose.moved((pose.phase_centers.mean(axis=0) @ pose.axes[0] + 0.03) * -pose.axes[0])
+        for pose in scan.poses
+    )
+    with pytest.raises(UserError, match=r"no walls .* the planes meet 30 mm in front of them"):
+        find_box(replace(scan, poses=near))
+
+
 def test_echoes_beside_the_region_are_an_error_not_an_empty_region(monkeypatch):
     capture, _ = examples.small_capture()
 

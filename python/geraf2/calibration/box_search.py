@@ -59,6 +59,8 @@ _EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 LEAST_SIDE_M = 0.04
 """Least side length of a box [m]."""
+LEAST_REACH_M = 0.5 * LEAST_SIDE_M + 2.0 * _MOST_SHIFT_M + _OFFSET_STEP_M
+"""Least distance of the planes: the smallest box at the largest error of the delay [m]."""
 # Least cosine between a direction and the looking direction.
 _LEAST_AHEAD = 0.8
 

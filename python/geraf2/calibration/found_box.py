@@ -9,6 +9,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
+    LEAST_REACH_M,
     LEAST_SIDE_M,
     Flashes,
     RoughFaces,
@@ -211,6 +212,8 @@ def find_box(
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
         raise WallsNotFoundError(seen="the planes face no common point")
+    if reach < LEAST_REACH_M:
+        raise WallsNotFoundError(seen=f"the planes meet {1e3 * reach:.0f} mm in front of them")
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
