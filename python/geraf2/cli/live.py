@@ -1,14 +1,18 @@
 """`geraf2 live`: the surface grows while the scan is made."""
 
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import Arg
 from geraf2.apps.live.follow import LiveOptions, PlaneReport, follow
 from geraf2.apps.live.target import Target
+from geraf2.apps.viewing.server import LiveView
 from geraf2.cli._console import CONSOLE, Threads, rows, say, warn
 from geraf2.cli._fields import Positional, part_of
 from geraf2.cli._outcome import print_found
@@ -35,6 +39,10 @@ class Config(PriorSource):
     mm 0.95" with a probability of 0.9."""
     idle: Annotated[float, Interval(ge=0.1, le=1e6), Arg(metavar="SECONDS")] = 60.0
     """End when no plane came for this time, or when all came that SOURCE announces."""
+    view: bool = False
+    """Show the surface in a browser while it grows, with the planes so far and the next one."""
+    port: Annotated[int, Interval(ge=1, le=65535)] = 8080
+    """Port of that page, on this machine alone."""
     no_report: bool = False
     """Leave out the report."""
     threads: Threads = None
@@ -45,16 +53,23 @@ def main(config: Config) -> int:
     """Run the command."""
     until = None if config.until is None else Target.of(config.until)
     ending = LiveOptions(until=until, idle_s=config.idle, report=not config.no_report)
-    found = follow(
-        config.source,
-        config.out,
-        part_of(config, PriorSource),
-        config.preset,
-        ending=ending,
-        listener=CONSOLE,
-        on_plane=_show,
-        num_threads=config.threads,
-    )
+    with ExitStack() as stack:
+        page = None
+        if config.view:
+            page = LiveView([config.out], port=config.port, waits=True)
+            stack.callback(page.stop)
+            say(f"page     {page.url}")
+            say(f"over SSH {page.ssh_line}")
+        found = follow(
+            config.source,
+            config.out,
+            part_of(config, PriorSource),
+            config.preset,
+            ending=ending,
+            listener=CONSOLE,
+            on_plane=partial(_show, page),
+            num_threads=config.threads,
+        )
     say(f"{found.n_planes} planes: {found.reason}")
     print_found(found.result)
     result = found.result
@@ -63,10 +78,13 @@ def main(config: Config) -> int:
     return 0
 
 
-def _show(report: PlaneReport) -> None:
+def _show(page: LiveView | None, report: PlaneReport) -> None:
     if report.is_left_out:
         warn(report.problem)
         return
+    if page is not None:
+        corners = report.next_corners_m
+        page.next_plane_m = None if corners is None else np.array(corners)
     found = f"no surface yet: {report.problem}"
     if report.expected_error_mm is not None and report.seen_share is not None:
         found = (

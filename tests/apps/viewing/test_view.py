@@ -2,6 +2,7 @@
 
 import base64
 import json
+import shutil
 import signal
 import socket
 import subprocess
@@ -213,3 +214,38 @@ def test_ctrl_c_is_the_normal_end_of_view(number, code, said, small_capture_fold
         process.send_signal(number)
         error = process.communicate(timeout=60)[1]
     assert (process.returncode, error) == (code, said)
+
+
+@pytest.mark.browser
+def test_an_open_page_follows_the_files_and_keeps_what_was_chosen(open_page, run, tmp_path):
+    out = tmp_path / "out"
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    view = LiveView([out], port=port, waits=True)
+    try:
+        with pytest.raises(urllib.error.HTTPError) as early:
+            urllib.request.urlopen(view.url, timeout=20)
+        assert (early.value.code, early.value.headers["Refresh"]) == (503, "1")
+        shutil.copytree(run, out)
+        page = open_page(view.url)
+        page.locator('[data-view="+y"]').click()
+        page.get_by_label("Colour").select_option(label="one colour")
+        page.get_by_label("glints", exact=True).check()
+        corners = np.array(
+            [[0.4, y, z] for y, z in ((-0.1, -0.1), (0.1, -0.1), (0.1, 0.1), (-0.1, 0.1))]
+        )
+        view.next_plane_m = corners
+        write_mesh(solids.ball(2 * RADIUS_M, 2), out / "mesh_content.ply")
+        page.get_by_label("next plane", exact=True).wait_for(timeout=20_000)
+        state = page.evaluate(
+            "(v => [v.camera.azimuth, v.scene.glints.visible, v.attribute, v.inner.high[0]])"
+            "(document.querySelector('.viewer').viewer)"
+        )
+        assert state == [pytest.approx(np.pi / 2), True, None, pytest.approx(60, abs=0.5)]
+        assert (
+            page.get_by_label("Colour").evaluate("e => e.selectedOptions[0].text") == "one colour"
+        )
+        assert page.trouble == []
+    finally:
+        view.stop()

@@ -55,6 +55,8 @@ class PlaneReport:
     """Azimuth and elevation of the plane that would lower it most [degrees]."""
     next_error_mm: float | None = None
     """Mean expected error with that plane [mm]."""
+    next_corners_m: list[list[float]] | None = None
+    """Corners of that plane, (4, 3) [m]."""
     problem: str = ""
     """Why the plane was left out, or there is no surface yet."""
     is_left_out: bool = False
@@ -206,6 +208,7 @@ def _surface(session: Session) -> dict[str, Any]:
         "mean_error_mm": round(1e3 * best.error_m, 3),
         "next_deg": (best.azimuth_deg, best.elevation_deg),
         "next_error_mm": round(1e3 * best.error_after_m, 3),
+        "next_corners_m": np.round(best.plane.corners_m, 4).tolist(),
     }
 
 

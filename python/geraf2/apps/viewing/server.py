@@ -1,4 +1,4 @@
-"""Server of the interactive view of runs and scenes: a page that is read anew at each visit."""
+"""Server of the interactive view of runs and scenes: a page that follows the files."""
 
 import os
 import socket
@@ -12,18 +12,23 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
+from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.io.container import is_scene
+from geraf2.io.container import RADAR_NAME, is_scene
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME
 from geraf2.report import html
 from geraf2.report.run_report import run_scene
-from geraf2.report.view3d import NOTHING, Around, Other, scene_json, view_scene
+from geraf2.report.view3d import NOTHING, Around, Other, plane_layer, scene_json, view_scene
 from geraf2.scene import LosPrior, Pose
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.store import open_capture
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _FALLBACK = "The view needs JavaScript and WebGL2, which this browser does not offer here."
+
+# Files whose change an open page shows.
+_FOLLOWED = (CONTENT_NAME, METRICS_NAME, RADAR_NAME)
 
 _MAX_ANTENNAS = 24_000
 """Most antennas shown of a scene."""
@@ -34,19 +39,27 @@ _ANTENNA_COLOUR = "#56B4E9"
 class LiveView:
     """A server that shows up to two runs or scenes until it is stopped.
 
-    Two are shown side by side, with linked cameras. Reloading the page reads the files again.
+    Two are shown side by side, with linked cameras. An open page shows new files within a second.
 
     paths: run folders or scenes. port: of the page. host: addresses that may connect; this machine
-    alone by default.
+    alone by default. waits: for the surface of a run that is made meanwhile.
 
     Raises UserError where the port is in use, or there is nothing to show.
     """
 
     def __init__(
-        self, paths: Sequence[Path | str], *, port: int = 8080, host: str = "127.0.0.1"
+        self,
+        paths: Sequence[Path | str],
+        *,
+        port: int = 8080,
+        host: str = "127.0.0.1",
+        waits: bool = False,
     ) -> None:
-        self._paths, self.host = tuple(paths), host
-        page(self._paths)
+        self._paths, self.host, self._waits = tuple(paths), host, waits
+        self.next_plane_m: Floats | None = None
+        """Corners of the plane to be scanned next, which is shown, (4, 3) [m]."""
+        if not waits:
+            page(self._paths)
         require_free(host, port)
         self._server = ThreadingHTTPServer((host, port), self._handler())
         self.port = int(self._server.server_address[1])
@@ -72,7 +85,7 @@ class LiveView:
         self._server.server_close()
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
-        paths, host = self._paths, self.host
+        paths, host, waits, view = self._paths, self.host, self._waits, self
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
@@ -80,11 +93,14 @@ class LiveView:
                 status, text, kind = HTTPStatus.OK, "", "text/plain"
                 if not is_same_origin(headers, host):
                     status, text = HTTPStatus.FORBIDDEN, "a page of another site\n"
+                elif self.path == "/version":
+                    text = version(paths)
                 elif self.path != "/":
                     status, text = HTTPStatus.NOT_FOUND, "no such page\n"
                 else:
                     try:
-                        text, kind = page(paths), "text/html"
+                        text = page(paths, view.next_plane_m, needs_surface=waits)
+                        kind = "text/html"
                     except UserError as error:  # as one that is being written
                         status, text = HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n"
                 content = text.encode()
@@ -92,6 +108,8 @@ class LiveView:
                 self.send_header("Content-Type", f"{kind}; charset=utf-8")
                 self.send_header("Content-Length", str(len(content)))
                 self.send_header("Cache-Control", "no-store")
+                if status is HTTPStatus.SERVICE_UNAVAILABLE:
+                    self.send_header("Refresh", "1")
                 self.end_headers()
                 self.wfile.write(content)
 
@@ -101,11 +119,30 @@ class LiveView:
         return Handler
 
 
-def page(paths: Sequence[Path | str]) -> str:
-    """HTML page of runs or scenes side by side."""
+def version(paths: Sequence[Path | str]) -> str:
+    """Text that changes with the surfaces and scores of runs, and with the planes of scenes."""
+    files = (Path(path) / name for path in paths for name in _FOLLOWED)
+    return " ".join(str(file.stat().st_mtime_ns) if file.exists() else "-" for file in files)
+
+
+def page(
+    paths: Sequence[Path | str], next_plane_m: Floats | None = None, *, needs_surface: bool = False
+) -> str:
+    """HTML page of runs or scenes side by side, which follows their files.
+
+    next_plane_m: corners of the plane to be scanned next, (4, 3) [m].
+    needs_surface: raise UserError for a run without one, as between two updates.
+    """
+    files = version(paths)
     scenes = [scene_of(path) for path in paths]
+    if needs_surface and not scenes[0]["meshes"][0]["indices"]["data"]:
+        raise UserError(what="has no surface yet", where=paths[0])
+    if next_plane_m is not None:
+        scenes[0]["meshes"].append(plane_layer("next plane", next_plane_m))
+        scenes[0].get("planes", {})["visible"] = True
     return html.rendered(
         "view_page.html",
+        files=files,
         title=" and ".join(scene["name"] for scene in scenes),
         views=[(scene["name"], scene_json(scene)) for scene in scenes],
         fallback=_FALLBACK,
