@@ -1,7 +1,9 @@
 """Small ROS 2 bags of a simulated serpentine scan, written by rosbags."""
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -38,22 +40,28 @@ def at_times(path, times):
     return place, np.interp(times, corners, turns)
 
 
-def frames_of(path, *, noise=100.0, targets=TARGETS, period_s=PERIOD_S):
-    """Times of the frames, and their words: one chirp, one transmitter and receiver."""
+def frames_of(path, *, noise=100.0, targets=TARGETS, period_s=PERIOD_S, delays_s=(0.0,)):
+    """Times of the frames, and their words: one receiver, a chirp for each delay."""
     times = np.arange(path[0][0] + 0.25, path[0][-1] - 0.25, period_s)
-    place, turns = at_times(path, times)
-    turned = Rotation.from_euler("z", turns[:, None]).apply(place)
-    signal = echo(turned, turned, targets, WAVEFORM, amplitude=400.0)
-    rng = np.random.default_rng(0)
-    signal = signal + np.round(noise * rng.normal(size=(*signal.shape, 2))) @ [1, 1j]
-    return times, [words_of(chirp[None, None], "iq") for chirp in signal]
+    rng, chirps = np.random.default_rng(0), []
+    for delay_s in delays_s:
+        place, turns = at_times(path, times + delay_s)
+        turned = Rotation.from_euler("z", turns[:, None]).apply(place)
+        signal = echo(turned, turned, targets, WAVEFORM, amplitude=400.0)
+        noises = np.round(noise * rng.normal(size=(*signal.shape, 2))) @ [1, 1j]
+        chirps.append(signal + noises)
+    return times, [words_of(frame[:, None], "iq") for frame in np.stack(chirps, axis=1)]
 
 
-def write_bag(folder, path, frames, *, late_s=0.0, adc=DRIVER, poses="tf", storage="MCAP"):
+def write_bag(
+    folder, path, frames, *, late_s=0.0, adc=DRIVER, poses="tf", storage="MCAP", compression="NONE"
+):
     """Bag with frames `late_s` late, and poses at 100 Hz; its folder."""
     store = get_typestore(Stores.LATEST)
     store.register(get_types_from_msg(DRIVER_TEXT, DRIVER))
-    with Writer(folder, version=9, storage_plugin=StoragePlugin[storage]) as writer:
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin[storage])
+    writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
+    with writer:
         if adc:
             topic = writer.add_connection("/radar/adc", adc, typestore=store)
             for time, words in zip(*frames, strict=True):
@@ -97,7 +105,9 @@ def _write_poses(writer, store, path, poses):
             header=header(store, stamp, parent), child_frame_id=child, transform=move
         )
 
-    kind = "tf2_msgs/msg/TFMessage" if poses == "tf" else "geometry_msgs/msg/PoseStamped"
+    kind = {"tf": "tf2_msgs/msg/TFMessage", "odometry": "nav_msgs/msg/Odometry"}.get(
+        poses, "geometry_msgs/msg/PoseStamped"
+    )
     topic = writer.add_connection("/tf" if poses == "tf" else "/radar/pose", kind, typestore=store)
     # room -> table turns, table -> radar moves; the chain is the product.
     for time, where, turn in zip(times, place, turns, strict=True):
@@ -113,9 +123,44 @@ def _write_poses(writer, store, path, poses):
             pose = types["geometry_msgs/msg/Pose"](
                 position=point(*map(float, turned)), orientation=quaternion(turn)
             )
-            message = types[kind](header=header(store, stamp, "room"), pose=pose)
+            about = {"header": header(store, stamp, "room")}
+            if poses == "odometry":
+                pose, still = (
+                    types[f"geometry_msgs/msg/{name}WithCovariance"](value, np.zeros(36))
+                    for name, value in (
+                        ("Pose", pose),
+                        (
+                            "Twist",
+                            types["geometry_msgs/msg/Twist"](vector(0, 0, 0), vector(0, 0, 0)),
+                        ),
+                    )
+                )
+                about |= {"child_frame_id": "radar", "twist": still}
+            message = types[kind](**about, pose=pose)
         writer.write(topic, stamp, store.serialize_cdr(message, kind))
     if poses == "tf":
         static = writer.add_connection("/tf_static", kind, typestore=store)
         message = types[kind](transforms=[link("arm", "radar", EPOCH_NS, (0, 0, -0.1), 0.0)])
         writer.write(static, EPOCH_NS, store.serialize_cdr(message, kind))
+
+
+def rewritten(bag, target, **options):
+    """Copy of the MCAP of a bag by the package mcap, with options of its writer."""
+    with next(bag.glob("*.mcap")).open("rb") as file, target.open("wb") as out:
+        writer = McapWriter(out, **options)
+        writer.start(profile="ros2")
+        schemas, channels = {}, {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    return target

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
+from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
 from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
@@ -20,6 +21,7 @@ from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.outputs import PICTURES, require_file
+from geraf2.io.ros import is_bag
 from geraf2.io.run_folder import RUN_NAME
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import (
@@ -40,11 +42,11 @@ class Config:
     """Show the content of a scene, the cost of a run, and implausible values.
 
     Of a raw recording (.bin, or a folder of them) it shows how it is stored, with the evidence; of
-    a run folder, what was found.
+    a ROS 2 bag its topics; of a run folder, what was found.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
-    """Scene folder, raw recording of a DCA1000, or run folder."""
+    """Scene folder, raw recording of a DCA1000, ROS 2 bag, or run folder."""
     radar: Path | None = None
     """TOML file with radar parameters, for a raw recording."""
     config: tuple[Path, ...] = ()
@@ -65,11 +67,13 @@ def main(config: Config) -> int:
         require_file(config.figure, PICTURES)
     if (config.scene / RUN_NAME).is_file():
         return _show_run(config.scene)
-    if _is_recording(config.scene):
+    show = _show_bag if is_bag(config.scene) else None
+    show = _show_recording if _is_recording(config.scene) else show
+    if show is not None:
         if config.figure is not None:
             hint = "import the recording first"
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
-        return _show_recording(config)
+        return show(config)
     reader = SceneReader(config.scene)
     n_checked = reader.n_poses if reader.has_checksums else "no"
     base = capture_without_poses(reader.manifest)
@@ -144,6 +148,15 @@ def _show_run(path: Path) -> int:
     view = ("in 3D", f"geraf2 view {shown}")
     part = ("against a CAD model", f"geraf2 inspect {shown} --cad PART")
     rows([*page, view, part, *scores] if is_done else finish)
+    return 0
+
+
+def _show_bag(config: Config) -> int:
+    found, lacks = list_bag(config.scene)
+    line = f"geraf2 import rosbag {quote(str(config.scene))} scene --config FILES"
+    rows([("bag", str(config.scene)), *found, *([] if lacks else [("to import it", line)])])
+    for text in lacks:
+        warn(f"{config.scene}: {text}")
     return 0
 
 

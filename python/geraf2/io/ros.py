@@ -28,6 +28,13 @@ def ros_module(name: str) -> Any:
         raise UserError(what=what, hint="pip install 'geraf2[ros]'") from None
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path has the name of a bag, or is the folder of one."""
+    if path.is_dir():
+        return (path / "metadata.yaml").is_file()
+    return path.suffix in (".mcap", ".db3", ".bag") and path.is_file()
+
+
 @contextmanager
 def opened_bag(path: Path) -> Iterator[Any]:
     """Reader of a rosbag2 folder, .mcap or .db3; UserError for what cannot be read."""

@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
@@ -17,7 +18,7 @@ from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.ros import write_mesh_mcap
 from helpers.raw_capture import RADAR, RADAR_TOML
-from helpers.ros_bag import at_times, frames_of, scan_path, write_bag
+from helpers.ros_bag import at_times, frames_of, rewritten, scan_path, write_bag
 from helpers.solids import ball
 
 RADAR_MANIFEST = RadarManifest(
@@ -76,6 +77,25 @@ def test_the_command_states_the_offset_and_info_shows_it(tmp_path, bag, capsys):
     assert "from 10 lines" in shown
 
 
+def test_info_lists_the_topics_of_a_bag(tmp_path, bag, path, frames, capsys):
+    file = next(bag.glob("*.mcap"))
+    for source in (bag, file):
+        assert main(["info", str(source)]) == 0
+        shown = " ".join(capsys.readouterr().out.split())
+        assert "recorded 2023-11-14 22:13:20 UTC, 13.9 s" in shown
+        assert "/radar/adc xwr_driver/msg/AdcFrame, 1341 messages: samples of a radar" in shown
+        assert "/tf tf2_msgs/msg/TFMessage, 1391 messages: poses" in shown
+        assert f"geraf2 import rosbag {source} scene" in shown
+    unusable = write_bag(tmp_path / "b", path, frames, adc=None)
+    assert main(["info", str(unusable)]) == 0
+    done = capsys.readouterr()
+    assert "no topic with samples of a radar" in done.err
+    assert "import rosbag" not in done.out
+    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
+    assert main(["info", str(tmp_path / "old.bag")]) == 2
+    assert "is a ROS 1 bag" in capsys.readouterr().err
+
+
 def test_a_given_offset_goes_before_the_estimate(bag, path, frames):
     scan = opened(bag, clock_offset_ms=30.0)
     assert dict(scan.facts)["clock offset"] == "radar 30 ms late, given"
@@ -103,13 +123,57 @@ def test_noise_has_no_offset():
     assert found.sigma_s == np.inf
 
 
-@pytest.mark.parametrize("kind", ["std_msgs/msg/UInt8MultiArray", "std_msgs/msg/Int16MultiArray"])
-def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, frames, kind):
-    bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses="pose", storage="SQLITE3")
+@pytest.mark.parametrize(
+    ("kind", "poses"),
+    [("std_msgs/msg/UInt8MultiArray", "pose"), ("std_msgs/msg/Int16MultiArray", "odometry")],
+)
+def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, frames, kind, poses):
+    bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses=poses, storage="SQLITE3")
     scan = opened(bag, clock_offset_ms=0.0)
     assert dict(scan.facts)["positions from"].startswith("/radar/pose")
     places = np.concatenate([pose.tx_positions for pose in scan.poses()])
     assert np.abs(places - at_times(path, frames[0])[0]).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"compression": CompressionType.ZSTD},
+        {"compression": CompressionType.LZ4, "chunk_size": 4096},
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False},
+    ],
+)
+def test_mcap_files_of_other_writers_are_read(tmp_path, bag, frames, options):
+    scan = opened(rewritten(bag, tmp_path / "scan.mcap", **options), clock_offset_ms=0.0)
+    signal = np.concatenate([pose.signal for pose in scan.poses()])
+    assert np.array_equal(signal[:, :, 0], np.stack(frames[1])[:, ::2])
+
+
+@pytest.mark.parametrize(
+    ("storage", "compression"),
+    [("MCAP", "STORAGE"), ("MCAP", "FILE"), ("SQLITE3", "FILE"), ("SQLITE3", "MESSAGE")],
+)
+def test_compressed_bags_are_read(tmp_path, path, frames, storage, compression):
+    few = frames[0][:150], frames[1][:150]
+    bag = write_bag(tmp_path / "b", path, few, storage=storage, compression=compression)
+    scan = opened(bag, clock_offset_ms=0.0)
+    signal = np.concatenate([pose.signal for pose in scan.poses()])
+    assert np.array_equal(signal[:, :, 0], np.stack(few[1])[:, ::2])
+
+
+def test_transmitters_that_take_turns_have_positions_of_their_own_times(tmp_path, path):
+    delays = np.array([-0.001, 0.001])
+    both = frames_of(path, delays_s=delays)
+    bag = write_bag(tmp_path / "b", path, both, late_s=LATE_S)
+    antennas = AntennaManifest(tx_offsets_m=np.zeros((2, 3)).tolist(), rx_offsets_m=[[0.0] * 3])
+    raw = RawManifest(n_rx=1, n_tx=2, chirp_s=0.002)
+    radar = RADAR_MANIFEST.model_copy(update={"raw": raw, "antennas": antennas})
+    scan = load_importer("rosbag").open(bag, radar, ImportOptions())
+    assert abs(offset_ms(scan)[0] - 1e3 * LATE_S) < 0.3
+    places = np.concatenate([pose.tx_positions for pose in scan.poses()]).reshape(-1, 2, 3)
+    for k, delay in enumerate(delays):
+        assert np.abs(places[:, k] - at_times(path, both[0] + delay)[0]).max() < 1e-4
 
 
 def test_stretches_between_turns_are_planes(tmp_path):

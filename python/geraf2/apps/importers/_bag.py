@@ -5,6 +5,7 @@ import weakref
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -71,13 +72,28 @@ class Bag:
     notes: tuple[str, ...]
 
 
+def list_bag(source: Path) -> tuple[list[tuple[str, str]], list[str]]:
+    """Names and values of a bag's contents, and what it lacks for an import."""
+    with opened_bag(source) as reader:
+        topics = _topics(reader)
+        samples, poses = _samples_topics(reader, topics), _poses_topics(topics)
+        start = datetime.fromtimestamp(1e-9 * reader.start_time, UTC)
+        rows = [("recorded", f"{start:%Y-%m-%d %H:%M:%S} UTC, {1e-9 * reader.duration:.4g} s")]
+        for name, kind in topics.items():
+            use = "samples of a radar" if name in samples else "poses" if name in poses else ""
+            text = f"{kind}, {reader.topics[name].msgcount} messages"
+            rows.append((name, f"{text}: {use}" if use else text))
+    lacks = [(samples, "no topic with samples of a radar"), (poses, "no topic with poses")]
+    return rows, [text for found, text in lacks if not found]
+
+
 def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Bag:
     """Read frames and poses of a bag; UserError where either is missing.
 
     period_s: time between frames where the radar's configuration states it.
     """
     with opened_bag(source) as reader, TemporaryFile() as file:
-        topics = {name: info.msgtype or "?" for name, info in sorted(reader.topics.items())}
+        topics = _topics(reader)
         samples = _samples_topic(reader, topics, options, source)
         table, frame_id = _copy_frames(reader, samples, file, source)
         log, origin = _read_log(reader, topics, options, frame_id, int(table[0, 0]), source)
@@ -170,17 +186,31 @@ def _require_topic(topics: dict[str, str], topic: str, flag: str, where: Path) -
     return topic
 
 
-def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, where: Path) -> str:
-    """Topic of the radar's samples: the given one, or the only one with an array of words."""
+def _topics(reader: Any) -> dict[str, str]:
+    """Types of the topics by their names."""
+    return {name: info.msgtype or "?" for name, info in sorted(reader.topics.items())}
+
+
+def _samples_topics(reader: Any, topics: dict[str, str]) -> list[str]:
+    """Topics with an array of words in each message."""
     fields = reader.typestore.fielddefs
-    found = [
+    return [
         name
         for name, kind in topics.items()
         if kind.split("/")[0] not in _NO_SAMPLES and _arrays_of(fields, kind)
     ]
+
+
+def _poses_topics(topics: dict[str, str]) -> list[str]:
+    return [name for name, kind in topics.items() if kind in (_TF, *_POSES)]
+
+
+def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, where: Path) -> str:
+    """Topic of the radar's samples: the given one, or the only one that may hold them."""
+    found = _samples_topics(reader, topics)
     if options.adc_topic is not None:
         topic = _require_topic(topics, options.adc_topic, "--adc-topic", where)
-        if not _arrays_of(fields, topics[topic]):
+        if not _arrays_of(reader.typestore.fielddefs, topics[topic]):
             what = f"{topic} holds no samples of a radar"
             expected = "an array of uint8, int16 or uint16"
             raise UserError(what=what, where=where, expected=expected, got=topics[topic])
@@ -253,7 +283,7 @@ def _read_log(
 ) -> tuple[RobotLog, str]:
     """Poses of the radar at times from `zero_ns` on, and their origin."""
     given = options.pose_topic
-    found = [name for name, kind in topics.items() if kind == _TF or kind in _POSES]
+    found = _poses_topics(topics)
     if given is not None:
         found = [_require_topic(topics, given, "--pose-topic", where)]
         if topics[given] not in (_TF, *_POSES):
