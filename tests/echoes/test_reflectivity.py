@@ -13,6 +13,7 @@ from geraf2.echoes.reflectivity import (
     mid_wave_number,
     slab_reflection,
     spreading,
+    squarely,
     wall_flash,
     window_gain,
 )
@@ -83,6 +84,17 @@ def test_the_gain_is_that_of_a_sum_over_antennas(a):
     wanted = np.abs(np.sum(weight * np.exp(1j * phase))) / weight.sum()
     found = window_gain(window(focus), np.array([r]), bent(1 / a, 1 / a), K)
     assert found == pytest.approx(wanted, rel=0.01)
+
+
+def test_a_plane_that_faces_across_the_content_has_no_focus():
+    prior, axes = LosPrior.from_box((0.2,) * 3), np.eye(3)
+    planes = [
+        Aperture.of_rectangle(np.array(at), axes, [0.1, 0.1]) for at in ((0, 0.4, 0), (-0.4, 0, 0))
+    ]
+    middles = np.array([plane.middle_m for plane in planes])
+    windows = Windows.of(planes, np.arange(2), middles, prior, 0.08)
+    assert np.isfinite(window_gain(windows, np.full(2, 0.3), np.zeros((2, 3, 3)), K)).all()
+    assert squarely(windows, np.tile(axes[0], (2, 1))).tolist() == [False, True]
 
 
 def test_fresnel_and_the_slab():

@@ -31,6 +31,8 @@ _FAINTEST = 0.01
 """Least reflection of a wall that is a reference: fainter ones depend on tenths of a millimetre."""
 _THICKNESS_SHARE = 0.02
 """Standard uncertainty of a stated wall thickness, as a share of it."""
+_NEAREST_FOCUS_M = 0.01
+"""Least range of a focus [m]: a nearer plane faces across the content, or lies in it."""
 _N_POINTS = 17
 """Points along each side of a sub-aperture in the sum over its window."""
 _N_RANGES = 17
@@ -80,7 +82,7 @@ class Windows(NamedTuple):
         axes = np.stack([aperture.axes for aperture in apertures])[planes]
         sides = np.stack([2.0 * aperture.half_m for aperture in apertures])[planes]
         ahead = np.einsum("ij,ij->i", prior.bounds.mean(axis=0) - centers, axes[:, 0])
-        return cls(axes, np.minimum(sides, size_m), np.abs(ahead))
+        return cls(axes, np.minimum(sides, size_m), np.maximum(np.abs(ahead), _NEAREST_FOCUS_M))
 
 
 def window_gain(windows: Windows, range_m: Floats, curvature: Floats, wave_number: float) -> Floats:
@@ -218,9 +220,10 @@ def squarely_seen_walls(peaks: PeakSet, windows: Windows, scene: MeshScene) -> B
 
 
 def squarely(windows: Windows, directions: Floats) -> Bools:
-    """Whether directions, (n, 3), are near the boresights of their planes, (n,)."""
+    """Whether directions, (n, 3), are near the boresights of planes with a focus, (n,)."""
     cosine = np.abs(np.einsum("ij,ij->i", windows.axes[:, 0], directions))
-    return np.asarray(cosine > np.cos(LARGEST_TILT_RAD))
+    has_focus = windows.focus_m > _NEAREST_FOCUS_M
+    return np.asarray(has_focus & (cosine > np.cos(LARGEST_TILT_RAD)))
 
 
 def mid_wave_number(waveform: Waveform) -> float:

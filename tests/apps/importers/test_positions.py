@@ -77,6 +77,19 @@ def test_one_row_a_frame_needs_no_times(tmp_path):
     assert track(path, n_frames=21, period=None, keep_good=True).ranges == ((0, 10),)
 
 
+@pytest.mark.parametrize("names", ["time_s,x_m,y_m,z_m", "time_s,x_m,y_m,z_m,qw,qx,qy,qz"])
+def test_a_log_of_one_row_is_one_position(tmp_path, names):
+    row = [0.2, 0.3, 0.1, 0.0, *Rotation.from_euler("z", 0.5).as_quat()[[3, 0, 1, 2]]]
+    path = write_csv(tmp_path / "l.csv", [row[: names.count(",") + 1]], names)
+    with pytest.raises(UserError, match="18 of 19 frames lie outside the time stamps"):
+        track(path)
+    found = track(path, keep_good=True)
+    assert found.ranges == ((4, 5),)
+    positions, rotations = found.at(4, 5)
+    assert np.allclose(positions, row[1:4])
+    assert np.isclose(rotations[0, 1, 0], np.sin(0.5) if "qw" in names else 0.0)
+
+
 def test_offsets_turn_with_the_end_effector(tmp_path):
     turns = Rotation.from_euler("z", np.linspace(0, 90, 10)[:, None], degrees=True)
     quaternions = turns.as_quat()[:, [3, 0, 1, 2]]

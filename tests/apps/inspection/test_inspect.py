@@ -163,6 +163,7 @@ def test_the_search_reports_its_progress_after_each_model(tmp_path, any_of):
         ("run", ["--cad", "none.stl"], "does not exist"),
         ("run", ["--cad", "wedge.stl", "wedge.stl"], "the same CAD file is given twice"),
         ("run", ["--cad", "wedge.stl", "--scene", "none"], "none: no such scene"),
+        ("run", ["--scene", "none"], "none: no such scene"),
     ],
 )
 def test_bad_input_is_one_line(run, cad, tmp_path, capsys, monkeypatch, path, flags, text):
@@ -178,4 +179,5 @@ def test_bad_input_is_one_line(run, cad, tmp_path, capsys, monkeypatch, path, fl
     error = capsys.readouterr().err.strip().splitlines()
     assert text in error[-1]
     assert error[-1].startswith("geraf2: error:")
+    assert "finding the models" not in "".join(error)
     assert not (tmp_path / "out").exists()

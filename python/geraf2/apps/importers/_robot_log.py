@@ -184,10 +184,11 @@ class RobotLog:
         assert self.quaternions is not None
         return Rotation.from_quat(self.quaternions[:, [1, 2, 3, 0]])
 
-    @cached_property
-    def turns(self) -> Slerp:
-        """Rotation at any time, interpolated between the rows along the shortest turn."""
-        return Slerp(self.times_s, self.rotations)
+    def rotations_at(self, times_s: Floats) -> Rotation:
+        """Rotations at times within the log, (n,), along the shortest turn between its rows."""
+        if len(self.positions) == 1:
+            return self.rotations[np.zeros(len(times_s), dtype=np.int64)]
+        return Slerp(self.times_s, self.rotations)(times_s)
 
     def positions_at(self, times_s: Floats) -> Floats:
         """Positions at any times, (..., 3) [m]; before and after the log those at its ends."""

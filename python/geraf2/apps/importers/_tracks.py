@@ -188,7 +188,7 @@ def log_track(
     inside_s = np.clip(times_s, log.times_s[0], log.times_s[-1])
     return Track(
         positions=frames.log.positions_at(inside_s),
-        rotations=None if log.quaternions is None else log.turns(inside_s),
+        rotations=None if log.quaternions is None else log.rotations_at(inside_s),
         tx_positions=_tx_positions(frames, times_s, tx_delays_s),
         ranges=ranges,
         plane_starts=starts,
@@ -334,6 +334,8 @@ def _require_small_steps(log: RobotLog, used: int) -> None:
 def _without_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], list[str]]:
     """Ranges of frames outside the jumps and holes of the log, and a note."""
     log, rows_s = frames.log, frames.rows_s
+    if len(rows_s) == 1:
+        return (covered,), []
     dt = np.diff(rows_s)
     steps = np.linalg.norm(np.diff(log.positions, axis=0), axis=1)
     jumps = steps > _MAX_SPEED_M_PER_S * dt

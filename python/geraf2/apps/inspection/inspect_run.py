@@ -36,6 +36,7 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
 from geraf2.pipeline.run_scene import capture_of
+from geraf2.scene import Capture
 
 if TYPE_CHECKING:
     import trimesh
@@ -97,6 +98,7 @@ def inspect(
     """
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
+    capture = None if options.scene is None else capture_of(result, options.scene)
     contents, cad = _expected(expect, cad)
     whole, pieces = content_of(result)
     tolerance_m = 1e-3 * options.tolerance_mm
@@ -113,7 +115,9 @@ def inspect(
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
-            matches, patches, more = _compared(result, matches, models, options, num_threads)
+            matches, patches, more = _compared(
+                result, capture, matches, models, options, num_threads
+            )
             notes += more
     compare = partial(
         deviation_of,
@@ -248,19 +252,21 @@ def _models(
 
 def _compared(
     result: Reconstruction,
+    capture: Capture | None,
     matches: list[Match],
     models: Sequence[CadModel],
     options: InspectOptions,
     num_threads: int | None,
 ) -> tuple[list[Match], dict[int, Patches], list[str]]:
-    """Refine matches by expected echoes; returns their patches, and a note without a scan, too."""
+    """Refine matches by expected echoes; returns their patches, and a note without a scan, too.
+
+    capture: the scan; that of the run's record when None.
+    """
     try:
-        capture = capture_of(result, options.scene)
-        capture = keep_planes(capture, result.record.options.hold_out, result.run.scene_name)
-        expected = ExpectedEchoes(capture, result.prior, seed=options.seed, num_threads=num_threads)
+        scan = capture_of(result, None) if capture is None else capture
+        scan = keep_planes(scan, result.record.options.hold_out, result.run.scene_name)
+        expected = ExpectedEchoes(scan, result.prior, seed=options.seed, num_threads=num_threads)
     except UserError as error:
-        if options.scene is not None:
-            raise
         return matches, {}, [f"poses rest on the run alone, not on its scan: {error}"]
     moved, patches = by_echoes(matches, models, expected, placed=options.placed)
     if patches:
