@@ -24,6 +24,9 @@ def test_from_the_capture_to_its_scores(source, tmp_path, capsys):
     assert "142128 (3948 per plane)" in captured.out
     assert "phase sign exp(-j...)" in captured.out
     assert "error" not in captured.err
+    small = ["--box", "0.16", "0.16", "0.16"]
+    assert main(["reconstruct", scene, out, *small]) == 2
+    assert "the scan shows another box than the prior" in capsys.readouterr().err
     los = ["--los", str(source / "los_box.ply")]
     assert main(["reconstruct", scene, out, *los, "--preset", "fast", "--no-report"]) == 0
     finished = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])
