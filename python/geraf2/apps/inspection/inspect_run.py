@@ -98,7 +98,7 @@ def inspect(
     """
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
-    capture = None if options.scene is None else capture_of(result, options.scene)
+    scan = None if options.scene is None else capture_of(result, options.scene)
     contents, cad = _expected(expect, cad)
     whole, pieces = content_of(result)
     tolerance_m = 1e-3 * options.tolerance_mm
@@ -115,9 +115,7 @@ def inspect(
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
-            matches, patches, more = _compared(
-                result, capture, matches, models, options, num_threads
-            )
+            matches, patches, more = _compared(result, scan, matches, models, options, num_threads)
             notes += more
     compare = partial(
         deviation_of,
@@ -252,7 +250,7 @@ def _models(
 
 def _compared(
     result: Reconstruction,
-    capture: Capture | None,
+    scan: Capture | None,
     matches: list[Match],
     models: Sequence[CadModel],
     options: InspectOptions,
@@ -260,10 +258,10 @@ def _compared(
 ) -> tuple[list[Match], dict[int, Patches], list[str]]:
     """Refine matches by expected echoes; returns their patches, and a note without a scan, too.
 
-    capture: the scan; that of the run's record when None.
+    scan: that of the run's record when None.
     """
     try:
-        scan = capture_of(result, None) if capture is None else capture
+        scan = capture_of(result, None) if scan is None else scan
         scan = keep_planes(scan, result.record.options.hold_out, result.run.scene_name)
         expected = ExpectedEchoes(scan, result.prior, seed=options.seed, num_threads=num_threads)
     except UserError as error:
