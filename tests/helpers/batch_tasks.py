@@ -39,6 +39,14 @@ def start_and_hang(path):
     process.call(sleep, 600.0)
 
 
+def hang_and_clean_up(begun, cleaned):
+    Path(begun).touch()
+    try:
+        time.sleep(600.0)
+    finally:
+        Path(cleaned).touch()
+
+
 def hide_package():
     import sys  # noqa: PLC0415 - sent to a worker
 

@@ -20,8 +20,7 @@ import pytest
 
 import geraf2
 from geraf2.apps.batch import BatchOptions, cluster, read_jobs, run, running, work
-from geraf2.apps.batch.child import ChildEndedError, child
-from geraf2.apps.batch.cluster import local_cluster
+from geraf2.apps.batch.cluster import local_cluster, tend
 from geraf2.apps.batch.engine import WINDOW, Task, drive
 from geraf2.apps.batch.folder import BatchFolder
 from geraf2.apps.batch.tiles import run_slabs
@@ -201,6 +200,7 @@ def test_a_worker_that_is_killed_leaves_no_process_and_costs_nothing_but_time(cl
 
 @pytest.mark.parametrize("per_thread", [1, WINDOW])
 def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
+    tend(client)  # a nanny starts no worker that was killed during its start
     client.wait_for_workers(2)
     made, n_threads = [], sum(client.nthreads().values())
 
@@ -215,23 +215,6 @@ def test_tasks_are_made_when_there_is_room_for_them(client, per_thread):
         ahead.append(len(made) - len(squares))
     assert sorted(squares) == [i * i for i in range(100)]
     assert max(ahead) == per_thread * n_threads - 1
-
-
-def test_a_process_does_one_call_after_another(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent.parent))
-    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")  # as dask has it; too slow
-    with child(1) as process:
-        first = process.call(batch_tasks.answered, "one")
-        assert first == process.call(batch_tasks.answered, "two") | {"text": "one"}
-        assert process.tail() == ["a library prints two"]
-        assert first["malloc"] == []
-    with pytest.raises(ChildEndedError, match="timeout"), child(1) as same:
-        same.call(batch_tasks.sleep, 60.0, timeout_s=0.2)
-    assert same is process
-    assert not Path(f"/proc/{first['pid']}").exists()
-    with pytest.raises(ChildEndedError, match="SIGKILL"), child(1) as other:
-        other.call(batch_tasks.kill_self)
-    assert other is not process
 
 
 SCHEDULER = """

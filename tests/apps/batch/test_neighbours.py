@@ -15,8 +15,8 @@ import geraf2
 
 distributed = pytest.importorskip("distributed")
 
+from geraf2.apps.batch.child import child  # noqa: E402
 from geraf2.apps.batch.cluster import local_cluster  # noqa: E402
-from geraf2.pipeline.processes import Processes  # noqa: E402
 from helpers.batch_tasks import square  # noqa: E402
 
 MODULES = ("json", "pickle", "ctypes", "signal", "subprocess", "dask", "distributed", "geraf2")
@@ -75,7 +75,8 @@ def test_a_batch_runs_nothing_of_the_working_directory(trapped, small_scan):
 
 
 def test_calls_in_processes_run_nothing_of_the_working_directory(trapped):
-    assert Processes().call(os.getcwd)[0] == str(trapped.parent / "scans")
+    with child(1) as process:
+        assert process.call(os.getcwd) == str(trapped.parent / "scans")
     assert not trapped.exists(), trapped.read_text()
 
 

@@ -1,13 +1,16 @@
 """Failed and interrupted rows."""
 
 import os
+import signal
+import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from geraf2.apps.benchmark import RowResult, Runner, load_suite, making, rows_of
 from geraf2.io.run_folder import CHECKPOINT_NAME
-from geraf2.pipeline.processes import Processes
+from helpers import batch_tasks
 
 SUITE = """
 [scenes.llama]
@@ -47,44 +50,50 @@ def test_a_stopped_training_continues_and_another_run_begins_again(
     assert seen == [(is_stopped, is_stopped)]
 
 
-class StandIn(Processes):
-    """Skips scenes, and replaces rows by calls of a test."""
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Skip scenes, and replace rows by the calls of a test."""
+    whole = Runner._call
 
-    def __init__(self, **calls):
-        super().__init__()
-        self.calls = calls
+    def replace(**calls):
+        def call(runner, function, *arguments):
+            if function is not making.make_row:
+                return None, 0.0
+            return whole(runner, *calls[arguments[0].case.label])
 
-    def call(self, function, *arguments):
-        if function is not making.make_row:
-            return super().call(os.getpid)
-        return super().call(*self.calls[arguments[0].case.label])
+        monkeypatch.setattr(Runner, "_call", call)
+
+    return replace
 
 
-def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_of):
-    processes = StandIn(
-        aborts=(os.abort,), exits=(os._exit, 3), ends=(dict.get, {}, "", RowResult())
-    )
+def test_a_killed_row_is_its_own_error_and_the_others_continue(tmp_path, suite_of, stand_in):
+    stand_in(aborts=(os.abort,), exits=(os._exit, 3), ends=(dict.get, {}, "", RowResult()))
     runner = Runner(out=tmp_path / "out")
-    runner._processes = processes
     seen, rows = [], rows_of(suite_of(SUITE))
     results = runner.run_all(rows, lambda row, _: seen.append(row.case.label))
+    ended = "its process was ended: "
     errors = [result.error for _, result in results]
-    assert errors == ["its process was ended by SIGABRT", "exit code 3", None]
+    assert errors == [f"{ended}SIGABRT", f"{ended}exit code 3", None]
     assert seen == ["aborts", "exits", "ends"]
     assert [runner.known(row) is not None for row in rows] == [False, False, True]
 
 
-def test_processes_end_when_it_is_interrupted(tmp_path, suite_of):
-    processes = StandIn(aborts=(os._exit, 3), exits=(time.sleep, 600), ends=(time.sleep, 600))
+def test_an_interrupted_row_cleans_up(tmp_path, suite_of, stand_in, monkeypatch):
+    """Trainings store a checkpoint when they are interrupted."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(batch_tasks.__file__).parent.parent))
+    begun, cleaned = tmp_path / "begun", tmp_path / "cleaned"
+    stand_in(aborts=(batch_tasks.hang_and_clean_up, begun, cleaned))
 
-    def interrupt(row, _):
-        assert row.case.label == "aborts"
-        raise KeyboardInterrupt
+    def interrupt():
+        while not begun.exists():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
 
-    start, runner = time.monotonic(), Runner(out=tmp_path / "out")
-    runner._processes = processes
+    thread = threading.Thread(target=interrupt)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # jobs of a shell ignore it
+    thread.start()
     with pytest.raises(KeyboardInterrupt):
-        runner.run_all(rows_of(suite_of(SUITE)), interrupt)
-    assert time.monotonic() - start < 300.0
-    with pytest.raises(KeyboardInterrupt):  # nothing more is started
-        Processes.call(processes, os.getpid)
+        Runner(out=tmp_path / "out").run_all(rows_of(suite_of(SUITE)), print)
+    thread.join()
+    signal.signal(signal.SIGINT, before)
+    assert cleaned.exists()

@@ -4,10 +4,10 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from geraf2.apps.batch.child import Child, ChildEndedError
 from geraf2.apps.batch.cluster import connected, require_workers, tend
 from geraf2.apps.batch.engine import Answer, Task, drive
 from geraf2.apps.batch.options import BatchOptions
@@ -19,11 +19,11 @@ from geraf2.io.atomic import write_json_atomic
 from geraf2.io.run_folder import stage_key
 from geraf2.io.text import read_object
 from geraf2.io.toml import write_toml
-from geraf2.pipeline.processes import Processes
 
 if TYPE_CHECKING:
     from distributed import Client
 
+_T = TypeVar("_T")
 RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Increased when the simulator or the evaluation changes its results.
@@ -52,10 +52,6 @@ class Runner:
     cache: Path | None = None
     """Folder whose scenes/ are used and added to; `out` when None."""
 
-    @cached_property
-    def _processes(self) -> Processes:
-        return Processes()
-
     def run_all(
         self,
         rows: Sequence[Row],
@@ -69,19 +65,15 @@ class Runner:
         jobs: processes of this machine; one needs no dask.
         scheduler: address of a dask scheduler instead, whose workers share the files.
 
-        An interruption, or an exception of `on_result`, ends the processes, too.
+        An interruption ends the processes, too.
         """
         if jobs > 1 or scheduler is not None:
             options = BatchOptions(workers=None if scheduler else jobs, scheduler=scheduler)
             return run_on_workers(self, rows, on_result, options)
         results = []
-        try:
-            for row in rows:
-                results.append((row, self.run(row)))
-                on_result(*results[-1])
-        except BaseException:
-            self._processes.stop()
-            raise
+        for row in rows:
+            results.append((row, self.run(row)))
+            on_result(*results[-1])
         return results
 
     def run(self, row: Row) -> RowResult:
@@ -92,9 +84,8 @@ class Runner:
         scene, run = self.place(row)
         try:
             self.simulate(row)
-            result, seconds = self._processes.call(
-                make_row, row, scene, run, self.seed_of(row), self.num_threads
-            )
+            arguments = (row, scene, run, self.seed_of(row), self.num_threads)
+            result, seconds = self._call(make_row, *arguments)
         except (UserError, OSError) as error:
             return RowResult(error=" ".join(str(error).split()))
         result = replace(
@@ -106,6 +97,16 @@ class Runner:
         run.mkdir(parents=True, exist_ok=True)
         write_json_atomic(run / RESULT_NAME, {"row": row.name, **asdict(result)})
         return result
+
+    def _call(self, function: Callable[..., _T], *arguments: Any) -> tuple[_T, float]:
+        """Call a function in a process of its own -> result, processor time of the process [s]."""
+        process = Child(self.num_threads)
+        try:
+            return process.call(function, *arguments), process.cpu_seconds
+        except ChildEndedError as error:
+            raise UserError(what=f"its process was ended: {error}") from None
+        finally:
+            process.close()
 
     def known(self, row: Row) -> RowResult | None:
         """Return the stored result of a row; None without one."""
@@ -171,13 +172,13 @@ class Runner:
         write_toml(scene.with_suffix(".toml"), row.spec)
         if permittivity == "true":
             arguments = (row.spec, scene, self.seed_of(row), self.num_threads)
-            _, spent = self._processes.call(make_scene, *arguments)
+            _, spent = self._call(make_scene, *arguments)
             write_json_atomic(scene.with_suffix(".json"), {"cpu_seconds": spent})
             return
         true_row = with_true_walls(row)
         self.simulate(true_row)
         true_scene = self.place(true_row).scene
-        self._processes.call(copy_with_walls, true_scene, scene, permittivity)
+        self._call(copy_with_walls, true_scene, scene, permittivity)
 
 
 def with_true_walls(row: Row) -> Row:
