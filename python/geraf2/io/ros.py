@@ -63,7 +63,7 @@ def opened_bag(path: Path) -> Iterator[Any]:
         ) from None
 
 
-def write_mesh_mcap(mesh: TriangleMesh, path: Path, *, frame: str = "capture") -> None:
+def write_mesh_mcap(mesh: TriangleMesh, path: Path) -> None:
     """Write a mesh as PointCloud2 of its vertices and Marker of its triangles, metres.
 
     Fields of the vertices: x, y, z, normal_x, normal_y, normal_z and, where the run has it,
@@ -71,7 +71,7 @@ def write_mesh_mcap(mesh: TriangleMesh, path: Path, *, frame: str = "capture") -
     """
     rosbag2, typesys = ros_module("rosbag2"), ros_module("typesys")
     store = typesys.get_typestore(typesys.Stores.LATEST)
-    messages = {CLOUD_TOPIC: _cloud(mesh, frame, store), MESH_TOPIC: _marker(mesh, frame, store)}
+    messages = {CLOUD_TOPIC: _cloud(mesh, store), MESH_TOPIC: _marker(mesh, store)}
     with TemporaryDirectory(dir=path.parent) as folder:
         bag = Path(folder) / "bag"
         plugin = rosbag2.StoragePlugin.MCAP
@@ -83,12 +83,12 @@ def write_mesh_mcap(mesh: TriangleMesh, path: Path, *, frame: str = "capture") -
         (bag / "bag.mcap").replace(path)
 
 
-def _header(frame: str, store: Any) -> Any:
+def _header(store: Any) -> Any:
     stamp = store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="capture")
 
 
-def _cloud(mesh: TriangleMesh, frame: str, store: Any) -> Any:
+def _cloud(mesh: TriangleMesh, store: Any) -> Any:
     names = ["x", "y", "z", "normal_x", "normal_y", "normal_z"]
     columns = [*mesh.vertices.T, *vertex_normals(mesh.vertices, mesh.faces).T]
     if mesh.expected_error_m is not None:
@@ -97,7 +97,7 @@ def _cloud(mesh: TriangleMesh, frame: str, store: Any) -> Any:
     table = np.stack(columns, axis=1).astype("<f4")
     field = store.types["sensor_msgs/msg/PointField"]
     return store.types["sensor_msgs/msg/PointCloud2"](
-        header=_header(frame, store),
+        header=_header(store),
         height=1,
         width=len(table),
         fields=[
@@ -112,14 +112,14 @@ def _cloud(mesh: TriangleMesh, frame: str, store: Any) -> Any:
     )
 
 
-def _marker(mesh: TriangleMesh, frame: str, store: Any) -> Any:
+def _marker(mesh: TriangleMesh, store: Any) -> Any:
     types = store.types
     point, colour = types["geometry_msgs/msg/Point"], types["std_msgs/msg/ColorRGBA"]
     colours = error_colours(mesh.expected_error_m, len(mesh.vertices)) / 255.0
     corners = mesh.faces.reshape(-1)
     duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
     return types["visualization_msgs/msg/Marker"](
-        header=_header(frame, store),
+        header=_header(store),
         ns="geraf2",
         id=0,
         type=_TRIANGLE_LIST,
@@ -136,7 +136,7 @@ def _marker(mesh: TriangleMesh, frame: str, store: Any) -> Any:
         colors=[colour(r=r, g=g, b=b, a=1.0) for r, g, b in colours[corners].tolist()],
         texture_resource="",
         texture=types["sensor_msgs/msg/CompressedImage"](
-            header=_header(frame, store), format="", data=np.zeros(0, dtype=np.uint8)
+            header=_header(store), format="", data=np.zeros(0, dtype=np.uint8)
         ),
         uv_coordinates=[],
         text="",

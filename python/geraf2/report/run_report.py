@@ -185,10 +185,10 @@ def write_report(
 def run_view(run_dir: AnyPath) -> str | None:
     """Page with only the 3D view of a run's report; None without a surface."""
     folder = Path(run_dir)
-    if read_run(folder).surface is None:
+    run = read_run(folder)
+    if run.surface is None:
         return None
-    scene = run_scene(folder)
-    assert scene is not None
+    scene = _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
     return html.rendered(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
@@ -200,13 +200,16 @@ def run_view(run_dir: AnyPath) -> str | None:
 
 def run_scene(folder: Path, *, num_threads: int | None = None) -> dict[str, Any] | None:
     """Scene of the 3D view of a run, with slices of its field; None where it holds nothing yet."""
-    run, path = read_run(folder), folder / run_folder.TRUTH_COPY
-    copy = None
-    if "scores" in run.metrics and path.is_file() and run.surface is not None:
-        copy = stored_truth(path)
+    run = read_run(folder)
     if run.surface is None and run.glints is None and run.sdf is None and run.box is None:
         return None
-    return _view(run, folder, copy, None, num_threads, with_field=True)
+    return _view(run, folder, _known_truth(run, folder), None, num_threads, with_field=True)
+
+
+def _known_truth(run: RunArtefacts, folder: Path) -> tuple[TriangleMesh, Floats] | None:
+    path = folder / run_folder.TRUTH_COPY
+    is_known = "scores" in run.metrics and path.is_file() and run.surface is not None
+    return stored_truth(path) if is_known else None
 
 
 def _view(

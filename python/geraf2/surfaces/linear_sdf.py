@@ -30,6 +30,7 @@ from geraf2.surfaces.multigrid import (
 # Lengths in this file are centimetres: values, gradients and second derivatives then have order
 # one, and so have the weights.
 _CM = 100.0
+_MAX_ITERATIONS = 100  # of the conjugate gradients; about twelve are usual
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +113,7 @@ class LinearSdf:
         *,
         start: SdfGrid | None = None,
         tolerance: float = 1e-5,
-        max_iterations: int = 100,
+        max_iterations: int = _MAX_ITERATIONS,
         on_iteration: Callable[[], None] | None = None,
     ) -> SdfGrid:
         """Minimise the energy, with a distance term if `target` is given -> signed distance.
@@ -120,7 +121,7 @@ class LinearSdf:
         target: distances that the field is pulled to.
         start: first guess on the same grid; that of the constructor when None.
         tolerance: residual relative to the right side; 1e-5 leaves 0.02 mm of error.
-        max_iterations: of the conjugate gradients; about twelve are usual.
+        max_iterations: of the conjugate gradients.
         on_iteration: called after each iteration.
         """
         right, pull = self._right, np.zeros(self._grid.n_voxels)
@@ -141,9 +142,7 @@ class LinearSdf:
         values = (solution / _CM).reshape(self._grid.shape).astype(np.float32)
         return SdfGrid(grid=self._grid, values=values)
 
-    def responder(
-        self, *, tolerance: float, max_iterations: int = 100
-    ) -> Callable[[Floats], Floats]:
+    def responder(self, *, tolerance: float) -> Callable[[Floats], Floats]:
         """Return a function that solves A x = right, (n_voxels,) each, without a distance term.
 
         x is the change of the minimum, in centimetres, when `right` is added to the right side of
@@ -159,7 +158,7 @@ class LinearSdf:
                 right,
                 np.zeros_like(right),
                 tolerance=tolerance,
-                max_iterations=max_iterations,
+                max_iterations=_MAX_ITERATIONS,
             )
 
         return respond

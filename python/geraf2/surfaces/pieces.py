@@ -95,9 +95,7 @@ class Separated(NamedTuple):
     """Pieces that likely do not exist, with theirs."""
 
 
-def separate_pieces(
-    mesh: TriangleMesh, glints: Glints, model: PieceModel | None = None
-) -> Separated:
+def separate_pieces(mesh: TriangleMesh, glints: Glints) -> Separated:
     """Separate the pieces that likely exist from likely ghosts.
 
     Point scatterers (`PieceModel.least_size_m`), pieces without glints, pieces that bridge air
@@ -107,7 +105,7 @@ def separate_pieces(
     mesh: surface that was fitted to the glints.
     glints: all of them, rim glints too.
     """
-    model = model or PieceModel()
+    model = PieceModel()
     labels, n_pieces = face_labels(mesh.faces)
     if n_pieces == 0:
         return Separated(mesh, mesh)

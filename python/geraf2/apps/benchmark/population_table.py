@@ -10,7 +10,7 @@ from geraf2._types import Floats
 
 FAILED_F1 = 0.5
 """F1 at 5 mm below which a reconstruction counts as failed."""
-N_RESAMPLES = 2000
+_N_RESAMPLES = 2000
 """Resamples of the bootstrap."""
 METRICS = (
     ("f1_5mm", "F1 at 5 mm", 3),
@@ -71,26 +71,24 @@ Records = Mapping[int, Mapping[str, Any]]
 """What was drawn, by seed."""
 
 
-def mean_interval(values: Floats, n_resamples: int = N_RESAMPLES) -> Interval:
+def mean_interval(values: Floats) -> Interval:
     """Mean of values, (n,), with the bootstrap's 95 % interval."""
-    means = values[_draws(len(values), n_resamples)].mean(axis=1)
+    means = values[_draws(len(values))].mean(axis=1)
     return Interval(float(values.mean()), *_bounds(means))
 
 
-def quantile_change(
-    before: Floats, after: Floats, share: float = 0.05, n_resamples: int = N_RESAMPLES
-) -> Interval:
-    """Change of a quantile between paired values, (n,) each, with the bootstrap's 95 % interval."""
-    draws = _draws(len(before), n_resamples)
-    low = np.quantile(before[draws], share, axis=1)
-    high = np.quantile(after[draws], share, axis=1)
-    value = np.quantile(after, share) - np.quantile(before, share)
+def quantile_change(before: Floats, after: Floats) -> Interval:
+    """Change of the 5 % quantile between paired values, (n,) each, with its 95 % interval."""
+    draws = _draws(len(before))
+    low = np.quantile(before[draws], 0.05, axis=1)
+    high = np.quantile(after[draws], 0.05, axis=1)
+    value = np.quantile(after, 0.05) - np.quantile(before, 0.05)
     return Interval(float(value), *_bounds(high - low))
 
 
-def _draws(n: int, n_resamples: int) -> "np.ndarray[tuple[int, int], np.dtype[np.int64]]":
+def _draws(n: int) -> "np.ndarray[tuple[int, int], np.dtype[np.int64]]":
     """Draw the indices of resamples; equal numbers of values get equal ones, so pairs stay."""
-    return np.random.default_rng(0).integers(0, n, (n_resamples, n))
+    return np.random.default_rng(0).integers(0, n, (_N_RESAMPLES, n))
 
 
 def _bounds(values: Floats) -> tuple[float, float]:
@@ -144,7 +142,7 @@ def _size_lines(results: Sequence[SeedResult]) -> list[str]:
         mean = mean_interval(np.asarray(hits, dtype=float))
         lines.append(f"  {title:38}{_text(mean, 3)}{'':18}{len(hits):7d}")
     if len(offset):
-        medians = np.median(offset[_draws(len(offset), N_RESAMPLES)], axis=1)
+        medians = np.median(offset[_draws(len(offset))], axis=1)
         median = Interval(float(np.median(offset)), *_bounds(medians))
         title = "median of |offset| [mm]"
         lines.append(f"  {title:38}{_text(median, 2)}{'':18}{len(offset):7d}")

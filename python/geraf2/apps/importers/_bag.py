@@ -30,8 +30,6 @@ _NO_SAMPLES = ("sensor_msgs", "nav_msgs", "visualization_msgs", "rcl_interfaces"
 _WORDS = {"uint8": "u1", "int8": "i1", "int16": "<i2", "uint16": "<u2"}
 _ARRAY, _SEQUENCE, _NAME = 3, 4, 2  # kinds of fields in rosbags
 _MAX_DEPTH = 3
-# Stamps of the host jitter; one that is later than its frame by less than this share is in order.
-_JITTER = 0.5
 
 
 class FrameFile(ByteStream):
