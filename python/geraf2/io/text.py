@@ -65,8 +65,11 @@ def read_object(path: Path) -> dict[str, Any]:
 
 def csv_text(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
     """Text of a CSV file with a line of column names."""
+    return csv_rows([head, *rows])
+
+
+def csv_rows(rows: Iterable[Sequence[Any]]) -> str:
+    """Text of lines of a CSV file."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

@@ -83,6 +83,13 @@ def test_a_command_that_is_killed_continues_to_the_same_bytes(done, tmp_path):
     assert list(meshes(again)) == ["parcel-00002"]
 
 
+@pytest.mark.slow
+def test_other_settings_of_one_folder_are_refused(done):
+    stream, out, *_ = done
+    with pytest.raises(UserError, match="holds another batch"):
+        run_belt(stream, out, "best", options=BeltOptions(workers=1, idle_s=2.0, threads=1))
+
+
 def test_a_stream_without_arrays_is_one_line(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(UserError, match=r"belt\.json"):
@@ -112,6 +119,24 @@ def test_rows_keep_what_was_known(tmp_path):
     head, _, second = (tmp_path / "parcels.csv").read_text().splitlines()
     assert head.startswith("parcel,position_m,length_m,state")
     assert second.startswith("parcel-00002,,0.2,done")
+
+
+def test_a_result_is_one_more_line_and_a_torn_line_is_mended(tmp_path):
+    table = tmp_path / "parcels.csv"
+    store = ParcelStore(tmp_path)
+    store.put("parcel-00002", {"state": "done"})
+    before = table.read_bytes()
+    store.put("parcel-00001", {"length_m": 0.3})
+    assert table.read_bytes() == before
+    store.put("parcel-00001", {"state": "failed", "error": "cut, at the end"})
+    after = table.read_bytes()
+    assert after.startswith(before)
+    assert after[len(before) :].decode() == 'parcel-00001,,0.3,failed,,,,,,,,,"cut, at the end",\n'
+    table.write_bytes(after[:-5])  # killed while it wrote
+    ParcelStore(tmp_path)
+    with table.open(newline="") as file:
+        rows = [(row["parcel"], row["error"]) for row in csv.DictReader(file)]
+    assert rows == [("parcel-00001", "cut, at the end"), ("parcel-00002", "")]
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path):

@@ -163,11 +163,12 @@ class BatchFolder:
         """Paths of a job's files; key: the job's."""
         return JobPaths(self.out, key, job.scene.name)
 
-    def merged(self, jobs: Mapping[str, BatchJob]) -> dict[str, str]:
+    def merged(self, jobs: Mapping[str, BatchJob], *, is_part: bool = False) -> dict[str, str]:
         """Entries of `jobs` and of the folder; UserError where it holds another batch.
 
-        Jobs may be a subset or a superset of those of the folder. They are identified by the names
-        and settings of the scenes. Nothing is written.
+        Jobs may be a subset or a superset of those of the folder. As a part of a growing batch they
+        may be others of the same settings. They are identified by the names and settings of the
+        scenes. Nothing is written.
         """
         known = self.jobs()
         try:
@@ -178,7 +179,10 @@ class BatchFolder:
                 raise
             require_folder(self.out, "batch", own=True)
         names = {_name(job): key for key, job in jobs.items()}
-        if known and not (set(known) <= set(names) or set(names) <= set(known)):
+        old, new = (
+            {_settings_of(n) if is_part else n for n in part} for part in (known or {}, names)
+        )
+        if known and not (old <= new or new <= old):
             other = next(name for name in known if name not in names)
             raise UserError(
                 what="holds another batch",
@@ -216,6 +220,10 @@ class BatchFolder:
 def asked_of(job: BatchJob) -> str:
     """Hash of the inputs of a job's record beside its key."""
     return stage_key(truth=None if job.truth is None else fingerprint(job.truth))
+
+
+def _settings_of(name: str) -> str:
+    return name.rpartition("/")[2]
 
 
 def _name(job: BatchJob) -> str:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from geraf2.apps.batch.folder import (
@@ -51,13 +52,12 @@ def write_pages(folder: BatchFolder, known: Mapping[str, JobResult]) -> None:
     write_text_atomic(folder.out / PAGE_NAME, page)
 
 
-def write_last(folder: BatchFolder, name: str, most: int) -> None:
-    """Write the page of a belt: its last parcels by their names, the latest first."""
-    paths = sorted(folder.all_paths(), key=lambda own: own.scene)[-most:][::-1]
+def write_last(out: Path, name: str, last: Sequence[JobPaths]) -> None:
+    """Write the page of a belt with some of its parcels, the latest first."""
+    paths = sorted(last, key=lambda own: own.scene, reverse=True)
     rows = [_Row.read(own, own.read()) for own in paths]
-    title = f"geraf2 belt {folder.out.name}"
-    page = _as_html(title, f"The last {most}, the latest first", rows)
-    write_text_atomic(folder.out / name, page)
+    page = _as_html(f"geraf2 belt {out.name}", f"The last {len(rows)}, the latest first", rows)
+    write_text_atomic(out / name, page)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -51,13 +51,15 @@ def run(
     on_result: Callable[[JobResult], None] = lambda result: None,
     *,
     options: BatchOptions | None = None,
+    is_part: bool = False,
 ) -> list[JobResult]:
     """Do all jobs that are not done yet, and write batch.html and batch.csv.
 
     jobs: of distinct scenes. out: folder of the batch, on a disk shared by all workers.
     client: of a dask scheduler; None: processes of this machine, or options.scheduler.
     on_result: called with each result, first with those of earlier runs.
-    options: workers, retries, time limit.
+    options: workers, retries, time limit. is_part: of a batch that grows; results of other jobs are
+    not read, and no page is written.
 
     Returns the results in the order of the jobs. A failed job is a result, no error. Raises
     UserError before any work for unusable jobs, folder or workers.
@@ -65,7 +67,7 @@ def run(
     options = options or BatchOptions()
     resolved = distinct(job.resolved() for job in jobs)
     plan = Plan.of(resolved, BatchFolder(out), report=options.report)
-    entries, remaining = plan.folder.merged(plan.jobs), plan.remaining()
+    entries, remaining = plan.folder.merged(plan.jobs, is_part=is_part), plan.remaining()
     connection: AbstractContextManager[Client | None] = nullcontext(client)
     if remaining and client is None:
         connection = connected(options, max(map(_memory_bytes, remaining.values())))
@@ -84,9 +86,11 @@ def run(
             for result in results:
                 plan.known[result.key] = result
                 on_result(result)
-                plan.draw(_PAGE_SHARE)
+                if not is_part:
+                    plan.draw(_PAGE_SHARE)
         finally:
-            plan.draw()
+            if not is_part:
+                plan.draw()
     return [plan.known[key] for key in plan.jobs]
 
 

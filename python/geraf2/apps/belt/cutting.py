@@ -46,10 +46,10 @@ class Frames:
     """Mean power, (n_frames,)."""
 
 
-def frames_of(
-    pose: Pose, plane: int, array: BeltStation, record: BeltRecord, last_m: float | None
-) -> Frames:
-    """Frames of a plane; UserError where its positions contradict the record, or go back.
+def travel_of(
+    pose: Pose, array: BeltStation, record: BeltRecord, last_m: float | None
+) -> tuple[Floats, Bools]:
+    """`x_m` and `kept` of a plane's frames; UserError where positions contradict the record.
 
     last_m: of the frame before [m]; None for the first plane of an array.
     """
@@ -88,9 +88,7 @@ def frames_of(
             expected="frames in the order of time",
             got=f"{1e3 * back:.1f} mm back",
         )
-    kept = farthest[:-1] - x > _LEAST_STEP * step
-    power = np.square(np.abs(pose.signal)).reshape(len(x), -1).mean(axis=1)
-    return Frames(array=array.name, plane=plane, x_m=x, kept=kept, power=np.asarray(power))
+    return x, farthest[:-1] - x > _LEAST_STEP * step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,12 +127,12 @@ class Cutter:
     def add(self, pose: Pose, plane: int) -> int:
         """Add a plane; returns the number of frames at which the belt stood still."""
         array = self.record.of_plane(pose.name)
-        found = frames_of(pose, plane, array, self.record, self._last.get(array.name))
-        moved = found.x_m[found.kept]
-        if len(moved):
-            self._last[array.name] = float(moved[-1])
-        self.frames.append(found)
-        return int((~found.kept).sum())
+        x, kept = travel_of(pose, array, self.record, self._last.get(array.name))
+        if kept.any():
+            self._last[array.name] = float(x[kept][-1])
+        power = np.square(np.abs(pose.signal)).reshape(len(x), -1).mean(axis=1)
+        self.frames.append(Frames(array=array.name, plane=plane, x_m=x, kept=kept, power=power))
+        return int((~kept).sum())
 
     def ready(self, *, is_last: bool = False) -> Iterator[Span]:
         """Yield parcels, in the order of the belt, whose frames have all come.

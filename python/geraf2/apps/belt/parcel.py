@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2.apps.belt.cutting import frames_of
+from geraf2.apps.belt.cutting import travel_of
 from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
 from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
 from geraf2.apps.belt.vibration import steadied
@@ -101,10 +101,10 @@ def cut_parcel(
         for number in planes:
             pose = reader.read_pose(number)
             array = record.of_plane(pose.name)
-            frames = frames_of(pose, number, array, record, last.get(array.name))
-            own = frames.kept & (frames.x_m >= low) & (frames.x_m <= high)
-            if frames.kept.any():
-                last[array.name] = float(frames.x_m[frames.kept][-1])
+            x, kept = travel_of(pose, array, record, last.get(array.name))
+            own = kept & (x >= low) & (x <= high)
+            if kept.any():
+                last[array.name] = float(x[kept][-1])
             index = np.arange(pose.n_antennas).reshape(-1, array.n_channels)[own].ravel()
             if len(index):
                 poses.append(pose.select(index).moved(np.array([-middle, 0.0, 0.0])))

@@ -154,8 +154,7 @@ class _Line:
         self.stream, self.out, self.config, self.options = stream, out, config, options
         self.on_line, self.stack, self.store = on_line, stack, ParcelStore(out)
         self.client: Client | None = None
-        self.jobs: list[BatchJob] = []
-        self.told = set[str]()
+        self.last: list[JobPaths] = []
         self.cut_s: dict[str, float] = {}
         self.cpu_s: list[float] = []
         self.n_failed, self.start = 0, time.monotonic()
@@ -177,14 +176,14 @@ class _Line:
         for name, answer in self._cut(self.client, usable):
             self._is_cut(name, answer)
         folder = self.out / PARCELS_FOLDER
-        self.jobs += [
+        jobs = [
             BatchJob(scene=folder / name, config=self.config)
-            for name in usable
+            for name in sorted(usable)
             if is_scene(folder / name)
         ]
-        self.jobs.sort(key=lambda job: job.scene.name)
-        if self.jobs:
-            run(self.jobs, self.out, self.client, self._is_done, options=self.options)
+        if jobs:
+            given = self.options
+            run(jobs, self.out, self.client, self._is_done, options=given, is_part=True)
 
     def _cut(self, client: "Client", spans: dict[str, Span]) -> Iterator[tuple[str, Answer]]:
         tasks = (
@@ -225,11 +224,8 @@ class _Line:
             self.store.put(name, found)
 
     def _is_done(self, result: JobResult) -> None:
-        """Keep the result of a parcel, once."""
+        """Keep the result of a parcel."""
         name = result.scene
-        if name in self.told:
-            return
-        self.told.add(name)
         if result.state != DONE:
             self._failed(name, result.error, result.state)
             return
@@ -241,14 +237,15 @@ class _Line:
             for key in ("typical_error_mm", "not_seen_percent", "f1_5mm")
             if key in numbers
         }
-        run_folder = JobPaths(self.out, result.key, name).run
+        paths = JobPaths(self.out, result.key, name)
         values |= {"state": DONE, "cpu_seconds": round(cpu_s, 2), "attempts": result.attempts}
-        values |= {"run": str(run_folder.relative_to(self.out)), "error": ""}
+        values |= {"run": str(paths.run.relative_to(self.out)), "error": ""}
         self.store.put(name, values)
         error = values.get("typical_error_mm")
         text = "" if error is None else f"  typical error {error:.1f} mm"
         self.on_line(f"{name}  done{text}  {cpu_s:.1f} CPU s")
-        write_last(BatchFolder(self.out), PAGE_NAME, _N_ON_PAGE)
+        self.last = sorted([*self.last, paths], key=lambda own: own.scene)[-_N_ON_PAGE:]
+        write_last(self.out, PAGE_NAME, self.last)
 
     def _failed(self, name: str, error: str, state: str = BAD_INPUT) -> None:
         self.n_failed += 1
@@ -256,7 +253,8 @@ class _Line:
         self.on_line(f"{name}: {error}")
 
     def outcome(self) -> BeltOutcome:
-        """Totals of this call."""
+        """Totals of this call, after the last parcel."""
+        self.store.write_table()
         return BeltOutcome(
             n_done=len(self.cpu_s),
             n_failed=self.n_failed,

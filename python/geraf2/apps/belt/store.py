@@ -8,7 +8,7 @@ from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_text_atomic
-from geraf2.io.text import csv_text
+from geraf2.io.text import csv_rows
 
 DATABASE_NAME, TABLE_NAME, PAGE_NAME = "parcels.sqlite", "parcels.csv", "parcels.html"
 COLUMNS = {
@@ -31,7 +31,11 @@ COLUMNS = {
 
 
 class ParcelStore:
-    """Rows of a folder; both files are whole at any moment."""
+    """Rows of a folder.
+
+    The database is whole at any moment. The CSV gets a line for each result, and is written again,
+    in the order of the parcels, at the start and at the end.
+    """
 
     def __init__(self, out: Path) -> None:
         self.out = out
@@ -46,12 +50,13 @@ class ParcelStore:
                 where=out / DATABASE_NAME,
                 hint="choose another folder",
             ) from None
+        self.write_table()
 
     def _open(self) -> "closing[sqlite3.Connection]":
         return closing(sqlite3.connect(self.out / DATABASE_NAME))
 
     def put(self, parcel: str, values: Mapping[str, Any]) -> None:
-        """Set values of a row, and write the CSV again."""
+        """Set values of a row; with a state it is a line of the CSV."""
         names = list(values)
         marks = ", ".join("?" * (1 + len(names)))
         sets = ", ".join(f"{name} = excluded.{name}" for name in names)
@@ -61,10 +66,15 @@ class ParcelStore:
                 f"ON CONFLICT (parcel) DO UPDATE SET {sets}",
                 [parcel, *values.values()],
             )
-        rows = self.rows()
-        write_text_atomic(
-            self.out / TABLE_NAME, csv_text(list(COLUMNS), [list(row.values()) for row in rows])
-        )
+            row = one.execute("SELECT * FROM parcels WHERE parcel = ?", [parcel]).fetchone()
+        if "state" in values:
+            with (self.out / TABLE_NAME).open("a", encoding="utf-8", newline="") as file:
+                file.write(csv_rows([row]))
+
+    def write_table(self) -> None:
+        """Write the CSV from the database."""
+        rows = [list(row.values()) for row in self.rows()]
+        write_text_atomic(self.out / TABLE_NAME, csv_rows([list(COLUMNS), *rows]))
 
     def rows(self) -> list[dict[str, Any]]:
         """Return all rows, in the order of the parcels."""
