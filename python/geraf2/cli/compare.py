@@ -10,6 +10,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.inspection.compare_runs import compare
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
+from geraf2.io.run_folder import COMPARISON_NAME
 
 EXIT_CHANGED = 1
 
@@ -27,6 +28,8 @@ class Config:
     """Runs of the same packed box; a change differs from all of them."""
     tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 0.5
     """Largest shift of a part that is no change [mm]."""
+    out: Path | None = None
+    """Folder for comparison.json, comparison.html (3D) and comparison.glb; none when not given."""
     threads: Threads = None
     """Threads to use; all when not given."""
 
@@ -37,6 +40,7 @@ def main(config: Config) -> int:
         config.run,
         config.references,
         tolerance_mm=config.tolerance_mm,
+        out=config.out,
         num_threads=config.threads,
         listener=CONSOLE,
     )
@@ -52,4 +56,6 @@ def main(config: Config) -> int:
         say(f"changed  {change}")
     say(f"result   {'changed' if found.changed else 'unchanged'}")
     keep(found.to_dict())
+    if config.out is not None:
+        say(f"page     {config.out / f'{COMPARISON_NAME}.html'}")
     return EXIT_CHANGED if found.changed else 0

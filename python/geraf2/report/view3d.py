@@ -35,9 +35,15 @@ _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
 _GLINT_RADIUS_M = 0.0009
 _GLINT_RANGE_DB = 30.0
 
-
+NO_WEBGL = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
+"""Text in place of a view."""
 NOTHING = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
 """Content of a view without one."""
+
+
+def rgb(colour: str) -> list[int]:
+    """Red, green and blue of a colour as "#rrggbb", 0 to 255."""
+    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

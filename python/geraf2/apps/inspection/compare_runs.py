@@ -13,10 +13,11 @@ from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_
 from geraf2.apps.inspection.materials import levels_of, materials_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
 from geraf2.errors import UserError
-from geraf2.geometry.transforms import apply_rigid, rigid, triple
+from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
+from geraf2.io.mesh import read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.points import read_cloud
-from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME, PRIOR_NAME
+from geraf2.io.run_folder import BOX_NAME, PEAKS_NAME, PLANES_NAME, PRIOR_NAME
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
@@ -38,6 +39,7 @@ def compare(
     references: Sequence[Reconstruction | Path | str],
     *,
     tolerance_mm: float = 0.5,
+    out: Path | str | None = None,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Comparison:
@@ -49,6 +51,7 @@ def compare(
     run: a reconstruction, or its folder.
     references: at least one, of the same box and radar.
     tolerance_mm: largest shift of a part that is no change [mm].
+    out: folder for `comparison.json`, `.html` and `.glb`; none is written when None.
     num_threads: all when None.
     listener: receives progress.
 
@@ -69,7 +72,7 @@ def compare(
         _require_peaks(one)
     for other in others:
         _require_alike(here, other)
-    scanned, n_parts, found = _scanned(here, num_threads), [], []
+    scanned, before, found = _scanned(here, num_threads), list[Scanned](), []
     for other in others:
         with listener.step("registering a reference"):
             there = _scanned(other, num_threads)
@@ -84,17 +87,32 @@ def compare(
                 got=f"{100 * found[-1][2]:.0f} %",
                 hint="put the box down as in the reference, and scan it with the same planes",
             )
-        n_parts.append(len(there.bodies))
+        before.append(there)
     changes, poses, shares = zip(*found, strict=True)
     middle = scanned.whole.mesh.vertices.mean(axis=0)
-    return Comparison(
+    comparison = Comparison(
         changes=common_changes(changes),
-        n_parts=(len(scanned.bodies), *n_parts),
+        n_parts=(len(scanned.bodies), *(len(one.bodies) for one in before)),
         shift_m=triple(middle - apply_rigid(poses[0], middle)),
         turn_deg=float(np.rad2deg(Rotation.from_matrix(poses[0][:3, :3]).magnitude())),
         compared_fraction=min(shares),
         tolerance_m=1e-3 * tolerance_mm,
     )
+    if out is not None:
+        with listener.step("drawing the page"):
+            back = inverse_rigid(poses[0][:3, :3], poses[0][:3, 3])
+            _write(comparison, scanned, before[0].moved(back), here, Path(out))
+    return comparison
+
+
+def _write(
+    found: Comparison, here: Scanned, before: Scanned, run: Reconstruction, out: Path
+) -> None:
+    # takes 0.5 s
+    from geraf2.apps.inspection.comparison_page import write_comparison  # noqa: PLC0415
+
+    box = run.run.written(BOX_NAME)
+    write_comparison(found, here, before, read_mesh(box) if box else None, out)
 
 
 def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:

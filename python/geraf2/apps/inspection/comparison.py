@@ -69,7 +69,7 @@ class Change:
 
     def __str__(self) -> str:
         """Return the change in words."""
-        at = ", ".join(f"{1e3 * x:.0f}" for x in self.center_m)
+        at = ", ".join(f"{1e3 * x:z.0f}" for x in self.center_m)
         kind = "a part" if self.is_body else "surface"
         size = f"{1e3 * self.size_m:.1f} ± {1.96e3 * self.sigma_m:.1f} mm"
         by = f"by {size}" if self.what == "moved" else f"{size} long"
@@ -117,6 +117,11 @@ class Scanned(NamedTuple):
     bodies: Sequence[Body]
     evidence: Evidence
     materials: Sequence[Material]
+
+    def moved(self, pose: Floats) -> "Scanned":
+        """Its parts in another frame; the evidence stays in its own."""
+        bodies = [_moved(body, pose) for body in self.bodies]
+        return self._replace(whole=_moved(self.whole, pose), bodies=bodies)
 
 
 class Play(NamedTuple):
@@ -242,7 +247,7 @@ def _of_groups(groups: Sequence[_Group]) -> list[Change]:
             Change(
                 what=own[0].what if len(kinds) == 1 else "swapped",
                 is_body=whole is not None,
-                center_m=triple(_middle(whole) if whole else points.mean(axis=0)),
+                center_m=triple(middle_of(whole) if whole else points.mean(axis=0)),
                 size_m=diagonal_m(whole.mesh.vertices if whole else points),
                 sigma_m=float(np.median(own[0].body.sigma_m)),
                 probability=odds / (1.0 + odds),
@@ -267,7 +272,7 @@ def _of_material(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
     changes = []
     for body, material in zip(here.bodies, here.materials, strict=True):
         for other, former in zip(there.bodies, there.materials, strict=True):
-            gap = np.linalg.norm(apply_rigid(pose, _middle(body)) - _middle(other))
+            gap = np.linalg.norm(apply_rigid(pose, middle_of(body)) - middle_of(other))
             kinds = {material.kind, former.kind}
             if gap > _GROUP_M or len(kinds) == 1 or UNKNOWN.kind in kinds:
                 continue
@@ -276,7 +281,7 @@ def _of_material(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
                 Change(
                     what="swapped",
                     is_body=True,
-                    center_m=triple(_middle(body)),
+                    center_m=triple(middle_of(body)),
                     size_m=diagonal_m(body.mesh.vertices),
                     sigma_m=float(np.median(body.sigma_m)),
                     probability=metal[1] * (1.0 - metal[0]),
@@ -294,7 +299,7 @@ def _shifted(body: Body, shift: Shift, tolerance_m: float) -> Change:
     return Change(
         what="moved",
         is_body=True,
-        center_m=triple(_middle(body)),
+        center_m=triple(middle_of(body)),
         size_m=size,
         sigma_m=sigma,
         probability=float(is_moved * norm.cdf((size - tolerance_m) / sigma)),
@@ -319,7 +324,8 @@ def _moved(body: Body, pose: Floats) -> Body:
     return replace(body, mesh=body.mesh.moved(pose))
 
 
-def _middle(body: Body) -> Floats:
+def middle_of(body: Body) -> Floats:
+    """Middle of the box around a part, (3,) [m]."""
     return np.asarray(0.5 * (body.mesh.vertices.min(axis=0) + body.mesh.vertices.max(axis=0)))
 
 

@@ -14,11 +14,13 @@ from geraf2.report.canvas import SKY, TRUTH_COLOUR
 from geraf2.report.html import picture_source
 from geraf2.report.render import MeshPainter, View
 from geraf2.report.view3d import (
+    NO_WEBGL,
     PART_COLOURS,
     Apart,
     Around,
     Attribute,
     Other,
+    rgb,
     scene_json,
     thinned,
     view_scene,
@@ -28,7 +30,6 @@ _NOT_SEEN_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
 _APART = 1.2
 """Largest displacement of a part in the exploded view, as a share of its distance to the middle."""
 _PICTURE_PX, _PICTURE_FACES = 112, 6000
-_FALLBACK = "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here."
 
 
 def inspection_page(
@@ -77,7 +78,7 @@ def inspection_page(
         title=title,
         found=inspection,
         view=scene_json(scene),
-        fallback=_FALLBACK,
+        fallback=NO_WEBGL,
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
         material_text=material_text,
@@ -91,16 +92,12 @@ def parts_glb(whole: Body, numbers: Ints) -> bytes:
     numbers: of the part of each vertex, from 1; 0 of none. A column of the file, as is the
     reflectivity [dB], -99 where it is unknown: glTF forbids NaN.
     """
-    palette = np.array([_rgb(_NOT_SEEN_COLOUR), *(_rgb(colour) for colour in PART_COLOURS)])
+    palette = np.array([rgb(_NOT_SEEN_COLOUR), *(rgb(colour) for colour in PART_COLOURS)])
     index = np.where(numbers > 0, (numbers - 1) % len(PART_COLOURS) + 1, 0)
     columns = {"part": numbers.astype(np.float64)}
     if whole.mesh.reflectivity_db is not None:
         columns["reflectivity_db"] = np.nan_to_num(whole.mesh.reflectivity_db, nan=-99.0)
     return glb_bytes(whole.mesh.vertices, whole.mesh.faces, palette[index], columns, {})
-
-
-def _rgb(colour: str) -> list[int]:
-    return [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
 
 
 def _models(inspection: Inspection) -> list[Other]:
@@ -152,7 +149,7 @@ def _picture(whole: Body, numbers: Ints, number: int) -> str:
         n_pixels=_PICTURE_PX,
     )
     colour = PART_COLOURS[(number - 1) % len(PART_COLOURS)]
-    srgb = np.array(_rgb(colour)) / 255.0
+    srgb = np.array(rgb(colour)) / 255.0
     drawn = MeshPainter(mesh).render(view, np.tile(srgb, (len(mesh.vertices), 1)))
     return picture_source(Image.fromarray(np.round(255.0 * drawn).astype(np.uint8), "RGBA"))
 

@@ -19,7 +19,15 @@ from geraf2.io.mesh_colours import ERROR_COLOURS
 from geraf2.io.scan_file import ScanFile
 from geraf2.io.text import csv_text
 from geraf2.report import html
-from geraf2.report.view3d import Around, Attribute, packed, quantised, scene_json, view_scene
+from geraf2.report.view3d import (
+    NO_WEBGL,
+    Around,
+    Attribute,
+    packed,
+    quantised,
+    scene_json,
+    view_scene,
+)
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import Aperture
 
@@ -85,7 +93,7 @@ def write_plan_page(
         plan=scene_json(data),
         board=board,
         files={name: file.name for name, file in files.items()},
-        fallback="The view in 3D needs JavaScript and WebGL2, which this browser does not offer.",
+        fallback=NO_WEBGL,
     )
     write_text_atomic(path, page)
     return [path, *files.values()]
