@@ -26,6 +26,7 @@ from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
 from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
+from geraf2.apps.inspection.necks import cut_at_necks
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
@@ -104,10 +105,15 @@ def inspect(
     tolerance_m = 1e-3 * options.tolerance_mm
     models = _models(cad, [*pieces, whole], options, contents)
     content = Content(pieces, whole, result.glints)
-    bodies, matches = _matched(models, content, options, listener) if models else (pieces, [])
-    cut = ["parts are connected in the surface, which was cut between the models"]
+    planes, count_probability = _planes(result.path), None
+    if models:
+        bodies, matches = _matched(models, content, options, listener)
+        where = "between the models"
+    else:
+        bodies, count_probability = cut_at_necks(pieces, planes.corners_m)
+        matches, where = [], "at necks that planes face and that did not echo"
+    cut = [f"parts are connected in the surface, which was cut {where}"]
     notes = cut if len(bodies) > len(pieces) else []
-    planes = _planes(result.path)
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
@@ -140,6 +146,7 @@ def inspect(
         notes=(*notes, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
+        count_probability=count_probability,
         has_criteria=bool(models) or expect is not None,
     )
     if write:
