@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
-from geraf2.calibration import free_air
-from geraf2.calibration.box_search import scene_peaks
+from geraf2.calibration import found_box, free_air
+from geraf2.calibration.box_search import rough_faces, scene_peaks
 from geraf2.calibration.found_box import Seen, find_box
 from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
+from geraf2.imaging.peaks import KeptPeaks
 
 SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
 SIDES = ("-x", "+x", "-y", "+y")
@@ -89,6 +90,54 @@ def test_the_origin_of_the_frame_may_lie_anywhere(scan):
     np.testing.assert_allclose(there.center_m - here.center_m, shift, atol=1e-5)
     np.testing.assert_allclose(there.size_m, here.size_m, atol=1e-5)
     np.testing.assert_array_equal(there.seen, here.seen)
+
+
+def test_walls_extend_to_the_apertures_that_see_them():
+    """Planes 25 degrees beside a wall's normal see it 15 cm from its middle, and no other wall."""
+    spec = examples.small_scene()
+    wall = replace(spec.walls[0], size_m=(0.40, 0.15, 0.20))
+    planes = replace(
+        spec.scan, n_poses=4, start_angle_deg=65.0, standoff_m=0.36, aperture_m=(0.14, 0.08)
+    )
+    box = find_box(simulate(replace(spec, walls=(wall,), scan=planes), seed=0)[0])
+    assert box.seen[1].tolist() == [Seen.SQUARELY] * 2
+    assert abs(box.size_m[1] - 0.15) < 2e-3
+    assert (box.bounds_m[0, :, 0] > 0.075).all()
+
+
+def test_a_rival_follows_a_hypothesis_that_the_scan_contradicts(scan, monkeypatch):
+    found = find_box(scan)
+
+    def with_false_first(*args):
+        for true in rough_faces(*args):
+            yield replace(true, offsets_m=np.array([[0.03, 0.03], [0.09, 0.09], [0.09, 0.09]]))
+            yield true
+
+    monkeypatch.setattr(found_box, "rough_faces", with_false_first)
+    np.testing.assert_array_equal(find_box(scan).offsets_m, found.offsets_m)
+
+
+def test_echoes_from_behind_the_opposite_planes_are_no_content(scan, monkeypatch):
+    """Leakage that appears a multiple of the largest range farther is stronger than all walls."""
+    found, of = find_box(scan), KeptPeaks.of
+
+    def with_leakage(self, capture, *args, **kwargs):
+        peaks = of(self, capture, *args, **kwargs)
+        own = np.unique(peaks.subapertures, return_index=True)[1]
+        own = own[peaks.planes[own] < 3]
+        ahead = np.stack([pose.axes[0] for pose in capture.poses])[peaks.planes[own]]
+        far = replace(
+            peaks.select(own),
+            directions=ahead,
+            ranges_m=np.full(len(own), 1.1),
+            magnitudes=np.full(len(own), 10.0 * peaks.magnitudes.max()),
+        )
+        names = ("subapertures", "directions", "ranges_m", "magnitudes", "noise")
+        both = {name: np.concatenate([getattr(peaks, name), getattr(far, name)]) for name in names}
+        return replace(peaks, **both)
+
+    monkeypatch.setattr(KeptPeaks, "of", with_leakage)
+    np.testing.assert_allclose(find_box(scan).offsets_m, found.offsets_m, atol=1e-3)
 
 
 def test_the_walls_of_the_scene_do_not_give_the_size(scan):

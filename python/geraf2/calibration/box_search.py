@@ -30,6 +30,8 @@ _MAX_ANGLE_RAD = 0.06
 _YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
+# Other yaws are tried, at most so many, if they have this share of the highest score.
+_RIVAL_SHARE, _MOST_RIVALS = 0.9, 3
 # Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
 _OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.002, 0.003
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
@@ -61,6 +63,8 @@ LEAST_SIDE_M = 0.04
 """Least side length of a box [m]."""
 LEAST_REACH_M = 0.5 * LEAST_SIDE_M + 2.0 * _MOST_SHIFT_M + _OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
+APERTURE_M = _COARSE.size_m
+"""Side of the sub-apertures in which walls are searched [m]."""
 # Least cosine between a direction and the looking direction.
 _LEAST_AHEAD = 0.8
 
@@ -203,11 +207,16 @@ def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
     return replace(peaks.select(chosen), directions=directions), chosen
 
 
-def leaking(capture: Capture, peaks: PeakSet) -> Bools:
-    """Mask of peaks in the looking direction at a range that most planes share, (n_peaks,)."""
+def leaking(capture: Capture, peaks: PeakSet, reach_m: float) -> Bools:
+    """Mask of peaks in the looking direction at a range that most planes share, (n_peaks,).
+
+    Peaks from behind the opposite planes are leakage, too, from a multiple of the largest range.
+
+    reach_m: distance of the planes from the middle [m].
+    """
     ahead = np.stack([pose.axes[0] for pose in capture.poses])[peaks.planes]
     broadside = np.einsum("ij,ij->i", ahead, peaks.directions) > np.cos(_BROADSIDE)
-    found = np.zeros(len(peaks), dtype=bool)
+    found = peaks.ranges_m > 2.0 * reach_m
     index = np.flatnonzero(broadside)
     ranges, planes = peaks.ranges_m[index], peaks.planes[index]
     n_planes = len(np.unique(peaks.planes))
@@ -325,8 +334,8 @@ class _Search:
 
 def rough_faces(
     flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform, like: Floats | None = None
-) -> RoughFaces:
-    """Cuboid around the origin of which most sub-apertures show flashes.
+) -> Iterator[RoughFaces]:
+    """Cuboids around the origin of which most sub-apertures show flashes, the best first.
 
     The walls of a box have one level, and one error of the delay moves near and far walls apart. A
     flat face of content is seen from few sides, or differs in level.
@@ -339,18 +348,26 @@ def rough_faces(
     most = round(_MOST_SHIFT_M / _OFFSET_STEP_M)
     coarse, fine = _YAW_STEPS_RAD
     found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
-    best = max(found)
+    score = np.array([each.score for each in found])
+    is_peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1))
+    is_peak &= score >= _RIVAL_SHARE * score.max()
+    rivals = sorted((found[k] for k in np.flatnonzero(is_peak)), reverse=True)[:_MOST_RIVALS]
     if like is not None:
         side = like[int(np.abs(like @ up).argmin())]
         turn = np.array([each.yaw_rad for each in found])
         turn -= np.arctan2(side @ search.second, side @ search.first)
         near = np.abs(turn - 0.5 * np.pi * np.rint(turn / (0.5 * np.pi))) < _LIKE_RAD
         alike = max(each for each, is_near in zip(found, near, strict=True) if is_near)
-        best = alike if alike.score > _LIKE_SHARE * best.score else best
-    yaws = best.yaw_rad + np.arange(-coarse, coarse + 0.5 * fine, fine)
-    best = max(search.best(yaws, range(-most, most + 1)))
+        if alike.score > _LIKE_SHARE * score.max():
+            rivals.insert(0, alike)
+    for rival in rivals:
+        yaws = rival.yaw_rad + np.arange(-coarse, coarse + 0.5 * fine, fine)
+        yield _faces_of(search, max(search.best(yaws, range(-most, most + 1))))
+
+
+def _faces_of(search: _Search, best: _Hypothesis) -> RoughFaces:
+    """Faces of a hypothesis, at the one of four equal yaws that is nearest to the frame's axes."""
     offsets = search.faces(best)
-    # Four yaws describe the same box: choose the nearest to the frame's axes.
     quarters = round(best.yaw_rad / (0.5 * np.pi) - 1e-9)
     axes = search.axes(best.yaw_rad - 0.5 * np.pi * quarters)
     for _ in range(quarters % 4):

@@ -1,7 +1,9 @@
 """Outside of the box from a scan, with standard deviations and bounds for unseen faces."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
 from geraf2.calibration.box_search import (
+    APERTURE_M,
     LEAST_REACH_M,
     LEAST_SIDE_M,
     Flashes,
@@ -30,7 +33,7 @@ from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 3
+BOX_VERSION = 4
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
@@ -217,18 +220,28 @@ def find_box(
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    rough, seen, leakage_db = _initial_faces(capture, peaks, reach, like)
+    tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
-        leakage = find_leakage(capture, _initial_box(rough).prior, peaks)
+        leakage = find_leakage(capture, next(tries)[0].prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-            rough, seen, _ = _initial_faces(capture, peaks, reach, like)
-    box = _initial_box(rough)
+        tries, _ = _initial_boxes(capture, peaks, reach, like)
+    reasons = list[WallsNotFoundError]()
+    for box, seen in tries:
+        try:
+            return _finished(capture, box, _Known(peaks, seen)).moved(focus)
+        except WallsNotFoundError as error:
+            reasons.append(error)
+    raise reasons[0]
+
+
+def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
+    """Box after the fit, with bounds for its unseen faces."""
     if not box.size_m.min() > LEAST_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
-    box = _refined(capture, box, _Known(peaks, seen))
-    box = replace(box, content_share=_content_share(box, seen))
-    return _bounded(capture, box, seen).moved(focus)
+    box = _refined(capture, box, peaks)
+    box = replace(box, content_share=_content_share(box, peaks.known))
+    return _bounded(capture, box, peaks.known)
 
 
 def _shifted(capture: Capture, shift_m: Floats) -> Capture:
@@ -236,12 +249,12 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
     return replace(capture, poses=tuple(pose.moved(shift_m) for pose in capture.poses))
 
 
-def _initial_faces(
+def _initial_boxes(
     capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[RoughFaces, PeakSet, float]:
-    """Faces before the fit, corrected peaks, and the leakage's level relative to walls [dB]."""
+) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
+    """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB]."""
     found = peaks.of(capture)
-    leaks = leaking(capture, found)
+    leaks = leaking(capture, found, reach_m)
     kept = found.select(~leaks)
     top = float(kept.strengths.max(initial=0.0))
     kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
@@ -249,16 +262,27 @@ def _initial_faces(
         raise WallsNotFoundError(seen="no echo above the noise")
     lobes, index = with_lobes(capture, kept)
     flashes = Flashes.of(capture, kept, lobes, index)
-    rough = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
-    if np.isnan(rough.offsets_m).all():
+    found_faces = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
+    first = next(found_faces)
+    if np.isnan(first.offsets_m).all():
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
+
+    def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
+        for rough in chain([first], found_faces):
+            if not np.isnan(rough.offsets_m).all():
+                corrected = explained(kept, lobes, index, flashes, rough)
+                yield _initial_box(rough, corrected), corrected
+
     leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
-    level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - rough.level_db
-    return rough, explained(kept, lobes, index, flashes, rough), level_db
+    level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
+    return boxes(), level_db
 
 
-def _initial_box(rough: RoughFaces) -> FoundBox:
-    """Box whose unseen faces get the mean offset of the seen ones, until they are bounded."""
+def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
+    """Box whose unseen faces get the mean offset of the seen ones, until they are bounded.
+
+    The seen walls extend to all apertures that see their flashes.
+    """
     unseen = np.isnan(rough.offsets_m)
     offsets = rough.offsets_m.copy()
     half = float(np.nanmean(offsets))
@@ -267,6 +291,9 @@ def _initial_box(rough: RoughFaces) -> FoundBox:
             offsets[k] = half
         elif unseen[k].any():
             offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
+    for k, side in np.argwhere(unseen):
+        foot = flash_reach(peaks, rough.axes, rough.offsets_m, ~unseen, (k, side))
+        offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
     return FoundBox(
         axes=rough.axes,
         turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),

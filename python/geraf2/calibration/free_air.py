@@ -36,7 +36,7 @@ def content_region(
     if focus is None or not np.isfinite(reach):
         raise _without_echoes(got="planes that face no common point")
     found = scene_peaks(focus, reach, num_threads).of(capture)
-    found = found.select(~leaking(capture, found))
+    found = found.select(~leaking(capture, found, reach))
     if not len(found):
         raise _without_echoes(got="no echo above the noise")
     sides = np.zeros((2, 3))
