@@ -138,7 +138,7 @@ def summary(rows: list[dict]) -> list[str]:
         lines.append(
             f"yaw                  median {np.median(yaw):.2f} degrees, within 0.3 "
             f"{np.mean(yaw < 0.3):.0%}, in its interval "
-            f"{np.mean([row['yaw_covered'] for row in found]):.0%}"
+            f"{np.mean([row['yaw_covered'] for row in found if row['yaw_deg'] is not None]):.0%}"
         )
     for name, kind in (("edges", "edges_mm"), ("not seen", "unseen_mm")):
         errors = np.array([e for row in found for e in row[kind]])

@@ -21,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
 from geraf2.echoes import labels
-from geraf2.echoes.glints import box_volume_m3, candidates_around
+from geraf2.echoes.glints import candidates_around
 from geraf2.echoes.hypotheses import Candidates
 from geraf2.geometry.triangles import split_triangles, unit_normals
 from geraf2.imaging.peaks import PeakSet, collect_peaks
@@ -103,7 +103,7 @@ def scan_of(run: Path, scene: Path) -> Scan:
         name=run.name,
         peaks=peaks,
         found=found,
-        volume_m3=box_volume_m3(prior),
+        volume_m3=prior.expected_volume_m3,
         inside=inside,
         true=true,
         weights=weights * inside,

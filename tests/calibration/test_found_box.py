@@ -13,6 +13,8 @@ from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
+from geraf2.scene import LosPrior
+from geraf2.simulation.spec import RingSpec
 
 SIZE_M, CENTER_M = np.array([0.16, 0.20, 0.18]), np.array([0.01, -0.005, 0.0])
 SIDES = ("-x", "+x", "-y", "+y")
@@ -61,7 +63,11 @@ def test_a_found_box_is_a_prior_and_describes_its_evidence(scan):
     np.testing.assert_allclose(size, box.size_m)
     np.testing.assert_allclose(center, box.center_m)
     np.testing.assert_allclose(axes, box.axes, atol=1e-12)
-    assert "-x +x -y +y seen squarely, -z +z not seen" in str(box)
+    off = " ".join(f"{1e3 * offset:.0f}" for offset in box.offsets_m[2])
+    assert f"-x +x -y +y seen squarely, -z +z not seen: assumed {off} mm from" in str(box)
+    certain = LosPrior(vertices=box.prior.certain, faces=box.prior.faces)
+    np.testing.assert_allclose(certain.cuboid[1][:2], box.size_m[:2], rtol=1e-9)
+    assert certain.cuboid[1][2] < box.size_m[2] - 0.02
     faces = box.numbers()["faces"]
     assert [faces[name]["seen"] for name in SIDES] == ["squarely"] * 4
     assert faces["+z"]["seen"] == "not"
@@ -69,6 +75,30 @@ def test_a_found_box_is_a_prior_and_describes_its_evidence(scan):
     assert high is None
     assert 0.0 < low < 0.5 * SIZE_M[2]
     assert 0.5 * SIZE_M[2] < faces["+z"]["offset_m"]  # nothing of the content is cut off
+
+
+def test_the_yaw_is_as_uncertain_as_the_skew_of_a_carton(scan):
+    """Walls at right angles to a hundredth of a degree do not exist; one pair tells less."""
+    four = find_box(scan).yaw_sigma_deg
+    two = find_box(examples.small_capture()[0]).yaw_sigma_deg
+    assert 0.17 < four < 0.6
+    assert 0.24 < two < 0.9
+
+
+def test_a_box_of_which_only_the_top_is_seen_has_any_yaw(scan):
+    """Content below the top: planes in one ring 45 degrees off the walls, and one above."""
+    spec = examples.small_scene()
+    wall = replace(spec.walls[0], size_m=(0.30, 0.30, 0.18))
+    planes = replace(
+        spec.scan,
+        n_poses=4,
+        start_angle_deg=45.0,
+        standoff_m=0.36,
+        rings=(RingSpec(n_poses=1, elevation_deg=90.0),),
+    )
+    box = find_box(simulate(replace(spec, walls=(wall,), scan=planes), seed=0)[0])
+    assert box.seen.tolist() == [[Seen.NOT] * 2, [Seen.NOT] * 2, [Seen.SQUARELY] * 2]
+    assert box.yaw_sigma_deg > 20.0
 
 
 def test_sides_that_no_antenna_faces_are_found_by_their_edges():

@@ -1,5 +1,7 @@
 """Labels of peaks: a slow twin of the rule, and what it makes of peaks whose origin is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal, norm
@@ -225,3 +227,16 @@ def test_candidates_are_subsets_of_all_fields():
     some = found.select(np.array([3, 1]))
     assert isinstance(some, Candidates)
     np.testing.assert_array_equal(some.peaks, [3, 1])
+
+
+def test_beyond_an_assumed_face_a_lone_peak_needs_more_evidence_than_a_surface():
+    surface = sphere_peaks((0, 0, 0), RADIUS_M, range(12))
+    peaks = join_peaks([surface, scattered(24)])
+    found = found_in(peaks)
+    inside = found.depth_m > MARGIN_M
+    unlikely = replace(found, presence=np.full(len(found), 0.1))
+    known, assumed = (posterior(peaks, each, VOLUME_M3, inside) for each in (found, unlikely))
+    of_sphere = found.peaks < len(surface)
+    assert (assumed[of_sphere & inside] > 0.5).mean() > 0.9
+    lone = ~of_sphere & inside
+    assert (assumed[lone] < 0.3 * known[lone]).all()

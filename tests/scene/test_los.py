@@ -87,3 +87,23 @@ def test_other_shapes_are_no_cuboids():
     pyramid = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     assert LosPrior(vertices=pyramid, faces=faces).cuboid is None
+
+
+def test_assumed_faces_make_points_beyond_the_certain_part_less_likely():
+    known = LosPrior.from_box((0.2, 0.3, 0.4), (0.0, 0.0, 0.1))
+    part = LosPrior.from_box((0.2, 0.3, 0.2), (0.0, 0.0, 0.05))  # top at 0.15 to 0.3, bottom -0.05
+    box = replace(known, certain=part.vertices)
+    heights = np.array([0.1, 0.15, 0.225, 0.2999, -0.05, -0.075])
+    points = np.column_stack([np.full(6, 0.05), np.zeros(6), heights])
+    np.testing.assert_allclose(box.presence(points), [1, 1, 0.5, 0.05, 1, 0.5], atol=1e-9)
+    np.testing.assert_array_equal(known.presence(points), 1.0)
+    assert box.expected_volume_m3 == pytest.approx(0.2 * 0.3 * 0.3)
+    assert known.expected_volume_m3 == pytest.approx(0.024)
+    cosine, sine = np.cos(0.5), np.sin(0.5)
+    turn = np.array(
+        [[cosine, -sine, 0, 0.1], [sine, cosine, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1.0]]
+    )
+    np.testing.assert_allclose(
+        box.moved(turn).presence(points @ turn[:3, :3].T + turn[:3, 3]), box.presence(points)
+    )
+    assert known.moved(turn).expected_volume_m3 == pytest.approx(0.024)

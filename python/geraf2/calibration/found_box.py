@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import chain
+from itertools import chain, product
 from typing import Any
 
 import numpy as np
@@ -33,7 +33,7 @@ from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 4
+BOX_VERSION = 5
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
@@ -48,6 +48,11 @@ _DYNAMIC_RANGE_DB = -45.0
 # Level relative to the walls below which leakage does not shift their echoes [dB].
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
+# RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
+# the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them.
+_SKEW_RAD = float(np.deg2rad(0.34))
+# Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
+_ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 # Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
 # too small cuts content, a large one costs nothing.
 _SLACK_M = 0.04
@@ -117,8 +122,13 @@ class FoundBox:
 
     @property
     def prior(self) -> LosPrior:
-        """Line-of-sight prior with these sides, without walls."""
-        return LosPrior.from_box(triple(self.size_m), triple(self.center_m), axes=self.axes)
+        """Line-of-sight prior with these sides, without walls; assumed faces are uncertain."""
+        prior = LosPrior.from_box(triple(self.size_m), triple(self.center_m), axes=self.axes)
+        if (self.seen != Seen.NOT).all():
+            return prior
+        least = np.where(self.seen == Seen.NOT, self.bounds_m[..., 0], self.offsets_m)
+        corners = np.array(list(product(*(least * [-1.0, 1.0])))) @ self.axes
+        return replace(prior, certain=corners)
 
     def numbers(self) -> dict[str, Any]:
         """Entry of run.json: lengths in metres, angles in degrees; None without a bound."""
@@ -149,15 +159,15 @@ class FoundBox:
             kind: [name for name, k, side in _face_names() if self.seen[k, side] == kind]
             for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
         }
-        seen = ", ".join(
-            f"{' '.join(names)} {text}"
-            for names, text in zip(
-                kinds.values(), ("seen squarely", "by their edges", "not seen"), strict=True
-            )
-            if names
+        where = " ".join(f"{1e3 * off:.0f}" for off in self.offsets_m[self.seen == Seen.NOT])
+        texts = (
+            "seen squarely",
+            "by their edges",
+            f"not seen: assumed {where} mm from the frame's origin",
         )
+        seen = [f"{' '.join(n)} {t}" for n, t in zip(kinds.values(), texts, strict=True) if n]
         turn = f"{self.yaw_deg:z.2f} +- {self.yaw_sigma_deg:.2f} degrees"
-        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {seen}"
+        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {', '.join(seen)}"
 
 
 def _face_names() -> list[tuple[str, int, int]]:
@@ -338,10 +348,12 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
         widths[k, side] = sigmas[wall]
         is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
         seen[k, side] = Seen.SQUARELY if is_seen else Seen.NOT
+    n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
+    skew = (_SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
     return replace(
         box,
         axes=axes,
-        turn_sigma_rad=found.rotation_sigma_rad,
+        turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
         offsets_m=offsets,
         sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
         seen=seen,
@@ -396,7 +408,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
         edge = find_edge(peaks, box.axes, box.offsets_m, square, face, max(least, content))
         if edge is None:
             offsets[face] = max(least, content, usual)
-            bounds[face] = least, np.inf
+            bounds[face] = max(least, content), np.inf
         else:
             offsets[face], sigmas[face] = edge
             seen[face] = Seen.EDGES

@@ -5,7 +5,7 @@ sub-aperture image therefore gives a position and a normal (docs/math/echoes.md#
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +31,7 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 2e-4
 
 
-GLINTS_VERSION = 18
+GLINTS_VERSION = 19
 """Increase when the same capture and settings give other glints."""
 
 
@@ -140,7 +140,7 @@ def find_echoes(
     near, found = candidates_around(capture, prior, peaks, config, num_threads=num_threads)
     if not (found.depth_m > config.wall_margin_m).any():
         raise _nothing_found(near, found, config)
-    labelled = label_peaks(near, found, box_volume_m3(prior), config.wall_margin_m)
+    labelled = label_peaks(near, found, prior.expected_volume_m3, config.wall_margin_m)
     keep = labelled.probability > _threshold(labelled.probability, config.least_probability)
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
@@ -192,12 +192,7 @@ def candidates_around(
         wall_margin_m=config.wall_margin_m,
         range_correction_m=config.range_correction_m,
     )
-    return near, found
-
-
-def box_volume_m3(prior: LosPrior) -> float:
-    """Volume of the prior's bounding box, over which clutter is uniform [m^3]."""
-    return float(np.prod(np.ptp(prior.bounds, axis=0)))
+    return near, replace(found, presence=prior.presence(found.positions))
 
 
 def as_glints(

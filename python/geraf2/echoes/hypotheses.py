@@ -38,6 +38,8 @@ class Candidates:
     """Whether the image shows a grating lobe of it, (n,)."""
     depth_m: Floats
     """Depth below the surface of the box, by the uncorrected range, (n,) [m]."""
+    presence: Floats
+    """Probability that the box extends to it, 1 where its faces are known, (n,)."""
 
     def __len__(self) -> int:
         return len(self.peaks)
@@ -75,13 +77,19 @@ def find_candidates(
             normals=np.zeros((0, 3)),
             is_alias=np.zeros(0, dtype=bool),
             depth_m=nothing,
+            presence=nothing,
         )
     peak, ahead, is_alias = (np.concatenate([part[k] for part in parts]) for k in range(3))
     centers, ranges_m = peaks.centers[peak], peaks.ranges_m[peak]
     positions = centers + ranges_m[:, None] * ahead
     depth_m = -scene.signed_distance(positions)
     found = Candidates(
-        peaks=peak, positions=positions, normals=-ahead, is_alias=is_alias, depth_m=depth_m
+        peaks=peak,
+        positions=positions,
+        normals=-ahead,
+        is_alias=is_alias,
+        depth_m=depth_m,
+        presence=np.ones(len(peak)),
     ).select(~is_alias | (depth_m > -wall_margin_m))
     if range_correction_m is None and not walls:
         range_correction_m = _estimated_delay(peaks, found, scene)

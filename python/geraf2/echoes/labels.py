@@ -135,7 +135,7 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
 
     The odds of a candidate against clutter are
 
-        prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared
+        presence prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared
 
     r_s and r_o are the support by neighbours of its own plane and of other planes, in units of the
     clutter density: sums of `pair_density` times the neighbours' probabilities. r_0 is the support
@@ -176,7 +176,7 @@ class _Update:
 
     def __init__(self, peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools) -> None:
         self._n_peaks, self._peak_of = len(peaks), found.peaks
-        self._prior = _log_prior(peaks, found.peaks, inside)
+        self._prior = _log_prior(peaks, found.peaks, inside) + np.log(found.presence)
         self._direct_peaks = np.unique(found.peaks[inside & ~found.is_alias])
         self._extent = volume_m3 * np.pi  # solid angle of a hemisphere, projected
 

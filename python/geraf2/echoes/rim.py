@@ -12,7 +12,7 @@ import numpy as np
 from geraf2._bounds import Bounded, Decibels, LengthM
 from geraf2._types import Progress
 from geraf2.echoes.glint_set import Glints
-from geraf2.echoes.glints import GlintConfig, as_glints, box_volume_m3, candidates_around
+from geraf2.echoes.glints import GlintConfig, as_glints, candidates_around
 from geraf2.echoes.labels import continuing
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
@@ -58,7 +58,7 @@ def find_rim_glints(
     settings = replace(first, dynamic_range_db=config.dynamic_range_db)
     peaks, found = candidates_around(capture, prior, peaks, settings, num_threads=num_threads)
     inside = found.depth_m > first.wall_margin_m
-    probability = continuing(peaks, found, box_volume_m3(prior), inside, glints)
+    probability = continuing(peaks, found, prior.expected_volume_m3, inside, glints)
     keep = inside & (probability > first.least_probability)
     if not keep.any():
         return glints.select(np.zeros(len(glints), dtype=bool))

@@ -195,7 +195,8 @@ class Difference:
         for k in np.flatnonzero(square.any(axis=1) & ~square.all(axis=1)):
             side = int(square[k].argmax())
             offsets[k, 1 - side] = self.given_size_m[k] - offsets[k, side]
-        return replace(found, offsets_m=offsets)
+        bounds = np.where(square[..., None], found.bounds_m, offsets[..., None])
+        return replace(found, offsets_m=offsets, bounds_m=bounds)
 
 
 def _misfit(found: FoundBox, axes: Floats, size_m: Floats, both: Ints) -> float:

@@ -146,7 +146,7 @@ def spaced(values: Sequence[float]) -> str:
 
 
 def save_prior(prior: LosPrior, path: Path) -> None:
-    """Write a prior and its walls without loss."""
+    """Write the surface of a prior and its walls without loss."""
     rows = [[*w.size_m, w.thickness_m, w.permittivity, *w.center_m] for w in prior.walls]
     walls = np.asarray(rows, dtype=np.float64).reshape(-1, 8)
     write_npz_atomic(path, {"vertices": prior.vertices, "faces": prior.faces, "walls": walls})

@@ -31,6 +31,9 @@ _SQUARE = 1e-3
 _ALONG_COSINE = float(np.cos(np.deg2rad(2.5)))
 # Volume over diagonal^3 below which a box is flat: a sheet of 1 m with 0.1 mm has 4e-5.
 _FLAT = 1e-6
+# Least probability that a point lies in the box: an assumed face may lie farther. Least distance of
+# an assumed face from the certain part [m].
+_LEAST_PRESENCE, _THIN_M = 0.05, 1e-6
 # Volume over that of the convex hull below which a mesh encloses walls, and not what is between
 # them: a carton of 0.22 m with walls of 4 mm and an open top has 0.09, an L of equal legs 0.86.
 _HOLLOW = 0.3
@@ -53,6 +56,8 @@ class LosPrior:
     """Vertex indices of each triangle, counter-clockwise from outside, (n_faces, 3)."""
     walls: tuple[Wall, ...] = ()
     """Known dielectric walls, outermost first; empty when nothing is known."""
+    certain: Floats | None = None
+    """Corners of the part of a cuboid that surely lies in the box, (8, 3) [m]; None: all of it."""
 
     def __post_init__(self) -> None:
         require_shape("vertices", self.vertices, (None, 3))
@@ -158,7 +163,36 @@ class LosPrior:
     def moved(self, transform: Floats) -> "LosPrior":
         """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""
         vertices = np.ascontiguousarray(apply_rigid(transform, self.vertices))
-        return replace(self, vertices=vertices)
+        certain = None if self.certain is None else apply_rigid(transform, self.certain)
+        return replace(self, vertices=vertices, certain=certain)
+
+    def presence(self, points: Floats) -> Floats:
+        """Probability that each point of the cuboid lies in the box, (n,).
+
+        1 in the certain part. A face that was assumed lies with equal probability anywhere between
+        the certain part and itself.
+        """
+        if self.certain is None or self.cuboid is None:
+            return np.ones(len(points))
+        axes, size, middle = self.cuboid
+        along, certain = (points - middle) @ axes.T, (self.certain - middle) @ axes.T
+        share = np.ones(len(points))
+        for sign in (-1.0, 1.0):
+            beyond = 0.5 * size - sign * along
+            width = 0.5 * size - (sign * certain).max(axis=0)
+            assumed = width > _THIN_M
+            ratio = beyond[:, assumed] / width[assumed]
+            share *= np.clip(ratio, _LEAST_PRESENCE, 1.0).prod(axis=1)
+        return share
+
+    @property
+    def expected_volume_m3(self) -> float:
+        """Mean volume of a cuboid with assumed faces; else that of the bounding box [m^3]."""
+        if self.cuboid is None or (self.certain is None and not self.is_turned):
+            return float(np.prod(np.ptp(self.bounds, axis=0)))
+        axes, size, _ = self.cuboid
+        least = size if self.certain is None else np.ptp(self.certain @ axes.T, axis=0)
+        return float(np.prod(0.5 * (size + least)))
 
     def cropped(self, margin_m: float) -> "LosPrior":
         """Bounding box, smaller by a margin [m] on every side; it has no walls.

@@ -355,7 +355,8 @@ def _request_key(outside: str, options: RunOptions, config: PresetConfig) -> str
 
 
 def _prior_key(prior: LosPrior) -> str:
-    return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls)
+    certain = {} if prior.certain is None else {"certain": prior.certain}
+    return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls, **certain)
 
 
 def calibrated_job(
