@@ -30,6 +30,10 @@ def test_a_capture_becomes_a_scene(source, capture, capsys):
     loaded = load_capture(source.parent / "scene")
     assert loaded.provenance["phase_sign"] == "-1"
     assert "times the power" in loaded.provenance["phase_sign_evidence"]
+    assert main(["info", str(source.parent / "scene")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert shown.count("phase sign") == 1
+    assert "phase sign exp(-j...): focuses" in shown
     for got, want in zip(loaded.poses, capture.poses, strict=True):
         assert np.array_equal(got.signal, want.signal)
 

@@ -2,6 +2,7 @@ import errno
 import importlib
 import logging
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -51,7 +52,9 @@ def test_progress_where_no_one_watches_is_a_line_a_minute(monkeypatch, capsys):
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_has_help_and_rejects_unknown_flags(name, capsys):
     assert main([name, "--help"]) == 0
-    assert f"geraf2 {name}" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"geraf2 {name}" in shown
+    assert not re.search(r"^ {4}\S", shown, re.MULTILINE)  # indented as in the source
     words = COMMANDS[name].usage.replace("[", "").replace("]", "").split()
     assert main([name, *words, "--no-such-flag"]) == 2
     assert capsys.readouterr().err != ""

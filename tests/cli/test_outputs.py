@@ -27,7 +27,9 @@ def contents(folder):
 def test_a_finished_mesh_is_replaced_only_when_told(built_run, built_scene, flags, capsys):
     before = contents(built_run)
     assert main(["reconstruct", str(built_scene), str(built_run), *flags]) == 2
-    error = the_error(capsys)
+    printed = capsys.readouterr().err
+    assert "finding the box" not in printed
+    error = printed.strip().splitlines()[-1]
     assert f"{built_run}: holds a finished mesh of other settings" in error
     assert error.endswith("choose another folder, or pass --overwrite to replace it")
     assert contents(built_run) == before
@@ -44,6 +46,10 @@ def test_the_run_of_another_scene_goes_whole_and_nothing_else(finished_run, tmp_
     image = ["image", other, str(finished_run), "--spacing-m", "0.02", "--plane", "0"]
     assert main(image) == 2
     assert "holds the run of another scene ('scene')" in the_error(capsys)
+    assert main(["reconstruct", other, str(finished_run), "--preset", "fast"]) == 2
+    printed = capsys.readouterr().err
+    assert "holds the run of another scene ('scene')" in printed
+    assert "finding the box" not in printed
     assert main([*image, "--overwrite"]) == 0
     left = {str(p.relative_to(finished_run)) for p in finished_run.rglob("*") if p.is_file()}
     images = {"image.npz", "image.json", "figures/projections.png"}

@@ -40,6 +40,10 @@ _N_DIRECTIONS = 25
 _MAX_COSINE = 0.5
 
 
+EVIDENCE_KEY = "phase_sign_evidence"
+"""Entry of a scene's provenance."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PhaseSign:
     """Sign of the phase, and the evidence for it."""
@@ -75,6 +79,11 @@ class PhaseSign:
         if self.stated is None or (self.evidence >= _DECIDED_RATIO and not self.is_forced):
             return self.sign > 0
         return self.stated > 0
+
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Entries of the provenance of a scene."""
+        return {"phase_sign": "+1" if self.is_positive else "-1", EVIDENCE_KEY: str(self)}
 
     @property
     def doubts(self) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ COMMANDS = {
     "import": Command(
         "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
     ),
-    "info": Command("info", "what is in a scene, recording or run, and what is odd", "SCENE"),
+    "info": Command("info", "what is in a scene, recording, bag or run, and what is odd", "SCENE"),
     "plan": Command(
         "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
     ),

@@ -49,12 +49,10 @@ def main(config: Config) -> int:
     )
     print_metrics(metrics)
     mesh = load_run(config.out).numbers.get("mesh", {})
-    rows(size_lines(mesh))
+    rows([*size_lines(mesh), ("metrics", str(config.out / METRICS_NAME))])
     if config.explain:
         say()
         rows(list(metrics.describe().items()))
-        say()
-    rows([("metrics", str(config.out / METRICS_NAME))])
     keep(metrics.to_dict())
     return 0
 

@@ -1,5 +1,6 @@
 """`geraf2 info`: content of a scene or a raw recording, and implausible values."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
@@ -12,6 +13,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
+from geraf2.calibration.phase_sign import EVIDENCE_KEY
 from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found
@@ -86,7 +88,7 @@ def main(config: Config) -> int:
             ("scene", str(config.scene)),
             *([("checksums", f"hold for {n_checked} planes")] if config.verify else []),
             ("frame", f"{reader.manifest.frame} (metres)"),
-            *sorted(reader.manifest.provenance.items()),
+            *_origin(reader.manifest.provenance),
             *(_calibration_row(found) for found in reader.manifest.calibration),
             *describe(summary),
             *([("reconstruct takes about", takes)] if takes else []),
@@ -102,6 +104,15 @@ def main(config: Config) -> int:
         _draw(config.figure, reader, summary, config.threads)
         say(f"picture  {config.figure}")
     return 0
+
+
+def _origin(provenance: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Names and values of a scene's provenance; the evidence of the phase sign names it."""
+    found = dict(provenance)
+    evidence = found.pop(EVIDENCE_KEY, None)
+    if evidence is not None:
+        found["phase_sign"] = evidence.removeprefix("phase sign ")
+    return [(key.replace("_", " "), text) for key, text in sorted(found.items())]
 
 
 def _fine_image(summary: CaptureSummary) -> str:

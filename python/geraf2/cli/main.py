@@ -12,6 +12,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from collections.abc import Set as AbstractSet
+from inspect import cleandoc
 from types import FrameType
 from typing import Any, Protocol, cast
 
@@ -252,7 +253,7 @@ def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     name, rest = arguments[index], arguments[:index] + arguments[index + 1 :]
     command = COMMANDS[name]
     module = cast("_CommandModule", importlib.import_module(f"geraf2.cli.{command.module}"))
-    description = (module.Config.__doc__ or command.summary).strip()
+    description = cleandoc(module.Config.__doc__ or command.summary)
     default = module.defaults(rest) if hasattr(module, "defaults") else None
     prog = f"geraf2 {name}"
     config = parse(module.Config, rest, prog=prog, description=description, default=default)

@@ -138,9 +138,10 @@ def _show_timed(plan: TimedPlan, config: Config) -> int:
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
             *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),
+            *_written(plan.scan, config.out),
         ]
     )
-    return _write(plan.scan, config.out)
+    return 0
 
 
 def _show_like(like: LikeScene, out: Path | None) -> int:
@@ -151,15 +152,17 @@ def _show_like(like: LikeScene, out: Path | None) -> int:
             ("planes", f"{len(like.apertures)}: {at} of elevation"),
             ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
             *_reached(like.scan, like.seconds, like.seen_share, like.expected),
+            *_written(like.scan, out),
         ]
     )
-    return _write(like.scan, out)
+    return 0
 
 
 def _show_next(planes: list[NextPlane], out: Path | None) -> int:
     best = planes[0]
-    rows([("mean expected error", f"{1e3 * best.error_m:.2f} mm"), *map(_next_row, planes)])
-    return _write(best.scan, out)
+    error = ("mean expected error", f"{1e3 * best.error_m:.2f} mm")
+    rows([error, *map(_next_row, planes), *_written(best.scan, out)])
+    return 0
 
 
 def _next_row(one: NextPlane) -> tuple[str, str]:
@@ -194,11 +197,12 @@ def _reached(
     ]
 
 
-def _write(scan: ScanFile, out: Path | None) -> int:
-    if out is not None:
-        write_scan_file(out, scan)
-        say(f"scan file  {out}")
-    return 0
+def _written(scan: ScanFile, out: Path | None) -> list[tuple[str, str]]:
+    """Write a scan file, if one is asked for; its row."""
+    if out is None:
+        return []
+    write_scan_file(out, scan)
+    return [("scan file", str(out))]
 
 
 def _band(waveform: Waveform) -> tuple[str, str]:

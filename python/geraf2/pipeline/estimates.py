@@ -138,10 +138,14 @@ def fine_image(
     )
     seconds = 1e-9 * _FACTORISED_NS_PER_PAIR * grid.n_voxels * sum(pose_sizes)
     memory = slab_bytes(slabs, n_samples * max(pose_sizes, default=0))
-    cpu = f"{seconds:.0f} CPU s" if seconds < 3600.0 else f"{seconds / 3600.0:.1f} CPU hours"
+    cpu = (
+        f"{max(seconds, 1.0):.0f} CPU s"
+        if seconds < 3600.0
+        else f"{seconds / 3600.0:.1f} CPU hours"
+    )
     return (
         f"{grid.n_voxels / 1e6:.3g} million voxels of {1e3 * spacing:.2g} mm, "
-        f"{4e-9 * grid.n_voxels:.2g} GB in {len(slabs)} slab{'s' * (len(slabs) > 1)}: about {cpu} "
+        f"{4e-6 * grid.n_voxels:.3g} MB in {len(slabs)} slab{'s' * (len(slabs) > 1)}: about {cpu} "
         f"in all, {memory / 2**30:.1f} GiB a process (geraf2 image --tiles)"
     )
 

@@ -86,6 +86,11 @@ def test_info_lists_the_topics_of_a_bag(tmp_path, bag, path, frames, capsys):
         assert "/radar/adc xwr_driver/msg/AdcFrame, 1341 messages: samples of a radar" in shown
         assert "/tf tf2_msgs/msg/TFMessage, 1391 messages: poses" in shown
         assert f"geraf2 import rosbag {source} scene" in shown
+    write_mesh_mcap(ball(0.05, 1), tmp_path / "mesh.mcap")  # has no times
+    assert main(["info", str(tmp_path / "mesh.mcap")]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "recorded" not in shown
+    assert "visualization_msgs/msg/Marker, 1 message " in shown
     unusable = write_bag(tmp_path / "b", path, frames, adc=None)
     assert main(["info", str(unusable)]) == 0
     done = capsys.readouterr()

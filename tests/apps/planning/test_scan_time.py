@@ -119,7 +119,7 @@ def test_an_arm_that_is_too_fast_is_refused(scanner, message):
 
 def test_a_time_in_which_nothing_fits_is_refused():
     with pytest.raises(
-        UserError, match=r"no plan can be reached .* expected at least 0\.\d+ for 3"
+        UserError, match=r"no plan can be reached .* expected at least 0\.\d+ minutes for 3"
     ):
         best(0.1)
 

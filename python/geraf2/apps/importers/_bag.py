@@ -76,10 +76,12 @@ def list_bag(source: Path) -> tuple[list[tuple[str, str]], list[str]]:
         topics = _topics(reader)
         samples, poses = _samples_topics(reader, topics), _poses_topics(topics)
         start = datetime.fromtimestamp(1e-9 * reader.start_time, UTC)
-        rows = [("recorded", f"{start:%Y-%m-%d %H:%M:%S} UTC, {1e-9 * reader.duration:.4g} s")]
+        recorded = f"{start:%Y-%m-%d %H:%M:%S} UTC, {1e-9 * reader.duration:.4g} s"
+        rows = [("recorded", recorded)] if reader.start_time else []
         for name, kind in topics.items():
             use = "samples of a radar" if name in samples else "poses" if name in poses else ""
-            text = f"{kind}, {reader.topics[name].msgcount} messages"
+            n = reader.topics[name].msgcount
+            text = f"{kind}, {n} message{'s' * (n != 1)}"
             rows.append((name, f"{text}: {use}" if use else text))
     lacks = [(samples, "no topic with samples of a radar"), (poses, "no topic with poses")]
     return rows, [text for found, text in lacks if not found]

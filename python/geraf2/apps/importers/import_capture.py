@@ -158,11 +158,7 @@ def _parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
 
 
 def _writer(scan: Scan, scene: Path, sign: PhaseSign, *, overwrite: bool) -> SceneWriter:
-    provenance = {
-        **scan.manifest.provenance,
-        "phase_sign": "+1" if sign.is_positive else "-1",
-        "phase_sign_evidence": str(sign),
-    }
+    provenance = {**scan.manifest.provenance, **sign.provenance}
     return SceneWriter(
         scene,
         scan.manifest.model_copy(update={"provenance": provenance}),

@@ -156,8 +156,7 @@ class GerafSensSource(Source):
         about = capture_without_poses(manifest)
         sign = find_phase_sign([pose], about.waveform)
         self._is_positive = sign.is_positive
-        found = {"phase_sign": "+1" if sign.is_positive else "-1", "phase_sign_evidence": str(sign)}
-        self.about = replace(about, provenance={**about.provenance, **found})
+        self.about = replace(about, provenance={**about.provenance, **sign.provenance})
         announced = stated.get("n_poses")
         self.n_planes = announced if isinstance(announced, int) and announced > 0 else None
 

@@ -278,7 +278,7 @@ def best_in_time(
         raise UserError(
             what="no plan can be reached in the time",
             where="--minutes",
-            expected=f"at least {np.ceil(fastest / 0.6) / 100.0:g} for {_RINGS[0]} planes",
+            expected=f"at least {np.ceil(fastest / 0.6) / 100.0:g} minutes for {_RINGS[0]} planes",
             got=f"{seconds / 60.0:g}",
             hint="more channels, a faster arm or a smaller --aperture",
         )

@@ -19,6 +19,7 @@ from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
+from geraf2.io.outputs import require_consent
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
     CALIBRATION_NAME,
@@ -27,6 +28,7 @@ from geraf2.io.run_folder import (
     PRIOR_NAME,
     REPORT_FILES,
     REPORT_NAME,
+    RUN_NAME,
     SAMPLES_NAME,
     RunFolder,
     stage_key,
@@ -114,19 +116,34 @@ def reconstruct(
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
     record = RunRecord(scene=scene, prior=PriorSource.of(prior), options=options, config=config)
     given = prior if isinstance(prior, LosPrior) else None
+    digest, name = capture_digest(loaded), scene.resolve().name if scene else "capture"
+    if out is not None and not overwrite:
+        _require_replaceable(Path(out), digest, name, record)
     request = Request.of(loaded, given, record, listener or Listener(), num_threads)
     folder = temporary_folder() if out is None else Path(out)
-    run = RunFolder.open(
-        folder,
-        scene_digest=capture_digest(loaded),
-        scene_name=scene.resolve().name if scene else "capture",
-        overwrite=overwrite,
-    )
+    run = RunFolder.open(folder, scene_digest=digest, scene_name=name, overwrite=overwrite)
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
     with run.locked("mesh", request.key, overwrite=overwrite):
         run_request(request, run, resume=resume, report=report)
     return Reconstruction(run)
+
+
+def _require_replaceable(folder: Path, digest: str, name: str, record: RunRecord) -> None:
+    """Raise UserError, before any work, where a folder holds a finished result of another request.
+
+    Another prior is noticed only when the folder is locked: a found one is not known before.
+    """
+    if not (folder / RUN_NAME).is_file():
+        return
+    run = RunFolder.open(folder, scene_digest=digest, scene_name=name)
+    try:
+        stored = RunRecord.read(folder / CONFIG_NAME)
+    except UserError:  # a broken record is replaced
+        return
+    key, asked = (_request_key("", one.options, one.config) for one in (stored, record))
+    if "mesh" in run.stages and key != asked:
+        require_consent(folder, "a finished mesh of other settings", overwrite=False)
 
 
 BY_RADAR = "the box by radar"
