@@ -7,15 +7,17 @@ from geraf2.errors import UserError
 from geraf2.io.points import cloud_bytes, read_cloud
 
 
-def test_a_cloud_comes_back_without_its_columns(tmp_path):
+def test_a_cloud_comes_back_with_its_columns(tmp_path):
     rng = np.random.default_rng(0)
     positions, normals = rng.normal(size=(2, 7, 3))
     columns = {"probability": rng.random(7), "label": np.arange(7, dtype=np.uint8)}
     path = tmp_path / "peaks.ply"
     path.write_bytes(cloud_bytes(positions, normals, columns, ["label 0 clutter"]))
     found = read_cloud(path)
-    assert found[0] == pytest.approx(positions, abs=1e-6)
-    assert found[1] == pytest.approx(normals, abs=1e-6)
+    assert found.positions == pytest.approx(positions, abs=1e-6)
+    assert found.normals == pytest.approx(normals, abs=1e-6)
+    assert found.columns["probability"] == pytest.approx(columns["probability"], abs=1e-6)
+    assert (found.columns["label"] == columns["label"]).all()
 
 
 @pytest.mark.parametrize(

@@ -1,11 +1,11 @@
 """Vertices, oriented points and triangles as PLY files."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from geraf2._types import AnyPath, Floats, Ints
+from geraf2._types import AnyPath, Array, Floats, Ints
 from geraf2.errors import UserError
 from geraf2.io.mesh_formats import parse_ply
 from geraf2.io.regular import BINARY_BYTES, read_regular
@@ -48,8 +48,19 @@ def ply_file(
     return "\n".join([*header, "end_header", ""]).encode("ascii", "replace") + data
 
 
-def read_cloud(path: AnyPath) -> tuple[Floats, Floats]:
-    """Positions and normals, (n, 3) each, of a file of :func:`cloud_bytes`; else UserError."""
+class Cloud(NamedTuple):
+    """Oriented points of a file."""
+
+    positions: Floats
+    """(n, 3) [m]."""
+    normals: Floats
+    """(n, 3)."""
+    columns: Mapping[str, Array]
+    """Further values of each point by name, (n,)."""
+
+
+def read_cloud(path: AnyPath) -> Cloud:
+    """Points of a file of :func:`cloud_bytes`; else UserError."""
     try:
         raw = parse_ply(read_regular(path, BINARY_BYTES))
         normals = np.stack([raw.columns["n" + axis] for axis in "xyz"], axis=1)
@@ -60,4 +71,4 @@ def read_cloud(path: AnyPath) -> tuple[Floats, Floats]:
             expected="a PLY file of geraf2",
             hint="run 'geraf2 reconstruct' again",
         ) from error
-    return raw.vertices, normals.astype(np.float64)
+    return Cloud(raw.vertices, normals.astype(np.float64), raw.columns)

@@ -181,6 +181,21 @@ def part_of(body: Body, faces: Ints) -> Body:
     )
 
 
+def joined(bodies: Sequence[Body]) -> Body:
+    """All of several bodies in one."""
+    mesh = TriangleMesh.joined([body.mesh for body in bodies])
+    known = [body.mesh.evidence for body in bodies if body.mesh.evidence is not None]
+    n_samples = min(len(body.moved_m) for body in bodies)
+    sigma_m = np.concatenate([body.sigma_m for body in bodies])
+    evidence = np.concatenate(known) if len(known) == len(bodies) else None
+    return Body(
+        mesh=replace(mesh, expected_error_m=sigma_m, evidence=evidence),
+        sigma_m=sigma_m,
+        seen=np.concatenate([body.seen for body in bodies]),
+        moved_m=np.concatenate([body.moved_m[:n_samples] for body in bodies], axis=1),
+    )
+
+
 def capped(body: Body) -> Body:
     """Close the holes of a cut body with fans about their centres, marked as unseen."""
     mesh = body.mesh

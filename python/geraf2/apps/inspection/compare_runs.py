@@ -11,6 +11,7 @@ from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
 from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_changes, compared
 from geraf2.apps.inspection.materials import levels_of, materials_of
+from geraf2.apps.inspection.necks import cut_at_necks
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
@@ -119,11 +120,12 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
     """Content and evidence of a run."""
     glints, mesh = result.glints, result.content_mesh
     assert glints is not None  # as of _require_peaks
-    whole, bodies = content_of(result, has_samples=False)
+    whole, pieces = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
+    bodies, _ = cut_at_necks(pieces, planes.corners_m)
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
-        peaks=read_cloud(result.path / PEAKS_NAME),
+        peaks=read_cloud(result.path / PEAKS_NAME)[:2],
         apertures=[Aperture.of_corners(corners) for corners in planes.corners_m],
         scene=MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads),
     )

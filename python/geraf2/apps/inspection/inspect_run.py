@@ -13,7 +13,7 @@ from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
+from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, joined, measure
 from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
     ExpectedContents,
@@ -23,16 +23,19 @@ from geraf2.apps.inspection.expected import (
     read_expected,
 )
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
+from geraf2.apps.inspection.faint import faint_bodies
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
 from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.necks import cut_at_necks
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
+from geraf2.echoes.labels import Label
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
-from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
+from geraf2.io.points import read_cloud
+from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PEAKS_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
@@ -41,6 +44,8 @@ from geraf2.scene import Capture
 
 if TYPE_CHECKING:
     import trimesh
+
+_CUT = "parts are connected in the surface, which was cut {}"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,8 +91,7 @@ def inspect(
     options: tolerance, least seen share, unit.
     out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
     write: write these files.
-    num_threads: all when None.
-    listener: receives progress.
+    num_threads: all when None. listener: receives progress.
 
     Returns parts with positions and lengths [m], models with poses and deviations [m], and the
     verdict. Raises UserError where the run has no surface, a model is not closed, or the list of
@@ -102,18 +106,14 @@ def inspect(
     scan = None if options.scene is None else capture_of(result, options.scene)
     contents, cad = _expected(expect, cad)
     whole, pieces = content_of(result)
-    tolerance_m = 1e-3 * options.tolerance_mm
-    models = _models(cad, [*pieces, whole], options, contents)
-    content = Content(pieces, whole, result.glints)
-    planes, count_probability = _planes(result.path), None
+    tolerance_m, matches, count_probability = 1e-3 * options.tolerance_mm, list[Match](), None
+    models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
     if models:
+        content = Content(pieces, whole, result.glints)
         bodies, matches = _matched(models, content, options, listener)
-        where = "between the models"
+        notes = [_CUT.format("between the models")] if len(bodies) > len(pieces) else []
     else:
-        bodies, count_probability = cut_at_necks(pieces, planes.corners_m)
-        matches, where = [], "at necks that planes face and that did not echo"
-    cut = [f"parts are connected in the surface, which was cut {where}"]
-    notes = cut if len(bodies) > len(pieces) else []
+        whole, bodies, count_probability, notes = _by_evidence(result, whole, pieces, planes)
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
@@ -138,12 +138,11 @@ def inspect(
                 reports = (*reports, _report(models[m.model], m, bodies, whole, own))
                 progress(len(reports) / len(matches))
     failures, more = _failures(parts, reports, contents, expect, options)
-    notes += more
     inspection = Inspection(
         parts=parts,
         models=reports,
         failures=tuple(failures),
-        notes=(*notes, *_rivals(reports, models), *_notes(reports, bodies, options)),
+        notes=(*notes, *more, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
         count_probability=count_probability,
@@ -152,6 +151,31 @@ def inspect(
     if write:
         _write(inspection, result, bodies, whole, out, listener)
     return inspection
+
+
+def _by_evidence(
+    result: Reconstruction, whole: Body, pieces: Sequence[Body], planes: ScannedPlanes
+) -> tuple[Body, Sequence[Body], float, list[str]]:
+    """All of the content with faint bodies, its bodies, the odds of their number, and notes."""
+    bodies, certain = cut_at_necks(pieces, planes.corners_m)
+    where = "at necks that planes face and that did not echo"
+    notes = [_CUT.format(where)] if len(bodies) > len(pieces) else []
+    path = result.run.written(PEAKS_NAME)
+    if path is None:
+        return whole, bodies, certain, notes
+    cloud = read_cloud(path)
+    labels, probability = (cloud.columns.get(name) for name in ("label", "probability"))
+    if labels is None or probability is None:
+        return whole, bodies, certain, notes
+    own = np.isin(labels, (Label.CLUTTER, Label.DIRECT))
+    peaks = cloud.positions[own], cloud.normals[own], probability[own]
+    faint, also = faint_bodies(whole.mesh, peaks, planes.corners_m)
+    if faint:
+        whole = joined([whole, *faint])
+        n = len(bodies)
+        numbers = ", ".join(str(n + k) for k in range(1, len(faint) + 1))
+        notes.append(f"of part {numbers} only uncertain echoes came: its shape is their hull")
+    return whole, [*bodies, *faint], certain * also, notes
 
 
 def _matched(
