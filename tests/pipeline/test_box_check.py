@@ -118,6 +118,14 @@ def test_another_box_is_an_error_with_both_sizes(monkeypatch):
         check(given(1.2 * SIZE), a_box(), monkeypatch)
 
 
+def test_one_pair_of_planes_does_not_refuse_a_prior(monkeypatch):
+    prior = given(1.2 * SIZE)
+    checked = check(prior, a_box(seen=((0, 0), (2, 2), (0, 2))), monkeypatch)
+    assert checked.prior is prior
+    assert checked.is_warning
+    assert "planes 200 mm apart are no walls of the prior, whose side is 240 mm" in checked.text
+
+
 def test_flat_content_is_not_another_box(monkeypatch):
     solid = replace(a_box(), content_share=0.001)
     checked = check(given(1.5 * SIZE), solid, monkeypatch)

@@ -83,5 +83,5 @@ def test_without_errors_nothing_changes(capture, tmp_path):
 def test_a_box_without_echoes_is_refused_in_one_line(tmp_path):
     capture, _ = geraf2.examples.small_capture()
     tiny = geraf2.LosPrior.from_box((0.01, 0.01, 0.01))
-    with pytest.raises(geraf2.UserError, match="the scan shows another box than the prior"):
+    with pytest.raises(geraf2.UserError, match="the box does not contain the scene"):
         geraf2.reconstruct(capture, tiny, COARSE, tmp_path / "out")

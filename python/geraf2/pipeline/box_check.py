@@ -81,7 +81,8 @@ def checked_prior(
 
     name: of the prior in errors.
 
-    Raises UserError if the scan shows another box.
+    One pair of planes may be flat content or multipath, which is a warning.
+    Raises UserError if the scan shows two sides of another box.
     """
     with listener.step(BOX_STAGE):
         try:
@@ -100,6 +101,13 @@ def checked_prior(
     if difference.is_other and difference.is_within and found.content_share < _EMPTY:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
         return BoxCheck(prior=prior, found=None, text=text)
+    if difference.is_other and len(difference.both) == 1:
+        text = (
+            f"planes {_in_mm(found.size_m, difference.both)} mm apart are no walls of the prior, "
+            f"whose side is {_in_mm(difference.given_size_m, difference.both)} mm; it is kept, "
+            "since no other walls were seen"
+        )
+        return BoxCheck(prior=prior, found=None, text=text, is_warning=True)
     if difference.is_other:
         raise UserError(
             what="the scan shows another box than the prior",
