@@ -109,8 +109,7 @@ def inspect(
     tolerance_m, matches, count_probability = 1e-3 * options.tolerance_mm, list[Match](), None
     models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
     if models:
-        content = Content(pieces, whole, result.glints)
-        bodies, matches = _matched(models, content, options, listener)
+        bodies, matches = _matched(models, Content(pieces, whole, result.glints), options, listener)
         notes = [_CUT.format("between the models")] if len(bodies) > len(pieces) else []
     else:
         whole, bodies, count_probability, notes = _by_evidence(result, whole, pieces, planes)
