@@ -16,7 +16,6 @@ from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import PLANES_NAME
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 from helpers.inspected import around, block, glints_of, measured, run_of, wedge
 from helpers.solids import joined
@@ -31,8 +30,7 @@ def scanned(*meshes, pose=HERE, seed=0, metal=()):
     whole = measured(joined(*meshes), pose, sigma_m=3e-4, seed=seed)
     apertures, bodies = around(), split_bodies(whole)
     glints = glints_of(whole, apertures, seed=seed + 100)
-    scene = MeshScene(whole.mesh.vertices, whole.mesh.faces)
-    evidence = Evidence(glints, (glints.positions, glints.normals), apertures, scene)
+    evidence = Evidence(glints, (glints.positions, glints.normals), apertures)
     kinds = {True: "metal", False: "plastic"}
     materials = [replace(UNKNOWN, kind=kinds[p > 0.5], metal_probability=p) for p in metal]
     return Scanned(whole, bodies, evidence, materials or [UNKNOWN] * len(bodies))

@@ -1,5 +1,7 @@
 """Cells, counterparts and tails of a comparison, against loops and known shifts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,7 @@ from geraf2.apps.inspection.scan_evidence import (
     without_counterpart,
 )
 from geraf2.geometry.transforms import rigid
-from geraf2.ops.visibility import MeshScene
+from helpers.glint_sets import glints_at
 from helpers.inspected import around, block, glints_of, measured
 
 RNG = np.random.default_rng(0)
@@ -26,8 +28,7 @@ def unit(n):
 def evidence(body, seed=0):
     apertures = around()
     glints = glints_of(body, apertures, seed=seed, sigma_m=0.0)
-    scene = MeshScene(body.mesh.vertices, body.mesh.faces)
-    return Evidence(glints, (glints.positions, glints.normals), apertures, scene)
+    return Evidence(glints, (glints.positions, glints.normals), apertures)
 
 
 def test_cells_of_both_directions_are_the_shift_along_their_normals():
@@ -45,6 +46,28 @@ def test_cells_of_both_directions_are_the_shift_along_their_normals():
     assert flat.sum() >= 8
     off = cells.distances_m - cells.normals @ shift
     assert np.abs(off[flat]).max() < 1e-4
+
+
+def test_a_scan_without_likely_glints_has_no_cells():
+    body = measured(block((0.03, 0.02, 0.025), edge_m=0.003), np.eye(4), sigma_m=1e-6)
+    one = evidence(body)
+    none = one._replace(glints=one.glints.select(np.zeros(0, dtype=int)))
+    for pair in ((one, none), (none, one)):
+        cells = cells_of(*pair, np.eye(4), [body])
+        assert len(cells.parts) == 0
+        assert shifts_of(cells, 1, np.zeros(3), (0.01, 0.01), np.zeros(6))[2] == {}
+
+
+def test_the_distance_of_two_points_of_a_sphere_is_none():
+    """Along the mean of their normals, whatever lies between them."""
+    normals = unit(400)
+    body = measured(block((0.03, 0.02, 0.025), edge_m=0.003), np.eye(4), sigma_m=1e-6)
+    halves = []
+    for own in (normals[::2], normals[1::2]):
+        glints = replace(glints_at(0.02 * own, own), poses=np.zeros(200, dtype=int))
+        halves.append(Evidence(glints, (glints.positions, own), around()))
+    cells = cells_of(*halves, np.eye(4), [body])
+    assert cells.distances_m == pytest.approx(np.zeros(1), abs=1e-12)
 
 
 def test_cells_measured_in_another_frame_have_the_levers_of_the_second_scan():

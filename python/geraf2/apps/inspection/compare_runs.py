@@ -19,7 +19,6 @@ from geraf2.io.mesh import read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.points import read_cloud
 from geraf2.io.run_folder import BOX_NAME, PEAKS_NAME, PLANES_NAME, PRIOR_NAME
-from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.scene import LosPrior
@@ -118,16 +117,15 @@ def _write(
 
 def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
     """Content and evidence of a run."""
-    glints, mesh = result.glints, result.content_mesh
+    glints = result.glints
     assert glints is not None  # as of _require_peaks
     whole, pieces = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
-    bodies, _ = cut_at_necks(pieces, planes.corners_m)
+    bodies, _ = cut_at_necks(pieces, planes.corners_m, num_threads)
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
         peaks=read_cloud(result.path / PEAKS_NAME)[:2],
         apertures=[Aperture.of_corners(corners) for corners in planes.corners_m],
-        scene=MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads),
     )
     return Scanned(whole, bodies, evidence, materials_of(bodies, levels_of(result, planes)))
 

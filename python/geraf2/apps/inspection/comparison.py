@@ -296,13 +296,17 @@ def _shifted(body: Body, shift: Shift, tolerance_m: float) -> Change:
     along = shift.shift_m / max(size, 1e-9)
     sigma = float(np.sqrt(along @ shift.covariance @ along))
     is_moved = expit(shift.log_odds + _MOVED_LOG_ODDS)
+    # The shift exceeds what it is in any direction: here the one that is known best.
+    known = np.linalg.solve(shift.covariance, shift.shift_m)
+    known /= max(float(np.linalg.norm(known)), 1e-30)
+    beyond = (known @ shift.shift_m - tolerance_m) / np.sqrt(known @ shift.covariance @ known)
     return Change(
         what="moved",
         is_body=True,
         center_m=triple(middle_of(body)),
         size_m=size,
         sigma_m=sigma,
-        probability=float(is_moved * norm.cdf((size - tolerance_m) / sigma)),
+        probability=float(is_moved * norm.cdf(beyond)),
     )
 
 

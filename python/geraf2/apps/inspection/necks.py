@@ -72,7 +72,9 @@ class Separated(NamedTuple):
     """That so many are right: each exists, is cut where it should be, and nowhere else."""
 
 
-def cut_at_necks(pieces: Sequence[Body], corners_m: Floats) -> Separated:
+def cut_at_necks(
+    pieces: Sequence[Body], corners_m: Floats, num_threads: int | None = None
+) -> Separated:
     """Cut parts into bodies where their surface more likely bridges a gap than not.
 
     pieces: connected parts. corners_m: of the planes of antennas, (n_planes, 4, 3) [m].
@@ -81,7 +83,7 @@ def cut_at_necks(pieces: Sequence[Body], corners_m: Floats) -> Separated:
     bodies, certain = list[Body](), 1.0
     apertures = [Aperture.of_corners(corners) for corners in corners_m]
     for piece in pieces:
-        regions = _regions(piece)
+        regions = _regions(piece, num_threads)
         necks = _necks(piece, regions, apertures)
         kept = [neck.regions for neck in necks if neck.probability < 0.5]
         i, j = np.array(kept, dtype=np.int64).reshape(-1, 2).T
@@ -111,7 +113,7 @@ class _Regions(NamedTuple):
     """Surface of the part."""
 
 
-def _regions(body: Body) -> _Regions:
+def _regions(body: Body, num_threads: int | None) -> _Regions:
     """Catchment basins of the distance from the surface, merged where hardly a neck divides them.
 
     Regions smaller than a body are merged with the neighbour of the widest neck.
@@ -123,7 +125,7 @@ def _regions(body: Body) -> _Regions:
     step = max(_STEP_M, float((high - low).max()) / _MOST_STEPS)
     nx, ny, nz = (int(n) + 3 for n in (high - low) / step)
     grid = Grid.centered(0.5 * (low + high), step, (nx, ny, nz))
-    scene, points = MeshScene(mesh.vertices, mesh.faces), grid.points()
+    scene, points = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads), grid.points()
     depth = np.maximum(-scene.signed_distance(points).reshape(grid.shape), 0.0)
     inside = depth > 0.0
     peaks = (maximum_filter(depth, size=3) == depth) & inside

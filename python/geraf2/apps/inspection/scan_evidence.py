@@ -15,24 +15,25 @@ from geraf2.apps.inspection.bodies import Body
 from geraf2.echoes import Glints
 from geraf2.freespace.specular import specular_visibility
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 
 LIKELY = 0.5
 """Least probability of a glint that counts."""
 _COMMON_M = 0.0007
 """Standard deviation of an offset along all normals: of the delays of both scans [m]."""
-_PLANE_M, _GLINT_M = 0.0003, 0.0033
+_PLANE_M, _GLINT_M = 0.00055, 0.0013
 """Standard deviation of the mean distance of a part that one plane sees: that of any number of
 glints, and that of one glint, divided by the root of their number [m]. Glints of one plane share
-drift and merged echoes. Of 574 cells of unchanged pairs (`bench/python/compare_pairs.py`, seeds 0
-to 12)."""
+drift and merged echoes. Of 162 cells of pairs in which no part moved
+(`bench/python/compare_pairs.py`, seeds 0 to 3)."""
 _BOTH = 2.0
 """Factor of this variance: both directions of the comparison measure the same distance."""
 _MOST_M = 0.006
 """Distances beyond are of other surface [m]."""
 _NEAR_M, _COSINE = 0.010, 0.94
 """Largest lateral distance of counterparts [m], and least cosine of their normals."""
+_TURN_M = 0.04
+"""Distance that counts as much as a turn of the normal by one radian [m]."""
 _RANGE_M = 0.004
 """Largest distance of both along the normal [m]."""
 _EDGE_M = 0.03
@@ -55,8 +56,6 @@ class Evidence(NamedTuple):
     """Positions [m] and normals of all peaks, whatever their label, (n, 3) each."""
     apertures: Sequence[Aperture]
     """Of its planes."""
-    scene: MeshScene
-    """Surface of its content."""
 
 
 class Cells(NamedTuple):
@@ -86,15 +85,25 @@ class Shift(NamedTuple):
 
 
 def cells_of(one: Evidence, other: Evidence, pose: Floats, parts: Sequence[Body]) -> Cells:
-    """Cells of the glints of one scan against the surface of another.
+    """Cells of the glints of one scan against those of another.
 
     pose: moves the first into the frame of the other, (4, 4). parts: in the frame of the other.
     """
-    glints = one.glints
+    glints, others = one.glints, other.glints
+    if not min(len(glints), len(others)):
+        none = np.zeros((0, 3))
+        return Cells(np.zeros(0, dtype=np.int64), none[:, 0], none, none, none[:, 0])
     x, n = apply_rigid(pose, glints.positions), glints.normals @ pose[:3, :3].T
-    off = -other.scene.signed_distance(x)
-    seen = _has_counterpart(x, n, (other.glints.positions, other.glints.normals), _MOST_M)
-    good = np.flatnonzero(seen & (np.abs(off) < _MOST_M))
+    tree = KDTree(np.c_[others.positions, _TURN_M * others.normals])
+    nearest = tree.query(np.c_[x, _TURN_M * n])[1]
+    chord = others.positions[nearest] - x
+    # A chord of a circle is normal to the mean of the normals at its ends.
+    middle = n + others.normals[nearest]
+    middle /= np.maximum(np.linalg.norm(middle, axis=1, keepdims=True), 1e-12)
+    off = np.einsum("ij,ij->i", chord, middle)
+    lateral = np.linalg.norm(chord - off[:, None] * middle, axis=1)
+    alike = np.einsum("ij,ij->i", n, others.normals[nearest]) > _COSINE
+    good = np.flatnonzero(alike & (np.abs(off) < _MOST_M) & (lateral < _NEAR_M))
     owner = owners_of(x[good], parts)
     cell, label = np.unique(
         np.stack([owner, glints.poses[good]], axis=1), axis=0, return_inverse=True
@@ -111,8 +120,8 @@ def cells_of(one: Evidence, other: Evidence, pose: Floats, parts: Sequence[Body]
     return Cells(
         parts=cell[kept, 0],
         distances_m=mean(off[good])[kept],
-        normals=mean(n[good])[kept],
-        levers_m=mean(np.cross(x[good], n[good]))[kept],
+        normals=mean(middle[good])[kept],
+        levers_m=mean(np.cross(x[good], middle[good]))[kept],
         variances_m2=_BOTH * (_PLANE_M**2 + _GLINT_M**2 / count[kept]),
     )
 
