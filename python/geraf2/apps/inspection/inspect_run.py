@@ -90,8 +90,7 @@ def inspect(
     expect: required number of parts, or the file of a list of contents.
     options: tolerance, least seen share, unit.
     out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
-    write: write these files.
-    num_threads: all when None. listener: receives progress.
+    write: write these files. num_threads: all when None. listener: receives progress.
 
     Returns parts with positions and lengths [m], models with poses and deviations [m], and the
     verdict. Raises UserError where the run has no surface, a model is not closed, or the list of
@@ -105,11 +104,11 @@ def inspect(
     result = run if isinstance(run, Reconstruction) else load_run(run)
     scan = None if options.scene is None else capture_of(result, options.scene)
     contents, cad = _expected(expect, cad)
-    whole, pieces = content_of(result)
+    (whole, pieces), glints = content_of(result), result.glints
     tolerance_m, matches, count_probability = 1e-3 * options.tolerance_mm, list[Match](), None
     models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
     if models:
-        bodies, matches = _matched(models, Content(pieces, whole, result.glints), options, listener)
+        bodies, matches = _matched(models, Content(pieces, whole, glints), options, listener)
         notes = [_CUT.format("between the models")] if len(bodies) > len(pieces) else []
     else:
         whole, bodies, count_probability, notes = _by_evidence(result, whole, pieces, planes)
@@ -123,11 +122,7 @@ def inspect(
             matches, patches, more = _compared(result, scan, matches, models, options, num_threads)
             notes += more
     compare = partial(
-        deviation_of,
-        tolerance_m=tolerance_m,
-        planes=planes,
-        glints=result.glints,
-        num_threads=num_threads,
+        deviation_of, tolerance_m=tolerance_m, planes=planes, glints=glints, num_threads=num_threads
     )
     reports: tuple[ModelReport, ...] = ()
     if matches:
