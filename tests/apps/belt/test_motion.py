@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.apps.belt.monostatic import at_midpoints, stretching
-from geraf2.apps.belt.motion import Motion
+from geraf2.apps.belt.motion import Motion, most_coherent
 from geraf2.apps.belt.parcel import parcel_scan
 from geraf2.apps.belt.vibration import steadied
 from geraf2.io.container import joined
@@ -73,6 +73,21 @@ def test_placed_antennas_follow_the_motion_written_out():
     x, y, z = motion.placed(nominal, recorded)[0]
     assert (x, y) == pytest.approx(turn @ [0.1 - travel, 0.301])
     assert z == 0.05
+
+
+def test_phases_give_the_motion_several_periods_from_that_of_the_ranges():
+    wavelength_m, rng = 0.0038, np.random.default_rng(0)
+    # Derivatives of 0.2 m between stations and directions up to 0.5, by scale and by turn.
+    design = np.column_stack([rng.uniform(-0.1, 0.1, 200), np.zeros(200), np.zeros(200)])
+    design[:, 2] = rng.uniform(-0.05, 0.05, 200)
+    first = Motion(scale=-0.0134, turn_rad_per_m=0.125, scale_sigma=0.0015, n_pairs=200)
+    first = replace(first, turn_sigma_rad_per_m=0.024)
+    true = np.array([-0.0099 - first.scale, 0.0, 0.07 - first.turn_rad_per_m])
+    misfit = design @ true + 3e-5 * rng.normal(size=200) + 1e-4
+    misfit -= 0.5 * wavelength_m * np.rint(misfit / (0.5 * wavelength_m))
+    found_motion = most_coherent(first, [(misfit, design)], wavelength_m)
+    assert found_motion.scale == pytest.approx(-0.0099, abs=1e-4)
+    assert found_motion.turn_rad_per_m == pytest.approx(0.07, abs=2e-3)
 
 
 def test_a_vibration_is_found_frame_by_frame():

@@ -47,7 +47,9 @@ SIGMAS = np.array([0.02, 0.01, 0.1, 0.002])
 _RANGE_SIGMA_M, _OVERLAP = 1e-4, 4.0
 _LEAST_PAIRS = 20
 # Peaks whose phases are compared, and rounds of that.
-_N_PHASES, _N_PHASE_ROUNDS = 400, 4
+_N_PHASES, _N_PHASE_ROUNDS = 400, 3
+# Grid of speeds and yaws, less than a radian apart at the usual errors, and its rounds.
+_N_GRID, _N_GRID_ROUNDS = 121, 3
 # Largest error of the speed that profiles are searched for.
 _MOST_WRONG = 0.15
 
@@ -153,15 +155,50 @@ def find_motion(
     seen = [_seen(waveform, line, first, region, num_threads) for line in lines]
     pairs = [_pairs(line, *peaks) for line, peaks in zip(lines, seen, strict=True)]
     motion = _fitted(first, pairs, np.geomspace(_MOST_MISFIT_M, _GATE_M, _N_ROUNDS))
-    # Phases are unambiguous within a quarter of the wavelength.
-    gates = np.full(_N_ROUNDS, 0.22 * waveform.center_wavelength_m)
-    for _ in range(_N_PHASE_ROUNDS if motion.n_pairs else 0):
-        points = [
-            _phase_misfits(waveform, line, (first, motion), peaks[0], _SIZE * region.size_m[0])
+    if not motion.n_pairs:
+        return motion
+    size_m, wavelength_m = _SIZE * region.size_m[0], waveform.center_wavelength_m
+
+    def phases(at: Motion) -> list[tuple[Floats, Floats]]:
+        return [
+            _phase_misfits(waveform, line, (first, at), peaks[0], size_m)
             for line, peaks in zip(lines, seen, strict=True)
         ]
-        motion = _fitted(motion, points, gates)
+
+    # By ranges a change of the speed is mistaken for an error of speed and yaw, and the reverse.
+    motion = replace(motion, change_per_m=0.0)
+    for _ in range(_N_GRID_ROUNDS):
+        motion = most_coherent(motion, phases(motion), wavelength_m)
+    # Phases are unambiguous within a quarter of the wavelength.
+    gates = np.full(_N_ROUNDS, 0.22 * wavelength_m)
+    for _ in range(_N_PHASE_ROUNDS):
+        motion = _fitted(motion, phases(motion), gates)
     return motion
+
+
+def most_coherent(
+    motion: Motion, rows: Sequence[tuple[Floats, Floats]], wavelength_m: float
+) -> Motion:
+    """Motion whose speed and yaw, within four standard errors, make the most phases agree.
+
+    Ranges leave errors of several periods of the phase: a fit of phases would end at any of them.
+    """
+    wavenumber = 4.0 * np.pi / wavelength_m
+    half_widths = (4.0 * motion.scale_sigma, 4.0 * motion.turn_sigma_rad_per_m)
+    steps = [np.linspace(-half, half, _N_GRID) for half in half_widths]
+    score = np.zeros((_N_GRID, _N_GRID))
+    for misfit, design in rows:
+        scale, turn = (
+            np.exp(-1j * wavenumber * np.outer(design[:, k], step))
+            for k, step in zip((0, 2), steps, strict=True)
+        )
+        score += np.abs((scale * np.exp(1j * wavenumber * misfit)[:, None]).T @ turn)
+    i, j = np.unravel_index(int(score.argmax()), score.shape)
+    return replace(
+        motion,
+        scale=motion.scale + float(steps[0][i]),
+        turn_rad_per_m=motion.turn_rad_per_m + float(steps[1][j]),
+    )
 
 
 def _coarse_scale(line: Line) -> float:
