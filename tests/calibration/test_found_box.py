@@ -235,6 +235,13 @@ def test_antennas_within_the_walls_are_refused(scan):
         find_box(replace(scan, poses=poses))
 
 
+def test_one_flat_surface_is_no_box(scan, monkeypatch):
+    refined, only = found_box._refined, np.array([[Seen.SQUARELY, 0], [0, 0], [0, 0]])
+    monkeypatch.setattr(found_box, "_refined", lambda *a: replace(refined(*a), seen=only))
+    with pytest.raises(UserError, match="one flat surface, which may be content"):
+        find_box(scan)
+
+
 def test_planes_that_meet_before_any_box_have_no_walls(scan):
     near = tuple(
         pose.moved((pose.phase_centers.mean(axis=0) @ pose.axes[0] + 0.03) * -pose.axes[0])

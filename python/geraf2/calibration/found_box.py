@@ -48,6 +48,8 @@ _DYNAMIC_RANGE_DB = -45.0
 # Level relative to the walls below which leakage does not shift their echoes [dB].
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
+# Least number of walls that are seen squarely: flat content looks like one wall.
+_LEAST_WALLS = 2
 # RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
 # the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them.
 _SKEW_RAD = float(np.deg2rad(0.34))
@@ -250,6 +252,8 @@ def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
     if not box.size_m.min() > LEAST_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     box = _refined(capture, box, peaks)
+    if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
+        raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
     return _bounded(capture, box, peaks.known)
 
