@@ -1,0 +1,108 @@
+"""Six planes of which each is proposed after the ones before, against nine even ones around.
+
+    python bench/python/next_plane.py run ROWS [--seeds 40 41 42] [--preset best]
+    python bench/python/next_plane.py show ROWS
+
+`run` puts objects of the population (`geraf2.simulation.population`) into a box in a plausible
+world. A session begins with two opposite planes, and four times the plane that it proposes is
+simulated and added. All six are then simulated again as one scan. It appends a line for each object
+to the file ROWS. `show` prints means, and their difference with a bootstrap interval.
+"""
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import geraf2
+from geraf2.apps.live.follow import proposed_plane
+from geraf2.apps.planning.scan_time import Scanner, plane_at, swept_planes
+from geraf2.evaluation.mesh_metrics import evaluate_mesh
+from geraf2.scene.aperture import Aperture
+from geraf2.simulation import SceneSpec, simulate
+from geraf2.simulation.spec import parse_spec
+
+APERTURE_M, SPACING_M, STANDOFF_M = (0.16, 0.20), 0.005, 0.35
+BOX_M = (0.20, 0.20, 0.20)
+N_CHOSEN, N_EVEN = 6, 9
+
+
+def spec_of(seed: int) -> SceneSpec:
+    height_m = float(np.random.default_rng(seed).uniform(0.09, 0.15))
+    return parse_spec(
+        {
+            "figure": {"name": f"random-{seed}", "height_m": height_m},
+            "walls": [{"size_m": BOX_M}],
+            "numerics": {"wall_patch_m": 0.008},
+            "world": {"preset": "plausible"},
+        }
+    )
+
+
+def even(n: int) -> list[Aperture]:
+    half = 0.5 * np.asarray(APERTURE_M)
+    return [plane_at(2.0 * np.pi * k / n, 0.0, STANDOFF_M, half) for k in range(n)]
+
+
+def scanned(spec: SceneSpec, planes: Sequence[Aperture], seed: int):
+    """Capture of these planes, and the true object."""
+    sweeps, _ = swept_planes(planes, SPACING_M, Scanner())
+    return simulate(replace(spec, scan=replace(spec.scan, sweeps=sweeps)), seed=seed)
+
+
+def chosen(spec: SceneSpec, seed: int, preset: str) -> list[Aperture]:
+    """Two opposite planes, and those that a session proposes after them."""
+    planes = even(2)
+    capture, _ = scanned(spec, planes, seed)
+    with geraf2.Session(capture, BOX_M, preset) as session:
+        while len(planes) < N_CHOSEN:
+            _ = session.result
+            best = proposed_plane(session)
+            assert best is not None
+            planes.append(best.plane)
+            one, _ = scanned(spec, planes[-1:], seed + 1000 * len(planes))
+            session.add(replace(one.poses[0], name=f"{len(planes)}"))
+    return planes
+
+
+def run(rows: Path, seeds: Sequence[int], preset: str) -> None:
+    for seed in seeds:
+        spec, row = spec_of(seed), {"seed": seed, "preset": preset}
+        for name, planes in (("chosen", chosen(spec, seed, preset)), ("even", even(N_EVEN))):
+            capture, truth = scanned(spec, planes, seed)
+            mesh = geraf2.reconstruct(capture, BOX_M, preset).content_mesh
+            scores = evaluate_mesh(mesh, truth, n_samples=20_000, thresholds_m=(0.005,)).scores
+            row[name] = round(float(scores[0].f1), 4)
+        print(json.dumps(row), flush=True)
+        with rows.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+
+
+def show(rows: Path) -> None:
+    read = [json.loads(line) for line in rows.read_text().splitlines()]
+    six, nine = (np.array([row[name] for row in read]) for name in ("chosen", "even"))
+    drawn = np.random.default_rng(0).integers(0, len(read), (4000, len(read)))
+    low, high = np.quantile((six - nine)[drawn].mean(axis=1), (0.025, 0.975))
+    print(f"F1 5 mm of {len(read)} objects: {N_CHOSEN} chosen {six.mean():.3f}, ", end="")
+    print(f"{N_EVEN} even {nine.mean():.3f}")
+    print(f"difference {(six - nine).mean():+.3f} ({low:+.3f} to {high:+.3f})")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("what", choices=("run", "show"))
+    parser.add_argument("rows", type=Path)
+    parser.add_argument("--seeds", type=int, nargs="*", default=list(range(40, 60)))
+    parser.add_argument("--preset", default="best")
+    given = parser.parse_args()
+    if given.what == "run":
+        run(given.rows, given.seeds, given.preset)
+    else:
+        show(given.rows)
+
+
+if __name__ == "__main__":
+    main()
