@@ -71,6 +71,7 @@ def run(rows: Path, scene: Path, preset: str) -> None:
             write(
                 plane=number,
                 n_planes=len(order),
+                has_box=session.has_box,
                 f1=f1_of(mesh, truth),
                 kept=kept_share(mesh, TAU_M),
                 seen=session.result.numbers["mesh"]["evidence_shares"]["seen"],
@@ -97,7 +98,7 @@ def read(rows: Path) -> tuple[dict[str, list[dict]], list[dict]]:
         row = json.loads(line)
         if "end" in row:
             ends.append(row)
-        elif "f1" in row:
+        elif "f1" in row and row["has_box"]:  # else no score is stated
             growing[row["scene"]].append(row)
     return growing, ends
 
