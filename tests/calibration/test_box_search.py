@@ -75,7 +75,7 @@ class Scan:
         )
 
     def found(self, like=None):
-        return rough_faces(self.flashes(), UP, REACH_M, WAVEFORM, like)
+        return next(rough_faces(self.flashes(), UP, REACH_M, WAVEFORM, like))
 
 
 def yaw_deg(axes):

@@ -70,7 +70,7 @@ def test_a_robot_reads_the_same_places_turns_and_times_in_csv(tmp_path):
     assert text.times_s == pytest.approx(plan.times_s)
     assert text.positions == pytest.approx(plan.positions)
     assert text.quaternions == pytest.approx(plan.quaternions)
-    assert text.turns(0.34).as_matrix() == pytest.approx(np.array(LOOKS_Y).T)
+    assert text.rotations_at(np.array([0.34])).as_matrix()[0] == pytest.approx(np.array(LOOKS_Y).T)
 
 
 def test_transmitters_that_take_turns_send_from_where_the_arm_is_then():

@@ -90,7 +90,9 @@ def inspect(
     expect: required number of parts, or the file of a list of contents.
     options: tolerance, least seen share, unit.
     out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
-    write: write these files. num_threads: all when None. listener: receives progress.
+    write: write these files.
+    num_threads: all when None.
+    listener: receives progress.
 
     Returns parts with positions and lengths [m], models with poses and deviations [m], and the
     verdict. Raises UserError where the run has no surface, a model is not closed, or the list of
@@ -124,13 +126,8 @@ def inspect(
     compare = partial(
         deviation_of, tolerance_m=tolerance_m, planes=planes, glints=glints, num_threads=num_threads
     )
-    reports: tuple[ModelReport, ...] = ()
-    if matches:
-        with listener.step("comparing surfaces") as progress:
-            for n, m in enumerate(matches):
-                own = partial(compare, echoes=patches.get(n))
-                reports = (*reports, _report(models[m.model], m, bodies, whole, own))
-                progress(len(reports) / len(matches))
+    judged = [partial(compare, echoes=patches.get(n)) for n in range(len(matches))]
+    reports = _reports(models, matches, judged, bodies, whole, listener)
     failures, more = _failures(parts, reports, contents, expect, options)
     inspection = Inspection(
         parts=parts,
@@ -295,6 +292,25 @@ def _compared(
     if patches:
         return moved, patches, []
     return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
+
+
+def _reports(
+    models: Sequence[CadModel],
+    matches: Sequence[Match],
+    judged: Sequence[Callable[..., Deviation]],
+    bodies: Sequence[Body],
+    whole: Body,
+    listener: Listener,
+) -> tuple[ModelReport, ...]:
+    """Report on each model, with its own comparison of surfaces."""
+    reports: tuple[ModelReport, ...] = ()
+    if not matches:
+        return reports
+    with listener.step("comparing surfaces") as progress:
+        for match, compare in zip(matches, judged, strict=True):
+            reports = (*reports, _report(models[match.model], match, bodies, whole, compare))
+            progress(len(reports) / len(matches))
+    return reports
 
 
 def _report(
