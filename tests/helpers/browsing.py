@@ -62,6 +62,24 @@ def require_readable(page, size):
     assert page.evaluate("document.documentElement.scrollWidth") <= size[0]
 
 
+def require_sound(page, url, size, axe):
+    """Assert that a page with a view works, asks for nothing, is readable and accessible."""
+    assert page.locator(".viewer.works").count() == 1
+    assert page.trouble == []
+    assert [one for one in page.requests if not one.startswith("data:")] == [url]
+    require_first_screen(page, size, ".hero .lead")
+    require_readable(page, size)
+    assert serious_findings(page, axe) == []
+
+
+def hidden_share(page, label):
+    """Share of the view's pixels that change when a layer is hidden."""
+    drawn = pixels(page)
+    page.locator(".viewer").get_by_label(label, exact=True).uncheck()
+    settle(page)
+    return (np.abs(pixels(page) - drawn).max(axis=2) > 5).mean()
+
+
 def require_first_screen(page, size, verdict):
     """Assert that the 3D view and the verdict are on the screen before any scrolling."""
     stage = page.locator(".viewer .stage").bounding_box()
