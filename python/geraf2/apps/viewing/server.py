@@ -19,13 +19,20 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME
 from geraf2.report import html
 from geraf2.report.run_report import run_scene
-from geraf2.report.view3d import NOTHING, Around, Other, plane_layer, scene_json, view_scene
+from geraf2.report.view3d import (
+    NO_WEBGL,
+    NOTHING,
+    Around,
+    Other,
+    plane_layer,
+    scene_json,
+    view_scene,
+)
 from geraf2.scene import LosPrior, Pose
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.store import open_capture
 
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
-_FALLBACK = "The view needs JavaScript and WebGL2, which this browser does not offer here."
 
 # Files whose change an open page shows.
 _FOLLOWED = (CONTENT_NAME, METRICS_NAME, RADAR_NAME)
@@ -101,7 +108,7 @@ class LiveView:
                     try:
                         text = page(paths, view.next_plane_m, needs_surface=waits)
                         kind = "text/html"
-                    except UserError as error:  # as one that is being written
+                    except (UserError, OSError) as error:  # as one that is being written
                         status, text = HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n"
                 content = text.encode()
                 self.send_response(status)
@@ -121,8 +128,15 @@ class LiveView:
 
 def version(paths: Sequence[Path | str]) -> str:
     """Text that changes with the surfaces and scores of runs, and with the planes of scenes."""
-    files = (Path(path) / name for path in paths for name in _FOLLOWED)
-    return " ".join(str(file.stat().st_mtime_ns) if file.exists() else "-" for file in files)
+    return " ".join(_changed(Path(path) / name) for path in paths for name in _FOLLOWED)
+
+
+def _changed(file: Path) -> str:
+    """Time of the last change of a file, "-" without one: a run that is made replaces its files."""
+    try:
+        return str(file.stat().st_mtime_ns)
+    except OSError:
+        return "-"
 
 
 def page(
@@ -145,7 +159,7 @@ def page(
         files=files,
         title=" and ".join(scene["name"] for scene in scenes),
         views=[(scene["name"], scene_json(scene)) for scene in scenes],
-        fallback=_FALLBACK,
+        fallback=NO_WEBGL,
         is_tall=True,
     )
 
