@@ -287,6 +287,8 @@ def _compared(
         scan = keep_planes(scan, result.record.options.hold_out, result.run.scene_name)
         expected = ExpectedEchoes(scan, result.prior, seed=options.seed, num_threads=num_threads)
     except UserError as error:
+        if options.scene is not None:
+            raise
         return matches, {}, [f"poses rest on the run alone, not on its scan: {error}"]
     moved, patches = by_echoes(matches, models, expected, placed=options.placed)
     if patches:
