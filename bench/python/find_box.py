@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 
 import geraf2
-from geraf2.calibration.found_box import BOX_VERSION, FoundBox, Seen, find_box
+from geraf2.calibration.box_finder import BOX_VERSION, find_box
+from geraf2.calibration.found_box import FoundBox, Seen
 from geraf2.geometry.transforms import apply_rigid, rigid, triple
 from geraf2.io.mesh import read_mesh
 from geraf2.scene import Capture, LosPrior

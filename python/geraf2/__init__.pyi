@@ -7,7 +7,7 @@ from .apps.live.session import Session as Session
 from .apps.photos.los import make_los as make_los
 from .apps.planning.planning import PlanOptions as PlanOptions
 from .apps.planning.planning import plan as plan
-from .calibration.found_box import find_box as find_box
+from .calibration.box_finder import find_box as find_box
 from .echoes import find_glints as find_glints
 from .errors import UserError as UserError
 from .imaging.volume import image_volume as image_volume

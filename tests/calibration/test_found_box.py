@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
-from geraf2.calibration import found_box, free_air
+from geraf2.calibration import box_finder, free_air
+from geraf2.calibration.box_finder import find_box
 from geraf2.calibration.box_search import rough_faces, scene_peaks
-from geraf2.calibration.found_box import Seen, find_box
+from geraf2.calibration.found_box import Seen
 from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
@@ -143,7 +144,7 @@ def test_a_rival_follows_a_hypothesis_that_the_scan_contradicts(scan, monkeypatc
             yield replace(true, offsets_m=np.array([[0.03, 0.03], [0.09, 0.09], [0.09, 0.09]]))
             yield true
 
-    monkeypatch.setattr(found_box, "rough_faces", with_false_first)
+    monkeypatch.setattr(box_finder, "rough_faces", with_false_first)
     np.testing.assert_array_equal(find_box(scan).offsets_m, found.offsets_m)
 
 
@@ -236,8 +237,8 @@ def test_antennas_within_the_walls_are_refused(scan):
 
 
 def test_one_flat_surface_is_no_box(scan, monkeypatch):
-    refined, only = found_box._refined, np.array([[Seen.SQUARELY, 0], [0, 0], [0, 0]])
-    monkeypatch.setattr(found_box, "_refined", lambda *a: replace(refined(*a), seen=only))
+    refined, only = box_finder._refined, np.array([[Seen.SQUARELY, 0], [0, 0], [0, 0]])
+    monkeypatch.setattr(box_finder, "_refined", lambda *a: replace(refined(*a), seen=only))
     with pytest.raises(UserError, match="one flat surface, which may be content"):
         find_box(scan)
 

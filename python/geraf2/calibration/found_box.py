@@ -1,63 +1,16 @@
-"""Outside of the box from a scan, with standard deviations and bounds for unseen faces."""
+"""Outside of a box from a scan, with standard deviations and bounds for unseen faces."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from itertools import chain, product
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
-from geraf2.calibration.box_search import (
-    APERTURE_M,
-    LEAST_REACH_M,
-    LEAST_SIDE_M,
-    Flashes,
-    RoughFaces,
-    explained,
-    leaking,
-    rough_faces,
-    scene_peaks,
-    upward,
-    with_lobes,
-)
-from geraf2.calibration.leakage import find_leakage, without_leakage
-from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
-from geraf2.calibration.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
-from geraf2.imaging.peaks import KeptPeaks, PeakSet
-from geraf2.ops._threads import with_one_blas_thread
-from geraf2.scene import Capture, LosPrior
-from geraf2.scene.summary import CaptureSummary, summarize_capture
-
-BOX_VERSION = 5
-"""Increase when the same capture gives another box."""
-# Expected errors of the faces before the fit, by their flashes.
-_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
-# Least share and number of the sub-apertures facing a wall in which a seen wall echoes.
-_SEEN_SHARE, _FEWEST = 0.5, 2
-# Largest curvature of a wall, 0 for a plane and 1 for a point, and least extent of antennas [m].
-_MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
-# Margin around the walls [m], and largest share of energy outside: grating lobes and multipath.
-_MARGIN_M, _MOST_OUTSIDE = 0.01, 0.3
-# Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
-_DYNAMIC_RANGE_DB = -45.0
-# Level relative to the walls below which leakage does not shift their echoes [dB].
-_LEAKAGE_DB = -25.0
-_COVER = 1.96
-# Least number of walls that are seen squarely: flat content looks like one wall.
-_LEAST_WALLS = 2
-# RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
-# the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them.
-_SKEW_RAD = float(np.deg2rad(0.34))
-# Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
-_ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
-# Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
-# too small cuts content, a large one costs nothing.
-_SLACK_M = 0.04
+from geraf2.scene import LosPrior
 
 
 class Seen(IntEnum):
@@ -148,7 +101,7 @@ class FoundBox:
                     "sigma_m": _json_number(self.sigmas_m[k, side]),
                     "interval_m": _json_number(self.bounds_m[k, side]),
                 }
-                for name, k, side in _face_names()
+                for name, k, side in face_names()
             },
         }
 
@@ -158,7 +111,7 @@ class FoundBox:
             error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
             sizes.append(f"{1e3 * size:.1f}{error}")
         kinds = {
-            kind: [name for name, k, side in _face_names() if self.seen[k, side] == kind]
+            kind: [name for name, k, side in face_names() if self.seen[k, side] == kind]
             for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
         }
         where = " ".join(f"{1e3 * off:.0f}" for off in self.offsets_m[self.seen == Seen.NOT])
@@ -172,7 +125,7 @@ class FoundBox:
         return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {', '.join(seen)}"
 
 
-def _face_names() -> list[tuple[str, int, int]]:
+def face_names() -> list[tuple[str, int, int]]:
     """Name, axis and column of each face."""
     return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
 
@@ -197,256 +150,3 @@ class WallsNotFoundError(UserError):
         )
         self.seen = seen
         """Description of what the scan shows instead."""
-
-
-@with_one_blas_thread
-def find_box(
-    capture: Capture,
-    *,
-    expected: LosPrior | None = None,
-    summary: CaptureSummary | None = None,
-    num_threads: int | None = None,
-) -> FoundBox:
-    """Find the box around the content from the scan alone.
-
-    capture: the scan. Its instrument delay must be known to a centimetre.
-    expected: a cuboid whose orientation is preferred if the scan allows several.
-    summary: of the capture, if already computed.
-    num_threads: all cores when None.
-
-    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees at a right angle have
-    an interval. Without any bound but the seen walls, they get a margin.
-    Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them.
-
-    >>> capture, truth = geraf2.examples.small_capture()
-    >>> box = geraf2.find_box(capture)
-    >>> [round(side, 2) for side in box.size_m[:2].tolist()]
-    [0.16, 0.16]
-    """
-    summary = summary or summarize_capture(capture)
-    focus, reach = summary.focus, summary.standoff_m
-    if focus is None or not np.isfinite(reach):
-        raise WallsNotFoundError(seen="the planes face no common point")
-    if reach < LEAST_REACH_M:
-        raise WallsNotFoundError(seen=f"the planes meet {1e3 * reach:.0f} mm in front of them")
-    capture = _shifted(capture, -focus)
-    peaks = scene_peaks(np.zeros(3), reach, num_threads)
-    like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
-    if leakage_db > _LEAKAGE_DB:
-        leakage = find_leakage(capture, next(tries)[0].prior, peaks)
-        if leakage.method != "none":
-            capture = without_leakage(capture, leakage)
-        tries, _ = _initial_boxes(capture, peaks, reach, like)
-    reasons = list[WallsNotFoundError]()
-    for box, seen in tries:
-        try:
-            return _finished(capture, box, _Known(peaks, seen)).moved(focus)
-        except WallsNotFoundError as error:
-            reasons.append(error)
-    raise reasons[0]
-
-
-def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
-    """Box after the fit, with bounds for its unseen faces."""
-    if not box.size_m.min() > LEAST_SIDE_M:
-        raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
-    box = _refined(capture, box, peaks)
-    if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
-        raise WallsNotFoundError(seen="one flat surface, which may be content")
-    box = replace(box, content_share=_content_share(box, peaks.known))
-    return _bounded(capture, box, peaks.known)
-
-
-def _shifted(capture: Capture, shift_m: Floats) -> Capture:
-    """Capture in a frame with a shifted origin."""
-    return replace(capture, poses=tuple(pose.moved(shift_m) for pose in capture.poses))
-
-
-def _initial_boxes(
-    capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
-    """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB]."""
-    found = peaks.of(capture)
-    leaks = leaking(capture, found, reach_m)
-    kept = found.select(~leaks)
-    top = float(kept.strengths.max(initial=0.0))
-    kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
-    if not len(kept):
-        raise WallsNotFoundError(seen="no echo above the noise")
-    lobes, index = with_lobes(capture, kept)
-    flashes = Flashes.of(capture, kept, lobes, index)
-    found_faces = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
-    first = next(found_faces)
-    if np.isnan(first.offsets_m).all():
-        raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
-
-    def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
-        for rough in chain([first], found_faces):
-            if not np.isnan(rough.offsets_m).all():
-                corrected = explained(kept, lobes, index, flashes, rough)
-                yield _initial_box(rough, corrected), corrected
-
-    leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
-    level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
-    return boxes(), level_db
-
-
-def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
-    """Box whose unseen faces get the mean offset of the seen ones, until they are bounded.
-
-    The seen walls extend to all apertures that see their flashes.
-    """
-    unseen = np.isnan(rough.offsets_m)
-    offsets = rough.offsets_m.copy()
-    half = float(np.nanmean(offsets))
-    for k in range(3):
-        if unseen[k].all():
-            offsets[k] = half
-        elif unseen[k].any():
-            offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
-    for k, side in np.argwhere(unseen):
-        foot = flash_reach(peaks, rough.axes, rough.offsets_m, ~unseen, (k, side))
-        offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
-    return FoundBox(
-        axes=rough.axes,
-        turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
-        offsets_m=offsets,
-        sigmas_m=np.where(unseen, np.inf, _ROUGH.wall_sigma_m),
-        bounds_m=np.zeros((3, 2, 2)),
-        seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
-    )
-
-
-class _Known(KeptPeaks):
-    """Peaks whose directions are already resolved."""
-
-    def __init__(self, peaks: KeptPeaks, known: PeakSet) -> None:
-        super().__init__(peaks.prior, peaks.subaperture, num_threads=peaks.num_threads)
-        self.known = known
-
-    def of(self, *_: Any, **__: Any) -> PeakSet:
-        """Return these peaks for any capture."""
-        return self.known
-
-
-def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
-    """Box after one joint estimate of delay, orientation and each wall's distance."""
-    try:
-        problem = WallProblem(capture, box.prior, _ROUGH, peaks)
-    except UserError as error:
-        raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
-    fit = problem.fit(("delay", "frame"))
-    found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
-    turn = found.prior_to_capture[:3, :3]
-    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]
-    sigmas = np.sqrt(np.diag(fit.covariance))[shapes]
-    axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
-    seen = box.seen.copy()
-    for wall, normal in enumerate(problem.faces.normals):
-        along = box.axes @ normal
-        k = int(np.abs(along).argmax())
-        side = int(along[k] > 0.0)
-        middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
-        offsets[k, side] = middle @ (turn @ normal) + fit.values[shapes[wall]]
-        widths[k, side] = sigmas[wall]
-        is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
-        seen[k, side] = Seen.SQUARELY if is_seen else Seen.NOT
-    n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
-    skew = (_SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
-    return replace(
-        box,
-        axes=axes,
-        turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
-        offsets_m=offsets,
-        sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
-        seen=seen,
-    )
-
-
-def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
-    """Whether a wall is flat and echoes in most sub-apertures that face it at a right angle.
-
-    echoes: peaks that are interpreted as the wall's.
-    """
-    peaks, normal = problem.echoes, problem.faces.normals[wall]
-    own = np.unique(peaks.subapertures[echoes])
-    if len(own) < _FEWEST or _curvature(peaks.select(echoes)) > _MOST_CURVED:
-        return False
-    centers = peaks.subaperture_centers
-    ahead = problem.axes[peaks.subaperture_planes][:, 0] @ normal
-    feet = centers - np.outer((centers - centers[own].mean(axis=0)) @ normal, normal)
-    low, high = feet[own].min(axis=0) - 1e-3, feet[own].max(axis=0) + 1e-3
-    expected = (np.abs(ahead) > SQUARE_COSINE) & ((feet >= low) & (feet <= high)).all(axis=1)
-    expected &= np.isin(np.arange(len(centers)), peaks.subapertures)
-    expected &= np.isin(np.sign(ahead), np.sign(ahead[own]))
-    return len(own) >= _SEEN_SHARE * int(expected.sum())
-
-
-def _curvature(echoes: PeakSet) -> float:
-    """Convergence of lines of sight: 0 for a plane, 1 for a point, negative for a concave face."""
-    off_center, off_direction = np.zeros((2, len(echoes), 3))
-    for number in np.unique(echoes.planes):
-        own = echoes.planes == number
-        off_center[own] = echoes.centers[own] - echoes.centers[own].mean(axis=0)
-        off_direction[own] = echoes.directions[own] - echoes.directions[own].mean(axis=0)
-    spread = float((off_center**2).sum())
-    if spread < _LEAST_SPREAD_M**2:
-        return 0.0
-    return -float((off_center * off_direction).sum() / spread * echoes.ranges_m.mean())
-
-
-def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
-    """Box whose unseen faces lie at their edges, or with a margin around everything seen."""
-    offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
-    square = seen == Seen.SQUARELY
-    bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
-    for _, k, side in _face_names():
-        face = (k, side)
-        if square[face]:
-            continue
-        known = (seen != Seen.NOT).all(axis=1)
-        usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
-        least = flash_reach(peaks, box.axes, box.offsets_m, square, face)
-        content = content_reach(peaks, box.axes, box.offsets_m, square, face)
-        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, max(least, content))
-        if edge is None:
-            offsets[face] = max(least, content, usual)
-            bounds[face] = max(least, content), np.inf
-        else:
-            offsets[face], sigmas[face] = edge
-            seen[face] = Seen.EDGES
-            bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
-    _require_outside(capture, box.axes, offsets)
-    return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
-
-
-def _content_share(box: FoundBox, peaks: PeakSet) -> float:
-    """Share of the energy within the walls; UserError if they do not enclose the echoes."""
-    square = box.seen == Seen.SQUARELY
-    if not square.any():
-        raise WallsNotFoundError(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
-    along, energy = peaks.points @ box.axes.T, peaks.strengths**2
-
-    def share(margin_m: float) -> float:
-        limits = np.where(square, box.offsets_m + margin_m, np.inf)
-        inside = ((along <= limits[:, 1]) & (along >= -limits[:, 0])).all(axis=1)
-        return float(energy[inside].sum() / energy.sum())
-
-    outside = 1.0 - share(_MARGIN_M)
-    if outside > _MOST_OUTSIDE:
-        raise WallsNotFoundError(
-            seen=f"planes with {100 * outside:.0f} % of the echoes outside of them"
-        )
-    return share(-_MARGIN_M)
-
-
-def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
-    """Raise UserError if antennas are within the found walls."""
-    n_inside = 0
-    for pose in capture.poses:
-        along = pose.phase_centers @ axes.T
-        inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
-        n_inside += bool(inside.all(axis=1).any())
-    if n_inside:
-        raise WallsNotFoundError(seen=f"planes of antennas within the walls: {n_inside}")

@@ -6,7 +6,8 @@ from itertools import permutations
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError, find_box
+from geraf2.calibration.box_finder import find_box
+from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder

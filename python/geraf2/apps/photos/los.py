@@ -14,7 +14,7 @@ from geraf2._types import Progress
 from geraf2.apps.photos.formats import find_photos, open_photos
 from geraf2.apps.photos.photo_checks import require_photos_in_view, require_plausible_photos
 from geraf2.apps.photos.photo_store import load_photos
-from geraf2.calibration.found_box import find_box
+from geraf2.calibration.box_finder import find_box
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.fields.mesh_distance import cut_by_box, grid_about, largest_body, mesh_distance
