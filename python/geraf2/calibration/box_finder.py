@@ -1,4 +1,4 @@
-"""The box around the content, from a scan alone."""
+"""The box or tube around the content, from a scan alone."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -22,8 +22,9 @@ from geraf2.calibration.box_search import (
     upward,
     with_lobes,
 )
-from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError, face_names
+from geraf2.calibration.found_box import FoundBox, FoundTube, Seen, WallsNotFoundError, face_names
 from geraf2.calibration.leakage import find_leakage, without_leakage
+from geraf2.calibration.tube_search import TubeFit, find_tube
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
 from geraf2.calibration.wall_faces import N_MODES
 from geraf2.errors import UserError
@@ -32,7 +33,7 @@ from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 5
+BOX_VERSION = 6
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
@@ -57,6 +58,8 @@ _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 # Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
 # too small cuts content, a large one costs nothing.
 _SLACK_M = 0.04
+LEAST_CONTENT = 0.02
+"""Share of the energy from within below which planes belong to a body, not to walls."""
 
 
 @with_one_blas_thread
@@ -67,15 +70,15 @@ def find_box(
     summary: CaptureSummary | None = None,
     num_threads: int | None = None,
 ) -> FoundBox:
-    """Find the box around the content from the scan alone.
+    """Find the box, or the upright tube, around the content from the scan alone.
 
     capture: the scan. Its instrument delay must be known to a centimetre.
     expected: a cuboid whose orientation is preferred if the scan allows several.
     summary: of the capture, if already computed.
     num_threads: all cores when None.
 
-    Returns the cuboid, in the capture's frame [m]. Faces that no antenna sees at a right angle have
-    an interval. Without any bound but the seen walls, they get a margin.
+    Returns the cuboid, or a FoundTube, in the capture's frame [m]. Faces that no antenna sees at a
+    right angle have an interval. Without any bound but the seen walls, they get a margin.
     Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
@@ -92,12 +95,14 @@ def find_box(
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
+    tries, leakage_db, tube = _initial_boxes(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
         leakage = find_leakage(capture, next(tries)[0].prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-        tries, _ = _initial_boxes(capture, peaks, reach, like)
+        tries, _, tube = _initial_boxes(capture, peaks, reach, like)
+    if tube is not None:
+        return tube.moved(focus)
     reasons = list[WallsNotFoundError]()
     for box, seen in tries:
         try:
@@ -125,8 +130,8 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
 
 def _initial_boxes(
     capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
-    """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB]."""
+) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float, FoundTube | None]:
+    """Boxes before the fit with corrected peaks, leakage relative to walls [dB], or a tube."""
     found = peaks.of(capture)
     leaks = leaking(capture, found, reach_m)
     kept = found.select(~leaks)
@@ -138,7 +143,11 @@ def _initial_boxes(
     flashes = Flashes.of(capture, kept, lobes, index)
     found_faces = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
     first = next(found_faces)
-    if np.isnan(first.offsets_m).all():
+    round_one = find_tube(flashes, upward(capture), reach_m)
+    tube = None
+    if round_one is not None and round_one.score > first.score:
+        tube = _tube(capture, round_one, kept)
+    if tube is None and np.isnan(first.offsets_m).all():
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
 
     def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
@@ -149,7 +158,34 @@ def _initial_boxes(
 
     leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
     level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
-    return boxes(), level_db
+    return boxes(), level_db, tube
+
+
+def _tube(capture: Capture, fit: TubeFit, peaks: PeakSet) -> FoundTube | None:
+    """Tube with bounds for its ends; None if it holds nothing, or does not hold the echoes."""
+    side = np.abs(np.roll(upward(capture), 1))
+    second = np.cross(fit.axis, side)
+    second /= np.linalg.norm(second)
+    axes = np.stack([np.cross(second, fit.axis), second, fit.axis])
+    seen = np.array([[Seen.SQUARELY] * 2, [Seen.SQUARELY] * 2, [Seen.NOT] * 2], dtype=np.int64)
+    across = axes[:2] @ fit.center_m
+    offsets = np.full((3, 2), fit.radius_m)
+    offsets[:2] += np.stack([-across, across], axis=1)
+    box = FoundTube(
+        axes=axes,
+        turn_sigma_rad=np.full(3, _ANY_YAW_RAD),
+        offsets_m=offsets,
+        sigmas_m=np.where(seen == Seen.SQUARELY, np.sqrt(2.0) * fit.radius_sigma_m, np.inf),
+        bounds_m=np.zeros((3, 2, 2)),
+        seen=seen,
+    )
+    try:
+        share = _content_share(box, peaks)
+        bounded = _bounded(capture, box, peaks)
+    except WallsNotFoundError:
+        return None
+    assert isinstance(bounded, FoundTube)
+    return replace(bounded, content_share=share) if share > LEAST_CONTENT else None
 
 
 def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:

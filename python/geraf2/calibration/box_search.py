@@ -25,7 +25,7 @@ _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
 # Largest angle between a flash and its wall's normal, by noise and the slopes of a bulge [rad].
-_MAX_ANGLE_RAD = 0.06
+MAX_ANGLE_RAD = 0.06
 # Steps of the yaw in the first search and around its best.
 _YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
@@ -33,24 +33,24 @@ _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Other yaws are tried, at most so many, if they have this share of the highest score.
 _RIVAL_SHARE, _MOST_RIVALS = 0.9, 3
 # Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
-_OFFSET_STEP_M, _OFFSET_SIGMA_M = 0.002, 0.003
+OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].
-_LEVEL_STEP_DB, _LEVEL_SIGMA_DB, _N_LEVELS = 2.0, 4.0, 20
+LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
 # Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
-_LOWEST_DB, _LOWEST_PAIR_DB = -22.0, -32.0
+_LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
 # Largest error of the recorded delay, one-way, and its standard deviation [m].
-_MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
+MOST_SHIFT_M, SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
-_FLASH_NATS, _OVERLAP = 7.0, 4.0
+FLASH_NATS, OVERLAP = 7.0, 4.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
 # the scan [m], which the smallest boxes exceed.
 _FACING_COSINE, _FOOT_M = 0.98, 0.06
 # Least count of a wall, and least share of the largest count on its side.
-_LEAST_COUNT, _LEAST_SHARE = 1.0, 0.5
+LEAST_COUNT, _LEAST_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
 # without loss. The null may lie off the middle.
 _PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
@@ -61,7 +61,7 @@ _EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 LEAST_SIDE_M = 0.04
 """Least side length of a box [m]."""
-LEAST_REACH_M = 0.5 * LEAST_SIDE_M + 2.0 * _MOST_SHIFT_M + _OFFSET_STEP_M
+LEAST_REACH_M = 0.5 * LEAST_SIDE_M + 2.0 * MOST_SHIFT_M + OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
 APERTURE_M = _COARSE.size_m
 """Side of the sub-apertures in which walls are searched [m]."""
@@ -109,7 +109,7 @@ class Flashes:
         near_m, far_m = middles.depths_m
         level = 20.0 * np.log10(lobes.strengths / lobes.strengths.max(initial=1e-300))
         n_directions = np.bincount(index, minlength=len(peaks))[index]
-        weight = np.maximum(1.0 - np.log(n_directions) / _FLASH_NATS, 0.0)
+        weight = np.maximum(1.0 - np.log(n_directions) / FLASH_NATS, 0.0)
         return cls(
             normals=np.concatenate([-lobes.directions, lobes.directions]),
             offsets_m=np.concatenate(
@@ -124,44 +124,44 @@ class Flashes:
             loss_shift_m=middles.loss_shift_m,
         )
 
-    def counts(self, normal: Floats, n_offsets: int) -> tuple["_Counts", "_Counts"]:
+    def counts(self, normal: Floats, n_offsets: int) -> tuple["Counts", "Counts"]:
         """Flashes of near and of far walls with this outward normal, (3,)."""
         cosine = self.normals @ normal
         own = np.flatnonzero(
-            (cosine > np.cos(_MAX_ANGLE_RAD))
+            (cosine > np.cos(MAX_ANGLE_RAD))
             & (self.offsets_m > 0.0)
-            & (self.offsets_m < n_offsets * _OFFSET_STEP_M)
+            & (self.offsets_m < n_offsets * OFFSET_STEP_M)
         )
         angle = np.arccos(np.clip(cosine[own], -1.0, 1.0))
-        weights = self.weights[own] * (1.0 - (angle / _MAX_ANGLE_RAD) ** 2)
+        weights = self.weights[own] * (1.0 - (angle / MAX_ANGLE_RAD) ** 2)
         across = self.centers - np.outer(self.centers @ normal, normal)
         is_near = np.linalg.norm(across, axis=1) < _FOOT_M
         toward = self.ahead @ normal
         found = []
         for far, facing in ((False, toward < -_FACING_COSINE), (True, toward > _FACING_COSINE)):
             kind = self.far[own] == far
-            density = self._density(own[kind], weights[kind], n_offsets)
-            found.append(_Counts(density, int((is_near & facing).sum())))
+            density = self.density(own[kind], self.offsets_m[own[kind]], weights[kind], n_offsets)
+            found.append(Counts(density, int((is_near & facing).sum())))
         return found[0], found[1]
 
-    def _density(self, own: Ints, weights: Floats, n_offsets: int) -> Floats:
+    def density(self, own: Ints, offsets_m: Floats, weights: Floats, n_offsets: int) -> Floats:
         """Smoothed count over offset and level, one flash of each sub-aperture in a few cells."""
-        offset = (self.offsets_m[own] / _OFFSET_STEP_M).astype(np.int64)
-        level = (self.levels_db[own] / _LEVEL_STEP_DB).astype(np.int64) + _N_LEVELS - 1
+        offset = (offsets_m / OFFSET_STEP_M).astype(np.int64)
+        level = (self.levels_db[own] / LEVEL_STEP_DB).astype(np.int64) + N_LEVELS - 1
         level = np.maximum(level, 0)
-        cell = (self.subapertures[own] * n_offsets + offset // 4) * _N_LEVELS + level // 4
+        cell = (self.subapertures[own] * n_offsets + offset // 4) * N_LEVELS + level // 4
         order = np.lexsort((-weights, cell))
         first = order[np.unique(cell[order], return_index=True)[1]]
-        shape = n_offsets, _N_LEVELS
+        shape = n_offsets, N_LEVELS
         count = np.bincount(
-            (offset * _N_LEVELS + level)[first], weights[first], n_offsets * _N_LEVELS
+            (offset * N_LEVELS + level)[first], weights[first], n_offsets * N_LEVELS
         )
-        widths = _OFFSET_SIGMA_M / _OFFSET_STEP_M, _LEVEL_SIGMA_DB / _LEVEL_STEP_DB
+        widths = OFFSET_SIGMA_M / OFFSET_STEP_M, _LEVEL_SIGMA_DB / LEVEL_STEP_DB
         smooth = gaussian_filter(count.reshape(shape), widths, mode="constant")
         return np.asarray(2.0 * np.pi * widths[0] * widths[1] * smooth)
 
 
-class _Counts(NamedTuple):
+class Counts(NamedTuple):
     """Flashes of walls with one normal, from one side."""
 
     density: Floats
@@ -176,13 +176,13 @@ class _Counts(NamedTuple):
         """
         count, expected = self.density, self.n_facing
         if pair:
-            count = 2.0 * np.minimum(_shifted(count, pair), _shifted(count, -pair))
+            count = 2.0 * np.minimum(shifted(count, pair), shifted(count, -pair))
             expected = 2 * expected
         usual = 0.75  # mean weight of a flash by its angle
         return np.maximum(count - _MISS * np.maximum(expected - count / usual, 0.0), 0.0)
 
 
-def _shifted(values: Floats, cells: int) -> Floats:
+def shifted(values: Floats, cells: int) -> Floats:
     """Values moved along the first axis by a number of cells, zero beyond the ends."""
     moved = np.zeros_like(values)
     low, high = max(cells, 0), len(values) + min(cells, 0)
@@ -249,6 +249,8 @@ class RoughFaces:
     """Half the distance between the two echoes of each wall, whose faces cancel; 0: one [m]."""
     level_db: float = 0.0
     """Level of the walls relative to the strongest peak [dB]."""
+    score: float = 0.0
+    """Count of flashes less missed ones."""
 
 
 class _Hypothesis(NamedTuple):
@@ -270,11 +272,11 @@ class _Search:
         self.flashes, self.up = flashes, up
         self.first = np.abs(np.roll(up, 1))
         self.second = np.cross(up, self.first)
-        self.n_offsets = max(int(reach_m / _OFFSET_STEP_M), 2)
-        shares = [round(share * pair_m / _OFFSET_STEP_M) for share in _PAIR_SHARES]
+        self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
+        shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
         self.pairs = sorted({0, *shares})
         # A pair of echoes lies around the middle of the faces.
-        self.unmoved = -round(flashes.loss_shift_m / _OFFSET_STEP_M)
+        self.unmoved = -round(flashes.loss_shift_m / OFFSET_STEP_M)
         self.upright = [flashes.counts(normal, self.n_offsets) for normal in (-up, up)]
 
     def axes(self, yaw_rad: float) -> Floats:
@@ -282,7 +284,7 @@ class _Search:
         x = np.cos(yaw_rad) * self.first + np.sin(yaw_rad) * self.second
         return np.stack([x, np.cross(self.up, x), self.up])
 
-    def sides(self, yaw_rad: float) -> list[tuple[_Counts, _Counts]]:
+    def sides(self, yaw_rad: float) -> list[tuple[Counts, Counts]]:
         """Flashes of the faces against and along each axis."""
         x, y, _ = self.axes(yaw_rad)
         return [self.flashes.counts(n, self.n_offsets) for n in (-x, x, -y, y)] + self.upright
@@ -292,26 +294,26 @@ class _Search:
 
         shifts: of the delay, in cells of the offset.
         """
-        sigma = _SHIFT_SIGMA_M / _OFFSET_STEP_M
-        penalty = 0.5 * (np.array(shifts) / sigma) ** 2 * _OVERLAP / _FLASH_NATS
+        sigma = SHIFT_SIGMA_M / OFFSET_STEP_M
+        penalty = 0.5 * (np.array(shifts) / sigma) ** 2 * OVERLAP / FLASH_NATS
         most = max(abs(shift) for shift in shifts)
-        least = max(round(0.5 * LEAST_SIDE_M / _OFFSET_STEP_M), most)
+        least = max(round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M), most)
         end = self.n_offsets - most
         found = []
         for yaw in yaws:
             sides = self.sides(yaw)
             tries = []
             for pair in self.pairs:
-                total = np.repeat(-penalty[:, None], _N_LEVELS, axis=1)
+                total = np.repeat(-penalty[:, None], N_LEVELS, axis=1)
                 start = self.unmoved if pair else 0
                 for near, far in sides:
-                    n, f = _shifted(near.score(pair), start), _shifted(far.score(pair), -start)
+                    n, f = shifted(near.score(pair), start), shifted(far.score(pair), -start)
                     for number, shift in enumerate(shifts):
                         both = n[least - shift : end - shift] + f[least + shift : end + shift]
                         total[number] += both.max(axis=0)
-                lowest = _LOWEST_PAIR_DB if pair else _LOWEST_DB
-                total[:, : _N_LEVELS + int(lowest / _LEVEL_STEP_DB)] = -np.inf
-                row, level = divmod(int(total.argmax()), _N_LEVELS)
+                lowest = LOWEST_PAIR_DB if pair else _LOWEST_DB
+                total[:, : N_LEVELS + int(lowest / LEVEL_STEP_DB)] = -np.inf
+                row, level = divmod(int(total.argmax()), N_LEVELS)
                 tries.append(_Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
             found.append(max(tries))
         return found
@@ -320,15 +322,15 @@ class _Search:
         """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
         offsets = np.full(6, np.nan)
         for face, (near, far) in enumerate(self.sides(found.yaw_rad)):
-            score = _shifted(near.score(found.pair), found.shift)
-            score += _shifted(far.score(found.pair), -found.shift)
+            score = shifted(near.score(found.pair), found.shift)
+            score += shifted(far.score(found.pair), -found.shift)
             count = score[:, found.level]
-            count[: round(0.5 * LEAST_SIDE_M / _OFFSET_STEP_M)] = 0.0
-            least = max(_LEAST_COUNT, _LEAST_SHARE * float(count.max()))
+            count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
+            least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
             rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
             peaks = np.flatnonzero(rises & falls & (count >= least))
             if len(peaks):
-                offsets[face] = (peaks[-1] + 0.5) * _OFFSET_STEP_M
+                offsets[face] = (peaks[-1] + 0.5) * OFFSET_STEP_M
         return offsets.reshape(3, 2)
 
 
@@ -345,7 +347,7 @@ def rough_faces(
     like: axes that are preferred if nearly as many flashes agree, (3, 3).
     """
     search = _Search(flashes, up, reach_m, pair_distance_m(waveform))
-    most = round(_MOST_SHIFT_M / _OFFSET_STEP_M)
+    most = round(MOST_SHIFT_M / OFFSET_STEP_M)
     coarse, fine = _YAW_STEPS_RAD
     found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
     score = np.array([each.score for each in found])
@@ -376,9 +378,10 @@ def _faces_of(search: _Search, best: _Hypothesis) -> RoughFaces:
     return RoughFaces(
         axes=axes,
         offsets_m=offsets,
-        shift_m=best.shift * _OFFSET_STEP_M,
-        pair_m=best.pair * _OFFSET_STEP_M,
-        level_db=_LEVEL_STEP_DB * (best.level + 1 - _N_LEVELS),
+        shift_m=best.shift * OFFSET_STEP_M,
+        pair_m=best.pair * OFFSET_STEP_M,
+        level_db=LEVEL_STEP_DB * (best.level + 1 - N_LEVELS),
+        score=best.score,
     )
 
 
@@ -409,10 +412,10 @@ def explained(
     shift = np.where(flashes.far, rough.shift_m, -rough.shift_m)
     for k, side in np.ndindex(3, 2):
         normal = rough.axes[k] * (1.0 if side else -1.0)
-        along = flashes.normals @ normal > np.cos(_MAX_ANGLE_RAD)
+        along = flashes.normals @ normal > np.cos(MAX_ANGLE_RAD)
         beyond = flashes.offsets_m - shift - rough.offsets_m[k, side]
         for pair in {-rough.pair_m, rough.pair_m}:
-            closer = along & (np.abs(beyond - pair) < np.minimum(deviation, 3.0 * _OFFSET_SIGMA_M))
+            closer = along & (np.abs(beyond - pair) < np.minimum(deviation, 3.0 * OFFSET_SIGMA_M))
             deviation[closer] = np.abs(beyond - pair)[closer]
             outward[closer] = pair
     n, rows = len(lobes), np.arange(len(lobes))

@@ -1,4 +1,4 @@
-"""Outside of a box from a scan, with standard deviations and bounds for unseen faces."""
+"""Outside of a box or tube from a scan, with standard deviations and bounds for unseen faces."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -11,6 +11,9 @@ from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
 from geraf2.scene import LosPrior
+
+_N_SIDES = 128
+"""Sides of the polygon that stands for a tube: within 0.1 mm of a radius of 0.3 m."""
 
 
 class Seen(IntEnum):
@@ -105,11 +108,8 @@ class FoundBox:
             },
         }
 
-    def __str__(self) -> str:
-        sizes = []
-        for size, sigma in zip(self.size_m, np.linalg.norm(self.sigmas_m, axis=1), strict=True):
-            error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
-            sizes.append(f"{1e3 * size:.1f}{error}")
+    def _seen_text(self) -> str:
+        """Faces by their evidence."""
         kinds = {
             kind: [name for name, k, side in face_names() if self.seen[k, side] == kind]
             for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
@@ -120,13 +120,71 @@ class FoundBox:
             "by their edges",
             f"not seen: assumed {where} mm from the frame's origin",
         )
-        seen = [f"{' '.join(n)} {t}" for n, t in zip(kinds.values(), texts, strict=True) if n]
+        return ", ".join(
+            f"{' '.join(n)} {t}" for n, t in zip(kinds.values(), texts, strict=True) if n
+        )
+
+    def __str__(self) -> str:
+        sizes = []
+        for size, sigma in zip(self.size_m, np.linalg.norm(self.sigmas_m, axis=1), strict=True):
+            error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
+            sizes.append(f"{1e3 * size:.1f}{error}")
         turn = f"{self.yaw_deg:z.2f} +- {self.yaw_sigma_deg:.2f} degrees"
-        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {', '.join(seen)}"
+        return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {self._seen_text()}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundTube(FoundBox):
+    """A tube or drum: the upright cylinder in this cuboid."""
+
+    @property
+    def radius_m(self) -> float:
+        """Radius of the outer side [m]."""
+        return 0.25 * float(self.size_m[:2].sum())
+
+    @property
+    def prior(self) -> LosPrior:
+        """Line-of-sight prior of the cylinder, without walls."""
+        turn = 2.0 * np.pi * np.arange(_N_SIDES) / _N_SIDES
+        rim = self.radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        half = 0.5 * self.size_m[2]
+        ends = [np.column_stack([rim, np.full(_N_SIDES, z)]) for z in (-half, half)]
+        vertices = np.concatenate([*ends, [[0.0, 0.0, -half], [0.0, 0.0, half]]])
+        i = np.arange(_N_SIDES)
+        j, low, high = (i + 1) % _N_SIDES, np.full(_N_SIDES, 2 * _N_SIDES), 2 * _N_SIDES + 1
+        faces = np.concatenate(
+            [
+                np.stack([i, j, j + _N_SIDES], axis=1),
+                np.stack([i, j + _N_SIDES, i + _N_SIDES], axis=1),
+                np.stack([low, j, i], axis=1),
+                np.stack([np.full(_N_SIDES, high), i + _N_SIDES, j + _N_SIDES], axis=1),
+            ]
+        )
+        return LosPrior(vertices=vertices @ self.axes + self.center_m, faces=faces)
+
+    def numbers(self) -> dict[str, Any]:
+        """Entry of run.json: of the faces, top and bottom alone."""
+        numbers = super().numbers()
+        numbers["faces"] = {name: numbers["faces"][name] for name in ("-z", "+z")}
+        sigma_m = 0.5 * float(np.linalg.norm(self.sigmas_m[0]))
+        return {
+            "shape": "tube",
+            "radius_m": _json_number(self.radius_m),
+            "radius_sigma_m": _json_number(sigma_m),
+            **{key: numbers[key] for key in ("size_m", "center_m", "axes", "faces")},
+        }
+
+    def __str__(self) -> str:
+        sigma_mm = 500.0 * float(np.linalg.norm(self.sigmas_m[0]))
+        ends = replace(self, seen=np.where([[False], [False], [True]], self.seen, -1))
+        return (
+            f"tube of radius {1e3 * self.radius_m:.1f} +- {sigma_mm:.1f} mm, "
+            f"{1e3 * self.size_m[2]:.0f} mm high; ends {ends._seen_text()}"
+        )
 
 
 def face_names() -> list[tuple[str, int, int]]:
-    """Name, axis and column of each face."""
+    """Name, axis and column of each face of a box."""
     return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
 
 

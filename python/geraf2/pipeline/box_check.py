@@ -6,8 +6,8 @@ from itertools import permutations
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.box_finder import find_box
-from geraf2.calibration.found_box import FoundBox, Seen, WallsNotFoundError
+from geraf2.calibration.box_finder import LEAST_CONTENT, find_box
+from geraf2.calibration.found_box import FoundBox, FoundTube, Seen, WallsNotFoundError
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder
@@ -22,8 +22,6 @@ BOX_STAGE = "box"
 _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
 # Least difference of a side that means another box [m].
 _OTHER_BOX_M = 0.03
-# Share of the energy from within below which planes belong to a body, not to walls.
-_EMPTY = 0.02
 # Largest typical expected error of content without a box: half a range cell of 4 GHz [m].
 _MOST_ERROR_M = 0.02
 # Coverage factor of the found box's standard deviations.
@@ -92,14 +90,15 @@ def checked_prior(
             )
         except UserError:
             found = None
-    if found is None:
+    if found is None or prior.cuboid is None:
         text = "no wall is seen squarely: the prior was compared with nothing"
-        return BoxCheck(prior=prior, found=None, text=text)
-    if prior.cuboid is None:
-        text = f"{found}; the prior is no cuboid and is not compared"
+        if found is not None:
+            text = f"{found}; the prior is no cuboid and is not compared"
         return BoxCheck(prior=prior, found=found, text=text)
+    if isinstance(found, FoundTube):
+        return _tube_for(prior, found, name, capture)
     difference = Difference.of(found, *prior.cuboid)
-    if difference.is_other and difference.is_within and found.content_share < _EMPTY:
+    if difference.is_other and difference.is_within and found.content_share < LEAST_CONTENT:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
         return BoxCheck(prior=prior, found=None, text=text)
     if difference.is_other and len(difference.both) == 1:
@@ -129,6 +128,29 @@ def checked_prior(
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
     prior = with_walls(corrected.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
+
+
+def _tube_for(prior: LosPrior, found: FoundTube, name: str, capture: Capture) -> BoxCheck:
+    """Tube in place of the cuboid around it, whose height it keeps; UserError if it is another."""
+    assert prior.cuboid is not None
+    axes, size, middle = prior.cuboid
+    height = int(np.abs(axes @ found.axes[2]).argmax())
+    sides, along = np.delete(size, height), middle - found.center_m
+    off = np.abs(sides - 2.0 * found.radius_m).max() + np.linalg.norm(found.axes[:2] @ along)
+    if off > _OTHER_BOX_M:
+        raise UserError(
+            what="the scan shows a tube, and the prior is another box",
+            where=name,
+            expected=f"sides of {_in_mm(sides, np.arange(2))} mm",
+            got=f"a diameter of {2e3 * found.radius_m:.0f} mm by the walls' echoes",
+            hint="leave the prior out, or keep it with --trust-los",
+        )
+    offsets = found.offsets_m.copy()
+    offsets[2] = 0.5 * size[height] + middle @ found.axes[2] * np.array([-1.0, 1.0])
+    tube = replace(found, offsets_m=offsets)
+    text = f"the scan shows a {tube}: it replaces the cuboid of the prior"
+    known = with_walls(tube.prior, capture.walls)
+    return BoxCheck(prior=known, found=tube, text=text, is_new=True, is_warning=True)
 
 
 def require_determined(run: RunFolder) -> None:
