@@ -194,6 +194,8 @@ class Other:
     """Triangles [m]."""
     is_reference: bool = False
     """What the content is compared with, on the other side of the wiper."""
+    is_visible: bool = True
+    """Whether the view begins with it; two surfaces at the same position show in patches."""
     groups: Ints | None = None
     """Group of each vertex, if the view can move groups apart, (n_vertices,)."""
 
@@ -255,6 +257,7 @@ def view_scene(
     for other in around.others:
         thin, kept, note = _thinned(other.mesh, _MAX_TRUTH_FACES, other.label)
         options = {"opacity": other.opacity, "note": note, "reference": other.is_reference}
+        options["visible"] = other.is_visible
         options["groups"] = None if other.groups is None else _groups(other.groups[kept])
         meshes.append(_mesh(thin, other.label, other.colour, **options))
     if box is not None and box.faces.shape[0]:

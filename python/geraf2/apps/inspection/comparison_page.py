@@ -57,6 +57,7 @@ def write_comparison(
             opacity=_BEFORE_OPACITY,
             mesh=before.whole.mesh,
             is_reference=True,
+            is_visible=False,
         ),
     ]
     classes = Attribute(
