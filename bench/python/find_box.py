@@ -1,12 +1,13 @@
 """The box that a scan shows by itself, against the true one; and what it costs in F1.
 
-    python bench/python/find_box.py SCENE... [--yaw] [--preset best] [--out out/find_box]
+    python bench/python/find_box.py SCENE... [--yaw] [--preset best [--wrong]] [--out out/find_box]
 
 Each scene has the true box as los.ply and the true content as truth.ply (or truth_object.ply)
 beside it, as `geraf2 simulate` and `geraf2 benchmark --only population` write them. What scene.toml
 states of the box's size is left out. `--yaw` turns scan, box and content together by an angle that
 the scene's name draws, as if the box stood turned. With `--preset` each is reconstructed twice,
-with the true box and without a prior; results are kept in `--out` and used again.
+with the true box and without a prior, with `--wrong` also with a box whose sides are 8 mm longer,
+turned by 12 degrees and moved by 20 mm; results are kept in `--out` and used again.
 """
 
 import argparse
@@ -81,9 +82,18 @@ def compared(found: FoundBox, truth: LosPrior, turn_deg: float) -> dict:
     }
 
 
-def scores(capture: Capture, prior: LosPrior | None, truth, preset: str) -> float:
+def wrong(box: LosPrior) -> LosPrior:
+    """Another box: 8 mm longer, turned by 12 degrees, moved by 20 mm along the diagonal."""
+    assert box.cuboid is not None
+    axes, size, middle = box.cuboid
+    turn = turn_about_z(12.0)[:3, :3]
+    center = triple(middle + 0.020 / np.sqrt(3.0))
+    return LosPrior.from_box(triple(size + 0.008), center, axes=axes @ turn.T)
+
+
+def scores(capture: Capture, prior: LosPrior | None, truth, preset: str, trust: bool = True):
     """F1 at 5 mm; 0 where there is no result."""
-    options = geraf2.RunOptions(trust_los=prior is not None)
+    options = geraf2.RunOptions(trust_los=trust and prior is not None)
     try:
         result = geraf2.reconstruct(capture, prior, preset, options=options)
     except geraf2.UserError as error:
@@ -92,7 +102,7 @@ def scores(capture: Capture, prior: LosPrior | None, truth, preset: str) -> floa
     return geraf2.evaluate(result, truth).f1(0.005)
 
 
-def measured(scene: Path, yaw_deg: float, preset: str | None) -> dict:
+def measured(scene: Path, yaw_deg: float, preset: str | None, with_wrong: bool) -> dict:
     """Numbers of one scene."""
     capture = geraf2.load_capture(scene)
     transform = turn_about_z(yaw_deg)
@@ -119,6 +129,8 @@ def measured(scene: Path, yaw_deg: float, preset: str | None) -> dict:
         known = replace(scan, walls=() if yaw_deg else walls)
         row["f1_given"] = round(scores(known, replace(box, walls=walls), truth, preset), 4)
         row["f1"] = round(scores(scan, None, truth, preset), 4)
+        if with_wrong:
+            row["f1_wrong"] = round(scores(scan, wrong(box), truth, preset, False), 4)
     return row
 
 
@@ -157,6 +169,13 @@ def summary(rows: list[dict]) -> list[str]:
             f"F1 5 mm              {both[:, 0].mean():.4f} with the true box, "
             f"{both[:, 1].mean():.4f} without; {change.mean():+.4f}, worst {change.min():+.3f}"
         )
+    third = np.array([(row["f1_given"], row["f1_wrong"]) for row in rows if "f1_wrong" in row])
+    if len(third):
+        change = third[:, 1] - third[:, 0]
+        lines.append(
+            f"F1 5 mm, wrong box   {third[:, 1].mean():.4f}; {change.mean():+.4f}, "
+            f"worst {change.min():+.3f}"
+        )
     return lines
 
 
@@ -165,15 +184,19 @@ def main() -> None:
     parser.add_argument("scenes", nargs="+", type=Path)
     parser.add_argument("--yaw", action="store_true")
     parser.add_argument("--preset")
+    parser.add_argument("--wrong", action="store_true")
     parser.add_argument("--out", type=Path, default=Path("out/find_box"))
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for scene in args.scenes:
         yaw = zlib.crc32(scene.name.encode()) % 9000 / 100.0 - 45.0 if args.yaw else 0.0
-        kept = args.out / f"{scene.name}-{yaw:g}-{args.preset}-{BOX_VERSION}.json"
+        kept = (
+            args.out
+            / f"{scene.name}-{yaw:g}-{args.preset}-{BOX_VERSION}{'-wrong' * args.wrong}.json"
+        )
         if not kept.is_file():
-            kept.write_text(json.dumps(measured(scene, yaw, args.preset)))
+            kept.write_text(json.dumps(measured(scene, yaw, args.preset, args.wrong)))
         rows.append(json.loads(kept.read_text()))
         print(json.dumps(rows[-1]), flush=True)
     print("\n".join(summary(rows)))
