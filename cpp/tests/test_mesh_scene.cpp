@@ -5,6 +5,7 @@
 #include <limits>
 #include <vector>
 
+#include "failing_allocations.hpp"
 #include "geraf2/mesh_scene.hpp"
 
 using geraf2::index_t;
@@ -95,4 +96,23 @@ TEST_CASE("one and four threads agree exactly") {
     cube.signed_distance(points, one, 1);
     cube.signed_distance(points, four, 4);
     CHECK(one == four);
+}
+
+TEST_CASE("each allocation of a ray scene fails once") {
+    std::vector<double> origins;
+    std::vector<double> directions;
+    for (int i = 0; i < 300; ++i) {
+        origins.push_back(0.3 * std::sin(0.9 * i));
+        directions.push_back(std::sin(1.3 * i + 1.0));
+    }
+    for (const int threads : {1, 2}) {
+        CHECK(fail_each_allocation([&] {
+                  const MeshScene cube = make_cube();
+                  auto found = cube.crossings(origins, directions, threads).distances;
+                  std::vector<double> distances(100);
+                  cube.signed_distance(origins, distances, threads);
+                  found.insert(found.end(), distances.begin(), distances.end());
+                  return found;
+              }) > 10);
+    }
 }

@@ -5,7 +5,7 @@
 
 namespace geraf2 {
 
-/// The ray tracer reported an error (out of memory, broken geometry).
+/// The ray tracer reported an error other than a lack of memory.
 struct EmbreeError : std::runtime_error {
     using std::runtime_error::runtime_error;
 };

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <memory>
+#include <new>
 #include <string>
 #include <type_traits>
 
@@ -37,8 +38,6 @@ inline const char* describe(RTCError code) noexcept {
         return "invalid argument";
     case RTC_ERROR_INVALID_OPERATION:
         return "invalid operation";
-    case RTC_ERROR_OUT_OF_MEMORY:
-        return "out of memory";
     case RTC_ERROR_UNSUPPORTED_CPU:
         return "unsupported CPU";
     case RTC_ERROR_CANCELLED:
@@ -48,10 +47,18 @@ inline const char* describe(RTCError code) noexcept {
     }
 }
 
+[[noreturn]] inline void throw_error(RTCError code, const char* during) {
+    // It answers "unknown" where it lacks the memory to note an error.
+    if (code == RTC_ERROR_OUT_OF_MEMORY || code == RTC_ERROR_UNKNOWN) {
+        throw std::bad_alloc();
+    }
+    throw EmbreeError(std::string("Embree, while ") + during + ": " + describe(code));
+}
+
 inline void throw_device_error(RTCDevice device, const char* during) {
     const RTCError code = rtcGetDeviceError(device);
     if (code != RTC_ERROR_NONE) {
-        throw EmbreeError(std::string("Embree, while ") + during + ": " + describe(code));
+        throw_error(code, during);
     }
 }
 

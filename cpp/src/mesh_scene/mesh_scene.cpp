@@ -357,8 +357,7 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
 void MeshScene::Impl::open() {
     device.reset(rtcNewDevice(nullptr));
     if (!device) {
-        throw EmbreeError(std::string("Embree, while opening the device: ") +
-                          describe(rtcGetDeviceError(nullptr)));
+        throw_error(rtcGetDeviceError(nullptr), "opening the device");
     }
     scene.reset(rtcNewScene(device.get()));
     throw_device_error(device.get(), "making the scene");
@@ -372,6 +371,7 @@ void MeshScene::Impl::open() {
 
 void MeshScene::Impl::commit() {
     const GeometryPtr geometry(rtcNewGeometry(device.get(), RTC_GEOMETRY_TYPE_TRIANGLE));
+    throw_device_error(device.get(), "making the mesh");
     auto* points = static_cast<float*>(
         rtcSetNewGeometryBuffer(geometry.get(), RTC_BUFFER_TYPE_VERTEX, 0, RTC_FORMAT_FLOAT3,
                                 3 * sizeof(float), vertices.size()));

@@ -58,12 +58,7 @@ class MeshScene:
         volume_6 = float(np.einsum("fi,fi->", a, np.cross(b, c)))
         self._wound_outward = volume_6 >= 0.0
         self._num_threads = resolve_num_threads(num_threads)
-        try:
-            self._scene = _core.MeshScene(self.vertices, self.faces)
-        except _core.EmbreeError as error:
-            if "out of memory" in str(error):
-                raise MemoryError(str(error)) from None
-            raise
+        self._scene = _core.MeshScene(self.vertices, self.faces)
 
     def closest_hit(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Floats, Ints]:
         """First face along each ray.
