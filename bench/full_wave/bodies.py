@@ -1,9 +1,10 @@
-"""Bodies of the full-wave captures: meridians in millimetres, all of metal but the pill."""
+"""Bodies of the full-wave captures, in millimetres; of metal but the pill and the beads."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from body import Scatterer, dielectric_body, metal_body
+from cluster import Ball, Cluster
 from meridian import Meridian, joined
 from waves import C0, highest_order
 
@@ -31,6 +32,13 @@ class Body:
     """Rings of sources on a wavelength of the meridian."""
     depth: float = 1.5
     """Depth of the sources in spacings."""
+
+    @property
+    def alike_deg(self) -> float:
+        """Turns about the vertical by multiples of it change nothing; any turn where it is 0."""
+        if self.tilt_deg:
+            return 360.0
+        return 0.0 if self.box is None else 90.0
 
     @property
     def turn(self) -> np.ndarray:
@@ -68,13 +76,20 @@ def _spheres(*radius_height_mm: tuple[float, float]) -> tuple[Meridian, ...]:
     return tuple(Meridian.circle(1e-3 * r, 1e-3 * z) for r, z in radius_height_mm)
 
 
+def _around(radius_mm: float, n: int, at_mm: float, height_mm: float) -> tuple[Ball, ...]:
+    """Spheres on a horizontal circle."""
+    turns = 2 * np.pi * np.arange(n) / n
+    places = 1e-3 * np.stack([at_mm * np.cos(turns), at_mm * np.sin(turns), 0 * turns + height_mm])
+    return tuple(Ball(1e-3 * radius_mm, tuple(place)) for place in places.T.tolist())
+
+
 _VASE = (0, -25), (10, -25), (17, -12), (17, -2), (8, 10), (8, 16), (12, 20), (12, 25), (0, 25)
 _HEAD = (0, -25), (11, -25), (11, -12), (7, -8), (7, 8), (11, 12), (11, 25), (0, 25)
 _TOP = (0, -25), (5, -25), (20, 0), (20, 6), (5, 11), (5, 24), (0, 24)
 _EGG = (0, -25), (13, -25), (18, -8), (17, 5), (9, 22), (4, 25), (0, 25)
 _CUP = (0, -21), (17, -21), (17, 21), (13, 21), (13, -17), (0, -17)
 
-BODIES = {
+BODIES: dict[str, Body | Cluster] = {
     "ball": Body(curves=_spheres((20, 0))),
     "egg": Body(curves=_turned(*_EGG, sigma_mm=4.0)),
     "drum": Body(curves=_turned((0, -18), (17, -18), (17, 18), (0, 18), sigma_mm=1.5)),
@@ -91,6 +106,15 @@ BODIES = {
     ),
     "snowman": Body(curves=_spheres((14, -10), (9, 15))),
     "chain": Body(curves=_spheres((6, -20), (4, -8), (6, 4), (5, 17)), n_nodes=12),
+    "ring": Cluster(balls=_around(4, 6, 14, 0), symmetry=6),
+    "molecule": Cluster(
+        balls=(*_around(6, 1, 0, 0), *_around(4, 1, 0, 15), *_around(4, 3, 14, -6)), symmetry=3
+    ),
+    "beads": Cluster(
+        balls=tuple(_around(5, 1, 0, height)[0] for height in (-14, 0, 14)),
+        permittivity=2.56 + 0.0256j,
+        symmetry=360,
+    ),
 }
 _CARTON = Wall(size_m=(0.16, 0.16, 0.16), thickness_m=0.004, permittivity=1.6)
 BODIES |= {f"{name}-box": replace(BODIES[name], box=_CARTON) for name in ("drum", "bottle")}

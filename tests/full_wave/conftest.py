@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 
-_NAMES = ("waves", "body", "echo", "meridian", "box", "mirror", "bodies", "captures")
+_NAMES = ("waves", "body", "echo", "meridian", "cluster", "box", "mirror", "bodies", "captures")
 
 
 @pytest.fixture(scope="session")
