@@ -1,17 +1,16 @@
 """Scans that grow: stated against achieved F1, when to stop, and the end against `reconstruct`.
 
-    python bench/python/live.py run ROWS SCENE... [--preset fast]
+    python bench/python/live.py run ROWS SCENE... [--preset fast] [--whole]
     python bench/python/live.py fit ROWS
     python bench/python/live.py check ROWS
 
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
-and appends a line for each to the file ROWS. The last line of a scene compares the end with
-`reconstruct`, of the planes as they were added and in the order of the scan: held-out planes of the
-calibration follow their numbers. `fit` estimates sigma of
-surfaces/stated_score.py, with an offset and a slope, by least squares, every scene with the same
-weight. `check` states how
-often the interval holds the score, and what a stop at a target reaches, with how many planes more
-than the first scan that reaches it.
+and appends a line for each to the file ROWS; scenes that are there are left out. With `--whole`, the
+last line of a scene compares the end with `reconstruct`, of the planes as they were added and in the
+order of the scan. `fit` estimates sigma of surfaces/stated_score.py, every scene with the same
+weight, with an offset and a slope. `check` states how often the interval holds the score, what a
+stop at a target reaches, with how many planes more than the first scan that reaches it, and the
+time of an update in the first and the last quarter of the planes.
 """
 
 import argparse
@@ -46,7 +45,7 @@ def f1_of(mesh, truth) -> float:
     return float(scores[0].f1)
 
 
-def run(rows: Path, scene: Path, preset: str) -> None:
+def run(rows: Path, scene: Path, preset: str, is_whole: bool) -> None:
     capture, truth = geraf2.load_capture(scene), read_mesh(scene / "truth.ply")
     order = even_order(len(capture.poses))
     with (
@@ -79,6 +78,8 @@ def run(rows: Path, scene: Path, preset: str) -> None:
                 seconds=round(seconds, 2),
                 cpu_seconds=round(cpu, 2),
             )
+        if not is_whole:
+            return
         try:
             end = session.finish()
         except UserError as error:
@@ -142,8 +143,18 @@ def check(rows: Path) -> None:
     for row in (row for row in ends if row["end"] is not None):
         f1 = ", ".join(f"{name} {row[name]:.4f}" for name in ("end", "whole", "in_scan_order"))
         print(f"{row['scene']}: {f1}, glints {row['n_glints']}")
-    seconds = [row["cpu_seconds"] for own in growing.values() for row in own]
-    print(f"update: median {np.median(seconds):.2f} CPU s, largest {max(seconds):.2f}")
+    for name, quarter in (("first", slice(0, 0.25)), ("last", slice(0.75, 1))):
+        part = [
+            row
+            for own in growing.values()
+            for row in own
+            if quarter.start <= row["plane"] / row["n_planes"] <= quarter.stop
+        ]
+        for unit, key in (("s", "seconds"), ("CPU s", "cpu_seconds")):
+            values = [row[key] for row in part]
+            print(
+                f"update, {name} quarter: median {np.median(values):.2f} {unit}, largest {max(values):.2f}"
+            )
 
 
 def main() -> None:
@@ -152,10 +163,13 @@ def main() -> None:
     parser.add_argument("rows", type=Path)
     parser.add_argument("scenes", type=Path, nargs="*")
     parser.add_argument("--preset", default="fast")
+    parser.add_argument("--whole", action="store_true", help="compare the end with reconstruct")
     given = parser.parse_args()
     if given.what == "run":
+        known = given.rows.read_text() if given.rows.exists() else ""
         for scene in given.scenes:
-            run(given.rows, scene, given.preset)
+            if f'"scene": "{scene.name}", "preset": "{given.preset}"' not in known:
+                run(given.rows, scene, given.preset, given.whole)
     else:
         {"fit": fit, "check": check}[given.what](given.rows)
 

@@ -19,6 +19,7 @@ from helpers.carton import PRIOR, carton_capture
 from helpers.synthetic import WAVEFORM
 
 FREQUENCIES_HZ = WAVEFORM.frequencies_hz
+WAVELENGTH_M = WAVEFORM.center_wavelength_m
 PATHS_M = np.array([0.0, 0.03, 0.06])  # the direct one, and what stands before the antennas
 AMPLITUDES = np.array([1.0, 0.3j, -0.2])
 
@@ -86,14 +87,19 @@ def test_leakage_is_subtracted_and_can_be_added_again(clean):
     assert left_over_db(put_back(mended, found), capture) < -120.0
 
 
-def test_the_phase_of_leakage_corrects_channels_and_oscillator_drift(clean):
+def _channels_and_drift(capture):
     rng = np.random.default_rng(3)
     channel = np.deg2rad([-30.0, 45.0, -20.0, 5.0])
     phases = []
-    for pose in clean.poses:
+    for pose in capture.poses:
         steps = np.deg2rad(40.0) / np.sqrt(pose.n_antennas) * rng.normal(size=pose.n_antennas)
         turn = channel[np.arange(pose.n_antennas) % 4] + 6.0 * rng.random()
         phases.append(np.cumsum(steps) + turn)
+    return phases
+
+
+def test_the_phase_of_leakage_corrects_channels_and_oscillator_drift(clean):
+    phases = _channels_and_drift(clean)
     capture = spoilt(clean, 10.0, phases=phases)
     found = find_leakage(capture, PRIOR)
     assert found.method == "reference"
@@ -235,9 +241,21 @@ def test_leakage_of_some_planes_is_subtracted_from_further_ones(clean):
     capture = spoilt(clean, 25.0)
     found = _of_first(capture, 6)
     assert found.method == "projected"
-    more = found.of_more(capture.poses)
+    more = found.of_more(capture.poses, WAVELENGTH_M)
     assert len(more.coefficients) == 8
     assert left_over_db(without_leakage(capture, more), clean) < -30.0
+
+
+def test_the_phase_of_leakage_corrects_further_planes_too(clean):
+    phases = _channels_and_drift(clean)
+    capture = spoilt(clean, 10.0, phases=phases)
+    found = _of_first(capture, 6)
+    assert found.method == "reference"
+    more = found.of_more(capture.poses, WAVELENGTH_M)
+    assert all(np.array_equal(a, b) for a, b in zip(more.phases_rad, found.phases_rad, strict=False))
+    error = np.concatenate(more.phases_rad) - np.concatenate(phases)
+    error = np.angle(np.exp(1j * error) / np.exp(1j * error).mean())
+    assert np.rad2deg(error.std()) < 1.0
 
 
 def test_a_background_is_subtracted_from_further_planes(clean):
@@ -250,14 +268,13 @@ def test_a_background_is_subtracted_from_further_planes(clean):
     found = _of_first(capture, 6)
     assert found.operator is None
     assert found.method == "projected"
-    mended = without_leakage(capture, found.of_more(capture.poses))
+    mended = without_leakage(capture, found.of_more(capture.poses, WAVELENGTH_M))
     assert left_over_db(mended, clean) < -20.0
 
 
 def test_leakage_that_needs_an_estimate_has_no_further_planes(clean):
     capture = spoilt(clean, 25.0)
     found = _of_first(capture, 6)
-    assert replace(found, method="reference").of_more(capture.poses) is None
-    assert replace(found, operator=None).of_more(capture.poses) is None  # as stored
+    assert replace(found, operator=None).of_more(capture.poses, WAVELENGTH_M) is None  # as stored
     nothing = find_leakage(clean, PRIOR)
-    assert nothing.of_more(clean.poses) is nothing
+    assert nothing.of_more(clean.poses, WAVELENGTH_M) is nothing

@@ -101,12 +101,12 @@ class Corrections:
             drift_coefficients_m=ordered(self.drift_coefficients_m),
         )
 
-    def of_more(self, poses: Sequence[Pose]) -> "Corrections | None":
+    def of_more(self, poses: Sequence[Pose], wavelength_m: float) -> "Corrections | None":
         """Corrections of a capture with further, last poses; None if they need an estimate.
 
-        poses: all of them.
+        poses: all of them. wavelength_m: at the middle of the chirp [m].
         """
-        leakage = self.leakage and self.leakage.of_more(poses)
+        leakage = self.leakage and self.leakage.of_more(poses, wavelength_m)
         if self.drift_coefficients_m is not None or (leakage is None) != (self.leakage is None):
             return None
         angles = self.angles_rad

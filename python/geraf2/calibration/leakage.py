@@ -86,24 +86,29 @@ class Leakage:
     """Matrix that gives the coefficients from samples, (n_samples, rank); None where all antennas
     have the same ones, and for stored leakage."""
 
-    def of_more(self, poses: Sequence[Pose]) -> "Leakage | None":
+    def of_more(self, poses: Sequence[Pose], wavelength_m: float) -> "Leakage | None":
         """Leakage of a capture with further poses, which come last; None if that needs an estimate.
 
-        poses: all of them.
+        poses: all of them. wavelength_m: at the middle of the chirp [m].
         """
         if self.method == "none":
             return self
         more, same = list(self.coefficients), self.coefficients[0][:1]
-        if self.operator is None and not all((own == same).all() for own in more):
+        has_phase = self.method == "reference"
+        if self.operator is None and (has_phase or any((own != same).any() for own in more)):
             return None
-        if self.method == "reference":
-            return None
-        for pose in poses[len(more) :]:
+        new = poses[len(more) :]
+        for pose in new:
             if self.operator is None:
                 more.append(np.repeat(same, pose.n_antennas, axis=0))
             else:
                 more.append(np.asarray(pose.signal @ self.operator))
-        return replace(self, coefficients=tuple(more))
+        phases = list(self.phases_rad)
+        if has_phase:
+            main = _strongest_waveform(self.coefficients).conj()
+            own = [coefficient @ main for coefficient in more[len(phases) :]]
+            phases += _phases(new, own, wavelength_m)
+        return replace(self, coefficients=tuple(more), phases_rad=tuple(phases))
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -410,7 +415,7 @@ def _test_phase(
     chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
     clean = without_leakage(capture, found)
     clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-    phases = _phases(capture, references)
+    phases = _phases(capture.poses, references, capture.waveform.center_wavelength_m)
     chosen_phases = [phases[number] for number in chosen]
     gain, _, _ = phase_gain(clean, chosen_phases, lambda c: collect_phases(c, peaks.of(c)))
     reason = f"with its phase removed, {gain}"
@@ -425,11 +430,13 @@ def _test_phase(
     )
 
 
-def _phases(capture: Capture, references: list[_Complex]) -> list[Floats]:
+def _phases(
+    poses: Sequence[Pose], references: Sequence[_Complex], wavelength_m: float
+) -> list[Floats]:
     """Phase of the leakage at each antenna, without that of the direct path."""
-    k = 2.0 * np.pi / capture.waveform.center_wavelength_m
+    k = 2.0 * np.pi / wavelength_m
     found = []
-    for pose, reference in zip(capture.poses, references, strict=True):
+    for pose, reference in zip(poses, references, strict=True):
         separation = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
         found.append(np.angle(reference * np.exp(1j * k * separation)))
     return found

@@ -324,7 +324,8 @@ class Session:
     def _update(self) -> None:
         settled, more = self._settled, None
         if settled is not None and len(self) < _GROWTH * settled.n_planes:
-            more = settled.corrections.of_more(self._poses)
+            wavelength_m = self._about.waveform.center_wavelength_m
+            more = settled.corrections.of_more(self._poses, wavelength_m)
         self._run.scene_digest = self._scene_digest()
         self._settled = None  # until the surface is there
         if settled is None or more is None:
