@@ -5,11 +5,11 @@
     python bench/python/live.py check ROWS
 
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
-and appends a line for each to the file ROWS; scenes that are there are left out. With `--whole`, the
-last line of a scene compares the end with `reconstruct`, of the planes as they were added and in the
-order of the scan. `fit` estimates sigma of surfaces/stated_score.py, every scene with the same
-weight, with an offset and a slope. `check` states how often the interval holds the score, what a
-stop at a target reaches, with how many planes more than the first scan that reaches it, and the
+and appends a line for each to the file ROWS; scenes that are there are left out. With `--whole`,
+the last line of a scene compares the end with `reconstruct`, of the planes as they were added and
+in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py, with an offset and a
+slope, every scene with the same weight. `check` states how often the interval holds the score, what
+a stop at a target reaches, with how many planes more than the first scan that reaches it, and the
 time of an update in the first and the last quarter of the planes.
 """
 
@@ -143,18 +143,17 @@ def check(rows: Path) -> None:
     for row in (row for row in ends if row["end"] is not None):
         f1 = ", ".join(f"{name} {row[name]:.4f}" for name in ("end", "whole", "in_scan_order"))
         print(f"{row['scene']}: {f1}, glints {row['n_glints']}")
-    for name, quarter in (("first", slice(0, 0.25)), ("last", slice(0.75, 1))):
+    for name, low, high in (("first", 0.0, 0.25), ("last", 0.75, 1.0)):
         part = [
             row
             for own in growing.values()
             for row in own
-            if quarter.start <= row["plane"] / row["n_planes"] <= quarter.stop
+            if low <= row["plane"] / row["n_planes"] <= high
         ]
         for unit, key in (("s", "seconds"), ("CPU s", "cpu_seconds")):
             values = [row[key] for row in part]
-            print(
-                f"update, {name} quarter: median {np.median(values):.2f} {unit}, largest {max(values):.2f}"
-            )
+            print(f"update, {name} quarter, {unit}: ", end="")
+            print(f"median {np.median(values):.2f}, largest {max(values):.2f}")
 
 
 def main() -> None:

@@ -252,7 +252,9 @@ def test_the_phase_of_leakage_corrects_further_planes_too(clean):
     found = _of_first(capture, 6)
     assert found.method == "reference"
     more = found.of_more(capture.poses, WAVELENGTH_M)
-    assert all(np.array_equal(a, b) for a, b in zip(more.phases_rad, found.phases_rad, strict=False))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(more.phases_rad, found.phases_rad, strict=False)
+    )
     error = np.concatenate(more.phases_rad) - np.concatenate(phases)
     error = np.angle(np.exp(1j * error) / np.exp(1j * error).mean())
     assert np.rad2deg(error.std()) < 1.0

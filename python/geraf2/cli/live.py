@@ -10,26 +10,30 @@ import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import Arg
+from geraf2.apps.importers import RecordingOptions
 from geraf2.apps.live.follow import LiveOptions, PlaneReport, follow
 from geraf2.apps.live.target import Target
 from geraf2.apps.viewing.server import LiveView
 from geraf2.cli._console import CONSOLE, Threads, rows, say, warn
 from geraf2.cli._fields import Positional, part_of
 from geraf2.cli._outcome import print_found
+from geraf2.io.manifest import RadarManifest
 from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.io.toml import read_toml
 from geraf2.pipeline.prior import PriorSource
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config(PriorSource):
+class Config(PriorSource, RecordingOptions):
     """Reconstruct a scan while it is made: one line a plane, and OUT is updated after each.
 
     The same command continues after a stop. For example: geraf2 live SOURCE out --until "expected 1
     mm over 90 %"
     """
 
-    source: Positional[Annotated[Path, Arg(metavar="SOURCE")]]
-    """Folder that grows: a scene, or in the layout of GeRaF-SENS."""
+    source: Positional[Annotated[str, Arg(metavar="SOURCE")]]
+    """Scan that grows or is whole: a scene, a folder of GeRaF-SENS, a ROS 2 bag, files of a DCA1000
+    with --positions; or a socket of this machine, tcp://localhost:PORT or unix:PATH."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("out")
     """Run folder; its folder scene keeps the planes."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
@@ -43,6 +47,8 @@ class Config(PriorSource):
     """Show the surface in a browser while it grows, with the planes so far and the next one."""
     port: Annotated[int, Interval(ge=1, le=65535)] = 8080
     """Port of that page, on this machine alone."""
+    radar: Path | None = None
+    """TOML file with radar parameters that a recording lacks; they go before its own."""
     no_report: bool = False
     """Leave out the report."""
     threads: Threads = None
@@ -52,7 +58,13 @@ class Config(PriorSource):
 def main(config: Config) -> int:
     """Run the command."""
     until = None if config.until is None else Target.of(config.until)
-    ending = LiveOptions(until=until, idle_s=config.idle, report=not config.no_report)
+    ending = LiveOptions(
+        radar=read_toml(config.radar, RadarManifest) if config.radar else None,
+        recording=part_of(config, RecordingOptions),
+        until=until,
+        idle_s=config.idle,
+        report=not config.no_report,
+    )
     with ExitStack() as stack:
         page = None
         if config.view:

@@ -1,11 +1,15 @@
 """ROS 2 messages without ROS, by the package rosbags: opened bags, and meshes as an MCAP."""
 
 import importlib
+import os
+import sqlite3
+import struct
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
@@ -16,6 +20,11 @@ from geraf2.io.mesh_colours import error_colours
 
 CLOUD_TOPIC, MESH_TOPIC = "/geraf2/vertices", "/geraf2/mesh"
 _FLOAT32 = 7  # of sensor_msgs/PointField
+# Records of an MCAP file begin with kind and size; the last one has 20 bytes, zeros: no summary.
+_MAGIC, _RECORD = b"\x89MCAP0\r\n", struct.Struct("<BQ")
+_FOOTER, _DATA_END = _RECORD.pack(2, 20), 15
+_MCAP_END = len(_FOOTER) + 20 + len(_MAGIC)
+_COPIED_BYTES = 1 << 24
 _TRIANGLE_LIST = 11  # of visualization_msgs/Marker
 
 
@@ -35,9 +44,31 @@ def is_bag(path: Path) -> bool:
     return path.suffix in (".mcap", ".db3", ".bag") and path.is_file()
 
 
+def is_finished_bag(path: Path) -> bool:
+    """Whether a bag's end was written; of a .db3 without metadata nobody knows."""
+    if path.is_dir():
+        return is_bag(path)
+    if path.suffix != ".mcap" or path.stat().st_size < _MCAP_END:
+        return False
+    with path.open("rb") as file:
+        file.seek(-_MCAP_END, os.SEEK_END)
+        end = file.read()
+    return end.startswith(_FOOTER) and end.endswith(_MAGIC)
+
+
+def bag_files(path: Path) -> list[Path]:
+    """Files of a bag that grows: of a folder its .mcap or .db3 files."""
+    if not path.is_dir():
+        return [path]
+    return sorted(one for one in path.iterdir() if one.suffix in (".mcap", ".db3"))
+
+
 @contextmanager
-def opened_bag(path: Path) -> Iterator[Any]:
-    """Reader of a rosbag2 folder, .mcap or .db3; UserError for what cannot be read."""
+def opened_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
+    """Reader of a rosbag2 folder, .mcap or .db3; UserError for what cannot be read.
+
+    is_cut: read what is there of a bag whose end is missing, as one that is being recorded.
+    """
     highlevel, typesys = ros_module("highlevel"), ros_module("typesys")
     if path.suffix == ".bag":
         raise UserError(
@@ -49,8 +80,12 @@ def opened_bag(path: Path) -> Iterator[Any]:
     # Bags of sqlite3 before ROS 2 Iron carry no definitions.
     store = typesys.get_typestore(typesys.Stores.LATEST)
     try:
-        with highlevel.AnyReader([path], default_typestore=store) as reader:
-            yield reader
+        with ExitStack() as stack:
+            paths = [path]
+            if is_cut and not is_finished_bag(path):
+                folder = Path(stack.enter_context(TemporaryDirectory()))
+                paths = [_snapshot(one, folder / one.name) for one in bag_files(path)]
+            yield stack.enter_context(highlevel.AnyReader(paths, default_typestore=store))
     except UserError:
         raise
     except Exception as error:  # a broken file raises errors of many kinds
@@ -61,6 +96,30 @@ def opened_bag(path: Path) -> Iterator[Any]:
             expected="a whole rosbag2 folder, .mcap or .db3",
             hint="'mcap recover' or 'ros2 bag reindex' mends a recording that was cut short",
         ) from None
+
+
+def _snapshot(path: Path, target: Path) -> Path:
+    """Consistent copy of a file that is being written, with what is whole of it."""
+    if path.suffix == ".db3":
+        with (
+            closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as source,
+            closing(sqlite3.connect(target)) as copy,
+        ):
+            source.backup(copy)
+        return target
+    with path.open("rb") as source, target.open("wb") as copy:
+        n_bytes, end = path.stat().st_size, len(_MAGIC)
+        source.seek(end)
+        while len(head := source.read(_RECORD.size)) == _RECORD.size:
+            kind, size = _RECORD.unpack(head)
+            if kind in (_DATA_END, _FOOTER[0]) or source.tell() + size > n_bytes:
+                break
+            end = source.seek(size, os.SEEK_CUR)
+        source.seek(0)
+        while end > 0 and (data := source.read(min(end, _COPIED_BYTES))):
+            end -= copy.write(data)
+        copy.write(_FOOTER + bytes(20) + _MAGIC)
+    return target
 
 
 def write_mesh_mcap(mesh: TriangleMesh, path: Path) -> None:

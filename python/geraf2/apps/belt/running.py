@@ -122,7 +122,7 @@ def _sets(
                     on_line(f"plane {new.pose.name}: the belt stood still for {n_still} frames")
             except UserError as error:
                 on_line(f"{error}; left out")
-        is_last = is_last or source.is_complete
+        is_last = is_last or bool(source.ending)
         spans = list(cutter.ready(is_last=is_last))
         if spans:
             yield spans

@@ -41,19 +41,13 @@ _OWN = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImportOptions:
-    """Options of the command line, beside radar.toml."""
+class RecordingOptions:
+    """Options for raw samples with their positions."""
 
     positions: Path | None = None
     """Robot log, CSV or NPY: time_s, x_m, y_m, z_m, optionally qw, qx, qy, qz, file."""
     config: tuple[Path, ...] = ()
     """Files of the radar's own software: *.mmwave.json, cf.json, *.cfg, *LogFile.txt, *.lua."""
-    arrays: Annotated[tuple[str, ...], Arg(metavar="OURS=THEIRS")] = ()
-    """Names of arrays in a MATLAB file, as signal=sarData positions=scan.xyz; they go before
-    [arrays] of --radar."""
-    file_per_position: bool = False
-    """The source holds one recording a position; a column 'file' of the positions names it, else
-    their numbers."""
     adc_topic: Annotated[str | None, Arg(metavar="TOPIC")] = None
     """Topic of a bag with the radar's samples, where several may be meant."""
     pose_topic: Annotated[str | None, Arg(metavar="TOPIC")] = None
@@ -62,12 +56,28 @@ class ImportOptions:
     """Frames of a bag between which the transforms are chained."""
     clock_offset_ms: _OffsetMs | None = None
     """By how much the radar's time stamps in a bag are late; estimated when not given."""
+    phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
+    """The phase runs as exp(-j...) or exp(+j...), whatever format and image indicate."""
+
+    def __post_init__(self) -> None:
+        if self.phase_sign not in (None, -1, 1):
+            raise UserError(what="must be -1 or +1", where="--phase-sign", got=self.phase_sign)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportOptions(RecordingOptions):
+    """Options of the command line, beside radar.toml."""
+
+    arrays: Annotated[tuple[str, ...], Arg(metavar="OURS=THEIRS")] = ()
+    """Names of arrays in a MATLAB file, as signal=sarData positions=scan.xyz; they go before
+    [arrays] of --radar."""
+    file_per_position: bool = False
+    """The source holds one recording a position; a column 'file' of the positions names it, else
+    their numbers."""
     static: bool = False
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False
     """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
-    phase_sign: Annotated[int | None, Arg(metavar="-1|+1")] = None
-    """The phase runs as exp(-j...) or exp(+j...), whatever format and image indicate."""
     num_threads: Annotated[ThreadCount | None, Arg(metavar="N", name="threads")] = None
     """Threads to use; all when not given."""
 

@@ -92,7 +92,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
 
     period_s: time between frames where the radar's configuration states it.
     """
-    with opened_bag(source) as reader, TemporaryFile() as file:
+    with opened_bag(source, is_cut=options.keep_good) as reader, TemporaryFile() as file:
         topics = _topics(reader)
         samples = _samples_topic(reader, topics, options, source)
         table, frame_id = _copy_frames(reader, samples, file, source)

@@ -25,6 +25,8 @@ _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
 # Frames that last less than this share of the log are named; they are refused where at most two
 # rows lie between many of them, as with time stamps in milliseconds.
 _LITTLE, _FEWEST_ROWS, _MIN_FRAMES = 0.1, 2, 8
+# Speed of a turn, over twice this time; planes differ by more than 2 degrees.
+_TURN_RAD_PER_S, _TURN_S, _TURN_RAD = 0.05, 0.1, 0.035
 _TIME_UNITS = {
     "ms": ("milliseconds", 1e-3),
     "us": ("microseconds", 1e-6),
@@ -112,6 +114,39 @@ def planes_of(track: Track) -> list[Track]:
         replace(track, ranges=tuple(track.ranges[k] for k in np.flatnonzero(plane == number)))
         for number in np.unique(plane)
     ]
+
+
+def divided_at_turns(track: Track, period_s: float) -> Track:
+    """Track whose planes are the stretches in which the board keeps its rotation.
+
+    Frames during a turn are left out, unless the board turns all the time.
+    """
+    if track.rotations is None:
+        return track
+    first, stop = track.ranges[0][0], track.ranges[-1][1]
+    turns = track.rotations[first:stop]
+    reach = max(1, round(_TURN_S / period_s))
+    frames = np.arange(stop - first)
+    before = turns[np.maximum(frames - reach, 0)]
+    angles = (turns[np.minimum(frames + reach, len(frames) - 1)] * before.inv()).magnitude()
+    still = angles < _TURN_RAD_PER_S * 2 * reach * period_s
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
+    starts: list[int] = []
+    ranges: list[tuple[int, int]] = []
+    last = None
+    for begin, end in edges.reshape(-1, 2):
+        middle = turns[int(begin + end) // 2]
+        if last is None or (middle * last.inv()).magnitude() > _TURN_RAD:
+            starts.append(int(first + begin))
+            last = middle
+        cut = [(max(a, int(first + begin)), min(b, int(first + end))) for a, b in track.ranges]
+        ranges += [(a, b) for a, b in cut if a < b]
+    if len(starts) < 2:
+        return track
+    n_out = sum(b - a for a, b in track.ranges) - sum(b - a for a, b in ranges)
+    note = f"{len(starts)} planes; {n_out} frames during turns between them were left out"
+    notes = (*track.notes, note)
+    return replace(track, ranges=tuple(ranges), plane_starts=tuple(starts), notes=notes)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,7 +2,8 @@
 
 The source is one .bin file, or a folder with the parts of one recording or with one file for each
 position. The order of the words and the samples per chirp are estimated where not given. The
-positions come from a robot log or a raster, or the radar stood still.
+positions come from a robot log or a raster, or the radar stood still. Stretches of a log with times
+between which the board turns are planes.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,7 +20,14 @@ from geraf2.apps.importers._recording import Recording, is_kept, open_recording,
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
-from geraf2.apps.importers._tracks import Track, log_track, planes_of, raster_track, without_places
+from geraf2.apps.importers._tracks import (
+    Track,
+    divided_at_turns,
+    log_track,
+    planes_of,
+    raster_track,
+    without_places,
+)
 from geraf2.errors import UserError
 from geraf2.io.container import joined
 from geraf2.io.manifest import RadarManifest
@@ -35,10 +43,16 @@ class Dca1000Importer:
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Estimate layout and frames, check the positions; see Importer.open."""
         recording = open_recording(source, radar, options)
-        log = None
-        if options.positions is not None:
-            log = read_log(options.positions, keep_good=options.keep_good)
-        return scan_of("dca1000", recording, radar, options, log=log)
+        if options.positions is None:
+            return scan_of("dca1000", recording, radar, options, log=None)
+        log = read_log(options.positions, keep_good=options.keep_good)
+        period_s = radar.raw.frame_period_s or recording.config.frame_period_s
+        is_one = log.times_s is None or log.scan is not None or recording.n_places is not None
+
+        def divide(track: Track) -> Track:
+            return track if is_one or not period_s else divided_at_turns(track, period_s)
+
+        return scan_of("dca1000", recording, radar, options, log=log, divide=divide)
 
 
 def scan_of(

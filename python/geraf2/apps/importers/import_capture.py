@@ -10,7 +10,6 @@ from pathlib import Path
 from geraf2._types import Progress
 from geraf2.apps.importers import ImportOptions, Scan, load_importer
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
-from geraf2.errors import UserError
 from geraf2.io.container import SceneReader, require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugated_samples
@@ -84,8 +83,6 @@ def import_capture(
     listener = listener or Listener()
     options = options or ImportOptions()
     options = replace(options, num_threads=num_threads or options.num_threads)
-    if options.phase_sign not in (None, -1, 1):
-        raise UserError(what="must be -1 or +1", where="--phase-sign", got=options.phase_sign)
     scan = load_importer(format_name).open(Path(source), radar or RadarManifest(), options)
     base = capture_without_poses(scan.manifest)
     may_be_same = partial(_may_be_same, scan)
@@ -139,13 +136,13 @@ def _may_be_same(scan: Scan, old: SceneReader) -> bool:
 
 def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
     """All parts; some of their antennas are added to the sample."""
-    for number, part, done in _parts(scan):
+    for number, part, done in scan_parts(scan):
         sample.add(number, part)
         yield part
         report(done)
 
 
-def _parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
+def scan_parts(scan: Scan) -> Iterator[tuple[int, RawPose, float]]:
     """Poses, or parts of them: number of the pose, antennas, fraction done."""
     number, n_so_far, n_done = 0, 0, 0
     total = max(1, sum(scan.n_antennas))
@@ -173,7 +170,7 @@ def _written(
     scan: Scan, writer: SceneWriter, sign: PhaseSign, report: Progress
 ) -> Iterator[RawPose]:
     """All parts, each written by one thread while another reads the next."""
-    parts = _parts(scan)
+    parts = scan_parts(scan)
     with ThreadPoolExecutor(1) as readers, ThreadPoolExecutor(1) as writers:
         coming, writing = readers.submit(next, parts, None), None
         while (item := coming.result()) is not None:

@@ -15,7 +15,7 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._bag import Bag, read_bag
 from geraf2.apps.importers._recording import Recording, open_recording
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
-from geraf2.apps.importers._tracks import Track
+from geraf2.apps.importers._tracks import divided_at_turns
 from geraf2.apps.importers.dca1000 import scan_of
 from geraf2.calibration.clock_offset import (
     MAX_OFFSET_S,
@@ -30,8 +30,6 @@ from geraf2.io.manifest import RadarManifest
 
 # The offset is estimated from as many neighbouring lines as these bytes of samples hold.
 _SWEEP_BYTES, _MAX_SWEEPS = 1 << 26, 48
-# Speed of a turn, over twice this time; planes differ by more than 2 degrees.
-_TURN_RAD_PER_S, _TURN_S, _TURN_RAD = 0.05, 0.1, 0.035
 # An offset with a larger standard deviation is not determined.
 _MAX_SIGMA_S = 2e-3
 
@@ -142,36 +140,3 @@ def _find_offset(bag: Bag, recording: Recording, radar: RadarManifest) -> ClockO
     sweep_s = n_samples * recording.evidence.order.per_complex / rate
     wavelength_m = SPEED_OF_LIGHT_M_PER_S / (start_hz + 0.5 * slope * sweep_s)
     return find_clock_offset(sweeps, log.positions_at, wavelength_m)
-
-
-def divided_at_turns(track: Track, period_s: float) -> Track:
-    """Track whose planes are the stretches in which the board keeps its rotation.
-
-    Frames during a turn are left out, unless the board turns all the time.
-    """
-    if track.rotations is None:
-        return track
-    first, stop = track.ranges[0][0], track.ranges[-1][1]
-    turns = track.rotations[first:stop]
-    reach = max(1, round(_TURN_S / period_s))
-    frames = np.arange(stop - first)
-    before = turns[np.maximum(frames - reach, 0)]
-    angles = (turns[np.minimum(frames + reach, len(frames) - 1)] * before.inv()).magnitude()
-    still = angles < _TURN_RAD_PER_S * 2 * reach * period_s
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], still, [False]]).astype(int)))
-    starts: list[int] = []
-    ranges: list[tuple[int, int]] = []
-    last = None
-    for begin, end in edges.reshape(-1, 2):
-        middle = turns[int(begin + end) // 2]
-        if last is None or (middle * last.inv()).magnitude() > _TURN_RAD:
-            starts.append(int(first + begin))
-            last = middle
-        cut = [(max(a, int(first + begin)), min(b, int(first + end))) for a, b in track.ranges]
-        ranges += [(a, b) for a, b in cut if a < b]
-    if len(starts) < 2:
-        return track
-    n_out = sum(b - a for a, b in track.ranges) - sum(b - a for a, b in ranges)
-    note = f"{len(starts)} planes; {n_out} frames during turns between them were left out"
-    notes = (*track.notes, note)
-    return replace(track, ranges=tuple(ranges), plane_starts=tuple(starts), notes=notes)

@@ -1,20 +1,24 @@
-"""Reconstruction of a folder that grows, until its scan is whole or good enough."""
+"""Reconstruction of a scan that grows, until its scan is whole or good enough."""
 
 import re
 import time
 from collections.abc import Callable, Iterable
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
+from geraf2.apps.importers import RecordingOptions
+from geraf2.apps.live.opening import open_source
 from geraf2.apps.live.session import Session, samples_digest
-from geraf2.apps.live.sources import NewPlane, Source, open_source
+from geraf2.apps.live.sources import NewPlane, Source
 from geraf2.apps.live.target import Target
 from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import Scanner
 from geraf2.errors import UserError
+from geraf2.io.manifest import RadarManifest
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.presets import PresetConfig
 from geraf2.pipeline.prior import PriorSource
@@ -64,8 +68,12 @@ class PlaneReport:
 
 @dataclass(frozen=True, kw_only=True)
 class LiveOptions:
-    """When a scan that grows is over."""
+    """How a scan that grows is read, and when it is over."""
 
+    radar: RadarManifest | None = None
+    """Parameters that a recording lacks."""
+    recording: RecordingOptions | None = None
+    """Positions, topics and clock of a recording."""
     until: Target | None = None
     """End when the surface is stated to be as good."""
     idle_s: float = 60.0
@@ -85,7 +93,7 @@ class Outcome:
 
 
 def follow(
-    source: Path,
+    source: Path | str,
     out: Path,
     prior: PriorSource,
     preset: PresetConfig | str = "best",
@@ -95,10 +103,12 @@ def follow(
     on_plane: Callable[[PlaneReport], None] = lambda _: None,
     num_threads: int | None = None,
 ) -> Outcome:
-    """Add the planes of a folder as they are written, and update the run folder after each.
+    """Add the planes of a source as they come, and update the run folder after each.
 
-    source: scene folder or GeRaF-SENS folder that grows. out: run folder; a session that is there
-    continues. on_plane: called after each plane, and for each that is left out.
+    source: scene or GeRaF-SENS folder, ROS 2 bag or DCA1000 file that grows or is whole; or a
+    socket of this machine, tcp://localhost:PORT or unix:PATH.
+    out: run folder; a session that is there continues. on_plane: called after each plane, and for
+    each that is left out.
 
     Ends when all announced planes came, when the target is reached, or when no plane came for a
     time. Raises UserError if no plane came, or there is no surface at the end.
@@ -108,8 +118,13 @@ def follow(
     def begin(about: Capture) -> Session:
         return Session(about, prior, preset, out, num_threads=num_threads, listener=heard)
 
-    with _Follower(begin, on_plane, ending.until) as follower:
-        reason = _followed(source, follower, ending)
+    with _Follower(begin, on_plane, ending.until) as follower, ExitStack() as stack:
+
+        def opened() -> Source | None:
+            feed = open_source(source, ending.radar, ending.recording)
+            return feed and stack.enter_context(closing(feed))
+
+        reason = _followed(opened, follower, ending, heard)
         session = follower.session
         if session is None:
             raise UserError(
@@ -119,19 +134,28 @@ def follow(
         return Outcome(result=result, n_planes=len(session), reason=reason)
 
 
-def _followed(source: Path, follower: "_Follower", ending: LiveOptions) -> str:
+def _followed(
+    opened: Callable[[], Source | None],
+    follower: "_Follower",
+    ending: LiveOptions,
+    listener: Listener,
+) -> str:
     """Add planes until the scan is over; the reason."""
     feed: Source | None = None
-    last = time.monotonic()
+    last_s = time.monotonic()
     while True:
-        feed = feed or open_source(source)
-        is_last = time.monotonic() - last > ending.idle_s
+        feed = feed or opened()
+        if feed is not None:
+            last_s = max(last_s, feed.last_s)
+        is_last = time.monotonic() - last_s > ending.idle_s
         for new in feed.poll(is_last=is_last) if feed is not None else ():
+            for note in feed.notes if feed is not None else ():
+                listener.warning(note)
             if follower.took(new, feed.about if feed is not None else None):
                 return "the target is reached"
-            last = time.monotonic()
-        if feed is not None and feed.is_complete:
-            return f"all {feed.n_planes} announced planes came"
+            last_s = time.monotonic()
+        if feed is not None and feed.ending:
+            return feed.ending
         if is_last:
             return f"no plane came for {ending.idle_s:g} s"
         time.sleep(_POLL_S)

@@ -1,4 +1,4 @@
-"""Folders to which a scan is written, plane by plane, while it is read."""
+"""Sources of planes while a scan is made; folders to which it is written, plane by plane."""
 
 import time
 from abc import ABC, abstractmethod
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
 
 N_PLANES_KEY = "n_planes"
 """Entry of a scene's provenance: how many planes it will have."""
+_SOURCES = (
+    "a scene folder, mf/<index>_<angle>_<sub>/ as GeRaF-SENS writes, a rosbag2 folder, .mcap, "
+    ".db3, .bin of a DCA1000, tcp://localhost:PORT or unix:PATH"
+)
 # Files that nobody wrote to for so long are not being written [s].
 _SETTLED_S = 2.0
 
@@ -46,27 +50,54 @@ class NewPlane:
 
 
 class Source(ABC):
+    """Where the planes of a scan come from, while it is made."""
+
+    def __init__(self) -> None:
+        self.about: Capture | None = None
+        """Waveform, walls and provenance, without planes; None until the source states them."""
+        self.last_s = time.monotonic()
+        """When something came last, of `time.monotonic` [s]."""
+        self.notes: tuple[str, ...] = ()
+        """Warnings about what was read."""
+
+    @property
+    @abstractmethod
+    def ending(self) -> str:
+        """Why no more planes come; empty as long as some may."""
+
+    @abstractmethod
+    def poll(self, *, is_last: bool = False) -> Iterator[NewPlane]:
+        """Planes that are whole and did not come before; those that are half written wait.
+
+        is_last: also planes that more may belong to.
+        """
+
+    def close(self) -> None:  # noqa: B027 - a folder has nothing to close
+        """Let other processes use what the source has opened."""
+
+
+class FolderSource(Source):
     """A folder that grows."""
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         self.path = path
-        self.about: Capture | None = None
-        """Waveform, walls and provenance, without planes; None until the folder states them."""
         self.n_planes: int | None = None
         """Number of planes that the folder announces; None where it does not."""
         self._done: set[str] = set()
         self._named: set[str] = set()
 
     @property
-    def is_complete(self) -> bool:
+    def ending(self) -> str:
         """Whether all planes came that were announced."""
-        return self.n_planes is not None and len(self._done) >= self.n_planes
+        if self.n_planes is None or len(self._done) < self.n_planes:
+            return ""
+        return f"all {self.n_planes} announced planes came"
 
     def poll(self, *, is_last: bool = False) -> Iterator[NewPlane]:
-        """Planes that are whole and did not come before; those that are half written wait.
+        """Planes that came; one that cannot be read, and that nobody writes to, is named once.
 
-        is_last: also planes that more frames may belong to. A plane that cannot be read, and that
-        nobody writes to, is named once; it comes when it is repaired.
+        It comes when it is repaired.
         """
         for name, folder in self._waiting():
             if name in self._done:
@@ -80,6 +111,7 @@ class Source(ABC):
                 continue
             if pose is not None:
                 self._done.add(name)
+                self.last_s = time.monotonic()
                 yield NewPlane(name=name, pose=pose)
 
     @abstractmethod
@@ -91,7 +123,7 @@ class Source(ABC):
         """Read a plane; None while parts of it are expected, UserError where it is not whole."""
 
 
-class SceneSource(Source):
+class SceneSource(FolderSource):
     """A scene folder in this project's own layout, such as `GrowingScene` writes."""
 
     def _waiting(self) -> list[tuple[str, Path]]:
@@ -114,7 +146,7 @@ class SceneSource(Source):
         return self._reader.read_pose(int(name))
 
 
-class GerafSensSource(Source):
+class GerafSensSource(FolderSource):
     """A folder in the layout of GeRaF-SENS; sub-scans of one index and angle are a plane."""
 
     def __init__(self, path: Path) -> None:
@@ -161,10 +193,10 @@ class GerafSensSource(Source):
         self.n_planes = announced if isinstance(announced, int) and announced > 0 else None
 
 
-def open_source(path: Path) -> Source | None:
+def folder_source(path: Path) -> FolderSource | None:
     """Source of a folder by what is in it; None while nothing is."""
     if path.exists() and not path.is_dir():
-        raise UserError(what="is a file", where=path, expected="a folder that grows")
+        raise UserError(what="is a file", where=path, expected=_SOURCES)
     if is_scene(path):
         return SceneSource(path)
     if not path.is_dir():
@@ -177,7 +209,7 @@ def open_source(path: Path) -> Source | None:
     raise UserError(
         what="is no scan that grows",
         where=path,
-        expected="a scene folder, or mf/<index>_<angle>_<sub>/ as GeRaF-SENS writes",
+        expected=_SOURCES,
     )
 
 
