@@ -41,7 +41,14 @@ class NextPlane:
     """Mean expected error of the surface before [m]."""
     error_after_m: float
     """Mean expected error with it [m]."""
-    scan: ScanFile
+    scanner: Scanner
+    spacing_m: float
+    """Of its antennas [m]."""
+
+    @property
+    def scan(self) -> ScanFile:
+        """Its lines."""
+        return swept_planes([self.plane], self.spacing_m, self.scanner)[0]
 
     @property
     def gain_m_per_minute(self) -> float:
@@ -78,35 +85,38 @@ def next_planes(
             expected=f"more than {radius:.3f} m, half the diagonal of the box",
             got=f"{standoff_m:g} m",
         )
-    candidates, angles = [], []
+    halves = [0.5 * np.asarray(aperture_m) * shape for shape in shapes]
+    middle = [plane_at(0.0, 0.0, standoff_m, half) for half in halves]
+    times = [swept_planes([plane], spacing_m, scanner)[1] for plane in middle]
+    candidates, about = [], []
     for elevation, azimuth in product(_ELEVATIONS_DEG, _AZIMUTHS_DEG):
         if elevation > max_elevation_deg or (elevation == 90.0 and azimuth > 0.0):
             continue
-        for wide, high in shapes:
-            half = 0.5 * np.asarray(aperture_m) * (wide, high)
+        for half, seconds in zip(halves, times, strict=True):
             plane = plane_at(np.deg2rad(azimuth), np.deg2rad(elevation), standoff_m, half)
             shifted = Aperture.of_rectangle(plane.middle_m + center, plane.axes, half)
             candidates.append(shifted)
-            angles.append((azimuth, elevation))
+            about.append((azimuth, elevation, seconds))
     corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
         raise UserError(what="the run does not state its planes: reconstruct it again", where=run)
     planes = [Aperture.of_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
-    found = []
-    for plane, (azimuth, elevation), error in zip(candidates, angles, after, strict=True):
-        scan, seconds = swept_planes([plane], spacing_m, scanner)
-        found.append(
-            NextPlane(
-                plane=plane,
-                azimuth_deg=azimuth,
-                elevation_deg=elevation,
-                seconds=seconds,
-                error_m=before,
-                error_after_m=float(error),
-                scan=scan,
-            )
+    found = [
+        NextPlane(
+            plane=plane,
+            azimuth_deg=azimuth,
+            elevation_deg=elevation,
+            seconds=seconds,
+            error_m=before,
+            error_after_m=float(error),
+            scanner=scanner,
+            spacing_m=spacing_m,
         )
+        for plane, (azimuth, elevation, seconds), error in zip(
+            candidates, about, after, strict=True
+        )
+    ]
     best: dict[tuple[float, float], NextPlane] = {}
     for one in sorted(found, key=lambda one: -one.gain_m_per_minute):
         best.setdefault((one.azimuth_deg, one.elevation_deg), one)  # an extent for each direction
