@@ -92,6 +92,8 @@ def test_help_is_quick_because_nothing_heavy_is_imported():
         ),
         (OSError(errno.EACCES, "Permission denied", "x"), 2, "Permission denied"),
         (MemoryError(), 2, "error: not enough memory"),
+        (SystemError("error return without exception set"), 2, "error: not enough memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory"), 2, "not enough memory"),
         (RuntimeError("first\nsecond"), 1, "internal error: RuntimeError: first second; --debug"),
     ],
 )

@@ -165,7 +165,7 @@ def describe_error(
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT
         return f"interrupted{after_stop}", EXIT_SIGNAL + int(number)
-    if isinstance(error, MemoryError):
+    if _lacks_memory(error):
         detail = f" ({_one_line(error)})" if str(error) else ""
         return (
             f"error: not enough memory{detail}; 'geraf2 info' estimates what a run takes",
@@ -179,6 +179,14 @@ def describe_error(
     return (
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
+    )
+
+
+def _lacks_memory(error: BaseException) -> bool:
+    """Also as torch states it, and NumPy, whose sums then fail without an error of their own."""
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError | SystemError)
+        and any(said in str(error) for said in ("can't allocate memory", "without exception set"))
     )
 
 
