@@ -77,7 +77,8 @@ class Echoes:
         between = cluster_echoes if isinstance(self.body, Cluster) else echoes
         found = between(self.scatterers, *ends)
         total = flashes(tx, rx, up, box, self.wavenumbers) if box else 0.0
-        total = total + self._by_mirrors(ends, [leg.face for leg in paths[0][1:]])
+        if box:
+            total = total + self._by_mirrors(ends, [leg.face for leg in paths[0][1:]])
         for i, one in enumerate(ends[0]):
             for j, two in enumerate(ends[1]):
                 delay = one.ranges + two.ranges
