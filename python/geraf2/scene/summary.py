@@ -386,9 +386,11 @@ def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
     n_antennas, n_samples = signal.shape
     if n_antennas < 2 * _FLOOR_WINDOW or n_samples < _MIN_FLOOR_SAMPLES:
         return np.zeros(n_antennas, dtype=bool)
-    # Both of one type: NumPy 2 crashes where it has no memory left to cast as it multiplies.
-    window = np.hanning(n_samples + 2)[1:-1].astype(np.complex128)
-    power = np.abs(np.fft.ifft(signal.astype(np.complex128) * window, axis=1)) ** 2
+    window, weighted = np.hanning(n_samples + 2)[1:-1], signal.astype(np.complex128)
+    # By parts: NumPy 2 crashes where it lacks memory for the buffers of a complex product.
+    weighted.real *= window
+    weighted.imag *= window
+    power = np.abs(np.fft.ifft(weighted, axis=1)) ** 2
     floor = np.partition(power, n_samples // 4, axis=1)[:, n_samples // 4]
     # scipy.ndimage has the same as median_filter, and takes 0.2 s to import.
     padded = np.pad(floor, _FLOOR_WINDOW // 2, mode="edge")
