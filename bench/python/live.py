@@ -1,16 +1,16 @@
 """Scans that grow: stated against achieved F1, when to stop, and the end against `reconstruct`.
 
-    python bench/python/live.py run ROWS SCENE... [--preset fast] [--whole]
+    python bench/python/live.py run ROWS SCENE... [--preset fast] [--every 1] [--whole]
     python bench/python/live.py fit ROWS
     python bench/python/live.py check ROWS
 
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
-and appends a line for each to the file ROWS; scenes that are there are left out. With `--whole`,
-the last line of a scene compares the end with `reconstruct`, of the planes as they were added and
-in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py, with an offset and a
-slope, every scene with the same weight. `check` states how often the interval holds the score, what
-a stop at a target reaches, with how many planes more than the first scan that reaches it, and the
-time of an update in the first and the last quarter of the planes.
+and appends a line for every N-th to the file ROWS; scenes that are there are left out. With
+`--whole`, the last line of a scene compares the end with `reconstruct`, of the planes as they were
+added and in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py, with an
+offset and a slope, every scene with the same weight. `check` states how often the interval holds
+the score, what a stop at a target reaches, with how many planes more than the first scan that
+reaches it, and the time of an update in the first and the last quarter of the planes.
 """
 
 import argparse
@@ -45,7 +45,7 @@ def f1_of(mesh, truth) -> float:
     return float(scores[0].f1)
 
 
-def run(rows: Path, scene: Path, preset: str, is_whole: bool) -> None:
+def run(rows: Path, scene: Path, preset: str, every: int, is_whole: bool) -> None:
     capture, truth = geraf2.load_capture(scene), read_mesh(scene / "truth.ply")
     order = even_order(len(capture.poses))
     with (
@@ -61,6 +61,8 @@ def run(rows: Path, scene: Path, preset: str, is_whole: bool) -> None:
         for number, index in enumerate(order, start=1):
             start = time.perf_counter(), time.process_time()
             session.add(capture.poses[index])
+            if number % every:
+                continue
             try:
                 mesh = session.result.content_mesh
             except UserError as error:
@@ -162,13 +164,14 @@ def main() -> None:
     parser.add_argument("rows", type=Path)
     parser.add_argument("scenes", type=Path, nargs="*")
     parser.add_argument("--preset", default="fast")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="planes an update")
     parser.add_argument("--whole", action="store_true", help="compare the end with reconstruct")
     given = parser.parse_args()
     if given.what == "run":
         known = given.rows.read_text() if given.rows.exists() else ""
         for scene in given.scenes:
             if f'"scene": "{scene.name}", "preset": "{given.preset}"' not in known:
-                run(given.rows, scene, given.preset, given.whole)
+                run(given.rows, scene, given.preset, given.every, given.whole)
     else:
         {"fit": fit, "check": check}[given.what](given.rows)
 
