@@ -5,12 +5,14 @@
 
 `run` puts the objects of the population (`geraf2.simulation.population`) into 0.3 m parcels between
 two side arrays and one above, each of four cascades, with a fourth array on the line of the left
-one. It appends a line for each object and case to the file ROWS. `show` prints the mean of each
-case beside the figure that is asked for. Cases: `ideal`; `moved`, the speed wrong by 1 %, vibration
-of 0.2 mm, yaw of 2 degrees over the travel; `blind`, the same without an encoder.
+one. It appends a line for each object and case to the file ROWS, and continues after a stop. `show`
+prints the mean of each case beside the figure that is asked for. Cases: `ideal`; `moved`, the speed
+wrong by 1 %, vibration of 0.2 mm, yaw of 2 degrees over the travel; `blind`, the same without an
+encoder.
 """
 
 import argparse
+import itertools
 import json
 import time
 from pathlib import Path
@@ -29,6 +31,7 @@ CASES = {
     "moved": MOVED | {"encoder_jitter_m": 0.00005},
     "blind": MOVED | {"encoder": False},
 }
+KEYS = ("seed", "case", "world", "preset")
 SIDES = [{"side": side, "n_boards": 4, "row_m": 0.005} for side in ("left", "right", "above")]
 ARRAYS = [*SIDES, {"name": "speed", "side": "left", "station_m": 0.3, "row_m": 0.005}]
 
@@ -88,12 +91,14 @@ def row_of(scores, motion, spec) -> dict:
 
 
 def run(rows: Path, seeds: list[int], cases: list[str], world: str, presets: list[str]) -> None:
+    lines = rows.read_text().splitlines() if rows.exists() else []
+    done = {tuple(json.loads(line)[key] for key in KEYS) for line in lines}
     with rows.open("a", buffering=1) as file:
-        for seed in seeds:
-            for case in cases:
-                for row in measured(seed, case, world, presets):
-                    print(json.dumps(row), flush=True)
-                    file.write(json.dumps(row) + "\n")
+        for seed, case in itertools.product(seeds, cases):
+            left = [preset for preset in presets if (seed, case, world, preset) not in done]
+            for row in measured(seed, case, world, left) if left else ():
+                print(json.dumps(row), flush=True)
+                file.write(json.dumps(row) + "\n")
 
 
 def show(rows: Path) -> None:

@@ -58,6 +58,13 @@ class BeltArraySpec(Bounded):
         shift = np.array([1.0, 0.0]) * shifts[:, None, None]
         return (tx + shift).reshape(-1, 2), (rx + shift).reshape(-1, 2), np.tile(turn, len(shifts))
 
+    def n_antennas_of_board(self) -> tuple[int, int]:
+        """Transmitters and receivers of a board, whether they are recorded or not."""
+        if self.tx_m:
+            return len(set(self.tx_m)), len(set(self.rx_m))
+        board = find_array(self.board)
+        return len(board.tx), len(board.rx)
+
 
 @dataclass(frozen=True, kw_only=True)
 class BeltSpec(Bounded):

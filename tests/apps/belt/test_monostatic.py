@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.belt.monostatic import at_midpoints, stretching
+from geraf2.apps.belt.monostatic import at_midpoints, midpoint_error_m, stretching
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.belt_file import BeltStation
 from geraf2.records import Pose
@@ -71,3 +71,14 @@ def test_antennas_beside_each_other_are_kept():
     rows = tuple((0.004 * k, 0.0005) for k in range(-3, 4))
     others = tuple((across, -along) for across, along in rows)
     assert stretching(cascade(tx_m=rows, rx_m=others), AWR1843) is None
+
+
+def test_the_error_of_midpoints_grows_with_the_square_of_their_distance():
+    def error_m(half):
+        rows = 0.005 * np.arange(-30, 31)
+        tx, rx = (tuple((row + end, 0.0) for row in rows) for end in (half, -half))
+        return midpoint_error_m(cascade(tx_m=tx, rx_m=rx))
+
+    assert error_m(0.0) == pytest.approx(0.0, abs=1e-12)
+    assert error_m(0.04) == pytest.approx(4.0 * error_m(0.02), rel=0.05)
+    assert error_m(0.02) == pytest.approx(5.5e-5, rel=0.1)

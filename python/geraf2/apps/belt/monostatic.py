@@ -10,6 +10,7 @@ left, 0.1 mm for h = 2 cm, r = 0.35 m and 20 degrees. Stretching moves the band 
 the carrier: a share of the bandwidth is lost, not the phase.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.io.belt_file import BeltStation
+from geraf2.io.belt_file import BeltRecord, BeltStation
 from geraf2.records import Pose, Waveform
 
 _OVERSAMPLING = 4
@@ -27,6 +28,10 @@ _LEAST_RANGE_M = 0.1
 _MOST_MOVED_M = 4e-3
 # Excess up to which a midpoint is as good: 19 degrees of two-way phase at 77 GHz is 0.1 mm [m].
 NEGLIGIBLE_M = 1e-5
+# Half sides of a parcel's content over the distance of the array; points along each.
+_CONTENT, _N_CONTENT = 0.3, 5
+# Rms error of the half path at which an array loses a fifth of its power (Marechal) [wavelengths].
+_MOST_ERROR = 1.0 / 28.0
 
 
 def excess_m(tx: Floats, rx: Floats, ranges_m: Floats) -> Floats:
@@ -41,6 +46,36 @@ def excess_m(tx: Floats, rx: Floats, ranges_m: Floats) -> Floats:
     points = middles[:, None] + far[:, None] * toward[:, None]
     paths = [np.linalg.norm(points - ends[:, None], axis=2) for ends in (tx, rx)]
     return np.asarray(0.5 * (paths[0] + paths[1]) - far)
+
+
+def midpoint_error_m(array: BeltStation) -> float:
+    """Rms error of the range from the midpoints, over channels and content [m].
+
+    Of the half path via points of a cube about the middle of the belt, less that which
+    :func:`stretching` subtracts. Its half sides are 0.3 times the distance of the array.
+    """
+    tx, rx = np.array(array.tx_m), np.array(array.rx_m)
+    middles = 0.5 * (tx + rx)
+    half_m = _CONTENT * float(np.linalg.norm(middles[:, 1:].mean(axis=0)))
+    along = np.linspace(-half_m, half_m, _N_CONTENT)
+    points = np.stack(np.meshgrid(array.station_m + along, along, along), axis=-1).reshape(-1, 3)
+    range_, *paths = (np.linalg.norm(points - end[:, None], axis=2) for end in (middles, tx, rx))
+    known = [excess_m(t[None], r[None], own)[0] for t, r, own in zip(tx, rx, range_, strict=True)]
+    return float(np.sqrt(np.mean((0.5 * (paths[0] + paths[1]) - range_ - known) ** 2)))
+
+
+def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
+    """Yield a line for each array whose midpoints err by more than 1/28 of the wavelength."""
+    most_m = _MOST_ERROR * waveform.center_wavelength_m
+    for array in record.arrays:
+        error_m = midpoint_error_m(array)
+        if error_m > most_m:
+            apart = np.linalg.norm(np.subtract(array.tx_m, array.rx_m), axis=1).max()
+            yield (
+                f"array {array.name}: transmitters and receivers are up to {1e3 * apart:.0f} mm "
+                f"apart, ranges from their midpoints err by {1e3 * error_m:.2f} mm, expected at "
+                f"most {1e3 * most_m:.2f} mm"
+            )
 
 
 def stretching(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] | None:

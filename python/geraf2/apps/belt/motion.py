@@ -10,7 +10,7 @@ for positions c, directions u and ranges R of two sub-apertures. Errors of the r
 s (a + b s) along the belt and the rotation by p s, displace c_2 and c_1 by different amounts.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
@@ -113,6 +113,19 @@ def common_lines(record: BeltRecord, poses: dict[str, Pose]) -> list[Line]:
     record: the belt. poses: all frames of each array, by its name, antennas at midpoints.
     """
     found = []
+    for *pair, rows in pairs_on_a_line(record):
+        kept = tuple(
+            _rows_of(array, poses[array.name], own) for array, own in zip(pair, rows, strict=True)
+        )
+        arrays, planes = zip(*kept, strict=True)
+        found.append(Line(arrays=arrays, poses=planes))
+    return found
+
+
+def pairs_on_a_line(
+    record: BeltRecord,
+) -> Iterator[tuple[BeltStation, BeltStation, tuple[Ints, Ints]]]:
+    """Yield arrays that pass the same positions, and which channels of each do."""
     for one, other in combinations(record.arrays, 2):
         if abs(one.station_m - other.station_m) < _LEAST_APART_M:
             continue
@@ -122,13 +135,7 @@ def common_lines(record: BeltRecord, poses: dict[str, Pose]) -> list[Line]:
             for k in (0, 1)
         ]
         if min(int(keep.sum()) for keep in near) > 1:
-            kept = tuple(
-                _rows_of(array, poses[array.name], np.flatnonzero(keep))
-                for array, keep in zip((one, other), near, strict=True)
-            )
-            arrays, planes = zip(*kept, strict=True)
-            found.append(Line(arrays=arrays, poses=planes))
-    return found
+            yield one, other, (np.flatnonzero(near[0]), np.flatnonzero(near[1]))
 
 
 def _rows_of(array: BeltStation, pose: Pose, channels: Ints) -> tuple[BeltStation, Pose]:

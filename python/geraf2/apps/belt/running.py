@@ -19,12 +19,13 @@ from geraf2.apps.batch.folder import BAD_INPUT, DONE, KILLED, BatchFolder, JobPa
 from geraf2.apps.batch.page import write_last
 from geraf2.apps.batch.running import if_lost
 from geraf2.apps.belt.cutting import Cutter, Span
+from geraf2.apps.belt.monostatic import far_apart
 from geraf2.apps.belt.parcel import cut_parcel
 from geraf2.apps.belt.store import DATABASE_NAME, PAGE_NAME, ParcelStore
 from geraf2.apps.live.sources import SceneSource
 from geraf2.errors import UserError
 from geraf2.io.belt_file import is_belt, read_belt
-from geraf2.io.container import is_scene
+from geraf2.io.container import SceneReader, is_scene
 from geraf2.io.outputs import require_folder
 from geraf2.pipeline.presets import PresetConfig, preset_type
 
@@ -165,6 +166,9 @@ class _Line:
         """Cut and reconstruct some parcels."""
         if self.client is None:
             self.start = time.monotonic()
+            waveform = SceneReader(self.stream).manifest.waveform
+            for line in far_apart(read_belt(self.stream), waveform):
+                self.on_line(line)
             self.client = self.stack.enter_context(connected(self.options, 0.0))
             require_workers(self.client)
         for span in spans:
