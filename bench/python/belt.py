@@ -8,13 +8,16 @@ two side arrays and one above, each of four cascades, with a fourth array on the
 one. It appends a line for each object and case to the file ROWS, and continues after a stop. `show`
 prints the mean of each case beside the figure that is asked for. Cases: `ideal`; `moved`, the speed
 wrong by 1 %, vibration of 0.2 mm, yaw of 2 degrees over the travel; `blind`, the same without an
-encoder.
+encoder. In the case `ideal` a part of the arrays is reconstructed, too: the left one, and both
+sides.
 """
 
 import argparse
 import itertools
 import json
 import time
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +26,7 @@ import geraf2
 from geraf2.apps.belt.parcel import parcel_scan
 from geraf2.simulation import simulate
 from geraf2.simulation.belt import belt_record
+from geraf2.simulation.simulate import recorded_planes
 from geraf2.simulation.spec import parse_spec
 
 MOVED = {"speed_error": 0.01, "vibration_rms_m": 0.0002, "yaw_drift_deg": 2.0}
@@ -31,8 +35,10 @@ CASES = {
     "moved": MOVED | {"encoder_jitter_m": 0.00005},
     "blind": MOVED | {"encoder": False},
 }
-KEYS = ("seed", "case", "world", "preset")
+KEYS = ("seed", "case", "world", "preset", "arrays")
 SIDES = [{"side": side, "n_boards": 4, "row_m": 0.005} for side in ("left", "right", "above")]
+ALL = "left+right+above+speed"
+PARTS = ("left+speed", "left+right+speed")
 ARRAYS = [*SIDES, {"name": "speed", "side": "left", "station_m": 0.3, "row_m": 0.005}]
 
 
@@ -54,16 +60,37 @@ def spec_of(seed: int, case: str, world: str):
     )
 
 
-def measured(seed: int, case: str, world: str, presets: list[str]):
-    """Yield a row for each preset."""
+@lru_cache(maxsize=1)
+def simulated(seed: int, case: str, world: str):
+    return simulate(spec_of(seed, case, world), seed=seed, num_threads=1)
+
+
+def recorded(seed: int, case: str, world: str, arrays: str):
+    """Capture and belt of some arrays, the object, and the spec.
+
+    A parcel moves alike whether an encoder records it or not.
+    """
     spec = spec_of(seed, case, world)
-    recorded, truth = simulate(spec, seed=seed, num_threads=1)
+    capture, truth = simulated(seed, "ideal" if case == "ideal" else "moved", world)
+    poses = [
+        replace(pose, tx_positions=plane.tx, rx_positions=plane.rx)
+        for pose, plane in zip(capture.poses, recorded_planes(spec, seed)[0], strict=True)
+        if pose.name.rpartition("/")[0] in arrays.split("+")
+    ]
+    belt = belt_record(spec.belt)
+    kept = tuple(array for array in belt.arrays if array.name in arrays.split("+"))
+    return replace(capture, poses=tuple(poses)), replace(belt, arrays=kept), truth, spec
+
+
+def measured(seed: int, case: str, world: str, presets: list[str], arrays: str):
+    """Yield a row for each preset."""
+    capture, belt, truth, spec = recorded(seed, case, world, arrays)
     start = time.process_time()
-    scan, motion = parcel_scan(recorded, belt_record(spec.belt), num_threads=1)
+    scan, motion = parcel_scan(capture, belt, num_threads=1)
     cut_s = time.process_time() - start
     for preset in presets:
         start = time.process_time()
-        about = {"seed": seed, "case": case, "world": world, "preset": preset}
+        about = dict(zip(KEYS, (seed, case, world, preset, arrays), strict=True))
         try:
             result = geraf2.reconstruct(scan, None, preset, num_threads=1)
         except geraf2.UserError as error:
@@ -71,7 +98,7 @@ def measured(seed: int, case: str, world: str, presets: list[str]):
             continue
         cpu_s = cut_s + time.process_time() - start
         scores = geraf2.evaluate(result, truth, report=False, num_threads=1)
-        yield about | row_of(scores, motion, spec) | {"cpu_s": cpu_s}
+        yield about | row_of(scores, motion, spec) | {"cpu_s": cpu_s, "cut_s": cut_s}
 
 
 def row_of(scores, motion, spec) -> dict:
@@ -90,13 +117,17 @@ def row_of(scores, motion, spec) -> dict:
     }
 
 
-def run(rows: Path, seeds: list[int], cases: list[str], world: str, presets: list[str]) -> None:
+def run(given: argparse.Namespace) -> None:
+    rows: Path = given.rows
     lines = rows.read_text().splitlines() if rows.exists() else []
     done = {tuple(json.loads(line)[key] for key in KEYS) for line in lines}
     with rows.open("a", buffering=1) as file:
-        for seed, case in itertools.product(seeds, cases):
-            left = [preset for preset in presets if (seed, case, world, preset) not in done]
-            for row in measured(seed, case, world, left) if left else ():
+        for seed, case, arrays in itertools.product(given.seeds, given.cases, (ALL, *PARTS)):
+            if arrays in PARTS and case != "ideal":
+                continue
+            about = seed, case, given.world
+            left = [own for own in given.presets if (*about, own, arrays) not in done]
+            for row in measured(*about, left, arrays) if left else ():
                 print(json.dumps(row), flush=True)
                 file.write(json.dumps(row) + "\n")
 
@@ -111,10 +142,11 @@ def show(rows: Path) -> None:
         "within_two": "0.95",
         "cpu_s": "10",
     }
-    for preset, case in sorted({(line["preset"], line["case"]) for line in lines}):
-        own = [line for line in lines if (line["preset"], line["case"]) == (preset, case)]
+    kinds = ("preset", "case", "world", "arrays")
+    for kind in sorted({tuple(line[key] for key in kinds) for line in lines}):
+        own = [line for line in lines if tuple(line[key] for key in kinds) == kind]
         good = [line for line in own if "error" not in line]
-        print(f"{preset}, {case}: {len(good)} of {len(own)} parcels")
+        print(f"{', '.join(kind)}: {len(good)} of {len(own)} parcels")
         if not good:
             continue
         for name, asked in names.items():
@@ -140,7 +172,7 @@ def main() -> None:
     if given.action == "show":
         show(given.rows)
     else:
-        run(given.rows, given.seeds, given.cases, given.world, given.presets)
+        run(given)
 
 
 if __name__ == "__main__":

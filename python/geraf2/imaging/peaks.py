@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 
 from geraf2._types import Bools, Floats, Ints, Progress
+from geraf2.imaging.bistatic import common_half_baseline, seen_from_midpoints
 from geraf2.imaging.subapertures import PoseImages, SubapertureConfig, pose_images
 from geraf2.ops.subaperture import subaperture_peaks
 from geraf2.scene import Capture, LosPrior, Pose
@@ -239,10 +240,16 @@ def _peaks_of(
     )
     tops = np.zeros(len(centers))
     np.maximum.at(tops, found.subapertures, found.magnitudes)
+    directions, ranges_m = directions_at(found.cosines, pose.axes), found.ranges_m
+    half_m = common_half_baseline(pose)
+    if half_m is not None:
+        own = found.subapertures
+        places = centers[own], images.subapertures.focus[own]
+        ranges_m, directions = seen_from_midpoints(ranges_m, directions, *places, half_m, pose.axes)
     return PeakSet(
         subapertures=found.subapertures,
-        directions=directions_at(found.cosines, pose.axes),
-        ranges_m=found.ranges_m,
+        directions=directions,
+        ranges_m=ranges_m,
         magnitudes=found.magnitudes,
         noise=found.noise,
         subaperture_centers=centers,

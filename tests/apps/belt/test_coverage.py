@@ -23,7 +23,7 @@ station_m = 0.3
 [[belt.arrays]]
 side = "above"
 tx_m = [[-0.2, 0.0], [0.0, 0.0]]
-rx_m = [[0.0, 0.0], [0.2, 0.0]]
+rx_m = [[0.0, 0.0], [0.3, 0.0]]
 """
 
 
@@ -62,7 +62,7 @@ def test_a_plan_prints_what_each_array_adds(tmp_path, capsys):
     assert "left            4     16     12 %  right, above, below" in shown.out
     assert "+ speed         5     20     12 %  right, above, below" in shown.out
     assert "from left and speed" in shown.out
-    assert "array above: transmitters and receivers are up to 200 mm apart" in shown.err
+    assert "array above: baselines of up to 300 mm that differ" in shown.err
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["arrays"][0]["n_chips"] == 16
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.belt.monostatic import at_midpoints, midpoint_error_m, stretching
+from geraf2.apps.belt.monostatic import at_midpoints, far_apart, midpoint_error_m, stretching
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.belt_file import BeltStation
 from geraf2.records import Pose
@@ -71,6 +71,17 @@ def test_antennas_beside_each_other_are_kept():
     rows = tuple((0.004 * k, 0.0005) for k in range(-3, 4))
     others = tuple((across, -along) for across, along in rows)
     assert stretching(cascade(tx_m=rows, rx_m=others), AWR1843) is None
+
+
+def test_images_take_account_of_one_baseline_of_all_channels():
+    tx, rx = (tuple((0.005 * k + end, 0.0) for k in range(-9, 10)) for end in (0.1, -0.1))
+    array = cascade(tx_m=tx, rx_m=rx)
+    assert stretching(array, AWR1843) is None
+    record = belt_record(BeltSpec(arrays=(BeltArraySpec(side="left", tx_m=tx, rx_m=rx),)))
+    assert list(far_apart(record, AWR1843)) == []
+    mixed = BeltArraySpec(side="left", tx_m=tx, rx_m=tuple((2.0 * a, b) for a, b in rx))
+    (line,) = far_apart(belt_record(BeltSpec(arrays=(mixed,))), AWR1843)
+    assert "baselines of up to 345 mm that differ" in line
 
 
 def test_the_error_of_midpoints_grows_with_the_square_of_their_distance():

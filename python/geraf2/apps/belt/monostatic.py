@@ -64,29 +64,35 @@ def midpoint_error_m(array: BeltStation) -> float:
     return float(np.sqrt(np.mean((0.5 * (paths[0] + paths[1]) - range_ - known) ** 2)))
 
 
+def _is_common(array: BeltStation) -> bool:
+    """Whether all channels have the same baseline."""
+    return bool(np.ptp(np.subtract(array.tx_m, array.rx_m), axis=0).max() < NEGLIGIBLE_M)
+
+
 def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
     """Yield a line for each array whose midpoints err by more than 1/28 of the wavelength."""
     most_m = _MOST_ERROR * waveform.center_wavelength_m
     for array in record.arrays:
-        error_m = midpoint_error_m(array)
+        error_m = 0.0 if _is_common(array) else midpoint_error_m(array)
         if error_m > most_m:
             apart = np.linalg.norm(np.subtract(array.tx_m, array.rx_m), axis=1).max()
             yield (
-                f"array {array.name}: transmitters and receivers are up to {1e3 * apart:.0f} mm "
-                f"apart, ranges from their midpoints err by {1e3 * error_m:.2f} mm, expected at "
-                f"most {1e3 * most_m:.2f} mm"
+                f"array {array.name}: baselines of up to {1e3 * apart:.0f} mm that differ, ranges "
+                f"from the midpoints err by {1e3 * error_m:.2f} mm, expected at most "
+                f"{1e3 * most_m:.2f} mm"
             )
 
 
 def stretching(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] | None:
     """Matrices that turn samples into those at the midpoints, (n_channels, n_samples, n_samples).
 
-    None where transmitters and receivers are so close that midpoints are exact.
+    None where transmitters and receivers are so close that midpoints are exact, or where all
+    channels have one baseline, of which images take account (:mod:`geraf2.imaging.bistatic`).
     """
     n = waveform.n_samples
     ranges = waveform.unambiguous_range_m * np.arange(_OVERSAMPLING * n) / (_OVERSAMPLING * n)
     excess = excess_m(np.array(array.tx_m), np.array(array.rx_m), ranges)
-    if np.abs(excess).max() < NEGLIGIBLE_M:
+    if np.abs(excess).max() < NEGLIGIBLE_M or _is_common(array):
         return None
     k = 2.0 * np.pi * waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
     back = np.exp(-2j * np.outer(k, ranges)) / len(ranges)

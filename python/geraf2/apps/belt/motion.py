@@ -319,7 +319,9 @@ def _focused(
         if len(own) < _LEAST_PAIRS:
             continue
         apart = np.linalg.norm(antennas[own] - centers[number], axis=1) / size_m
-        path = 2.0 * np.linalg.norm(antennas[own] - points[number], axis=1) + waveform.path_bias_m
+        path = np.linalg.norm(pose.tx_positions[own] - points[number], axis=1)
+        path += np.linalg.norm(pose.rx_positions[own] - points[number], axis=1)
+        path += waveform.path_bias_m
         weight = np.cos(np.pi * apart) ** 2
         sums[number] = weight @ response_at(pose.signal[own], path, waveform)
     return sums
