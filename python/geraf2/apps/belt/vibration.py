@@ -23,8 +23,8 @@ from geraf2.scene import Capture, LosPrior
 
 _PEAKS = SubapertureConfig(step_m=0.03, direction_oversampling=2.0)
 _MARGIN_DB = 18.0
-# Distance of the spline's knots: a vibration of 25 Hz at 0.5 m/s has a period of 2 cm [m].
-_KNOT_M = 0.01
+# Distance of the spline's knots: four for the 2 cm of a vibration of 25 Hz at 0.5 m/s [m].
+_KNOT_M = 0.005
 _SIGMA_M = 3e-4
 # Strongest echoes that are used in each piece of travel, and its length [m].
 _N_STRONG, _PIECE_M = 8, 0.03
