@@ -1,6 +1,6 @@
 """Captures of bodies whose echo is that of Maxwell's equations, beside the specs of their twins.
 
-    OMP_NUM_THREADS=1 python bench/full_wave/captures.py OUT [--only ball cup] [--jobs 1]
+    OMP_NUM_THREADS=1 python bench/full_wave/captures.py OUT [--only ball cup]
 
 Makes OUT/NAME/scene, a scene folder with its truth, and OUT/NAME/twin.toml with truth.ply, the spec
 from which `geraf2 simulate` makes the same scan by physical optics. `geraf2 benchmark OUT2 --only

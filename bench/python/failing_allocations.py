@@ -16,6 +16,7 @@ import argparse
 import ctypes
 import io
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -136,6 +137,8 @@ def main() -> int:
     chosen = parser.parse_args()
     if chosen.every < 1 or chosen.first < 0 or chosen.least_kb < 0:
         parser.error("--every is at least 1, --first and --least-kb at least 0")
+    if shutil.which(os.environ.get("CC", "cc")) is None:
+        parser.error("no C compiler; name one in CC")
     with tempfile.TemporaryDirectory(prefix="allocations-") as folder:
         return trials(Path(folder), chosen) if LIBRARY in os.environ else start_again(folder)
 

@@ -18,7 +18,7 @@ def _run(project_root, *flags):
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.skipif(sys.platform != "linux", reason="needs glibc")
 def test_a_failed_allocation_is_one_line_and_the_run_can_be_continued(project_root):
-    done = _run(project_root, "--every", "16")
+    done = _run(project_root, "--every", "24")
     assert done.returncode == 0, done.stdout + done.stderr
     said = done.stdout.splitlines()[-1]
     assert "0 wrong" in said
