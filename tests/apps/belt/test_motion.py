@@ -109,4 +109,5 @@ def test_a_vibration_is_found_frame_by_frame():
     smooth = np.ones(15) / 15.0
     rest, whole = (v - np.convolve(v, smooth, "same") for v in (found_m - vibration, vibration))
     inner = slice(15, -15)
-    assert rest[inner].std() < 0.7 * whole[inner].std()
+    # Two knots for the shortest period leave 0.58.
+    assert rest[inner].std() < 0.4 * whole[inner].std()
