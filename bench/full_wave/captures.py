@@ -199,6 +199,8 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--only", nargs="*", choices=BODIES, default=list(BODIES))
     chosen = parser.parse_args()
+    if chosen.out.is_file():
+        parser.error(f"{chosen.out} is a file, expected a folder")
     for name in chosen.only:
         make(name, chosen.out)
 
