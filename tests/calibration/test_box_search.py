@@ -7,7 +7,8 @@ import pytest
 
 from geraf2 import examples
 from geraf2.calibration import box_search
-from geraf2.calibration.box_search import Flashes, pair_distance_m, rough_faces
+from geraf2.calibration.box_search import Flashes, rough_faces
+from geraf2.echoes.wall_delay import pair_distance_m
 
 HALF_M = np.array([0.08, 0.10, 0.09])
 REACH_M = 0.4
@@ -148,14 +149,14 @@ def test_counts_are_the_sum_of_flashes_over_offset_and_level():
     near, far = flashes.counts(normal, 150)
     for counts, kind in ((near, False), (far, True)):
         expected = np.zeros_like(counts.density)
-        offsets = box_search._OFFSET_STEP_M * (0.5 + np.arange(len(expected)))
-        levels = box_search._LEVEL_STEP_DB * (0.5 + np.arange(expected.shape[1]) - 20)
+        offsets = box_search.OFFSET_STEP_M * (0.5 + np.arange(len(expected)))
+        levels = box_search.LEVEL_STEP_DB * (0.5 + np.arange(expected.shape[1]) - 20)
         for k in np.flatnonzero((flashes.far == kind) & (flashes.offsets_m > 0.0)):
             angle = np.arccos(min(flashes.normals[k] @ normal, 1.0))
-            if angle < box_search._MAX_ANGLE_RAD:
-                offset = (offsets - flashes.offsets_m[k]) / box_search._OFFSET_SIGMA_M
+            if angle < box_search.MAX_ANGLE_RAD:
+                offset = (offsets - flashes.offsets_m[k]) / box_search.OFFSET_SIGMA_M
                 level = (levels - flashes.levels_db[k]) / box_search._LEVEL_SIGMA_DB
-                weight = 1.0 - (angle / box_search._MAX_ANGLE_RAD) ** 2
+                weight = 1.0 - (angle / box_search.MAX_ANGLE_RAD) ** 2
                 expected += weight * np.exp(-0.5 * np.add.outer(offset**2, level**2))
         assert expected.max() > 5.0
         assert np.abs(counts.density - expected).max() < 0.02 * expected.max()

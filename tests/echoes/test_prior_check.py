@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from geraf2.echoes.prior_check import locate_echoes, require_echoes_inside
+from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
@@ -48,6 +49,17 @@ def test_a_small_box_has_echoes_in_front(capture):
 def test_a_box_elsewhere_does_not_contain_the_scene(capture):
     with pytest.raises(UserError, match="does not contain the scene"):
         require(capture, box(0.06, (0.0, 0.0, 0.12)), "los.ply")
+
+
+@pytest.mark.parametrize(("partner", "is_wall"), [(True, True), (False, False)])
+def test_the_nearer_of_two_echoes_of_a_wall_is_not_in_front(partner, is_wall):
+    half_m = 0.9 * pair_distance_m(WAVEFORM)
+    outer = TARGETS * (0.05 + half_m) / 0.05
+    inner = TARGETS * (0.05 - half_m) / 0.05
+    targets = np.concatenate([outer, inner]) if partner else outer
+    scan = point_capture(4, n_side=40, spacing_m=0.003, targets=targets)
+    in_front = found_in(scan, box(0.1)).in_front
+    assert (in_front < 0.15) == is_wall
 
 
 def test_no_echo_is_reported_by_the_search_for_glints(capture):

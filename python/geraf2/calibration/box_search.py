@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import WallMiddles
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -383,18 +383,6 @@ def _faces_of(search: _Search, best: _Hypothesis) -> RoughFaces:
         level_db=LEVEL_STEP_DB * (best.level + 1 - N_LEVELS),
         score=best.score,
     )
-
-
-def pair_distance_m(waveform: Waveform) -> float:
-    """Distance from a wall of its two echoes, if its faces cancel at the middle of the band [m].
-
-    The echo is then proportional to the frequency's distance from the middle.
-    """
-    frequencies = waveform.frequencies_hz - waveform.frequencies_hz.mean()
-    echo = np.hanning(waveform.n_samples + 2)[1:-1] * frequencies
-    ranges = np.linspace(0.0, 3.0 * waveform.range_cell_m, 301)
-    turns = 2.0 / SPEED_OF_LIGHT_M_PER_S * np.outer(ranges, frequencies)
-    return float(ranges[np.abs(np.exp(2j * np.pi * turns) @ echo).argmax()])
 
 
 def explained(

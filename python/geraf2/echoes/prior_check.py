@@ -6,10 +6,12 @@ it show that it does not contain the scene.
 """
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
 from geraf2._types import Bools, Floats
+from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.peaks import PeakSet, grating_lobes
@@ -22,11 +24,15 @@ _MARGIN_M = 0.015
 # Largest shares of the echo energy in front of the box, and outside of it, where a turntable or a
 # stand may add to it. Properties of a radar in front of a carton; a box that is right within 10 mm
 # has no such energy.
-# Possible grating lobes of a bulged wall's flash do not count.
+# Possible grating lobes of a bulged wall's flash do not count, nor the nearer one of the two echoes
+# of a wall whose faces cancel.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
 # Least cosine between the wall's normal and its specular return, for a bulged or tilted wall.
 _SQUARE = 0.966
+# Distances of the two echoes of such a wall over those without loss, and largest difference of
+# their directions [rad].
+_PAIR_SHARES, _SAME_RAD = (0.65, 1.1), 0.06
 # Level above side lobes and far clutter, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = 15.0
 
@@ -64,7 +70,8 @@ def locate_echoes(
     near = -scene.signed_distance(points) > -_MARGIN_M
     hit, _ = scene.closest_hit(strong.centers, strong.directions)
     before = np.flatnonzero(~near & (strong.ranges_m < hit) & np.isfinite(hit))
-    flashes = _maybe_flashes(capture, prior, strong.select(before), scene)
+    half_m = _half_pairs_m(strong, pair_distance_m(capture.waveform))[before]
+    flashes = _maybe_flashes(capture, prior, strong.select(before), half_m, scene)
     front = np.zeros(len(strong), dtype=bool)
     near[before], front[before] = flashes, ~flashes
     total = float(energy.sum())
@@ -77,20 +84,43 @@ def locate_echoes(
     )
 
 
-def _maybe_flashes(capture: Capture, prior: LosPrior, peaks: PeakSet, scene: MeshScene) -> Bools:
-    """Mask of peaks that may be grating lobes of a wall's specular return, (n,)."""
+def _half_pairs_m(peaks: PeakSet, pair_m: float) -> Floats:
+    """Half the distance to an echo behind each peak that may be its wall's other one, (n,) [m].
+
+    0 without such an echo. pair_m: distance of each echo from the wall, without loss [m].
+    """
+    half = np.zeros(len(peaks))
+    for number in np.unique(peaks.subapertures):
+        own = np.flatnonzero(peaks.subapertures == number)
+        behind = 0.5 * (peaks.ranges_m[own] - peaks.ranges_m[own, None])
+        apart = (behind > _PAIR_SHARES[0] * pair_m) & (behind < _PAIR_SHARES[1] * pair_m)
+        apart &= peaks.directions[own] @ peaks.directions[own].T > np.cos(_SAME_RAD)
+        half[own] = np.where(apart, behind, 0.0).max(axis=1)
+    return half
+
+
+def _maybe_flashes(
+    capture: Capture, prior: LosPrior, peaks: PeakSet, half_m: Floats, scene: MeshScene
+) -> Bools:
+    """Mask of peaks that may be a wall's specular return, or its grating lobe, (n,).
+
+    half_m: distance by which each may be nearer than its wall, (n,) [m].
+    """
     normals = unit_normals(prior.vertices[prior.faces])
     found = np.zeros(len(peaks), dtype=bool)
     for number in np.unique(peaks.planes):
         own = np.flatnonzero(peaks.planes == number)
         of_plane = peaks.select(own)
         periods = of_plane.periods[of_plane.subapertures[0]]
-        for others in grating_lobes(of_plane.directions, capture.poses[number].axes, periods):
+        lobes = grating_lobes(of_plane.directions, capture.poses[number].axes, periods)
+        for others in chain([of_plane.directions], lobes):
             known = np.asarray(np.isfinite(others).all(axis=1))
             candidates, ahead = of_plane.select(known), others[known]
             path, face = scene.closest_hit(candidates.centers, ahead)
             square = np.abs(np.einsum("ij,ij->i", normals[face], ahead)) > _SQUARE
-            found[own[known]] |= square & (np.abs(path - candidates.ranges_m) < _MARGIN_M)
+            off = path - candidates.ranges_m
+            near = np.minimum(np.abs(off), np.abs(off - half_m[own[known]])) < _MARGIN_M
+            found[own[known]] |= square & near
     return found
 
 

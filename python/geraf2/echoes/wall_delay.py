@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.geometry.boxes import beyond_sides
 from geraf2.geometry.triangles import unit_normals
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import Wall
+from geraf2.scene import Wall, Waveform
 
 # Largest offset of a wall's own echo from the prior's surface [m], by the wall's thickness and by
 # errors of the prior.
@@ -51,6 +52,18 @@ def box_delay_m(
             crossed = entered & (beyond <= 0.0).all(axis=1)
         total += np.where(crossed, excess, 0.0)
     return total
+
+
+def pair_distance_m(waveform: Waveform) -> float:
+    """Distance from a wall of its two echoes, if its faces cancel at the middle of the band [m].
+
+    The echo is then proportional to the frequency's distance from the middle.
+    """
+    frequencies = waveform.frequencies_hz - waveform.frequencies_hz.mean()
+    echo = np.hanning(waveform.n_samples + 2)[1:-1] * frequencies
+    ranges = np.linspace(0.0, 3.0 * waveform.range_cell_m, 301)
+    turns = 2.0 / SPEED_OF_LIGHT_M_PER_S * np.outer(ranges, frequencies)
+    return float(ranges[np.abs(np.exp(2j * np.pi * turns) @ echo).argmax()])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
