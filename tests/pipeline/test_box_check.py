@@ -58,23 +58,26 @@ def test_a_correct_prior_is_kept(prior, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("prior", "said"),
+    ("prior", "said", "off_m"),
     [
-        (given(SIZE + 0.008), "off by 8.0 mm of size and was"),
-        (given(SIZE - 0.008), "off by 8.0 mm of size and was"),
-        (given(degrees=12.0), "off by 12.0 degrees of rotation and was"),
-        (given(center=(0.02, 0.0, 0.0)), "off by 20.0 mm of position and was"),
+        (given(SIZE + 0.008), "off by 8.0 mm of size and was", 0.008),
+        (given(SIZE - 0.008), "off by 8.0 mm of size and was", 0.008),
+        (given(degrees=12.0), "off by 12.0 degrees of rotation and was", 0.0),
+        (given(center=(0.02, 0.0, 0.0)), "off by 20.0 mm of position and was", 0.02),
     ],
 )
-def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, said, monkeypatch):
+def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, said, off_m, monkeypatch):
     checked = check(prior, a_box(), monkeypatch)
     assert said in checked.text
     axes, size, center = checked.prior.cuboid
     np.testing.assert_allclose(axes, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(size[:2], SIZE[:2])
     np.testing.assert_allclose(center, 0.0, atol=1e-9)
-    # Its height was given, and no face says otherwise.
-    np.testing.assert_allclose(size[2], prior.cuboid[1][2])
+    # Its height was given, and is as uncertain as the sides are off.
+    height = prior.cuboid[1][2]
+    np.testing.assert_allclose(size[2], height + 2.0 * off_m)
+    if off_m:
+        np.testing.assert_allclose(np.ptp(checked.prior.certain[:, 2]), height - 2.0 * off_m)
 
 
 @pytest.mark.parametrize(
@@ -104,12 +107,12 @@ def test_axes_are_assigned_by_matching_sides(monkeypatch):
     assert check(turned, a_box(), monkeypatch).prior is turned
 
 
-def test_a_face_seen_alone_keeps_the_given_size(monkeypatch):
+def test_a_face_seen_alone_keeps_the_given_size_as_uncertain_as_others(monkeypatch):
     found = a_box(seen=((0, 2), (2, 2), (0, 0)))
     checked = check(given((0.306, 0.212, 0.25), (0.0, 0.02, 0.0)), found, monkeypatch)
     _, size, center = checked.prior.cuboid
-    np.testing.assert_allclose(size[:2], [SIZE[0] + 0.006, SIZE[1]])
-    np.testing.assert_allclose(center[:2], [-0.003, 0.0], atol=1e-9)
+    np.testing.assert_allclose(size[:2], [SIZE[0] + 0.006 + 0.012, SIZE[1]])
+    np.testing.assert_allclose(center[:2], [-0.003 - 0.006, 0.0], atol=1e-9)
 
 
 def test_another_box_is_an_error_with_both_sizes(monkeypatch):

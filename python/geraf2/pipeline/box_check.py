@@ -181,6 +181,8 @@ class Difference:
     """Whether a side differs by more than `_OTHER_BOX_M`."""
     is_within: bool
     """Whether all found sides are shorter."""
+    off_m: Floats
+    """Largest difference of a side, and distance of the centres, (2,) [m]."""
     text: str
     """Size of the differences; empty if the prior agrees."""
 
@@ -215,19 +217,27 @@ class Difference:
             both=both,
             is_within=bool((off_size[both] < 0.0).all()),
             is_other=bool((np.abs(off_size[both]) > _OTHER_BOX_M).any()),
+            off_m=np.array([np.abs(off_size[both]).max(initial=0.0), shift]),
             text=", ".join(parts),
         )
 
     def corrected(self, found: FoundBox) -> FoundBox:
-        """Found box with the given size along axes with one face seen at a right angle."""
-        offsets = self.given_offsets_m.copy()
-        square = found.seen == Seen.SQUARELY
-        offsets[square] = found.offsets_m[square]
-        for k in np.flatnonzero(square.any(axis=1) & ~square.all(axis=1)):
-            side = int(square[k].argmax())
-            offsets[k, 1 - side] = self.given_size_m[k] - offsets[k, side]
-        bounds = np.where(square[..., None], found.bounds_m, offsets[..., None])
-        return replace(found, offsets_m=offsets, bounds_m=bounds)
+        """Found box, whose unseen faces are the given ones, as uncertain as the seen ones are off.
+
+        Along an axis with one face seen the given size determines the other one.
+        """
+        is_seen = found.seen != Seen.NOT
+        offsets, off = self.given_offsets_m.copy(), np.full((3, 2), self.off_m.sum())
+        for k in np.flatnonzero(is_seen.any(axis=1) & ~is_seen.all(axis=1)):
+            side = int(is_seen[k].argmax())
+            offsets[k, 1 - side] = self.given_size_m[k] - found.offsets_m[k, side]
+            off[k] = self.off_m[0]
+        bounds = offsets[..., None] + off[..., None] * [-1.0, 1.0]
+        return replace(
+            found,
+            offsets_m=np.where(is_seen, found.offsets_m, offsets + off),
+            bounds_m=np.where(is_seen[..., None], found.bounds_m, bounds),
+        )
 
 
 def _misfit(found: FoundBox, axes: Floats, size_m: Floats, both: Ints) -> float:
