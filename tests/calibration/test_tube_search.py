@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from geraf2 import examples
+from geraf2.calibration import box_finder
 from geraf2.calibration.box_finder import find_box
 from geraf2.calibration.box_search import Flashes
 from geraf2.calibration.found_box import FoundTube
+from geraf2.calibration.leakage import find_leakage
 from geraf2.calibration.tube_search import find_tube
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import enclosed_volume_m3
@@ -54,7 +56,7 @@ def test_a_tube_is_found_with_its_lean_at_any_error_of_the_delay(lean, error_m):
     found = find_tube(flashes(lean, error_m), UP, 0.4)
     assert found.radius_m == pytest.approx(RADIUS_M, abs=2e-4)
     np.testing.assert_allclose(found.center_m[:2], CENTER[:2], atol=2e-4)
-    np.testing.assert_allclose(found.axis[:2] / found.axis[2], lean, atol=2e-3)
+    np.testing.assert_allclose(found.axes[2, :2] / found.axes[2, 2], lean, atol=2e-3)
     assert found.radius_sigma_m < 1.5e-3
 
 
@@ -129,6 +131,19 @@ def test_a_scan_of_a_tube_gives_its_cylinder_as_prior(tube_scan):
     assert numbers["shape"] == "tube"
     assert set(numbers["faces"]) == {"-z", "+z"}
     assert str(tube).startswith(f"tube of radius {1e3 * tube.radius_m:.1f} +- ")
+
+
+def test_leakage_is_searched_around_a_tube(tube_scan, monkeypatch):
+    found, around = find_box(tube_scan), []
+
+    def searched(capture, prior, peaks):
+        around.append(prior.size_m)
+        return find_leakage(capture, prior, peaks)
+
+    monkeypatch.setattr(box_finder, "_LEAKAGE_DB", -np.inf)
+    monkeypatch.setattr(box_finder, "find_leakage", searched)
+    assert find_box(tube_scan).radius_m == found.radius_m
+    np.testing.assert_allclose(around[0][:2], 2.0 * found.radius_m, rtol=1e-2)
 
 
 def checked(capture, size, center):

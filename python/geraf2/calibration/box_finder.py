@@ -95,14 +95,12 @@ def find_box(
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    tries, leakage_db, tube = _initial_boxes(capture, peaks, reach, like)
+    tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
         leakage = find_leakage(capture, next(tries)[0].prior, peaks)
         if leakage.method != "none":
             capture = without_leakage(capture, leakage)
-        tries, _, tube = _initial_boxes(capture, peaks, reach, like)
-    if tube is not None:
-        return tube.moved(focus)
+        tries, _ = _initial_boxes(capture, peaks, reach, like)
     reasons = list[WallsNotFoundError]()
     for box, seen in tries:
         try:
@@ -113,13 +111,17 @@ def find_box(
 
 
 def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
-    """Box after the fit, with bounds for its unseen faces."""
+    """Box after the fit, with bounds for its unseen faces; a tube is fitted already."""
+    is_tube = isinstance(box, FoundTube)
     if not box.size_m.min() > LEAST_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
-    box = _refined(capture, box, peaks)
+    if not is_tube:
+        box = _refined(capture, box, peaks)
     if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
+    if is_tube and box.content_share <= LEAST_CONTENT:
+        raise WallsNotFoundError(seen="a tube that holds nothing, which may be content")
     return _bounded(capture, box, peaks.known)
 
 
@@ -130,8 +132,11 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
 
 def _initial_boxes(
     capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float, FoundTube | None]:
-    """Boxes before the fit with corrected peaks, leakage relative to walls [dB], or a tube."""
+) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
+    """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB].
+
+    A tube is the first of them if it has more flashes than any cuboid.
+    """
     found = peaks.of(capture)
     leaks = leaking(capture, found, reach_m)
     kept = found.select(~leaks)
@@ -141,16 +146,17 @@ def _initial_boxes(
         raise WallsNotFoundError(seen="no echo above the noise")
     lobes, index = with_lobes(capture, kept)
     flashes = Flashes.of(capture, kept, lobes, index)
-    found_faces = rough_faces(flashes, upward(capture), reach_m, capture.waveform, like)
-    first = next(found_faces)
-    round_one = find_tube(flashes, upward(capture), reach_m)
-    tube = None
-    if round_one is not None and round_one.score > first.score:
-        tube = _tube(capture, round_one, kept)
+    up = upward(capture)
+    found_faces = rough_faces(flashes, up, reach_m, capture.waveform, like)
+    first, tube = next(found_faces), find_tube(flashes, up, reach_m)
+    if tube is not None and tube.score <= first.score:
+        tube = None
     if tube is None and np.isnan(first.offsets_m).all():
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
 
     def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
+        if tube is not None:
+            yield _tube(tube), kept
         for rough in chain([first], found_faces):
             if not np.isnan(rough.offsets_m).all():
                 corrected = explained(kept, lobes, index, flashes, rough)
@@ -158,34 +164,23 @@ def _initial_boxes(
 
     leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
     level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
-    return boxes(), level_db, tube
+    return boxes(), level_db
 
 
-def _tube(capture: Capture, fit: TubeFit, peaks: PeakSet) -> FoundTube | None:
-    """Tube with bounds for its ends; None if it holds nothing, or does not hold the echoes."""
-    side = np.abs(np.roll(upward(capture), 1))
-    second = np.cross(fit.axis, side)
-    second /= np.linalg.norm(second)
-    axes = np.stack([np.cross(second, fit.axis), second, fit.axis])
+def _tube(fit: TubeFit) -> FoundTube:
+    """Tube whose ends lie its radius from the origin, until they are bounded."""
     seen = np.array([[Seen.SQUARELY] * 2, [Seen.SQUARELY] * 2, [Seen.NOT] * 2], dtype=np.int64)
-    across = axes[:2] @ fit.center_m
+    across = fit.axes[:2] @ fit.center_m
     offsets = np.full((3, 2), fit.radius_m)
     offsets[:2] += np.stack([-across, across], axis=1)
-    box = FoundTube(
-        axes=axes,
+    return FoundTube(
+        axes=fit.axes,
         turn_sigma_rad=np.full(3, _ANY_YAW_RAD),
         offsets_m=offsets,
         sigmas_m=np.where(seen == Seen.SQUARELY, np.sqrt(2.0) * fit.radius_sigma_m, np.inf),
         bounds_m=np.zeros((3, 2, 2)),
         seen=seen,
     )
-    try:
-        share = _content_share(box, peaks)
-        bounded = _bounded(capture, box, peaks)
-    except WallsNotFoundError:
-        return None
-    assert isinstance(bounded, FoundTube)
-    return replace(bounded, content_share=share) if share > LEAST_CONTENT else None
 
 
 def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:

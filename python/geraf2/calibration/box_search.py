@@ -40,10 +40,10 @@ LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
 # Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
 _LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
 # Largest error of the recorded delay, one-way, and its standard deviation [m].
-MOST_SHIFT_M, SHIFT_SIGMA_M = 0.024, 0.01
+MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
-FLASH_NATS, OVERLAP = 7.0, 4.0
+_FLASH_NATS, OVERLAP = 7.0, 4.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
@@ -109,7 +109,7 @@ class Flashes:
         near_m, far_m = middles.depths_m
         level = 20.0 * np.log10(lobes.strengths / lobes.strengths.max(initial=1e-300))
         n_directions = np.bincount(index, minlength=len(peaks))[index]
-        weight = np.maximum(1.0 - np.log(n_directions) / FLASH_NATS, 0.0)
+        weight = np.maximum(1.0 - np.log(n_directions) / _FLASH_NATS, 0.0)
         return cls(
             normals=np.concatenate([-lobes.directions, lobes.directions]),
             offsets_m=np.concatenate(
@@ -235,6 +235,18 @@ def upward(capture: Capture) -> Floats:
     return np.asarray(np.eye(3)[nearest] * np.sign(mean[nearest]))
 
 
+def across(up: Floats) -> tuple[Floats, Floats]:
+    """Axes of the capture's frame at right angles to its vertical, (3,) each."""
+    first = np.abs(np.roll(up, 1))
+    return first, np.cross(up, first)
+
+
+def shift_penalty(cells: int) -> float:
+    """Flashes that an error of the delay costs by its prior. cells: the error, in offset steps."""
+    sigma = _SHIFT_SIGMA_M / OFFSET_STEP_M
+    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / _FLASH_NATS)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoughFaces:
     """Planes of a cuboid from flashes."""
@@ -270,8 +282,7 @@ class _Search:
 
     def __init__(self, flashes: Flashes, up: Floats, reach_m: float, pair_m: float) -> None:
         self.flashes, self.up = flashes, up
-        self.first = np.abs(np.roll(up, 1))
-        self.second = np.cross(up, self.first)
+        self.first, self.second = across(up)
         self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
         shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
         self.pairs = sorted({0, *shares})
@@ -294,8 +305,7 @@ class _Search:
 
         shifts: of the delay, in cells of the offset.
         """
-        sigma = SHIFT_SIGMA_M / OFFSET_STEP_M
-        penalty = 0.5 * (np.array(shifts) / sigma) ** 2 * OVERLAP / FLASH_NATS
+        penalty = np.array([shift_penalty(shift) for shift in shifts])
         most = max(abs(shift) for shift in shifts)
         least = max(round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M), most)
         end = self.n_offsets - most

@@ -12,7 +12,6 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_search import (
-    FLASH_NATS,
     LEAST_COUNT,
     LEAST_SIDE_M,
     LEVEL_STEP_DB,
@@ -23,9 +22,10 @@ from geraf2.calibration.box_search import (
     OFFSET_SIGMA_M,
     OFFSET_STEP_M,
     OVERLAP,
-    SHIFT_SIGMA_M,
     Counts,
     Flashes,
+    across,
+    shift_penalty,
     shifted,
 )
 from geraf2.calibration.wall_echoes import UNKNOWN_MIDDLES_M
@@ -44,8 +44,8 @@ class TubeFit(NamedTuple):
 
     score: float
     """Count of flashes, as that of a box."""
-    axis: Floats
-    """Unit vector, upward, (3,)."""
+    axes: Floats
+    """Unit vectors in rows, the last along the tube, (3, 3)."""
     center_m: Floats
     """Point of the axis, (3,) [m]."""
     radius_m: float
@@ -86,8 +86,7 @@ class _TubeSearch:
 
     def __init__(self, flashes: Flashes, up: Floats, reach_m: float) -> None:
         self.flashes, self.up = flashes, up
-        self.first = np.abs(np.roll(up, 1))
-        self.second = np.cross(up, self.first)
+        self.first, self.second = across(up)
         self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
         self.upright = np.flatnonzero(np.abs(flashes.normals @ up) < np.sin(MAX_ANGLE_RAD))
         self.normals = flashes.normals[self.upright]
@@ -126,9 +125,9 @@ class _TubeSearch:
                 *(shifted(s, by) for s, by in zip(scores, (-shift, shift), strict=True))
             )
             total[:, : max(lowest, 0)] = 0.0
-            penalty = 0.5 * (shift * OFFSET_STEP_M / SHIFT_SIGMA_M) ** 2 * OVERLAP / FLASH_NATS
             offset, level = divmod(int(total.argmax()), N_LEVELS)
-            found.append(_Guess(2.0 * float(total.max()) - penalty, center, offset, shift, level))
+            score = 2.0 * float(total.max()) - shift_penalty(shift)
+            found.append(_Guess(score, center, offset, shift, level))
         return max(found)
 
     def _counts(self, radius: Floats, angle: Floats, used: Bools, n_facing: int) -> Counts:
@@ -149,8 +148,8 @@ class _TubeSearch:
         own = _nearest(
             np.flatnonzero(used), np.abs(off), self.flashes.subapertures[self.upright], self.far
         )
-        across = self.normals[own] @ np.stack([self.first, self.second], axis=1)
-        matrix = np.column_stack([across, np.ones(len(own)), side[own]])
+        horizontal = self.normals[own] @ np.stack([self.first, self.second], axis=1)
+        matrix = np.column_stack([horizontal, np.ones(len(own)), side[own]])
         weight, values = np.ones(len(own)), np.zeros(4)
         for _ in range(_N_ROUNDS):
             root = np.sqrt(weight)[:, None]
@@ -162,11 +161,14 @@ class _TubeSearch:
         sigmas = np.sqrt(np.diag(covariance))
         middles_m = 0.5 * np.hypot(UNKNOWN_MIDDLES_M[0][1], UNKNOWN_MIDDLES_M[1][1])
         # A horizontal normal turns with the axis: n . axis = 0.
-        lean = np.linalg.lstsq(across, -self.normals[own] @ self.up, rcond=None)[0]
+        lean = np.linalg.lstsq(horizontal, -self.normals[own] @ self.up, rcond=None)[0]
         axis = self.up + lean[0] * self.first + lean[1] * self.second
+        axis /= np.linalg.norm(axis)
+        second = np.cross(axis, self.first)
+        second /= np.linalg.norm(second)
         return TubeFit(
             score=guess.score,
-            axis=axis / np.linalg.norm(axis),
+            axes=np.stack([np.cross(second, axis), second, axis]),
             center_m=self.point((float(values[0]), float(values[1]))),
             radius_m=float(values[2]),
             radius_sigma_m=float(np.hypot(sigmas[2], middles_m)),
