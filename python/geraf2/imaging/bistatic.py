@@ -9,7 +9,6 @@ focus at r_F, and g = -grad_c D the mean of the directions from transmitter and 
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.records import Pose
 
 # At 0.35 m a half baseline of 5 mm lengthens the half path by h^2 / 2 r = 0.04 mm [m].
 _LEAST_M = 5e-3
@@ -19,9 +18,12 @@ _SAME_M = 1e-4
 _N_ROUNDS = 8
 
 
-def common_half_baseline(pose: Pose) -> Floats | None:
-    """Half baseline h of all antennas, (3,) [m]; None where it is short, or antennas differ."""
-    halves = 0.5 * (pose.tx_positions - pose.rx_positions)
+def common_half_baseline(tx: Floats, rx: Floats) -> Floats | None:
+    """Half baseline h of all antennas, (3,) [m]; None where it is short, or antennas differ.
+
+    tx, rx: positions, (n, 3) [m].
+    """
+    halves = 0.5 * (tx - rx)
     mean = halves.mean(axis=0)
     is_common = float(np.abs(halves - mean).max(initial=0.0)) < _SAME_M
     return np.asarray(mean) if is_common and float(np.linalg.norm(mean)) > _LEAST_M else None

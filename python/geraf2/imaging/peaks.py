@@ -241,7 +241,7 @@ def _peaks_of(
     tops = np.zeros(len(centers))
     np.maximum.at(tops, found.subapertures, found.magnitudes)
     directions, ranges_m = directions_at(found.cosines, pose.axes), found.ranges_m
-    half_m = common_half_baseline(pose)
+    half_m = common_half_baseline(pose.tx_positions, pose.rx_positions)
     if half_m is not None:
         own = found.subapertures
         places = centers[own], images.subapertures.focus[own]

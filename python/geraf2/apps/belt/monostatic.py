@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.imaging.bistatic import common_half_baseline
 from geraf2.io.belt_file import BeltRecord, BeltStation
 from geraf2.records import Pose, Waveform
 
@@ -65,8 +66,8 @@ def midpoint_error_m(array: BeltStation) -> float:
 
 
 def _is_common(array: BeltStation) -> bool:
-    """Whether all channels have the same baseline."""
-    return bool(np.ptp(np.subtract(array.tx_m, array.rx_m), axis=0).max() < NEGLIGIBLE_M)
+    """Whether images take account of the channels' baseline."""
+    return common_half_baseline(np.array(array.tx_m), np.array(array.rx_m)) is not None
 
 
 def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
