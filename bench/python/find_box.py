@@ -162,20 +162,14 @@ def summary(rows: list[dict]) -> list[str]:
                 f"median, {low:.1f} to {high:.1f} in 90 %"
             )
     lines.append(f"CPU seconds          median {np.median([row['cpu_s'] for row in rows]):.2f}")
-    both = np.array([(row["f1_given"], row["f1"]) for row in rows if "f1" in row])
-    if len(both):
-        change = both[:, 1] - both[:, 0]
-        lines.append(
-            f"F1 5 mm              {both[:, 0].mean():.4f} with the true box, "
-            f"{both[:, 1].mean():.4f} without; {change.mean():+.4f}, worst {change.min():+.3f}"
-        )
-    third = np.array([(row["f1_given"], row["f1_wrong"]) for row in rows if "f1_wrong" in row])
-    if len(third):
-        change = third[:, 1] - third[:, 0]
-        lines.append(
-            f"F1 5 mm, wrong box   {third[:, 1].mean():.4f}; {change.mean():+.4f}, "
-            f"worst {change.min():+.3f}"
-        )
+    for key, name in (("f1", "without a prior"), ("f1_wrong", "with a wrong box")):
+        both = np.array([(row["f1_given"], row[key]) for row in rows if key in row])
+        if len(both):
+            change = both[:, 1] - both[:, 0]
+            lines.append(
+                f"F1 5 mm              {both[:, 0].mean():.4f} with the true box, "
+                f"{both[:, 1].mean():.4f} {name}; {change.mean():+.4f}, worst {change.min():+.3f}"
+            )
     return lines
 
 
