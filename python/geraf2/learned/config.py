@@ -154,8 +154,8 @@ class PaperConfig(RenderConfig):
     """Open. Whether the zero level is moved after the training so that rendered glints have the
     depth of the measured ones."""
     device: Device = "auto"
-    """Device of fields, opacity, signals and losses; "auto": a GPU if torch has one. Rays are drawn
-    and clipped on the CPU."""
+    """Device of fields, opacity, signals and losses; "auto": a GPU for networks, where
+    torch has one. Rays are drawn and clipped on the CPU."""
     checkpoint_every: Count = 500
     """Steps between checkpoints, which are also written every five minutes."""
     slice_every: CountOrZero = 0

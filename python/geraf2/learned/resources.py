@@ -24,7 +24,10 @@ _BYTES_PER_VOXEL = 40.0
 
 
 def training_device(config: PaperConfig) -> torch.device:
-    """Device of a config; UserError for a GPU that torch does not have."""
+    """Device of a config; UserError for a GPU that torch does not have.
+
+    A step of voxels launches many small operations: the C++ kernels outrun a GPU there.
+    """
     has_gpu = torch.cuda.is_available()
     if config.device == "cuda" and not has_gpu:
         raise UserError(
@@ -32,7 +35,8 @@ def training_device(config: PaperConfig) -> torch.device:
             where="--paper.device cuda",
             hint="use --paper.device auto, or install a torch with CUDA",
         )
-    return torch.device("cuda" if has_gpu and config.device != "cpu" else "cpu")
+    pays = config.device == "cuda" or config.field != "grid"
+    return torch.device("cuda" if has_gpu and pays and config.device != "cpu" else "cpu")
 
 
 def training_bytes(config: PaperConfig, capture: Capture, n_threads: int = 1) -> float:
