@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
 
 from geraf2._types import Floats, Ints
 from geraf2.io.mesh import Evidence, TriangleMesh
@@ -86,10 +85,16 @@ def error_forecast(
 
 def rank_correlation(a: Floats, b: Floats) -> float:
     """Spearman's rank correlation; equal values share the mean of their ranks."""
-    ranks = np.stack([rankdata(a), rankdata(b)])
+    ranks = np.stack([_ranks(a), _ranks(b)])
     ranks -= ranks.mean(axis=1, keepdims=True)
     scale = float(np.sqrt((ranks[0] ** 2).sum() * (ranks[1] ** 2).sum()))
     return float(ranks[0] @ ranks[1]) / scale if scale > 0 else 0.0
+
+
+def _ranks(values: Floats) -> Floats:
+    """Ranks, as by scipy.stats.rankdata, which takes half a second to import."""
+    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[place])
 
 
 def _within(distances_m: Floats, limits_m: Floats) -> float:

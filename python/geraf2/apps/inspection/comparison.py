@@ -7,8 +7,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from scipy.special import expit
-from scipy.stats import norm
+from scipy.special import expit, ndtr
 
 from geraf2 import __version__
 from geraf2._types import Bools, Floats, Ints
@@ -306,7 +305,7 @@ def _shifted(body: Body, shift: Shift, tolerance_m: float) -> Change:
         center_m=triple(middle_of(body)),
         size_m=size,
         sigma_m=sigma,
-        probability=float(is_moved * norm.cdf(beyond)),
+        probability=float(is_moved * ndtr(beyond)),
     )
 
 
