@@ -90,23 +90,24 @@ def test_noise_of_the_same_power_makes_no_false_glints():
     assert np.mean(np.abs(distance) > 2e-3) < 0.02
 
 
-def among_scatterers(amplitude):
-    """A sphere among points that echo by so much in amplitude; noise as strong as the sphere."""
+@pytest.fixture(scope="module")
+def sphere_and_scatterers():
+    """A sphere with noise as strong as itself, and points around it."""
     rng = np.random.default_rng(5)
     points = rng.uniform(-0.08, 0.08, (150, 3))
     points = points[np.linalg.norm(points, axis=1) > RADIUS_M + 0.01]
     sphere = sphere_capture([[0, 0, 0]], [RADIUS_M], noise=1.0)
-    clutter = sphere_capture(points, np.zeros(len(points)))
+    return sphere, sphere_capture(points, np.zeros(len(points)))
+
+
+@pytest.mark.parametrize("amplitude", [0.0, 0.05, 0.1])
+def test_scatterers_are_clutter(sphere_and_scatterers, amplitude):
+    sphere, clutter = sphere_and_scatterers
     poses = tuple(
         Pose(**{**vars(pose), "signal": pose.signal + np.complex64(amplitude) * other.signal})
         for pose, other in zip(sphere.poses, clutter.poses, strict=True)
     )
-    return Capture(waveform=sphere.waveform, poses=poses)
-
-
-@pytest.mark.parametrize("amplitude", [0.0, 0.05, 0.1])
-def test_scatterers_are_clutter(amplitude):
-    found = find_echoes(among_scatterers(amplitude), BOX)
+    found = find_echoes(Capture(waveform=sphere.waveform, poses=poses), BOX)
     distance, _ = errors(found.glints, [[0.0, 0.0, 0.0]], [RADIUS_M])
     assert np.count_nonzero(np.abs(distance) < 2e-3) > 100
     assert np.mean(np.abs(distance) > 3e-3) < 0.1

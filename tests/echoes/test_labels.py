@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal, norm
+from scipy.stats import norm
 
 from geraf2.echoes import labels as labels_module
 from geraf2.echoes.hypotheses import Candidates, find_candidates
@@ -59,13 +59,9 @@ def slow_density(p, n, q, m):
     bend = labels_module._CURVATURE_PER_M * distance
     sigma = np.sqrt(2.0 * labels_module._OFFSET_SIGMA_M**2 + third_order**2)
     turn = np.sqrt(2.0 * labels_module._NORMAL_SIGMA_RAD**2 + bend**2)
-    plane = multivariate_normal(cov=labels_module._SPREAD_M**2 * np.eye(2))
-    angles = multivariate_normal(cov=turn**2 * np.eye(2))
-    return (
-        norm(scale=sigma).pdf(offset)
-        * angles.pdf([np.linalg.norm(n - m), 0.0])
-        * plane.pdf([np.linalg.norm(along), 0.0])
-    )
+    spread = labels_module._SPREAD_M
+    values = np.array([offset, np.linalg.norm(n - m), 0.0, np.linalg.norm(along), 0.0])
+    return norm.pdf(values, scale=[sigma, turn, turn, spread, spread]).prod()
 
 
 def slow_posterior(peaks, found, volume_m3, inside, n_rounds):

@@ -33,9 +33,14 @@ def antennas(angle_deg, places, baseline_m=0.0):
 
 def signal_of_paths(paths, waveform=WAVEFORM):
     """Sum of unit echoes, paths (n_antennas, n_echoes) [m] -> (n_antennas, n_samples)."""
-    total = (paths + waveform.path_bias_m)[..., None]
-    phase = 2.0 * np.pi * waveform.frequencies_hz * total / SPEED_OF_LIGHT_M_PER_S
-    return np.exp(-1j * phase).sum(axis=1).astype(np.complex64)
+    turns = -2j * np.pi / SPEED_OF_LIGHT_M_PER_S * (paths + waveform.path_bias_m)
+    first, second = waveform.frequencies_hz[:2]
+    echoes, step = np.exp(first * turns), np.exp((second - first) * turns)
+    samples = np.empty((len(paths), waveform.n_samples), dtype=np.complex64)
+    for column in samples.T:
+        column[:] = echoes.sum(axis=1)
+        echoes *= step
+    return samples
 
 
 def sphere_paths(positions, centers, radii):
