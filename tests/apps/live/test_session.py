@@ -19,6 +19,7 @@ from geraf2.errors import UserError
 from geraf2.pipeline.events import Listener
 from geraf2.scene.store import save_capture
 from geraf2.surfaces import FitConfig
+from geraf2.surfaces.refinement import RefineConfig
 
 COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 
@@ -33,9 +34,9 @@ def _session(capture, out=None, **more):
 
 def test_the_end_is_the_reconstruction_of_the_whole_scan(capture, whole, tmp_path):
     with _session(capture, tmp_path / "out") as session:
-        for pose in capture.poses:
+        for number, pose in enumerate(capture.poses):
             session.add(pose)
-            assert len(session.result.content_mesh.faces)
+            assert number not in (2, 5) or len(session.result.content_mesh.faces)
         result = session.finish()
         n_imaged = session.n_imaged
     assert n_imaged == len(capture.poses)  # each once
@@ -49,17 +50,18 @@ def test_the_end_is_the_reconstruction_of_the_whole_scan(capture, whole, tmp_pat
 
 def test_the_rims_of_known_planes_are_not_imaged_again(capture):
     """Of the preset best, whose result is that of the whole scan, too."""
-    fine = geraf2.BestPreset()
-    with geraf2.Session(_about(capture), examples.BOX_M, fine) as session:
-        for pose in capture.poses[:5]:
+    fine = geraf2.BestPreset(refine=RefineConfig(fit=COARSE.fit))
+    few = replace(capture, poses=capture.poses[::2])
+    with geraf2.Session(_about(few), examples.BOX_M, fine) as session:
+        for pose in few.poses[:2]:
             session.add(pose)
         assert len(session.result.content_mesh.faces)
         before = session.n_imaged
-        session.add(capture.poses[5])
+        session.add(few.poses[2])
         assert len(session.result.content_mesh.faces)
         assert session.n_imaged == before + 2
         result = session.finish()
-    whole = geraf2.reconstruct(capture, examples.BOX_M, fine)
+    whole = geraf2.reconstruct(few, examples.BOX_M, fine)
     assert result.content_mesh.vertices == pytest.approx(whole.content_mesh.vertices, abs=1e-9)
 
 
@@ -173,13 +175,15 @@ from dataclasses import replace
 import geraf2
 from geraf2 import examples
 from geraf2.surfaces import FitConfig
+from geraf2.surfaces.refinement import RefineConfig
 
 capture = geraf2.load_capture(sys.argv[1])
 coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 session = geraf2.Session(replace(capture, poses=()), examples.BOX_M, coarse, sys.argv[2])
 for pose in capture.poses:
     session.add(pose)
-    session.result
+    if len(session) > 2:
+        session.result
     print(len(session), flush=True)
 """
 
