@@ -73,7 +73,7 @@ struct Scan {
     std::vector<double> tx = wave(3 * n_antennas, 0.08, 1.7), rx = wave(3 * n_antennas, 0.08, 2.3);
     std::vector<double> points = wave(3 * n_points, 0.02, 0.7);
     std::vector<Complex> signal = std::vector<Complex>(8 * n_antennas, Complex(1.0F, 0.5F));
-    geraf2::VoxelGrid grid{{-0.01, -0.01, -0.01}, 0.001, {20, 20, 20}};
+    geraf2::VoxelGrid grid{{-0.01, -0.01, -0.01}, 0.002, {10, 10, 10}};
     static constexpr std::size_t n_antennas = 40;
     static constexpr std::size_t n_points = 300;
 
@@ -102,13 +102,13 @@ TEST_CASE("each allocation of a matched filter fails once") {
     for (const auto method : {Method::exact, Method::block, Method::factorised}) {
         const auto choice = options(method, threads);
         const long of_image = fail_each_allocation([&] {
-            std::vector<Complex> image(8000);
+            std::vector<Complex> image(1000);
             geraf2::matched_filter_fwd<float>(scan.signal, scan.antennas(), scan.grid,
                                               scan.waveform, choice, image);
             return image;
         });
         CHECK(of_image > 5);
-        const std::vector<Complex> image(8000, Complex(0.5F, -1.0F));
+        const std::vector<Complex> image(1000, Complex(0.5F, -1.0F));
         CHECK(fail_each_allocation([&] {
                   std::vector<Complex> signal(scan.signal.size());
                   geraf2::matched_filter_bwd_signal<float>(image, scan.antennas(), scan.grid,
