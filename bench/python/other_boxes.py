@@ -1,13 +1,14 @@
 """What a scan without a prior is taken to be where it holds no single carton.
 
-    python bench/python/other_boxes.py [--kinds air open tube nested pair carton can] [--first 0]
-        [--scans 8] [--preset fast] [--out out/other_boxes]
+    python bench/python/other_boxes.py [--kinds air open tube skewed tapered nested pair carton can]
+        [--first 0] [--scans 8] [--preset fast] [--out out/other_boxes]
 
 Content of the population, metal, 5 to 8 cm: in free air, in a box without a top, in a tube of
-board, in a carton within a carton, in two cartons side by side, in one
-carton, and an upright can in a carton. 18 planes in
-two rings, 4 mm, 20 dB, ideal. The tube's walls echo by physical optics; echoes from within it get
-the delay and loss of two passes at normal incidence. With `--preset` each scan is reconstructed
+board, in a box whose corners are 6 to 20 degrees off a right angle, in one whose walls lean by 4 to
+12 degrees, in a carton within a carton, in two cartons side by side, in one carton, and an upright
+can in a carton. 18 planes in two rings, 4 mm, 20 dB, ideal. The walls of a tube and of boxes that
+are no cuboids echo by physical optics; echoes from within them get the delay and loss of two passes
+at normal incidence. With `--preset` each scan is reconstructed
 without a prior, too. Rows are kept in `--out`. Seeds below 1000 are for choices, those from 10,000
 on for claims. Shares come with their Wilson intervals (95 %).
 """
@@ -33,7 +34,7 @@ from geraf2.simulation.random_objects import random_object
 from geraf2.simulation.scan import antenna_blocks, scan_planes
 from geraf2.simulation.spec import AWR1843, RingSpec, ScanSpec
 
-KINDS = ("air", "open", "tube", "nested", "pair", "carton", "can")
+KINDS = ("air", "open", "tube", "nested", "pair", "carton", "can", "skewed", "tapered")
 CONTENT = Population(
     bodies=(("1", 0.6), ("2", 0.4)), size_m=((0.05, 0.08), (0.06, 0.08), (0.06, 0.08)), plastic=0.0
 )
@@ -56,11 +57,13 @@ class Drawn:
     layers: tuple[Layer, ...] = ()
     """Of the outside, whose rays cross nothing."""
     inner: tuple[Layer, ...] = ()
-    """Of the inside of a tube."""
+    """Of the inside of a tube or of a box that is no cuboid."""
     crossed: geraf2.Wall | None = None
-    """Material of a tube."""
+    """Material of these."""
     size_m: tuple[float, ...] = ()
-    """Sides of a box, or radius and height of a tube."""
+    """Sides of a box, radius and height of a tube, or distances of four walls and half the height."""
+    walls_deg: tuple[tuple[float, float], ...] = ()
+    """Azimuth and elevation of the normals of walls that form no cuboid."""
 
 
 def tube_layer(
@@ -91,6 +94,63 @@ def tube_layer(
     )
     areas = np.full(len(points), 4.0 * half[0] * half[1])
     return Layer(elements=elements, areas=areas, can_be_hidden=inside)
+
+
+def panel_layer(quad: np.ndarray, wall: geraf2.Wall, *, inside: bool) -> Layer:
+    """Patches of a flat wall, corners counter-clockwise from outside, (4, 3) [m]."""
+    first, second = quad[1] - quad[0], quad[3] - quad[0]
+    outward = np.cross(first, second) / np.linalg.norm(np.cross(first, second))
+    n, m = (int(np.ceil(np.linalg.norm(edge) / _PATCH_M)) for edge in (first, second))
+    u, v = ((np.arange(k) + 0.5) / k for k in (n, m))
+    u, v = (each.ravel()[:, None] for each in np.meshgrid(u, v, indexing="ij"))
+    points = (1 - v) * ((1 - u) * quad[0] + u * quad[1]) + v * ((1 - u) * quad[3] + u * quad[2])
+    along = (1 - v) * first + v * (quad[2] - quad[3])
+    up = (1 - u) * second + u * (quad[2] - quad[1])
+    elements = tuple(
+        SurfaceElements(
+            points=points - inside * wall.thickness_m * outward,
+            normals=np.broadcast_to(-outward if inside else outward, points.shape),
+            edges=0.5 * np.stack([along / n, up / m], axis=1),
+            shape="rectangle",
+            reflector=face,
+            slab=wall,
+        )
+        for face in ("first_face", "second_face")
+    )
+    areas = np.linalg.norm(np.cross(along / n, up / m), axis=1)
+    return Layer(elements=elements, areas=areas, can_be_hidden=inside)
+
+
+def box_quads(normals: np.ndarray, offsets_m: np.ndarray, ends_m: tuple) -> list[np.ndarray]:
+    """Corners of four upright or leaning walls, bottom and top, (4, 3) each [m]."""
+    rims = []
+    for z in ends_m:
+        pairs = [(k, (k + 1) % 4) for k in range(4)]
+        rows = [np.stack([normals[i], normals[j], [0.0, 0.0, 1.0]]) for i, j in pairs]
+        values = [[offsets_m[i], offsets_m[j], z] for i, j in pairs]
+        rims.append(np.array([np.linalg.solve(*each) for each in zip(rows, values, strict=True)]))
+    low, high = rims
+    walls = [np.stack([low[k - 1], low[k], high[k], high[k - 1]]) for k in range(4)]
+    return [*walls, low[::-1], high]
+
+
+def drawn_planes(
+    kind: str, room: np.ndarray, middle: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """Normals and offsets of four walls around content, and the heights of bottom and top [m]."""
+    azimuth = np.deg2rad(rng.uniform(-45.0, 45.0) + 90.0 * np.arange(4))
+    lean = np.zeros(4)
+    height = max(float(room[2]) + rng.uniform(0.03, 0.07), 0.12)
+    least = 0.5 * float(np.linalg.norm(room[:2]))
+    if kind == "skewed":
+        azimuth[1::2] += rng.choice([-1, 1]) * np.deg2rad(rng.uniform(6.0, 20.0))
+    else:
+        lean = rng.choice([-1, 1]) * np.deg2rad(rng.uniform(4.0, 12.0, 4))
+    normals = np.stack(
+        [np.cos(azimuth) * np.cos(lean), np.sin(azimuth) * np.cos(lean), np.sin(lean)], axis=1
+    )
+    gaps = least + 0.5 * height * np.abs(np.sin(lean)) + np.tile(rng.uniform(0.015, 0.04, 2), 2)
+    return normals, np.maximum(gaps, 0.06) + normals @ middle, (-0.5 * height, 0.5 * height)
 
 
 def without_top(layer: Layer, top_m: float) -> Layer:
@@ -130,6 +190,19 @@ def drawn(kind: str, seed: int) -> Drawn:
             tube_layer(radius, height, middle, material, inside=inside) for inside in (False, True)
         )
         return Drawn(content, (), (outer,), (inner,), material, (radius, height))
+    if kind in ("skewed", "tapered"):
+        normals, offsets, ends = drawn_planes(kind, room, middle, rng)
+        quads = box_quads(normals, offsets, ends)
+        lowest, highest = np.min(quads, axis=(0, 1)), np.max(quads, axis=(0, 1))
+        material = wall(highest - lowest, 0.5 * (lowest + highest))
+        outer, inner = (
+            tuple(panel_layer(quad, material, inside=inside) for quad in quads)
+            for inside in (False, True)
+        )
+        angles = np.rad2deg([np.arctan2(normals[:, 1], normals[:, 0]), np.arcsin(normals[:, 2])])
+        distances = (*(offsets - normals @ middle), ends[1])
+        stated = tuple((float(a), float(b)) for a, b in angles.T.round(2))
+        return Drawn(content, (), outer, inner, material, distances, stated)
     size = np.maximum(room + 2 * thickness + rng.uniform(0.02, 0.06, 3), 0.12)
     if kind == "pair":
         shift = np.array([0.5 * size[0] + rng.uniform(0.002, 0.02), 0.0, 0.0])
@@ -207,6 +280,8 @@ def measured(kind: str, seed: int, preset: str | None) -> dict:
     scene = drawn(kind, seed)
     capture = capture_of(scene, seed)
     row: dict = {"kind": kind, "seed": seed, "true_m": np.round(scene.size_m, 4).tolist()}
+    if scene.walls_deg:
+        row["walls_deg"] = scene.walls_deg
     try:
         found = find_box(capture)
         row["found"], row["text"] = type(found).__name__, str(found)
