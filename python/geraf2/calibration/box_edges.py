@@ -31,43 +31,41 @@ Face = tuple[int, int]
 """Axis and side of a face."""
 
 
-def flash_reach(peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face) -> float:
+def flash_reach(
+    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face
+) -> float:
     """Lower bound of an unseen face's offset: the farthest foot of a flash of the seen walls [m].
 
-    offsets_m, seen: of all faces, (3, 2).
+    normals, offsets_m, seen: of all faces, (3, 2, 3) and (3, 2).
     """
     k, side = face
-    along, toward, _ = _projected(peaks, axes)
-    outward = along[:, k] * (1.0 if side else -1.0)
+    outward = peaks.points @ normals[k, side]
     least = 0.0
     for j, other in zip(*np.nonzero(seen), strict=True):
         if j != k:
-            flash = (
-                np.abs(along[:, j] * (1.0 if other else -1.0) - offsets_m[j, other]) < _ON_WALL_M
-            )
-            flash &= np.abs(toward[:, j]) > _FLASH_COSINE
+            normal = normals[j, other]
+            flash = np.abs(peaks.points @ normal - offsets_m[j, other]) < _ON_WALL_M
+            flash &= np.abs(peaks.directions @ normal) > _FLASH_COSINE
             least = max(least, float(outward[flash].max(initial=0.0)))
     return least
 
 
 def content_reach(
-    peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face
+    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face
 ) -> float:
     """Offset towards a face that contains nine tenths of the energy within the seen walls [m]."""
     k, side = face
-    along, _, strength = _projected(peaks, axes)
-    clearance = np.where(seen, offsets_m - _CLEARANCE_M, np.inf)
-    inside = ((along < clearance[:, 1]) & (along > -clearance[:, 0])).all(axis=1)
-    outward = along[inside, k] * (1.0 if side else -1.0)
+    inside = within(peaks.points, normals, np.where(seen, offsets_m - _CLEARANCE_M, np.inf))
+    outward = peaks.points[inside] @ normals[k, side]
     if not len(outward):
         return 0.0
     order = np.argsort(outward)
-    energy = np.cumsum(strength[inside][order] ** 2)
+    energy = np.cumsum(peaks.strengths[inside][order] ** 2)
     return float(outward[order][np.searchsorted(energy, _CONTENT_SHARE * energy[-1])])
 
 
 def find_edge(
-    peaks: PeakSet, axes: Floats, offsets_m: Floats, seen: Bools, face: Face, least_m: float
+    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face, least_m: float
 ) -> tuple[float, float] | None:
     """Offset of an unseen face and its standard deviation [m]; None if no edge echoes.
 
@@ -76,21 +74,22 @@ def find_edge(
     least_m: bound by the flashes and the content [m].
     """
     k, side = face
-    along, toward, strength = _projected(peaks, axes)
-    outward = along[:, k] * (1.0 if side else -1.0)
-    centers = peaks.centers @ axes.T
+    points, toward, strength = peaks.points, peaks.directions, peaks.strengths
+    outward = points @ normals[k, side]
     on_edge = np.zeros(len(peaks), dtype=bool)
     for j, other in zip(*np.nonzero(seen), strict=True):
         if j == k:
             continue
-        sign, third = (1.0 if other else -1.0), 3 - j - k
-        on_wall = np.abs(sign * along[:, j] - offsets_m[j, other]) < _ON_WALL_M
-        on_wall &= sign * centers[:, j] > offsets_m[j, other]
-        across = np.abs(toward[:, k]) > _LEAST_SLOPE
-        square = np.abs(toward[:, third]) < _SQUARE_TO_EDGE
+        normal, third = normals[j, other], 3 - j - k
+        on_wall = np.abs(points @ normal - offsets_m[j, other]) < _ON_WALL_M
+        on_wall &= peaks.centers @ normal > offsets_m[j, other]
+        edge = np.cross(normal, normals[k, side])
+        edge /= np.linalg.norm(edge)
+        across = np.abs(toward @ np.cross(edge, normal)) > _LEAST_SLOPE
+        square = np.abs(toward @ edge) < _SQUARE_TO_EDGE
         for end in range(2):
             if seen[third, end]:
-                corner = along[:, third] * (1.0 if end else -1.0) - offsets_m[third, end]
+                corner = points @ normals[third, end] - offsets_m[third, end]
                 square |= np.abs(corner) < _CORNER_M
                 on_wall &= corner < _CORNER_M
         on_edge |= on_wall & across & square
@@ -105,6 +104,6 @@ def find_edge(
     return None
 
 
-def _projected(peaks: PeakSet, axes: Floats) -> tuple[Floats, Floats, Floats]:
-    """Points and directions along the axes, (n, 3) each, and strengths, (n,)."""
-    return peaks.points @ axes.T, peaks.directions @ axes.T, peaks.strengths
+def within(points: Floats, normals: Floats, offsets_m: Floats) -> Bools:
+    """Whether points (n, 3) [m] lie within all faces, (n,). normals: (3, 2, 3)."""
+    return np.asarray((np.tensordot(points, normals, (1, 2)) <= offsets_m).all(axis=(1, 2)))

@@ -8,7 +8,13 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.box_edges import SQUARE_COSINE, content_reach, find_edge, flash_reach
+from geraf2.calibration.box_edges import (
+    SQUARE_COSINE,
+    content_reach,
+    find_edge,
+    flash_reach,
+    within,
+)
 from geraf2.calibration.box_search import (
     APERTURE_M,
     LEAST_REACH_M,
@@ -22,11 +28,20 @@ from geraf2.calibration.box_search import (
     upward,
     with_lobes,
 )
-from geraf2.calibration.found_box import FoundBox, FoundTube, Seen, WallsNotFoundError, face_names
+from geraf2.calibration.found_box import (
+    SKEW_RAD,
+    FoundBody,
+    FoundBox,
+    FoundTube,
+    Seen,
+    WallsNotFoundError,
+    face_names,
+)
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.tube_search import TubeFit, find_tube
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
 from geraf2.calibration.wall_faces import N_MODES
+from geraf2.calibration.wall_search import find_walls
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.ops._threads import with_one_blas_thread
@@ -50,9 +65,9 @@ _LEAKAGE_DB = -25.0
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _LEAST_WALLS = 2
-# RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
-# the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them.
-_SKEW_RAD = float(np.deg2rad(0.34))
+# Expected displacement of the rim of a wall of any angle [m]; least deviation of four walls from a
+# cuboid, in their errors: 1 of 10,000 exceed it by chance.
+_TILT_M, _CONTRADICTION = 0.02, 5.0
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 # Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
@@ -117,6 +132,11 @@ def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     if not is_tube:
         box = _refined(capture, box, peaks)
+    if isinstance(box, FoundBody):
+        # Flashes at a wall's rim have another direction: which these are follows from the edges.
+        box = _refined(capture, _bounded(capture, box, peaks.known), peaks)
+        if box.contradiction() < _CONTRADICTION:
+            raise WallsNotFoundError(seen="walls at right angles")
     if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
@@ -135,7 +155,7 @@ def _initial_boxes(
 ) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
     """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB].
 
-    A tube is the first of them if it has more flashes than any cuboid.
+    A tube, or walls at any angles, are the first of them if they have more flashes than any cuboid.
     """
     found = peaks.of(capture)
     leaks = leaking(capture, found, reach_m)
@@ -149,15 +169,18 @@ def _initial_boxes(
     up = upward(capture)
     found_faces = rough_faces(flashes, up, reach_m, capture.waveform, like)
     first, tube = next(found_faces), find_tube(flashes, up, reach_m)
-    if tube is not None and tube.score <= first.score:
+    walls = find_walls(flashes, up, reach_m, capture.waveform)
+    if walls is not None and walls.score <= first.score:
+        walls = None
+    if tube is not None and tube.score <= max(first.score, walls.score if walls else 0.0):
         tube = None
-    if tube is None and np.isnan(first.offsets_m).all():
+    if tube is None and walls is None and np.isnan(first.offsets_m).all():
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
 
     def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
         if tube is not None:
             yield _tube(tube), kept
-        for rough in chain([first], found_faces):
+        for rough in chain([walls] if walls else [], [first], found_faces):
             if not np.isnan(rough.offsets_m).all():
                 corrected = explained(kept, lobes, index, flashes, rough)
                 yield _initial_box(rough, corrected), corrected
@@ -197,15 +220,20 @@ def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
         elif unseen[k].any():
             offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
     for k, side in np.argwhere(unseen):
-        foot = flash_reach(peaks, rough.axes, rough.offsets_m, ~unseen, (k, side))
+        foot = flash_reach(peaks, rough.normals, rough.offsets_m, ~unseen, (k, side))
         offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
-    return FoundBox(
+    box = FoundBox(
         axes=rough.axes,
         turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
         offsets_m=offsets,
         sigmas_m=np.where(unseen, np.inf, _ROUGH.wall_sigma_m),
         bounds_m=np.zeros((3, 2, 2)),
         seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
+    )
+    if np.array_equal(rough.normals, box.normals):
+        return box
+    return FoundBody(
+        **vars(box), planes=rough.normals, angle_sigmas_rad=np.full((3, 2, 2), _ANY_YAW_RAD)
     )
 
 
@@ -227,26 +255,38 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks)
     except UserError as error:
         raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
-    fit = problem.fit(("delay", "frame"))
+    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, :3]
+    is_body = isinstance(box, FoundBody)
+    if is_body:
+        problem.sigmas[shapes[:, 1:]] = _TILT_M
+    fit = problem.fit(("delay",) if is_body else ("delay", "frame"))
     found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
     turn = found.prior_to_capture[:3, :3]
-    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]
-    sigmas = np.sqrt(np.diag(fit.covariance))[shapes]
     axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
-    seen = box.seen.copy()
+    seen, normals, angles = box.seen.copy(), box.normals.copy(), np.zeros((3, 2, 2))
     for wall, normal in enumerate(problem.faces.normals):
-        along = box.axes @ normal
-        k = int(np.abs(along).argmax())
-        side = int(along[k] > 0.0)
+        face = np.unravel_index((box.normals @ normal).argmax(), (3, 2))
+        values, covariance = fit.values[shapes[wall]], fit.covariance[np.ix_(*2 * [shapes[wall]])]
+        outward, across = turn @ normal, problem.faces.across[wall]
         middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
-        offsets[k, side] = middle @ (turn @ normal) + fit.values[shapes[wall]]
-        widths[k, side] = sigmas[wall]
+        if is_body and face[0] < 2:
+            normals[face] = normal - values[1:] @ across
+            normals[face] /= np.linalg.norm(normals[face])
+            level = np.cross(axes[2], normal)
+            slopes = np.stack([level, np.cross(normal, level)]) @ across.T
+            angles[face] = np.sqrt(np.diag(slopes @ covariance[1:, 1:] @ slopes.T))
+        else:
+            normals[face] = outward
+        offsets[face] = (middle + values[0] * outward) @ normals[face]
+        widths[face] = np.sqrt(covariance[0, 0])
         is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
-        seen[k, side] = Seen.SQUARELY if is_seen else Seen.NOT
+        seen[face] = Seen.SQUARELY if is_seen else Seen.NOT
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
-    skew = (_SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
+    skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
+    free = {"planes": normals, "angle_sigmas_rad": angles} if is_body else {}
     return replace(
         box,
+        **free,
         axes=axes,
         turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
         offsets_m=offsets,
@@ -291,6 +331,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
     """Box whose unseen faces lie at their edges, or with a margin around everything seen."""
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
+    normals = box.normals
     bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
     for _, k, side in face_names():
         face = (k, side)
@@ -298,18 +339,27 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
             continue
         known = (seen != Seen.NOT).all(axis=1)
         usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
-        least = flash_reach(peaks, box.axes, box.offsets_m, square, face)
-        content = content_reach(peaks, box.axes, box.offsets_m, square, face)
-        edge = find_edge(peaks, box.axes, box.offsets_m, square, face, max(least, content))
+        least = flash_reach(peaks, normals, box.offsets_m, square, face)
+        content = content_reach(peaks, normals, box.offsets_m, square, face)
+        edge = find_edge(peaks, normals, box.offsets_m, square, face, max(least, content))
         if edge is None:
-            offsets[face] = max(least, content, usual)
+            offsets[face] = min(max(least, content, usual), _end_of_taper(box, face))
             bounds[face] = max(least, content), np.inf
         else:
             offsets[face], sigmas[face] = edge
             seen[face] = Seen.EDGES
             bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
-    _require_outside(capture, box.axes, offsets)
+    _require_outside(capture, normals, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
+
+
+def _end_of_taper(box: FoundBox, face: tuple[int, int]) -> float:
+    """Offset of top or bottom shortly before leaning walls meet [m]; infinite without."""
+    end = box.normals[face]
+    closing = (box.normals[:2] @ end).sum(axis=1) if face[0] == 2 else np.zeros(2)
+    tapers = closing > 1e-6
+    heights = 0.9 * box.size_m[:2][tapers] / closing[tapers]
+    return float(box.center_m @ end + heights.min(initial=np.inf))
 
 
 def _content_share(box: FoundBox, peaks: PeakSet) -> float:
@@ -317,11 +367,11 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
     square = box.seen == Seen.SQUARELY
     if not square.any():
         raise WallsNotFoundError(seen=f"{len(peaks)} echoes, none of a plane that is seen squarely")
-    along, energy = peaks.points @ box.axes.T, peaks.strengths**2
+    energy = peaks.strengths**2
 
     def share(margin_m: float) -> float:
         limits = np.where(square, box.offsets_m + margin_m, np.inf)
-        inside = ((along <= limits[:, 1]) & (along >= -limits[:, 0])).all(axis=1)
+        inside = within(peaks.points, box.normals, limits)
         return float(energy[inside].sum() / energy.sum())
 
     outside = 1.0 - share(_MARGIN_M)
@@ -332,12 +382,10 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
     return share(-_MARGIN_M)
 
 
-def _require_outside(capture: Capture, axes: Floats, offsets: Floats) -> None:
+def _require_outside(capture: Capture, normals: Floats, offsets: Floats) -> None:
     """Raise UserError if antennas are within the found walls."""
-    n_inside = 0
-    for pose in capture.poses:
-        along = pose.phase_centers @ axes.T
-        inside = (along < offsets[:, 1]) & (along > -offsets[:, 0])
-        n_inside += bool(inside.all(axis=1).any())
+    n_inside = sum(
+        bool(within(pose.phase_centers, normals, offsets).any()) for pose in capture.poses
+    )
     if n_inside:
         raise WallsNotFoundError(seen=f"planes of antennas within the walls: {n_inside}")

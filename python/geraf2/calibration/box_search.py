@@ -43,7 +43,7 @@ _LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
 MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
-_FLASH_NATS, OVERLAP = 7.0, 4.0
+FLASH_NATS, OVERLAP = 7.0, 4.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
@@ -109,7 +109,7 @@ class Flashes:
         near_m, far_m = middles.depths_m
         level = 20.0 * np.log10(lobes.strengths / lobes.strengths.max(initial=1e-300))
         n_directions = np.bincount(index, minlength=len(peaks))[index]
-        weight = np.maximum(1.0 - np.log(n_directions) / _FLASH_NATS, 0.0)
+        weight = np.maximum(1.0 - np.log(n_directions) / FLASH_NATS, 0.0)
         return cls(
             normals=np.concatenate([-lobes.directions, lobes.directions]),
             offsets_m=np.concatenate(
@@ -244,15 +244,17 @@ def across(up: Floats) -> tuple[Floats, Floats]:
 def shift_penalty(cells: int) -> float:
     """Flashes that an error of the delay costs by its prior. cells: the error, in offset steps."""
     sigma = _SHIFT_SIGMA_M / OFFSET_STEP_M
-    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / _FLASH_NATS)
+    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / FLASH_NATS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoughFaces:
-    """Planes of a cuboid from flashes."""
+    """Planes of a box from flashes."""
 
     axes: Floats
     """Unit vectors in rows, (3, 3)."""
+    normals: Floats
+    """Outward normals of the faces against and along each axis, (3, 2, 3)."""
     offsets_m: Floats
     """Offsets of the faces against and along each axis, outward, (3, 2) [m]; NaN: unseen."""
     shift_m: float = 0.0
@@ -265,7 +267,7 @@ class RoughFaces:
     """Count of flashes less missed ones."""
 
 
-class _Hypothesis(NamedTuple):
+class Hypothesis(NamedTuple):
     """Score of a cuboid, for the best level and delay at a yaw."""
 
     score: float
@@ -277,13 +279,14 @@ class _Hypothesis(NamedTuple):
     level: int
 
 
-class _Search:
+class BoxSearch:
     """Search for the cuboid with most flashes at one level and one delay."""
 
-    def __init__(self, flashes: Flashes, up: Floats, reach_m: float, pair_m: float) -> None:
+    def __init__(self, flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform) -> None:
         self.flashes, self.up = flashes, up
         self.first, self.second = across(up)
         self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
+        pair_m = pair_distance_m(waveform)
         shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
         self.pairs = sorted({0, *shares})
         # A pair of echoes lies around the middle of the faces.
@@ -300,7 +303,11 @@ class _Search:
         x, y, _ = self.axes(yaw_rad)
         return [self.flashes.counts(n, self.n_offsets) for n in (-x, x, -y, y)] + self.upright
 
-    def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[_Hypothesis]:
+    def lowest_level(self, pair: int) -> int:
+        """Index of the lowest level of walls. pair: half the distance of two echoes, in cells."""
+        return N_LEVELS + int((LOWEST_PAIR_DB if pair else _LOWEST_DB) / LEVEL_STEP_DB)
+
+    def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[Hypothesis]:
         """Best hypothesis at each yaw.
 
         shifts: of the delay, in cells of the offset.
@@ -321,27 +328,46 @@ class _Search:
                     for number, shift in enumerate(shifts):
                         both = n[least - shift : end - shift] + f[least + shift : end + shift]
                         total[number] += both.max(axis=0)
-                lowest = LOWEST_PAIR_DB if pair else _LOWEST_DB
-                total[:, : N_LEVELS + int(lowest / LEVEL_STEP_DB)] = -np.inf
+                total[:, : self.lowest_level(pair)] = -np.inf
                 row, level = divmod(int(total.argmax()), N_LEVELS)
-                tries.append(_Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
+                tries.append(Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
             found.append(max(tries))
         return found
 
-    def faces(self, found: _Hypothesis) -> Floats:
+    def faces(self, found: Hypothesis) -> Floats:
         """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
-        offsets = np.full(6, np.nan)
+        offsets = np.zeros(6)
         for face, (near, far) in enumerate(self.sides(found.yaw_rad)):
             score = shifted(near.score(found.pair), found.shift)
             score += shifted(far.score(found.pair), -found.shift)
-            count = score[:, found.level]
-            count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
-            least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
-            rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
-            peaks = np.flatnonzero(rises & falls & (count >= least))
-            if len(peaks):
-                offsets[face] = (peaks[-1] + 0.5) * OFFSET_STEP_M
+            offsets[face] = outermost(score[:, found.level])
         return offsets.reshape(3, 2)
+
+    def rough(
+        self, axes: Floats, normals: Floats, offsets_m: Floats, found: Hypothesis
+    ) -> RoughFaces:
+        """Faces of a hypothesis. normals: (3, 2, 3), offsets_m: (3, 2)."""
+        return RoughFaces(
+            axes=axes,
+            normals=normals,
+            offsets_m=offsets_m,
+            shift_m=found.shift * OFFSET_STEP_M,
+            pair_m=found.pair * OFFSET_STEP_M,
+            level_db=LEVEL_STEP_DB * (found.level + 1 - N_LEVELS),
+            score=found.score,
+        )
+
+
+def outermost(count: Floats) -> float:
+    """Outermost offset with enough flashes [m]; NaN without.
+
+    count: of flashes at each offset, (n_offsets,).
+    """
+    count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
+    least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
+    rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
+    peaks = np.flatnonzero(rises & falls & (count >= least))
+    return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
 
 
 def rough_faces(
@@ -356,7 +382,7 @@ def rough_faces(
     reach_m: distance of the planes, beyond which no wall lies [m].
     like: axes that are preferred if nearly as many flashes agree, (3, 3).
     """
-    search = _Search(flashes, up, reach_m, pair_distance_m(waveform))
+    search = BoxSearch(flashes, up, reach_m, waveform)
     most = round(MOST_SHIFT_M / OFFSET_STEP_M)
     coarse, fine = _YAW_STEPS_RAD
     found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
@@ -377,7 +403,7 @@ def rough_faces(
         yield _faces_of(search, max(search.best(yaws, range(-most, most + 1))))
 
 
-def _faces_of(search: _Search, best: _Hypothesis) -> RoughFaces:
+def _faces_of(search: BoxSearch, best: Hypothesis) -> RoughFaces:
     """Faces of a hypothesis, at the one of four equal yaws that is nearest to the frame's axes."""
     offsets = search.faces(best)
     quarters = round(best.yaw_rad / (0.5 * np.pi) - 1e-9)
@@ -385,14 +411,7 @@ def _faces_of(search: _Search, best: _Hypothesis) -> RoughFaces:
     for _ in range(quarters % 4):
         offsets = offsets[[1, 0, 2]]
         offsets[0] = offsets[0, ::-1]
-    return RoughFaces(
-        axes=axes,
-        offsets_m=offsets,
-        shift_m=best.shift * OFFSET_STEP_M,
-        pair_m=best.pair * OFFSET_STEP_M,
-        level_db=LEVEL_STEP_DB * (best.level + 1 - N_LEVELS),
-        score=best.score,
-    )
+    return search.rough(axes, np.stack([-axes, axes], axis=1), offsets, best)
 
 
 def explained(
@@ -409,8 +428,7 @@ def explained(
     outward = np.zeros(len(deviation))
     shift = np.where(flashes.far, rough.shift_m, -rough.shift_m)
     for k, side in np.ndindex(3, 2):
-        normal = rough.axes[k] * (1.0 if side else -1.0)
-        along = flashes.normals @ normal > np.cos(MAX_ANGLE_RAD)
+        along = flashes.normals @ rough.normals[k, side] > np.cos(MAX_ANGLE_RAD)
         beyond = flashes.offsets_m - shift - rough.offsets_m[k, side]
         for pair in {-rough.pair_m, rough.pair_m}:
             closer = along & (np.abs(beyond - pair) < np.minimum(deviation, 3.0 * OFFSET_SIGMA_M))

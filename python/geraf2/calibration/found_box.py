@@ -9,9 +9,13 @@ import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
+from geraf2.geometry.boxes import FACES, SIGNS
 from geraf2.geometry.transforms import triple
 from geraf2.scene import LosPrior
 
+SKEW_RAD = float(np.deg2rad(0.34))
+"""RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
+the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them."""
 _N_SIDES = 128
 """Sides of the polygon that stands for a tube: within 0.1 mm of a radius of 0.3 m."""
 
@@ -50,14 +54,20 @@ class FoundBox:
     """Share of the energy from within; near zero if the planes are those of a metal body."""
 
     @property
+    def normals(self) -> Floats:
+        """Outward unit normals of the faces, (3, 2, 3)."""
+        return np.stack([-self.axes, self.axes], axis=1)
+
+    @property
     def size_m(self) -> Floats:
-        """Side lengths along the axes, (3,) [m]."""
-        return np.asarray(self.offsets_m.sum(axis=1))
+        """Distances of opposite faces through the centre, (3,) [m]."""
+        return np.asarray((self.offsets_m - self.normals @ self.center_m).sum(axis=1))
 
     @property
     def center_m(self) -> Floats:
-        """Centre, (3,) [m]."""
-        return np.asarray(0.5 * (self.offsets_m[:, 1] - self.offsets_m[:, 0]) @ self.axes)
+        """Point as far from each face as from the opposite one, (3,) [m]."""
+        (low, high), (against, along) = self.offsets_m.T, np.moveaxis(self.normals, 1, 0)
+        return np.asarray(np.linalg.solve(along - against, high - low))
 
     @property
     def yaw_deg(self) -> float:
@@ -73,7 +83,7 @@ class FoundBox:
 
     def moved(self, shift_m: Floats) -> "FoundBox":
         """Box in a frame with a shifted origin."""
-        shift = (self.axes @ shift_m)[:, None] * [-1.0, 1.0]
+        shift = self.normals @ shift_m
         return replace(
             self, offsets_m=self.offsets_m + shift, bounds_m=self.bounds_m + shift[..., None]
         )
@@ -180,6 +190,79 @@ class FoundTube(FoundBox):
         return (
             f"tube of radius {1e3 * self.radius_m:.1f} +- {sigma_mm:.1f} mm, "
             f"{1e3 * self.size_m[2]:.0f} mm high; ends {ends._seen_text()}"
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundBody(FoundBox):
+    """A box of six planes that is no cuboid: its corners are skewed, or its walls lean."""
+
+    planes: Floats
+    """Outward unit normals of the faces, (3, 2, 3)."""
+    angle_sigmas_rad: Floats
+    """Standard deviations of their yaw and lean, (3, 2, 2) [rad]."""
+
+    @property
+    def normals(self) -> Floats:
+        """Outward unit normals of the faces, (3, 2, 3)."""
+        return self.planes
+
+    @property
+    def prior(self) -> LosPrior:
+        """Line-of-sight prior of the body, without walls."""
+        sides = (SIGNS > 0.0).astype(np.int64)
+        rows = np.arange(3)
+        corners = np.linalg.solve(self.planes[rows, sides], self.offsets_m[rows, sides][..., None])
+        return LosPrior(vertices=corners[..., 0], faces=FACES.copy())
+
+    @property
+    def angles_rad(self) -> Floats:
+        """Yaw of each wall from the side of the nearest cuboid, and outward lean, (2, 2, 2)."""
+        walls, sides = self.planes[:2] @ self.axes.T, FoundBox.normals.fget(self)[:2] @ self.axes.T
+        lean = np.arcsin(walls[..., 2])
+        yaw = np.arctan2(np.cross(sides, walls)[..., 2], (sides * walls)[..., :2].sum(axis=-1))
+        return np.stack([yaw, lean], axis=-1)
+
+    def contradiction(self) -> float:
+        """Deviation of the seen walls from the best cuboid: root of chi-square."""
+        seen = self.seen[:2] == Seen.SQUARELY
+        signs = np.where(seen, [-1.0, 1.0], 0.0)[seen]
+        k = np.nonzero(seen)[0]
+        zero, one = np.zeros(len(k)), np.ones(len(k))
+        # A cuboid's turn changes all yaws alike, and leans of opposite walls against each other.
+        turns = np.concatenate([
+            np.stack([one, zero, zero], axis=1),
+            np.stack([zero, signs * (k == 0), signs * (k == 1)], axis=1),
+        ])  # fmt: skip
+        sigma = np.hypot(self.angle_sigmas_rad[:2][seen], SKEW_RAD).T.ravel()
+        values = self.angles_rad[seen].T.ravel() / sigma
+        turns /= sigma[:, None]
+        rest = values - turns @ np.linalg.lstsq(turns, values, rcond=None)[0]
+        return float(np.linalg.norm(rest))
+
+    def numbers(self) -> dict[str, Any]:
+        """Entry of run.json, with each normal and the errors of its yaw and lean."""
+        numbers = super().numbers() | {"shape": "no cuboid"}
+        for name, k, side in face_names():
+            numbers["faces"][name] |= {
+                "normal": self.planes[k, side].round(6).tolist(),
+                "angle_sigmas_deg": _json_number(np.rad2deg(self.angle_sigmas_rad[k, side])),
+            }
+        return numbers
+
+    def __str__(self) -> str:
+        yaw, lean = np.rad2deg(np.moveaxis(self.angles_rad, -1, 0))
+        sigmas = np.rad2deg(self.angle_sigmas_rad[self.seen == Seen.SQUARELY])
+        # Corners in a turn: +x +y, +y -x, -x -y, -y +x.
+        turn = np.array([yaw[0, 1], yaw[1, 1], yaw[0, 0], yaw[1, 0]])
+        corners = 90.0 - (np.roll(turn, -1) - turn)
+        size = " x ".join(f"{1e3 * side:.1f}" for side in self.size_m)
+        return (
+            f"box of {size} mm that is no cuboid: corners of "
+            f"{' '.join(f'{c:.1f}' for c in corners)} degrees, walls "
+            f"{' '.join(n for n, *_ in face_names()[:4])} lean outward by "
+            f"{' '.join(f'{a:z.1f}' for a in lean.ravel())} +- {sigmas.max(initial=0.0):.1f} "
+            f"degrees; faces {self._seen_text()}"
         )
 
 

@@ -120,14 +120,16 @@ def box_faces(numbers: Mapping[str, Any]) -> list[BoxFace]:
     if found is None or any(found.get(name, {}).get("offset_m") is None for name, _, _ in _FACES):
         return []
     axes = np.asarray(numbers["axes"], dtype=np.float64)
-    ends = np.array([[-found[f"-{a}"]["offset_m"], found[f"+{a}"]["offset_m"]] for a in "xyz"])
+    normals = np.array(
+        [found[name].get("normal") or (2 * s - 1) * axes[k] for name, k, s in _FACES]
+    )
+    offsets = np.array([found[name]["offset_m"] for name, *_ in _FACES])
     faces = []
-    for name, k, side in _FACES:
-        first, second = (axis for axis in range(3) if axis != k)
-        along = np.empty((4, 3))
-        along[:, k] = ends[k, side]
-        along[:, first], along[:, second] = ends[first, [0, 1, 1, 0]], ends[second, [0, 0, 1, 1]]
+    for number, (name, k, _) in enumerate(_FACES):
+        first, second = (2 * axis for axis in range(3) if axis != k)
+        planes = [[number, first + i, second + j] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))]
+        corners = np.linalg.solve(normals[planes], offsets[planes][..., None])[..., 0]
         is_seen = found[name]["seen"] != "not"
         sigma = found[name].get("sigma_m") if is_seen else None
-        faces.append(BoxFace(name=name, corners_m=along @ axes, sigma_m=sigma))
+        faces.append(BoxFace(name=name, corners_m=corners, sigma_m=sigma))
     return faces
