@@ -29,6 +29,8 @@ class Seen(IntEnum):
     """Echoes of its edges on neighbouring faces."""
     SQUARELY = 2
     """Flashes: antennas see it at a right angle, from the front or from behind."""
+    GIVEN = 3
+    """By the given prior."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,12 +124,13 @@ class FoundBox:
         """Faces by their evidence."""
         kinds = {
             kind: [name for name, k, side in face_names() if self.seen[k, side] == kind]
-            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
+            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.GIVEN, Seen.NOT)
         }
         where = " ".join(f"{1e3 * off:.0f}" for off in self.offsets_m[self.seen == Seen.NOT])
         texts = (
             "seen squarely",
             "by their edges",
+            "as given",
             f"not seen: assumed {where} mm from the frame's origin",
         )
         return ", ".join(

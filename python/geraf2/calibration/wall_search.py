@@ -53,7 +53,8 @@ def find_walls(
 ) -> RoughFaces | None:
     """Box of four walls at any angles with most flashes, at one level and one delay.
 
-    up: the box's vertical, (3,). reach_m: distance of the planes [m]. None with fewer than three walls.
+    up: the box's vertical, (3,). reach_m: distance of the planes [m].
+    Returns None with fewer than three walls.
     """
     search = BoxSearch(flashes, up, reach_m, waveform)
     normals = _dense_normals(search)

@@ -7,7 +7,7 @@ import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_finder import LEAST_CONTENT, find_box
-from geraf2.calibration.found_box import FoundBox, FoundTube, Seen, WallsNotFoundError
+from geraf2.calibration.found_box import FoundBody, FoundBox, FoundTube, Seen, WallsNotFoundError
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder
@@ -95,8 +95,8 @@ def checked_prior(
         if found is not None:
             text = f"{found}; the prior is no cuboid and is not compared"
         return BoxCheck(prior=prior, found=found, text=text)
-    if isinstance(found, FoundTube):
-        return _tube_for(prior, found, name, capture)
+    if isinstance(found, FoundTube | FoundBody):
+        return _body_for(prior, found, name, capture)
     difference = Difference.of(found, *prior.cuboid)
     if difference.is_other and difference.is_within and found.content_share < LEAST_CONTENT:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
@@ -130,27 +130,36 @@ def checked_prior(
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
 
 
-def _tube_for(prior: LosPrior, found: FoundTube, name: str, capture: Capture) -> BoxCheck:
-    """Tube in place of the cuboid around it, whose height it keeps; UserError if it is another."""
+def _body_for(prior: LosPrior, found: FoundBox, name: str, capture: Capture) -> BoxCheck:
+    """Tube, or box that is no cuboid, in place of the cuboid around it.
+
+    It keeps the given height where its ends are not seen squarely. UserError if it is another box.
+    """
     assert prior.cuboid is not None
     axes, size, middle = prior.cuboid
     height = int(np.abs(axes @ found.axes[2]).argmax())
-    sides, along = np.delete(size, height), middle - found.center_m
-    off = np.abs(sides - 2.0 * found.radius_m).max() + np.linalg.norm(found.axes[:2] @ along)
-    if off > _OTHER_BOX_M:
+    sides, along = np.sort(np.delete(size, height)), found.axes @ (middle - found.center_m)
+    own = np.sort(found.size_m[:2])
+    if np.abs(sides - own).max() + np.linalg.norm(along[:2]) > _OTHER_BOX_M:
         raise UserError(
-            what="the scan shows a tube, and the prior is another box",
+            what="the scan shows another box than the prior, and it is no cuboid",
             where=name,
             expected=f"sides of {_in_mm(sides, np.arange(2))} mm",
-            got=f"a diameter of {2e3 * found.radius_m:.0f} mm by the walls' echoes",
+            got=f"{found}, by the walls' echoes",
             hint="leave the prior out, or keep it with --trust-los",
         )
-    offsets = found.offsets_m.copy()
-    offsets[2] = 0.5 * size[height] + middle @ found.axes[2] * np.array([-1.0, 1.0])
-    tube = replace(found, offsets_m=offsets)
-    text = f"the scan shows a {tube}: it replaces the cuboid of the prior"
-    known = with_walls(tube.prior, capture.walls)
-    return BoxCheck(prior=known, found=tube, text=text, is_new=True, is_warning=True)
+    given = (found.seen != Seen.SQUARELY) & np.array([[False], [False], [True]])
+    ends = 0.5 * size[height] + middle @ found.axes[2] * np.array([-1.0, 1.0])
+    body = replace(
+        found,
+        offsets_m=np.where(given, ends, found.offsets_m),
+        sigmas_m=np.where(given, np.inf, found.sigmas_m),
+        bounds_m=np.where(given[..., None], [-np.inf, np.inf], found.bounds_m),
+        seen=np.where(given, Seen.GIVEN, found.seen),
+    )
+    text = f"the scan shows a {body}: it replaces the cuboid of the prior"
+    known = with_walls(body.prior, capture.walls)
+    return BoxCheck(prior=known, found=body, text=text, is_new=True, is_warning=True)
 
 
 def require_determined(run: RunFolder) -> None:
