@@ -68,7 +68,7 @@ def compared(found: FoundBox, truth: LosPrior, turn_deg: float) -> dict:
     )
     both = square.all(axis=1)
     inside = (found.bounds_m[..., 0] <= offsets) & (offsets <= found.bounds_m[..., 1])
-    covered = np.abs(found.size_m - size[order]) < 1.96 * np.linalg.norm(found.sigmas_m, axis=1)
+    covered = np.abs(found.size_m - size[order]) < 1.96 * found.size_sigma_m
     off = found.offsets_m - offsets
     edges = found.seen == Seen.EDGES
     return {

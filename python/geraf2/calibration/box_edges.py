@@ -16,7 +16,8 @@ SQUARE_COSINE = float(np.cos(0.2))
 _ON_WALL_M, _CORNER_M = 0.006, 0.01
 # Least direction cosine across the edge, and largest along it.
 _LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
-# Least number of sub-apertures with an edge's echo: four overlap, and count as one.
+# Least number of flashes at a foot, and of sub-apertures with an edge's echo: four overlap, and
+# count as one.
 _FEWEST = 4
 # Distance of an edge's echo inside of the edge, and its standard deviation [m].
 _EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
@@ -34,20 +35,20 @@ Face = tuple[int, int]
 def flash_reach(
     peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face
 ) -> float:
-    """Lower bound of an unseen face's offset: the farthest foot of a flash of the seen walls [m].
+    """Lower bound of an unseen face's offset: the farthest feet of flashes of the seen walls [m].
 
     normals, offsets_m, seen: of all faces, (3, 2, 3) and (3, 2).
     """
     k, side = face
     outward = peaks.points @ normals[k, side]
-    least = 0.0
+    feet = np.zeros(_FEWEST)
     for j, other in zip(*np.nonzero(seen), strict=True):
         if j != k:
             normal = normals[j, other]
             flash = np.abs(peaks.points @ normal - offsets_m[j, other]) < _ON_WALL_M
             flash &= np.abs(peaks.directions @ normal) > _FLASH_COSINE
-            least = max(least, float(outward[flash].max(initial=0.0)))
-    return least
+            feet = np.sort(np.concatenate([feet, outward[flash]]))[-_FEWEST:]
+    return float(feet[0])
 
 
 def content_reach(

@@ -48,7 +48,7 @@ from geraf2.ops._threads import with_one_blas_thread
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 6
+BOX_VERSION = 7
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
@@ -264,6 +264,7 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
     turn = found.prior_to_capture[:3, :3]
     axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
     seen, normals, angles = box.seen.copy(), box.normals.copy(), np.zeros((3, 2, 2))
+    rows = np.zeros((3, 2), dtype=np.int64)
     for wall, normal in enumerate(problem.faces.normals):
         face = np.unravel_index((box.normals @ normal).argmax(), (3, 2))
         values, covariance = fit.values[shapes[wall]], fit.covariance[np.ix_(*2 * [shapes[wall]])]
@@ -278,11 +279,12 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
         else:
             normals[face] = outward
         offsets[face] = (middle + values[0] * outward) @ normals[face]
-        widths[face] = np.sqrt(covariance[0, 0])
+        widths[face], rows[face] = np.sqrt(covariance[0, 0]), shapes[wall, 0]
         is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
         seen[face] = Seen.SQUARELY if is_seen else Seen.NOT
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
     skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
+    errors = fit.covariance[rows[:, 0], rows[:, 1]] / widths.prod(axis=1)
     free = {"planes": normals, "angle_sigmas_rad": angles} if is_body else {}
     return replace(
         box,
@@ -291,6 +293,7 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
         turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
         offsets_m=offsets,
         sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
+        correlations=np.where((seen == Seen.SQUARELY).all(axis=1), errors, 0.0),
         seen=seen,
     )
 

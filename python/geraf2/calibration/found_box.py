@@ -1,6 +1,6 @@
 """Outside of a box or tube from a scan, with standard deviations and bounds for unseen faces."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from itertools import product
 from typing import Any
@@ -52,6 +52,8 @@ class FoundBox:
     """95 % intervals of the offsets, (3, 2, 2) [m]; infinite without a bound."""
     seen: Ints
     """`Seen` of each face, (3, 2)."""
+    correlations: Floats = field(default_factory=lambda: np.zeros(3))
+    """Of the offsets of opposite faces, which share the delay and the walls' thickness, (3,)."""
     content_share: float = 0.0
     """Share of the energy from within; near zero if the planes are those of a metal body."""
 
@@ -64,6 +66,13 @@ class FoundBox:
     def size_m(self) -> Floats:
         """Distances of opposite faces through the centre, (3,) [m]."""
         return np.asarray((self.offsets_m - self.normals @ self.center_m).sum(axis=1))
+
+    @property
+    def size_sigma_m(self) -> Floats:
+        """Standard deviations of the sides, (3,) [m]; infinite with an unseen face."""
+        low, high = self.sigmas_m.T
+        common = np.where(np.isfinite(low * high), 2.0 * self.correlations, 0.0)
+        return np.sqrt(low**2 + high**2 + common * np.nan_to_num(low * high, posinf=0.0))
 
     @property
     def center_m(self) -> Floats:
@@ -104,7 +113,7 @@ class FoundBox:
         """Entry of run.json: lengths in metres, angles in degrees; None without a bound."""
         return {
             "size_m": _json_number(self.size_m),
-            "size_sigma_m": _json_number(np.linalg.norm(self.sigmas_m, axis=1)),
+            "size_sigma_m": _json_number(self.size_sigma_m),
             "center_m": _json_number(self.center_m),
             "axes": self.axes.round(6).tolist(),
             "yaw_deg": round(self.yaw_deg, 4),
@@ -139,7 +148,7 @@ class FoundBox:
 
     def __str__(self) -> str:
         sizes = []
-        for size, sigma in zip(self.size_m, np.linalg.norm(self.sigmas_m, axis=1), strict=True):
+        for size, sigma in zip(self.size_m, self.size_sigma_m, strict=True):
             error = f" +- {1e3 * sigma:.1f}" if np.isfinite(sigma) else ""
             sizes.append(f"{1e3 * size:.1f}{error}")
         turn = f"{self.yaw_deg:z.2f} +- {self.yaw_sigma_deg:.2f} degrees"

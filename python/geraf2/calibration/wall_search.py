@@ -64,11 +64,11 @@ def find_walls(
         (_best_walls(search, counts, azimuth, pair) for pair in search.pairs),
         key=lambda choice: choice.found.score,
     )
-    if len(best.walls) < _FEWEST_WALLS:
-        return None
     tries = *normals[best.walls], -up, up
     planes = [_plane(search, normal, best.found) for normal in tries]
-    return _box([p for p in planes if np.isfinite(p[1])], search, best.found)
+    if np.isfinite([offset for _, offset in planes[:-2]]).sum() < _FEWEST_WALLS:
+        return None
+    return _box([plane for plane in planes if np.isfinite(plane[1])], search, best.found)
 
 
 def _best_walls(

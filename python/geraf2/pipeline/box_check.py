@@ -207,7 +207,7 @@ class Difference:
         size, axes = size_m[list(order)], axes[list(order)]
         middle = found.axes @ center_m
         offsets = np.stack([0.5 * size - middle, 0.5 * size + middle], axis=1)
-        tolerance = _COVER * np.linalg.norm(found.sigmas_m, axis=1)
+        tolerance = _COVER * found.size_sigma_m
         off_size = found.size_m - size
         center = 0.5 * (found.offsets_m[:, 1] - found.offsets_m[:, 0]) - middle
         turn = np.rad2deg(np.arccos(np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)))
