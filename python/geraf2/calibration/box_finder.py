@@ -39,7 +39,7 @@ from geraf2.calibration.found_box import (
 )
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.tube_search import TubeFit, find_tube
-from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
+from geraf2.calibration.wall_alignment import AlignmentConfig, Group, WallProblem
 from geraf2.calibration.wall_faces import N_MODES
 from geraf2.calibration.wall_search import find_walls
 from geraf2.errors import UserError
@@ -135,8 +135,8 @@ def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
     if isinstance(box, FoundBody):
         # Flashes at a wall's rim have another direction: which these are follows from the edges.
         box = _refined(capture, _bounded(capture, box, peaks.known), peaks)
-        if box.contradiction() < _CONTRADICTION:
-            raise WallsNotFoundError(seen="walls at right angles")
+    if isinstance(box, FoundBody) and box.contradiction() < _CONTRADICTION:
+        raise WallsNotFoundError(seen="walls at right angles")
     if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
@@ -259,7 +259,8 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
     is_body = isinstance(box, FoundBody)
     if is_body:
         problem.sigmas[shapes[:, 1:]] = _TILT_M
-    fit = problem.fit(("delay",) if is_body else ("delay", "frame"))
+    groups: tuple[Group, ...] = ("delay",) if is_body else ("delay", "frame")
+    fit = problem.fit(groups)
     found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
     turn = found.prior_to_capture[:3, :3]
     axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
@@ -285,10 +286,10 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
     skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
     errors = fit.covariance[rows[:, 0], rows[:, 1]] / widths.prod(axis=1)
-    free = {"planes": normals, "angle_sigmas_rad": angles} if is_body else {}
+    if isinstance(box, FoundBody):
+        box = replace(box, planes=normals, angle_sigmas_rad=angles)
     return replace(
         box,
-        **free,
         axes=axes,
         turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
         offsets_m=offsets,

@@ -43,7 +43,8 @@ _LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
 MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
-FLASH_NATS, OVERLAP = 7.0, 4.0
+FLASH_NATS = 7.0
+OVERLAP = 4.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of

@@ -60,7 +60,7 @@ class FoundBox:
     @property
     def normals(self) -> Floats:
         """Outward unit normals of the faces, (3, 2, 3)."""
-        return np.stack([-self.axes, self.axes], axis=1)
+        return _along(self.axes)
 
     @property
     def size_m(self) -> Floats:
@@ -70,9 +70,9 @@ class FoundBox:
     @property
     def size_sigma_m(self) -> Floats:
         """Standard deviations of the sides, (3,) [m]; infinite with an unseen face."""
-        low, high = self.sigmas_m.T
-        common = np.where(np.isfinite(low * high), 2.0 * self.correlations, 0.0)
-        return np.sqrt(low**2 + high**2 + common * np.nan_to_num(low * high, posinf=0.0))
+        finite = np.where(np.isfinite(self.sigmas_m), self.sigmas_m, 0.0)
+        common = 2.0 * self.correlations * finite.prod(axis=1)
+        return np.asarray(np.sqrt((self.sigmas_m**2).sum(axis=1) + common))
 
     @property
     def center_m(self) -> Floats:
@@ -222,34 +222,29 @@ class FoundBody(FoundBox):
     @property
     def prior(self) -> LosPrior:
         """Line-of-sight prior of the body, without walls."""
-        sides = (SIGNS > 0.0).astype(np.int64)
-        rows = np.arange(3)
-        corners = np.linalg.solve(self.planes[rows, sides], self.offsets_m[rows, sides][..., None])
-        return LosPrior(vertices=corners[..., 0], faces=FACES.copy())
+        of = np.arange(3), (SIGNS > 0.0).astype(np.int64)
+        corners = np.linalg.solve(self.planes[of], self.offsets_m[of][..., None])[..., 0]
+        return LosPrior(vertices=np.asarray(corners), faces=FACES.copy())
 
     @property
     def angles_rad(self) -> Floats:
         """Yaw of each wall from the side of the nearest cuboid, and outward lean, (2, 2, 2)."""
-        walls, sides = self.planes[:2] @ self.axes.T, FoundBox.normals.fget(self)[:2] @ self.axes.T
+        walls, sides = self.planes[:2] @ self.axes.T, _along(np.eye(3))[:2]
         lean = np.arcsin(walls[..., 2])
         yaw = np.arctan2(np.cross(sides, walls)[..., 2], (sides * walls)[..., :2].sum(axis=-1))
         return np.stack([yaw, lean], axis=-1)
 
     def contradiction(self) -> float:
         """Deviation of the seen walls from the best cuboid: root of chi-square."""
-        seen = self.seen[:2] == Seen.SQUARELY
-        signs = np.where(seen, [-1.0, 1.0], 0.0)[seen]
-        k = np.nonzero(seen)[0]
-        zero, one = np.zeros(len(k)), np.ones(len(k))
+        k, side = np.nonzero(self.seen[:2] == Seen.SQUARELY)
         # A cuboid's turn changes all yaws alike, and leans of opposite walls against each other.
-        turns = np.concatenate([
-            np.stack([one, zero, zero], axis=1),
-            np.stack([zero, signs * (k == 0), signs * (k == 1)], axis=1),
-        ])  # fmt: skip
-        sigma = np.hypot(self.angle_sigmas_rad[:2][seen], SKEW_RAD).T.ravel()
-        values = self.angles_rad[seen].T.ravel() / sigma
-        turns /= sigma[:, None]
-        rest = values - turns @ np.linalg.lstsq(turns, values, rcond=None)[0]
+        turns = np.zeros((len(k), 2, 3))
+        turns[:, 0, 2] = 1.0
+        turns[np.arange(len(k)), 1, k] = 2.0 * side - 1.0
+        sigmas = np.hypot(self.angle_sigmas_rad[k, side], SKEW_RAD)
+        matrix = (turns / sigmas[..., None]).reshape(-1, 3)
+        values = (self.angles_rad[k, side] / sigmas).ravel()
+        rest = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
         return float(np.linalg.norm(rest))
 
     def numbers(self) -> dict[str, Any]:
@@ -276,6 +271,11 @@ class FoundBody(FoundBox):
             f"{' '.join(f'{a:z.1f}' for a in lean.ravel())} +- {sigmas.max(initial=0.0):.1f} "
             f"degrees; faces {self._seen_text()}"
         )
+
+
+def _along(axes: Floats) -> Floats:
+    """Outward normals of a cuboid's faces, (3, 2, 3)."""
+    return np.stack([-axes, axes], axis=1)
 
 
 def face_names() -> list[tuple[str, int, int]]:

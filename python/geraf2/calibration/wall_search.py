@@ -39,7 +39,7 @@ _FEWEST_WALLS = 3
 # Largest difference to the level of the walls [dB], and rounds of a normal's mean.
 _LEVEL_RANGE_DB, _N_ROUNDS = 8.0, 3
 # Flashes that a free wall costs, by the number of its distinct normals.
-_FREEDOM = np.log(_MOST_TURN_RAD * _MOST_LEAN_RAD / MAX_ANGLE_RAD**2) / FLASH_NATS
+_FREEDOM = float(np.log(_MOST_TURN_RAD * _MOST_LEAN_RAD / MAX_ANGLE_RAD**2)) / FLASH_NATS
 
 
 class _Choice(NamedTuple):
@@ -125,7 +125,7 @@ def _dense_normals(search: BoxSearch) -> Floats:
     turn, tilt = (MAX_ANGLE_RAD * np.array(each) for each in np.unravel_index(best, density.shape))
     tilt -= MAX_ANGLE_RAD * most
     level = np.outer(np.cos(turn), search.first) + np.outer(np.sin(turn), search.second)
-    return np.cos(tilt)[:, None] * level + np.outer(np.sin(tilt), search.up)
+    return np.asarray(np.cos(tilt)[:, None] * level + np.outer(np.sin(tilt), search.up))
 
 
 def _plane(search: BoxSearch, normal: Floats, found: Hypothesis) -> tuple[Floats, float]:
