@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_edges import (
     SQUARE_COSINE,
     content_reach,
@@ -134,7 +134,8 @@ def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
         box = _refined(capture, box, peaks)
     if isinstance(box, FoundBody):
         # Flashes at a wall's rim have another direction: which these are follows from the edges.
-        box = _refined(capture, _bounded(capture, box, peaks.known), peaks)
+        sure = box.seen == Seen.SQUARELY
+        box = _refined(capture, _bounded(capture, box, peaks.known), peaks, sure)
     if isinstance(box, FoundBody) and box.contradiction() < _CONTRADICTION:
         raise WallsNotFoundError(seen="walls at right angles")
     if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
@@ -249,8 +250,13 @@ class _Known(KeptPeaks):
         return self.known
 
 
-def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
-    """Box after one joint estimate of delay, orientation and each wall's distance."""
+def _refined(
+    capture: Capture, box: FoundBox, peaks: KeptPeaks, sure: Bools | None = None
+) -> FoundBox:
+    """Box after one joint estimate of delay, orientation and each wall's distance.
+
+    sure: faces that are known to be seen squarely, (3, 2).
+    """
     try:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks)
     except UserError as error:
@@ -282,6 +288,7 @@ def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
         offsets[face] = (middle + values[0] * outward) @ normals[face]
         widths[face], rows[face] = np.sqrt(covariance[0, 0]), shapes[wall, 0]
         is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
+        is_seen |= sure is not None and bool(sure[face])
         seen[face] = Seen.SQUARELY if is_seen else Seen.NOT
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
     skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
