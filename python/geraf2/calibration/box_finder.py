@@ -92,8 +92,9 @@ def find_box(
     summary: of the capture, if already computed.
     num_threads: all cores when None.
 
-    Returns the cuboid, or a FoundTube, in the capture's frame [m]. Faces that no antenna sees at a
-    right angle have an interval. Without any bound but the seen walls, they get a margin.
+    Returns the cuboid, or a FoundBody or FoundTube, in the capture's frame [m]. Faces that no
+    antenna sees at a right angle have an interval. Without any bound but the seen walls, they get a
+    margin.
     Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them.
 
     >>> capture, truth = geraf2.examples.small_capture()
