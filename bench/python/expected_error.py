@@ -7,8 +7,8 @@ factor of the package is checked: per run, the share of the area within one and 
 deviations, and the rank correlation with the true error. With `--fit` full support and exponent of
 `SupportModel` are fitted first: by maximum likelihood under Student's t distribution of four
 degrees of freedom, which outliers do not rule, then scaled so that the shares of the area within
-one and two standard deviations differ least (sum of squares) from 0.683 and 0.954, those of a
-normal distribution. Every run has the same weight, every vertex that of its area.
+one and two standard deviations differ least (sum of squares) from those of a normal distribution.
+Every run has the same weight, every vertex that of its area.
 """
 
 import argparse
@@ -18,43 +18,48 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
-from geraf2.echoes import Glints
+import geraf2
 from geraf2.evaluation.forecast import rank_correlation
+from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import vertex_areas
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME, RIM_NAME
-from geraf2.surfaces.expected_error import SupportModel, conformal_factor, nearness
+from geraf2.pipeline.posterior import evidence_of_run
+from geraf2.surfaces.expected_error import SupportModel, VertexSpread, nearness
 from geraf2.surfaces.isosurface import signed_distances
+from geraf2.surfaces.posterior import draw_errors
 
 DEGREES_OF_FREEDOM = 4.0
+# Shares of a normal distribution within one and two standard deviations.
+WANTED = np.array([0.683, 0.954])
 START = np.array([np.log(10.0), 0.4])
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sample:
     name: str
-    spread_m: np.ndarray
-    """Of the posterior, without its factor."""
-    support: np.ndarray
+    spread: VertexSpread
     error_m: np.ndarray
     weights: np.ndarray
     """Shares of the area."""
 
     def expected_m(self, model: SupportModel) -> np.ndarray:
-        return self.spread_m * conformal_factor(self.support, model)
+        return self.spread.factor(model) * self.spread.spread_m
+
+    def within(self, model: SupportModel) -> np.ndarray:
+        """Shares of the area within one and two standard deviations."""
+        ratio = self.error_m / self.expected_m(model)
+        return np.array([self.weights[ratio <= n].sum() for n in (1.0, 2.0)])
 
 
 def sample(run: Path, truth: Path) -> Sample:
-    mesh, true = read_mesh(run / CONTENT_NAME), read_mesh(truth)
-    glints = Glints.load(run / GLINTS_NAME)
-    if (run / RIM_NAME).is_file():
-        glints = Glints.load(run / GLINTS_NAME).join(Glints.load(run / RIM_NAME))
+    result, true = geraf2.load_run(run), read_mesh(truth)
+    mesh = result.content_mesh
+    evidence, fit, field = evidence_of_run(result.run, result.record.config)
+    near, sdf = nearness(mesh, evidence.seen, weights=evidence.weights), SdfGrid.load(run / field)
     areas = vertex_areas(mesh.vertices, mesh.faces)
-    support = nearness(mesh, glints).support
     return Sample(
         name=run.name,
-        spread_m=mesh.expected_error_m / conformal_factor(support),
-        support=support,
+        spread=draw_errors(mesh, near, sdf, evidence, result.prior, fit)[1],
         error_m=np.abs(signed_distances(true, mesh.vertices)),
         weights=areas / areas.sum(),
     )
@@ -77,17 +82,16 @@ def fitted(samples: list[Sample]) -> SupportModel:
     bounds = [(-3.0, 8.0), (0.02, 2.0)]
     found = minimize(cost, START, method="L-BFGS-B", bounds=bounds, options={"eps": 1e-3}).x
     model = model_of(found)
-    scales = np.geomspace(0.5, 3.0, 181)
-    within = np.zeros((2, len(scales)))
-    for s in samples:
-        ratio = s.error_m / s.expected_m(model)
-        order = np.argsort(ratio)
-        below = np.cumsum(s.weights[order])
-        for n in (1, 2):
-            within[n - 1] += np.interp(n * scales, ratio[order], below) / len(samples)
-    off = (within[0] - 0.683) ** 2 + (within[1] - 0.954) ** 2
-    full = model.full * scales[off.argmin()] ** (1.0 / model.exponent)
-    return replace(model, full=float(full))
+    scaled = [
+        replace(model, full=float(model.full * scale ** (1.0 / model.exponent)))
+        for scale in np.geomspace(0.5, 3.0, 91)
+    ]
+
+    def off(model: SupportModel) -> float:
+        within = np.mean([s.within(model) for s in samples], axis=0)
+        return float(((within - WANTED) ** 2).sum())
+
+    return min(scaled, key=off)
 
 
 def check(samples: list[Sample], model: SupportModel) -> np.ndarray:
@@ -98,8 +102,7 @@ def check(samples: list[Sample], model: SupportModel) -> np.ndarray:
         drawn = np.random.default_rng(0).choice(len(expected), 10000, p=s.weights)
         rows.append(
             (
-                s.weights[s.error_m <= expected].sum(),
-                s.weights[s.error_m <= 2.0 * expected].sum(),
+                *s.within(model),
                 rank_correlation(expected[drawn], s.error_m[drawn]),
                 1e3 * np.median(expected[drawn]),
                 1e3 * np.median(s.error_m[drawn]),

@@ -7,10 +7,12 @@
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
 and appends a line for every N-th to the file ROWS; scenes that are there are left out. With
 `--whole`, the last line of a scene compares the end with `reconstruct`, of the planes as they were
-added and in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py, with an
-offset and a slope, every scene with the same weight. `check` states how often the interval holds
-the score, what a stop at a target reaches, with how many planes more than the first scan that
-reaches it, and the time of an update in the first and the last quarter of the planes.
+added and in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py: log s is the
+factor of all expected errors at which the stated share is the score. Of its absolute value the
+68 % quantile is taken, which no lost scan rules; every scene has the same weight. `check` states
+how often the interval holds the score, what a stop at a target reaches, with how many planes more
+than the first scan that reaches it, and the time of an update in the first and the last quarter of
+the planes.
 """
 
 import argparse
@@ -21,15 +23,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.special import ndtri
 
 import geraf2
 from geraf2.apps.live.target import SURE
 from geraf2.errors import UserError
 from geraf2.evaluation.mesh_metrics import evaluate_mesh
 from geraf2.io.mesh import read_mesh
-from geraf2.surfaces.stated_score import StatedScore, kept_share, log_odds
+from geraf2.surfaces.stated_score import SIGMA, stated_f1
 
 TAU_M = 0.005
+# Quantiles of a normal distribution: half width of the 90 % interval, and of a sure target.
+NINETY, SURELY = float(ndtri(0.95)), float(ndtri(SURE))
 TARGETS = (0.90, 0.95)
 
 
@@ -69,12 +74,15 @@ def run(rows: Path, scene: Path, preset: str, every: int, is_whole: bool) -> Non
                 write(plane=number, error=str(error))
                 continue
             seconds, cpu = time.perf_counter() - start[0], time.process_time() - start[1]
+            f1, stated = f1_of(mesh, truth), stated_f1(mesh)
             write(
                 plane=number,
                 n_planes=len(order),
                 has_box=session.has_box,
-                f1=f1_of(mesh, truth),
-                kept=kept_share(mesh, TAU_M),
+                f1=f1,
+                stated=stated.median,
+                log_scale=stated.log_scale(f1),
+                target_log_scales=[stated.log_scale(target) for target in TARGETS],
                 seen=session.result.numbers["mesh"]["evidence_shares"]["seen"],
                 error_mm=session.result.numbers["mesh"]["expected_error_median_mm"],
                 seconds=round(seconds, 2),
@@ -109,14 +117,12 @@ def read(rows: Path) -> tuple[dict[str, list[dict]], list[dict]]:
 def fit(rows: Path) -> None:
     growing, _ = read(rows)
     lines = [row | {"weight": 1.0 / len(own)} for own in growing.values() for row in own]
-    kept, f1, weight = (np.array([line[k] for line in lines]) for k in ("kept", "f1", "weight"))
-    root = np.sqrt(weight)
-    stated, scored = (np.array([log_odds(x) for x in column]) for column in (kept, f1))
-    columns = np.stack([np.ones_like(stated), stated], axis=1)
-    found = np.linalg.lstsq(columns * root[:, None], scored * root, rcond=None)[0]
-    sigma = np.sqrt((weight * (scored - stated) ** 2).sum() / weight.sum())
+    scale, weight = (np.array([line[k] for line in lines]) for k in ("log_scale", "weight"))
+    order = np.argsort(np.abs(scale))
+    below = np.cumsum(weight[order]) / weight.sum()
+    sigma = np.abs(scale)[order][below.searchsorted(0.683)]
     print(f"{len(growing)} scenes, {len(lines)} surfaces")
-    print(f"offset {found[0]:.3f}  slope {found[1]:.3f}  sigma without them {sigma:.3f}")
+    print(f"log s: mean {weight @ scale / weight.sum():+.3f}, 68 % within {sigma:.3f}")
 
 
 def check(rows: Path) -> None:
@@ -124,15 +130,17 @@ def check(rows: Path) -> None:
     inside, off = [], []
     for own in growing.values():
         for row in own:
-            low, high = StatedScore(median=row["kept"]).interval
-            inside.append(low <= row["f1"] <= high)
-            off.append(row["kept"] - row["f1"])
+            inside.append(abs(row["log_scale"]) <= NINETY * SIGMA)
+            off.append(row["stated"] - row["f1"])
     print(f"90 % interval holds {np.mean(inside):.3f} of {len(inside)} surfaces")
     print(f"mean of stated less achieved {np.mean(off):+.3f}, rms {np.std(off):.3f}")
-    for target in TARGETS:
+    for name, own in growing.items():
+        held = np.mean([abs(row["log_scale"]) <= NINETY * SIGMA for row in own])
+        print(f"  {name}: {held:.2f} of {len(own)}")
+    for number, target in enumerate(TARGETS):
         stops, reached, ratios = 0, 0, []
         for own in growing.values():
-            sure = (StatedScore(median=row["kept"]).odds(target) >= SURE for row in own)
+            sure = (row["target_log_scales"][number] >= SURELY * SIGMA for row in own)
             stop = next((row for row, met in zip(own, sure, strict=True) if met), None)
             first = next((r for r in own if r["f1"] >= target), None)
             if stop is not None:

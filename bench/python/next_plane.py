@@ -24,17 +24,20 @@ from geraf2.apps.planning.scan_time import Scanner, plane_at, swept_planes
 from geraf2.evaluation.mesh_metrics import evaluate_mesh
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation import SceneSpec, simulate
+from geraf2.simulation.population import draw_scene
 from geraf2.simulation.spec import parse_spec
 from geraf2.simulation.world import EFFECTS
 
 APERTURE_M, SPACING_M, STANDOFF_M = (0.16, 0.20), 0.005, 0.35
-BOX_M = (0.20, 0.20, 0.20)
+BOX_M, LARGEST_M = (0.20, 0.20, 0.20), 0.17
 N_CHOSEN, N_EVEN = 6, 9
 WORLD = [effect for effect in EFFECTS if effect not in ("dielectric", "waves", "second_bounce")]
 
 
 def spec_of(seed: int) -> SceneSpec:
     height_m = float(np.random.default_rng(seed).uniform(0.09, 0.15))
+    extents_m = np.array(draw_scene(seed).record["extents_m"])
+    height_m = min(height_m, LARGEST_M * float(extents_m[2] / extents_m.max()))
     return parse_spec(
         {
             "figure": {"name": f"random-{seed}", "height_m": height_m},

@@ -8,6 +8,7 @@ from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import (
     SupportModel,
+    bounded_factor,
     conformal_factor,
     nearness,
     quality_numbers,
@@ -55,6 +56,26 @@ def test_the_factor_falls_with_support_and_is_one_where_it_is_full():
     assert np.isfinite(factor).all()
 
 
+def test_a_direct_return_nearby_bounds_the_error():
+    """The factor is that of draws, of which a share p is redrawn until it is within the bound."""
+    rng = np.random.default_rng(0)
+    for spread_m, bound_m, p in ((3e-3, 2e-3, 1.0), (8e-3, 2e-3, 0.7), (1e-3, 4e-3, 0.9)):
+        drawn = spread_m * rng.standard_normal(400_000)
+        within = drawn[np.abs(drawn) <= bound_m]
+        variance = p * np.mean(within**2) + (1.0 - p) * spread_m**2
+        factor = bounded_factor(np.array([spread_m]), np.array([bound_m]), np.array([p]))[0]
+        assert factor * spread_m == pytest.approx(np.sqrt(variance), rel=0.01)
+
+
+def test_a_bound_of_no_use_changes_nothing():
+    spread_m = np.array([1e-3, 2e-3, 5e-2])
+    np.testing.assert_array_equal(bounded_factor(spread_m, np.full(3, 1e-3), np.zeros(3)), 1.0)
+    far = bounded_factor(spread_m, np.full(3, 1.0), np.ones(3))
+    np.testing.assert_allclose(far, 1.0)
+    tight = spread_m * bounded_factor(spread_m, np.full(3, 1e-4), np.ones(3))
+    np.testing.assert_allclose(tight, 1e-4 / np.sqrt(3.0), rtol=0.02)
+
+
 def test_seen_requires_a_similar_normal():
     mesh = plane()
     for degrees, seen in ((18, True), (22, False), (180, False)):
@@ -71,6 +92,7 @@ def test_no_glints_and_no_mesh_are_not_errors():
     none = nearness(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))))
     assert not none.support.any()
     assert not none.seen.any()
+    assert np.isinf(none.distance_m).all()
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
     assert nearness(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).support.shape == (0,)
     assert quality_numbers(empty) == {}

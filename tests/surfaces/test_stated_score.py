@@ -9,7 +9,7 @@ from scipy.stats import norm
 from geraf2.apps.live.target import Target
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh
-from geraf2.surfaces.stated_score import StatedScore, kept_share, log_odds, stated_f1
+from geraf2.surfaces.stated_score import stated_f1
 
 # Two triangles apart, the second with nine times the area.
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [8, 0, 0], [5, 3, 0]], float)
@@ -20,25 +20,32 @@ def _mesh(errors_m):
     return TriangleMesh(vertices=VERTICES, faces=FACES, expected_error_m=np.array(errors_m))
 
 
-def test_the_share_is_that_of_the_area_within_tau():
+def test_the_median_is_the_share_of_the_area_within_tau():
     mesh = _mesh([0.005] * 3 + [0.010] * 3)
     one, half = (norm.cdf(d) - norm.cdf(-d) for d in (1.0, 0.5))
-    assert kept_share(mesh) == pytest.approx(0.1 * one + 0.9 * half)
-    assert kept_share(_mesh([0.0] * 6)) == pytest.approx(1.0)
-    assert kept_share(mesh, 0.010) > kept_share(mesh)
+    # Expected errors are rounded to 2 %, which changes such a share by less than 0.006.
+    assert stated_f1(mesh).median == pytest.approx(0.1 * one + 0.9 * half, abs=0.006)
+    assert stated_f1(_mesh([0.0] * 6)).median == pytest.approx(1.0)
+    assert stated_f1(mesh, 0.010).median > stated_f1(mesh).median
 
 
-def test_the_score_is_normal_on_the_scale_of_its_odds():
-    stated = StatedScore(median=0.8, sigma=0.5)
-    assert stated.odds(0.8) == pytest.approx(0.5)
+def test_quantiles_of_the_score_are_those_of_the_factor_of_all_errors():
+    stated = stated_f1(_mesh([0.003] * 6))
     low, high = stated.interval
-    assert low < 0.8 < high
-    assert stated.odds(low) == pytest.approx(0.95, abs=1e-4)
-    assert stated.odds(high) == pytest.approx(0.05, abs=1e-4)
-    # 84 % lie above one standard deviation below the median.
-    assert stated.odds(1.0 / (1.0 + np.exp(0.5 - log_odds(0.8)))) == pytest.approx(0.8413, abs=1e-4)
+    for score, deviations in ((low, 1.645), (high, -1.645)):
+        error_m = 0.003 * np.exp(deviations * stated.sigma)
+        assert score == pytest.approx(1.0 - 2.0 * norm.sf(0.005 / error_m), abs=0.006)
+    assert stated.odds(stated.median) == pytest.approx(0.5)
+    assert stated.odds(low) == pytest.approx(0.95, abs=1e-3)
+    assert stated.odds(high) == pytest.approx(0.05, abs=1e-3)
     assert stated.odds(1.0) < 1e-4
     assert stated.odds(0.0) > 0.9999
+
+
+def test_a_good_surface_has_a_narrow_interval():
+    widths = [np.diff(stated_f1(_mesh([error] * 6)).interval) for error in (1e-3, 2e-3, 4e-3)]
+    assert widths == sorted(widths)
+    assert widths[0] < 0.03
 
 
 def test_a_target_score_is_met_when_it_is_nine_times_as_likely_as_not():

@@ -46,7 +46,7 @@ def samples_of_run(
     Raises UserError if the run has no posterior.
     """
     require_posterior(config, n_samples)
-    evidence, fit, field = _evidence(run, config)
+    evidence, fit, field = evidence_of_run(run, config)
     samples = sample_surface(
         mesh,
         SdfGrid.load(_file(run, field)),
@@ -60,8 +60,8 @@ def samples_of_run(
     return replace(samples, mesh=mesh)  # keeps the expected error that the run wrote
 
 
-def _evidence(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
-    """Load the data of the surface's fit, its settings, and the name of its field."""
+def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
+    """Load the data of a run's fit, its settings, and the name of its field."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
         return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit, FIT_NAME

@@ -5,14 +5,17 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import ndtr
 
-from geraf2._types import Bools, Bytes, Floats
+from geraf2._types import Bools, Bytes, Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 
+# Smallest bound in standard deviations: below it the variance's two terms cancel.
+_LEAST_BOUND = 1e-3
 N_NEAREST = 64
 """Glints around a vertex that count: with 36 planes they cover a patch of 6 to 8 mm."""
 
@@ -54,6 +57,10 @@ class Nearness:
     """Sum of the agreeing glints nearby, each weighted by strength and distance."""
     seen: Bools
     """Whether a glint with a similar normal lies within reach."""
+    nearest: Ints
+    """Index of the nearest glint; 0 without glints."""
+    distance_m: Floats
+    """Distance to it [m]; infinite without glints."""
 
 
 def nearness(
@@ -73,7 +80,13 @@ def nearness(
     model = model or SupportModel()
     n_vertices = mesh.vertices.shape[0]
     if not len(glints) or not n_vertices:
-        return Nearness(support=np.zeros(n_vertices), seen=np.zeros(n_vertices, dtype=bool))
+        none = np.zeros(n_vertices)
+        return Nearness(
+            support=none,
+            seen=none.astype(bool),
+            nearest=none.astype(np.int64),
+            distance_m=none + np.inf,
+        )
     n_near = np.arange(1, min(N_NEAREST, len(glints)) + 1)
     distance, nearest = KDTree(glints.positions).query(mesh.vertices, k=n_near)
     normals = vertex_normals(mesh.vertices, mesh.faces)
@@ -82,7 +95,10 @@ def nearness(
     weights = relative[nearest] * np.exp(-0.5 * (distance / model.reach_m) ** 2)
     agreeing = (distance <= model.seen_reach_m) & (cosine >= np.cos(model.seen_angle_rad))
     return Nearness(
-        support=(weights * np.maximum(cosine, 0.0)).sum(axis=1), seen=agreeing.any(axis=1)
+        support=(weights * np.maximum(cosine, 0.0)).sum(axis=1),
+        seen=agreeing.any(axis=1),
+        nearest=nearest[:, 0],
+        distance_m=distance[:, 0],
     )
 
 
@@ -92,10 +108,51 @@ def conformal_factor(support: Floats, model: SupportModel | None = None) -> Floa
     return np.asarray(((support + model.least) / model.full) ** -model.exponent)
 
 
+def bounded_factor(spread_m: Floats, bound_m: Floats, probability: Floats) -> Floats:
+    r"""Factor of a spread where the surface passes through a glint nearby, (n_vertices,).
+
+    .. math:: \sqrt{p \, v(b / s) + 1 - p}, \qquad
+        v(a) = 1 - \frac{2 a \varphi(a)}{2 \Phi(a) - 1}
+
+    No vertex is farther from the true surface than from a direct return. v is the variance of a
+    standard normal variable that is at most a (Johnson, Kotz and Balakrishnan 1994, section 13.10).
+
+    spread_m: standard deviation s without the bound [m]. bound_m: distance b of the glint, with
+    its own error [m]. probability: p that the glint is a direct return.
+    """
+    bound = np.maximum(bound_m / spread_m, _LEAST_BOUND)
+    density = np.exp(-0.5 * bound**2) / np.sqrt(2.0 * np.pi)
+    variance = 1.0 - bound * density / (ndtr(bound) - 0.5)
+    return np.asarray(np.sqrt(probability * variance + 1.0 - probability))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class VertexSpread:
+    """Spread of the posterior at each vertex, and what changes it, (n_vertices,) each."""
+
+    spread_m: Floats
+    """Standard deviation of the draws [m]."""
+    support: Floats
+    """As of :class:`Nearness`."""
+    bound_m: Floats
+    """Distance to the nearest glint, with the error of its position [m]."""
+    probability: Floats
+    """Probability that it is a direct return."""
+
+    def factor(self, model: SupportModel | None = None) -> Floats:
+        """Factor of the draws, whose standard deviation is then the expected error."""
+        factor = conformal_factor(self.support, model)
+        return factor * bounded_factor(factor * self.spread_m, self.bound_m, self.probability)
+
+
 def evidence_of_vertices(
-    mesh: TriangleMesh, near: Nearness, outlines: Silhouettes | None, model: SupportModel
+    mesh: TriangleMesh,
+    near: Nearness,
+    outlines: Silhouettes | None,
+    model: SupportModel | None = None,
 ) -> Bytes:
     """Return the kind of evidence that each vertex rests on, (n_vertices,)."""
+    model = model or SupportModel()
     kinds = np.full(len(mesh.vertices), Evidence.NOT_SEEN, dtype=np.uint8)
     if outlines is not None and len(outlines) and len(mesh.vertices):
         beside = np.abs(outlines.free_distance(mesh.vertices)) <= model.beside_m

@@ -23,7 +23,7 @@ from geraf2.surfaces.pieces import separate_pieces
 from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 8
+MESH_VERSION = 9
 """Increase when the same field gives another mesh or another expected error."""
 
 

@@ -22,8 +22,9 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from geraf2.surfaces.expected_error import (
     N_NEAREST,
+    Nearness,
     SupportModel,
-    conformal_factor,
+    VertexSpread,
     evidence_of_vertices,
     nearness,
 )
@@ -81,6 +82,12 @@ class PointNoise:
     """Standard deviation of each shared offset, (n_groups,) [m]."""
     groups: Ints
     """Indices of the offsets of each point, (n, n_shared); -1: none."""
+
+    @property
+    def total_sigma_m(self) -> Floats:
+        """Error along the normal with the shared offsets, (n,) [m]."""
+        shared = np.append(self.shared_sigma_m, 0.0)[self.groups]
+        return np.asarray(np.sqrt(self.position_sigma_m**2 + (shared**2).sum(axis=1)))
 
     def draw(self, rng: np.random.Generator) -> tuple[Floats, Floats]:
         """Draw errors of all positions along their normals, (n,) [m], and of normals, (n, 3)."""
@@ -307,36 +314,72 @@ def sample_surface(
     prior: box, whose walls delay the echoes behind them.
     n_samples, seed: of the draws.
 
-    Each sample moves a vertex along its normal by its conformal factor times a draw of
-    :func:`draw_displacements`. The expected error is the standard deviation over the samples. Not
-    differentiable.
+    Each sample moves a vertex along its normal by a draw of :func:`draw_displacements`, times the
+    factor of :class:`geraf2.surfaces.expected_error.VertexSpread`. The expected error is the
+    standard deviation over the samples. Not differentiable.
     """
-    model, noise = SupportModel(), NoiseModel(common_sigma_m=evidence.common_sigma_m)
-    near = nearness(mesh, evidence.seen, model, evidence.weights)
-    kinds = evidence_of_vertices(mesh, near, evidence.outlines, model)
+    near = nearness(mesh, evidence.seen, weights=evidence.weights)
+    kinds = evidence_of_vertices(mesh, near, evidence.outlines)
     if not len(mesh.vertices):
         nothing = replace(mesh, expected_error_m=np.zeros(0), evidence=kinds)
-        return SurfaceSamples(nothing, np.zeros((n_samples, 0)), noise.common_sigma_m)
+        return SurfaceSamples(nothing, np.zeros((n_samples, 0)), evidence.common_sigma_m)
+    drawn, spread = draw_errors(
+        mesh,
+        near,
+        sdf,
+        evidence,
+        prior,
+        fit,
+        draws=(n_samples, seed),
+        num_threads=num_threads,
+    )
+    factor = spread.factor()
+    return SurfaceSamples(
+        replace(mesh, expected_error_m=factor * drawn.spread_m, evidence=kinds),
+        (factor * (drawn.own_m + drawn.common_m[:, None])).astype(np.float32),
+        evidence.common_sigma_m,
+    )
+
+
+def draw_errors(
+    mesh: TriangleMesh,
+    near: Nearness,
+    sdf: SdfGrid,
+    evidence: Evidence,
+    prior: LosPrior,
+    fit: FitConfig | None = None,
+    *,
+    draws: tuple[int, int] = (N_SAMPLES, 0),
+    num_threads: int | None = None,
+) -> tuple[Displacements, VertexSpread]:
+    """Draw errors of a surface without factors, and their spread; arguments of `sample_surface`.
+
+    near: of the mesh and the glints. draws: number and seed.
+    """
+    n_samples, seed = draws
     n_bytes = _BYTES_PER_DISPLACEMENT * n_samples * len(mesh.vertices)
     require_memory(n_bytes, f"{n_samples} samples are too many for this mesh")
+    model, seen = NoiseModel(common_sigma_m=evidence.common_sigma_m), evidence.seen
     fitted = fitted_points(evidence, sdf, fit or FitConfig(), num_threads=num_threads)
-    n_outline = len(fitted[0].positions) - len(evidence.seen)
+    noise = point_noise(seen, len(fitted[0].positions) - len(seen), sdf, prior, model)
     drawn = draw_displacements(
         mesh.vertices,
         sdf,
         fitted,
-        point_noise(evidence.seen, n_outline, sdf, prior, noise),
+        noise,
         n_samples,
-        model=noise,
+        model=model,
         seed=seed,
         num_threads=num_threads,
     )
-    factor = conformal_factor(near.support, model)
-    return SurfaceSamples(
-        replace(mesh, expected_error_m=factor * drawn.spread_m, evidence=kinds),
-        (factor * (drawn.own_m + drawn.common_m[:, None])).astype(np.float32),
-        noise.common_sigma_m,
+    off_m = np.hypot(noise.total_sigma_m, model.common_sigma_m)[near.nearest]
+    spread = VertexSpread(
+        spread_m=drawn.spread_m,
+        support=near.support,
+        bound_m=np.hypot(near.distance_m, off_m),
+        probability=seen.probability[near.nearest],
     )
+    return drawn, spread
 
 
 def _spread_draws(n: int, rng: np.random.Generator) -> Floats:
