@@ -127,6 +127,7 @@ def test_shared_offsets_move_all_points_of_a_group_alike():
     np.testing.assert_array_equal(drawn[:, 0], drawn[:, 1])
     np.testing.assert_allclose(drawn[:, 0], drawn[:, 2] + drawn[:, 3], rtol=1e-12)
     assert not drawn[:, 4].any()
+    np.testing.assert_allclose(noise.total_sigma_m, [5**0.5, 5**0.5, 1.0, 2.0, 0.0])
     assert drawn.std(axis=0)[[2, 3]] == pytest.approx([1.0, 2.0], rel=0.05)
 
 
@@ -178,6 +179,23 @@ def test_the_expected_error_is_the_spread_of_the_samples():
     found = extract_meshes(ball_field(), ball_glints(), BOX)
     spread_m = np.sqrt((found.samples.displacements_m**2).mean(axis=0))
     np.testing.assert_allclose(spread_m, found.mesh_content.expected_error_m, rtol=1e-4)
+
+
+def test_no_vertex_errs_by_more_than_the_way_to_a_sure_glint():
+    glints = ball_glints()
+    half = glints.select(glints.normals[:, 2] < 0.2)
+    error_m = {}
+    for p in (1.0, 0.5):
+        known = Evidence(glints=replace(half, probability=np.full(len(half), p)))
+        mesh = extract_meshes(ball_field(), known, BOX).mesh_content
+        error_m[p] = mesh.expected_error_m
+    way_m = np.linalg.norm(mesh.vertices[:, None] - half.positions, axis=2).min(axis=1)
+    model = NoiseModel()
+    off_m = np.hypot(model.common_sigma_m, 2.0 * model.point_sigma_m)
+    # A uniform distribution within the bound has this deviation; a normal one there, a smaller.
+    assert (error_m[1.0] <= np.hypot(way_m, off_m) / np.sqrt(3.0)).all()
+    assert (error_m[0.5] >= error_m[1.0]).all()
+    assert (error_m[0.5] > error_m[1.0]).mean() > 0.5
 
 
 def test_tangent_points_have_no_plane_offset():
