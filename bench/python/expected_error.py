@@ -43,7 +43,7 @@ class Sample:
     """Shares of the area."""
 
     def expected_m(self, model: SupportModel) -> np.ndarray:
-        return self.spread.factor(model) * self.spread.spread_m
+        return self.spread.expected_error_m(model)
 
     def within(self, model: SupportModel) -> np.ndarray:
         """Shares of the area within one and two standard deviations."""

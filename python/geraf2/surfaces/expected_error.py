@@ -130,19 +130,27 @@ def bounded_factor(spread_m: Floats, bound_m: Floats, probability: Floats) -> Fl
 class VertexSpread:
     """Spread of the posterior at each vertex, and what changes it, (n_vertices,) each."""
 
-    spread_m: Floats
-    """Standard deviation of the draws [m]."""
+    own_m: Floats
+    """Standard deviation of the draws, without the offset that all glints share [m]."""
+    common_m: float
+    """Standard deviation of that offset [m]."""
     support: Floats
     """As of :class:`Nearness`."""
     bound_m: Floats
-    """Distance to the nearest glint, with the error of its position [m]."""
+    """Distance to the nearest glint, with the error of its position; both share the offset [m]."""
     probability: Floats
     """Probability that it is a direct return."""
 
-    def factor(self, model: SupportModel | None = None) -> Floats:
-        """Factor of the draws, whose standard deviation is then the expected error."""
+    def factors(self, model: SupportModel | None = None) -> tuple[Floats, Floats]:
+        """Factors of the draws and of the common offset, (n_vertices,) each."""
         factor = conformal_factor(self.support, model)
-        return factor * bounded_factor(factor * self.spread_m, self.bound_m, self.probability)
+        bounded = bounded_factor(factor * self.own_m, self.bound_m, self.probability)
+        return factor * bounded, factor
+
+    def expected_error_m(self, model: SupportModel | None = None) -> Floats:
+        """Return the expected error, (n_vertices,) [m]."""
+        own, common = self.factors(model)
+        return np.asarray(np.hypot(own * self.own_m, common * self.common_m))
 
 
 def evidence_of_vertices(

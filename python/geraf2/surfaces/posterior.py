@@ -246,11 +246,6 @@ class Displacements(NamedTuple):
     common_sigma_m: float
     """Standard deviation of that offset [m]."""
 
-    @property
-    def spread_m(self) -> Floats:
-        """Standard deviation of the sum, (n_vertices,) [m]."""
-        return np.asarray(np.sqrt(np.mean(self.own_m**2, axis=0) + self.common_sigma_m**2))
-
 
 def draw_displacements(
     vertices: Floats,
@@ -315,7 +310,7 @@ def sample_surface(
     n_samples, seed: of the draws.
 
     Each sample moves a vertex along its normal by a draw of :func:`draw_displacements`, times the
-    factor of :class:`geraf2.surfaces.expected_error.VertexSpread`. The expected error is the
+    factors of :class:`geraf2.surfaces.expected_error.VertexSpread`. The expected error is the
     standard deviation over the samples. Not differentiable.
     """
     near = nearness(mesh, evidence.seen, weights=evidence.weights)
@@ -333,10 +328,10 @@ def sample_surface(
         draws=(n_samples, seed),
         num_threads=num_threads,
     )
-    factor = spread.factor()
+    own, common = spread.factors()
     return SurfaceSamples(
-        replace(mesh, expected_error_m=factor * drawn.spread_m, evidence=kinds),
-        (factor * (drawn.own_m + drawn.common_m[:, None])).astype(np.float32),
+        replace(mesh, expected_error_m=spread.expected_error_m(), evidence=kinds),
+        (own * drawn.own_m + common * drawn.common_m[:, None]).astype(np.float32),
         evidence.common_sigma_m,
     )
 
@@ -372,11 +367,11 @@ def draw_errors(
         seed=seed,
         num_threads=num_threads,
     )
-    off_m = np.hypot(noise.total_sigma_m, model.common_sigma_m)[near.nearest]
     spread = VertexSpread(
-        spread_m=drawn.spread_m,
+        own_m=np.sqrt(np.mean(drawn.own_m**2, axis=0)),
+        common_m=model.common_sigma_m,
         support=near.support,
-        bound_m=np.hypot(near.distance_m, off_m),
+        bound_m=np.hypot(near.distance_m, noise.total_sigma_m[near.nearest]),
         probability=seen.probability[near.nearest],
     )
     return drawn, spread
