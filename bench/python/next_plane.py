@@ -1,13 +1,16 @@
 """Six planes of which each is proposed after the ones before, against nine even ones around.
 
     python bench/python/next_plane.py run ROWS [--seeds 40 41 42] [--preset fast]
+    python bench/python/next_plane.py recorded ROWS SCENE... [--preset fast]
     python bench/python/next_plane.py show ROWS
 
 `run` puts objects of the population (`geraf2.simulation.population`) into a box in a plausible
 world, without walls that send waves as nine of ten scans of it: those take 10 s a plane. A session
 begins with two opposite planes, and four times the plane that it proposes is simulated and added.
 All six are then simulated again as one scan. It appends a line for each object to the file ROWS,
-with angles of the planes. `show` prints means, and their difference with a bootstrap interval.
+with angles of the planes. `recorded` chooses from the planes of scenes with a truth.ply and the box
+in los.ply, which takes a tenth of the time: they were recorded all around. `show` prints means,
+and their difference with a bootstrap interval.
 """
 
 import argparse
@@ -20,13 +23,16 @@ import numpy as np
 
 import geraf2
 from geraf2.apps.live.follow import proposed_plane
+from geraf2.apps.planning.next_plane import expected_errors
 from geraf2.apps.planning.scan_time import Scanner, plane_at, swept_planes
 from geraf2.evaluation.mesh_metrics import evaluate_mesh
+from geraf2.io.mesh import read_mesh
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation import SceneSpec, simulate
 from geraf2.simulation.population import draw_scene
 from geraf2.simulation.spec import parse_spec
 from geraf2.simulation.world import EFFECTS
+from live import even_order, f1_of
 
 APERTURE_M, SPACING_M, STANDOFF_M = (0.16, 0.20), 0.005, 0.35
 BOX_M, LARGEST_M = (0.20, 0.20, 0.20), 0.17
@@ -89,6 +95,30 @@ def run(rows: Path, seeds: Sequence[int], preset: str) -> None:
             file.write(json.dumps(row) + "\n")
 
 
+def recorded(rows: Path, scene: Path, preset: str) -> None:
+    capture, truth = geraf2.load_capture(scene), read_mesh(scene / "truth.ply")
+    planes = [Aperture.of_pose(pose) for pose in capture.poses]
+    order = even_order(len(planes))
+
+    def result(chosen: Sequence[int]) -> geraf2.Reconstruction:
+        poses = tuple(capture.poses[k] for k in sorted(chosen))
+        return geraf2.reconstruct(replace(capture, poses=poses), scene / "los.ply", preset)
+
+    six = order[:2]
+    while len(six) < N_CHOSEN:
+        now, left = result(six), [k for k in order if k not in six]
+        those, others = ([planes[k] for k in numbers] for numbers in (six, left))
+        center = np.asarray(now.prior.center_m)
+        _, after = expected_errors(now.content_mesh, those, others, center)
+        six.append(left[int(after.argmin())])
+    row = {"scene": scene.name, "preset": preset, "planes": six}
+    for name, chosen in (("chosen", six), ("even", order[:N_EVEN])):
+        row[name] = round(f1_of(result(chosen).content_mesh, truth), 4)
+    print(json.dumps(row), flush=True)
+    with rows.open("a") as file:
+        file.write(json.dumps(row) + "\n")
+
+
 def show(rows: Path) -> None:
     read = [json.loads(line) for line in rows.read_text().splitlines()]
     six, nine = (np.array([row[name] for row in read]) for name in ("chosen", "even"))
@@ -101,13 +131,17 @@ def show(rows: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("run", "show"))
+    parser.add_argument("what", choices=("run", "recorded", "show"))
     parser.add_argument("rows", type=Path)
+    parser.add_argument("scenes", type=Path, nargs="*")
     parser.add_argument("--seeds", type=int, nargs="*", default=list(range(40, 60)))
     parser.add_argument("--preset", default="fast")
     given = parser.parse_args()
     if given.what == "run":
         run(given.rows, given.seeds, given.preset)
+    elif given.what == "recorded":
+        for scene in given.scenes:
+            recorded(given.rows, scene, given.preset)
     else:
         show(given.rows)
 
