@@ -113,10 +113,13 @@ def find_box(
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
     tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
-        leakage = find_leakage(capture, next(tries)[0].prior, peaks)
-        if leakage.method != "none":
+        first = next(tries)
+        leakage = find_leakage(capture, first[0].prior, peaks)
+        if leakage.method == "none":
+            tries = chain([first], tries)
+        else:
             capture = without_leakage(capture, leakage)
-        tries, _ = _initial_boxes(capture, peaks, reach, like)
+            tries, _ = _initial_boxes(capture, peaks, reach, like)
     reasons = list[WallsNotFoundError]()
     for box, seen in tries:
         try:

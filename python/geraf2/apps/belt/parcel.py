@@ -40,16 +40,15 @@ def parcel_scan(
     The second of two arrays on one line gives the motion; its planes are left out.
     """
     waveform = recorded.waveform
-    matrices = {array.name: stretching(array, waveform) for array in record.arrays}
     parts: dict[str, list[Pose]] = {array.name: [] for array in record.arrays}
     for pose in recorded.poses:
-        name = record.of_plane(pose.name).name
-        parts[name].append(at_midpoints(pose, matrices[name]))
+        parts[record.of_plane(pose.name).name].append(pose)
     present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
-    whole = {
-        array.name: on_raster(complex_pose(joined(parts[array.name])), array.n_channels, waveform)
-        for array in present.arrays
-    }
+    whole = {}
+    for array in present.arrays:
+        own = without_offset(complex_pose(joined(parts[array.name])), array.n_channels)
+        own = at_midpoints(own, stretching(array, waveform))
+        whole[array.name] = on_raster(own, array.n_channels, waveform)
     distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
     region = LosPrior.from_box((_REGION * float(min(distances)),) * 3)
     whole = steadied(whole, waveform, region, num_threads)
@@ -68,6 +67,16 @@ def parcel_scan(
             poses.append(on_raster(along_path(plane), array.n_channels, waveform))
     about = {**recorded.provenance, MOTION_KEY: json.dumps(asdict(motion))}
     return replace(recorded, poses=tuple(poses), provenance=about), motion
+
+
+def without_offset(pose: Pose, n_channels: int) -> Pose:
+    """Plane of whole frames without the constant that a converter adds to each channel.
+
+    Over all frames an echo has hardly any mean: its phase turns as the parcel passes.
+    """
+    frames = pose.signal.reshape(-1, n_channels, pose.signal.shape[1])
+    rest = frames - frames.mean(axis=(0, 2))[:, None]
+    return replace(pose, signal=rest.reshape(pose.signal.shape))
 
 
 def along_path(pose: Pose) -> Pose:
