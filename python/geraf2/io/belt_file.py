@@ -21,6 +21,8 @@ from geraf2.io.toml import from_table, to_table
 
 BELT_NAME = "belt.json"
 BELT_FORMAT = "geraf2-belt"
+MOTION_KEY = "belt_motion"
+"""Entry of the provenance of a parcel's scan: its motion, which the antennas' positions contain."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
 from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
 from geraf2.apps.belt.vibration import steadied
 from geraf2.errors import UserError
-from geraf2.io.belt_file import BeltRecord, read_belt
+from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
 from geraf2.io.text import parse_json
@@ -21,8 +21,6 @@ from geraf2.records import Pose
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.store import capture_without_poses, save_capture
 
-MOTION_KEY = "belt_motion"
-"""Entry of a parcel's provenance."""
 # Side of the region of a parcel over the distance of the nearest array.
 _REGION = 1.4
 # Travel of one plane [m].

@@ -19,6 +19,7 @@ from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
+from geraf2.io.belt_file import MOTION_KEY
 from geraf2.io.outputs import require_consent
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
@@ -52,7 +53,12 @@ from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import naming_the_sign, require_sign
-from geraf2.pipeline.stages.calibration import CALIBRATION, CALIBRATION_STAGE, calibrated
+from geraf2.pipeline.stages.calibration import (
+    CALIBRATION,
+    CALIBRATION_STAGE,
+    COARSE_CALIBRATION,
+    calibrated,
+)
 from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.aperture import Aperture
@@ -250,7 +256,9 @@ def run_request(
     options = request.record.options
     with logged(run, resume=resume):
         job, prior_name = start_job(request, run, peaks=peaks, resume=resume)
-        job = calibrated_job(job, options, request.where)
+        has_motion = MOTION_KEY in request.capture.provenance
+        stage = COARSE_CALIBRATION if has_motion else CALIBRATION
+        job = calibrated_job(job, options, request.where, stage)
         left_out = planes_at(request.capture, options.hold_out, request.where)
         keep_inputs(job, [p for n, p in enumerate(request.summary.planes) if n not in left_out])
         with naming_the_sign(request.capture, request.where, request.num_threads):
