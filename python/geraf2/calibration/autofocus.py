@@ -18,7 +18,7 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
 
-from geraf2._bounds import Bounded, LengthM
+from geraf2._bounds import Bounded, Few, LengthM
 from geraf2._types import Bools, Floats
 from geraf2.calibration.acceptance import N_INDEPENDENT, Gain, coherence_nats
 from geraf2.echoes.echo_phases import EchoPhases
@@ -48,6 +48,8 @@ class AutofocusConfig(Bounded):
     """Number of coefficients of the spline along the antennas of each plane; at least 4."""
     sigma_m: LengthM = 0.0005
     """Expected displacement [m]."""
+    n_at_once: Few = 1
+    """Successive antennas that are recorded at one time, and move alike."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,13 +79,16 @@ class AntennaDrift:
 
 
 @lru_cache(maxsize=64)
-def trajectory_basis(n_antennas: int, n_coefficients: int) -> Floats:
-    """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients)."""
+def trajectory_basis(n_antennas: int, n_coefficients: int, n_at_once: int = 1) -> Floats:
+    """Cubic splines over the antennas of a pose in their order, (n_antennas, n_coefficients).
+
+    n_at_once: successive antennas with the same value.
+    """
     if n_antennas == 0:
         return np.zeros((0, n_coefficients))
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
     knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
-    position = (np.arange(n_antennas) + 0.5) / max(n_antennas, 1)
+    position = (np.arange(n_antennas) // n_at_once + 0.5) * n_at_once / n_antennas
     return np.asarray(BSpline.design_matrix(position, knots, _DEGREE).toarray())
 
 
@@ -99,7 +104,7 @@ def focus_antennas(
     """
     config = config or AutofocusConfig()
     n = config.n_coefficients
-    bases = [trajectory_basis(pose.n_antennas, n) for pose in capture.poses]
+    bases = [trajectory_basis(pose.n_antennas, n, config.n_at_once) for pose in capture.poses]
     of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
     first: dict[int, list[bool]] = defaultdict(list)
     for number, echo in enumerate(echoes):
@@ -132,15 +137,16 @@ def focus_antennas(
     )
 
 
-def with_displacements(capture: Capture, coefficients_m: Floats) -> Capture:
+def with_displacements(capture: Capture, coefficients_m: Floats, n_at_once: int = 1) -> Capture:
     """Capture with antennas displaced by splines along each pose's looking direction.
 
     coefficients_m: of the splines, (n_poses, n_coefficients) [m].
+    n_at_once: successive antennas with the same displacement.
     """
     poses = []
     for pose, own in zip(capture.poses, coefficients_m, strict=True):
-        shift = (trajectory_basis(pose.n_antennas, len(own)) @ own)[:, None] * pose.axes[0]
-        poses.append(pose.moved(shift))
+        shift_m = trajectory_basis(pose.n_antennas, len(own), n_at_once) @ own
+        poses.append(pose.moved(shift_m[:, None] * pose.axes[0]))
     return replace(capture, poses=tuple(poses))
 
 

@@ -97,7 +97,7 @@ def test_a_vibration_is_found_frame_by_frame():
     matrices = stretching(array, capture.waveform)
     pose = joined([at_midpoints(p, matrices) for p in capture.poses if p.name.startswith("left")])
     region = LosPrior.from_box((0.28, 0.28, 0.28))
-    steady = steadied({"left": pose}, capture.waveform, region, 1)["left"]
+    steady = steadied({"left": pose}, [array.n_channels], capture.waveform, region, 1)["left"]
     spec = BeltSpec(
         arrays=(BeltArraySpec(side="left", row_m=0.006, standoff_m=0.2),),
         **SCAN,

@@ -49,7 +49,8 @@ def parcel_scan(
         whole[array.name] = on_raster(own, array.n_channels, waveform)
     distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
     region = LosPrior.from_box((_REGION * float(min(distances)),) * 3)
-    whole = steadied(whole, waveform, region, num_threads)
+    n_channels = [array.n_channels for array in present.arrays]
+    whole = steadied(whole, n_channels, waveform, region, num_threads)
     lines = common_lines(present, whole)
     motion = find_motion(waveform, lines, region, num_threads)
     second = {line.arrays[1].name for line in lines}

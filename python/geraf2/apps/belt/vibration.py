@@ -4,6 +4,7 @@ All channels of an array record a frame at one time, so that a vibration moves t
 parcel's frame. It is a spline along the travel of each array, in its looking direction.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -32,21 +33,30 @@ _LEAST_ECHOES = 20
 
 
 def steadied(
-    poses: dict[str, Pose], waveform: Waveform, region: LosPrior, num_threads: int | None = None
+    poses: dict[str, Pose],
+    n_channels: Sequence[int],
+    waveform: Waveform,
+    region: LosPrior,
+    num_threads: int | None = None,
 ) -> dict[str, Pose]:
-    """Planes of whole arrays without the vibration that raises the coherence of held-out echoes."""
+    """Planes of whole arrays without the vibration that raises the coherence of held-out echoes.
+
+    n_channels: of each array.
+    """
     capture = Capture(waveform=waveform, poses=tuple(poses.values()))
     peaks = collect_peaks(capture, region, _PEAKS, _MARGIN_DB, num_threads=num_threads)
     found = {}
-    for number, (name, pose) in enumerate(poses.items()):
+    for number, ((name, pose), n_at_once) in enumerate(zip(poses.items(), n_channels, strict=True)):
         one, own = replace(capture, poses=(pose,)), peaks.of_plane(number)
         own = replace(own, subaperture_planes=np.zeros_like(own.subaperture_planes))
         strong = own.select(_strong(own, pose))
         echoes = collect_phases(one, strong, size_m=DRIFT_SIZE_M, n_echoes=len(strong))
         n = max(4, round(float(np.ptp(pose.phase_centers[:, 0])) / _KNOT_M))
-        drift = focus_antennas(one, echoes, AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M))
-        is_better = len(echoes) >= _LEAST_ECHOES and drift.gain.is_sure
-        found[name] = with_displacements(one, drift.coefficients_m).poses[0] if is_better else pose
+        config = AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M, n_at_once=n_at_once)
+        drift = focus_antennas(one, echoes, config)
+        if len(echoes) >= _LEAST_ECHOES and drift.gain.is_sure:
+            pose = with_displacements(one, drift.coefficients_m, n_at_once).poses[0]
+        found[name] = pose
     return found
 
 
