@@ -167,8 +167,16 @@ def test_echoes_from_behind_the_opposite_planes_are_no_content(scan, monkeypatch
         both = {name: np.concatenate([getattr(peaks, name), getattr(far, name)]) for name in names}
         return replace(peaks, **both)
 
+    searches = []
+
+    def counted(*args):
+        searches.append(args)
+        return rough_faces(*args)
+
     monkeypatch.setattr(KeptPeaks, "of", with_leakage)
+    monkeypatch.setattr(box_finder, "rough_faces", counted)
     np.testing.assert_allclose(find_box(scan).offsets_m, found.offsets_m, atol=1e-3)
+    assert len(searches) == 1  # no leakage before the box: peaks and boxes stay the same
 
 
 def test_the_walls_of_the_scene_do_not_give_the_size(scan):

@@ -10,7 +10,7 @@ position, orientation and curvature (docs/math/calibration.md#positions).
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -223,14 +223,18 @@ class _Phases:
         focused = self.sums * np.exp(-1j * self.phase @ coefficients)
         return self._without_free(self.root * np.unwrap(np.angle(focused), axis=1))
 
+    @cached_property
+    def design(self) -> Floats:
+        """Derivative of the residual by the coefficients, negative, (n_echoes, n_bins, n)."""
+        return self._without_free(self.root[..., None] * self.phase)
+
     def normal_equations(self, coefficients: Floats) -> tuple[Floats, Floats]:
         """Matrix and vector of the normal equations of all echoes, (n, n) and (n,)."""
         residual = self.residual(coefficients)
-        design = self._without_free(self.root[..., None] * self.phase)
         # Phase noise of the echo itself, from the current residual.
         variance = np.maximum((residual**2).sum(axis=1), _MIN_PHASE_VARIANCE)
         scale = np.sqrt(N_INDEPENDENT / variance)
-        design = (scale[:, None, None] * design).reshape(-1, design.shape[2])
+        design = (scale[:, None, None] * self.design).reshape(-1, self.phase.shape[2])
         return design.T @ design, design.T @ (scale[:, None] * residual).ravel()
 
     def coherence(self, coefficients: Floats) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 
 from geraf2.apps.belt.monostatic import at_midpoints, stretching
 from geraf2.apps.belt.motion import Motion, most_coherent
-from geraf2.apps.belt.parcel import parcel_scan
+from geraf2.apps.belt.parcel import parcel_scan, without_offset
 from geraf2.apps.belt.vibration import steadied
 from geraf2.io.container import joined
 from geraf2.scene import LosPrior
@@ -42,6 +42,17 @@ def test_a_yaw_over_the_travel_is_found_and_moves_the_antennas():
     _, true = next(belt_planes(spec, 0))
     left = np.concatenate([p.phase_centers for p in scan.poses if p.name.startswith("left")])
     assert np.abs(left - 0.5 * (true.tx + true.rx)).max() < 0.0015
+
+
+def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():
+    capture, record = small_parcel()
+    array, pose = record.arrays[0], capture.poses[0]
+    offset = np.tile(np.arange(1, array.n_channels + 1), pose.n_antennas // array.n_channels)
+    shifted = replace(pose, signal=pose.signal + (1j * offset[:, None]).astype(np.complex64))
+    rest, echoes = (without_offset(p, array.n_channels).signal for p in (shifted, pose))
+    np.testing.assert_allclose(rest, echoes, atol=1e-4)
+    changed = np.linalg.norm(echoes - pose.signal) / np.linalg.norm(pose.signal)
+    assert changed**2 < 1e-3  # of the power
 
 
 def test_the_second_array_of_a_line_gives_no_planes():
@@ -109,5 +120,7 @@ def test_a_vibration_is_found_frame_by_frame():
     smooth = np.ones(15) / 15.0
     rest, whole = (v - np.convolve(v, smooth, "same") for v in (found_m - vibration, vibration))
     inner = slice(15, -15)
+    moved_m = (steady.phase_centers - pose.phase_centers)[:, 1].reshape(101, -1)
+    assert np.ptp(moved_m, axis=1).max() < 1e-9  # a frame is recorded at one time
     # Two knots for the shortest period leave 0.58.
     assert rest[inner].std() < 0.4 * whole[inner].std()

@@ -53,6 +53,8 @@ def test_each_parcel_is_a_row_and_a_good_one_a_run(done):
         rows = one.execute("SELECT parcel, state, run, cpu_seconds FROM parcels").fetchall()
     assert [row[:2] for row in rows] == [("parcel-00001", "bad input"), ("parcel-00002", "done")]
     assert (out / rows[1][2] / "mesh_content.ply").is_file()
+    # The motion was estimated from whole arrays.
+    assert "positions" not in (out / rows[1][2] / "run.json").read_text()
     assert rows[1][3] > 0.0
     with (out / "parcels.csv").open(newline="") as file:
         table = list(csv.DictReader(file))
