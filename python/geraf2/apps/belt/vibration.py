@@ -55,8 +55,8 @@ def steadied(
         config = AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M, n_at_once=n_at_once)
         drift = focus_antennas(one, echoes, config)
         if len(echoes) >= _LEAST_ECHOES and drift.gain.is_sure:
-            pose = with_displacements(one, drift.coefficients_m, n_at_once).poses[0]
-        found[name] = pose
+            one = with_displacements(one, drift.coefficients_m, n_at_once)
+        found[name] = one.poses[0]
     return found
 
 

@@ -67,8 +67,8 @@ COARSE_CALIBRATION = replace(
     settings=lambda config: [peak_settings(config), "without positions"],
     compute=lambda job, progress: _find(job, progress, CalibrationConfig(positions=False)),
 )
-"""Without the slow errors of positions, for a scan that grows, since they take most of the time, and
-for a parcel of a belt, whose motion was estimated from whole arrays."""
+"""Without the slow errors of positions, which take most of the time, for a scan that grows; and for
+a parcel of a belt, whose motion is known from whole arrays."""
 
 
 def calibrated(
