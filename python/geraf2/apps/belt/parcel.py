@@ -55,9 +55,9 @@ def parcel_scan(
     present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
     whole = {}
     for array in present.arrays:
-        own = without_offset(complex_pose(joined(parts[array.name])), array.n_channels)
-        own = at_midpoints(own, stretching(array, waveform))
-        whole[array.name] = on_raster(own, array.n_channels, waveform)
+        pose = without_offset(complex_pose(joined(parts[array.name])), array.n_channels)
+        pose = at_midpoints(pose, stretching(array, waveform))
+        whole[array.name] = on_raster(pose, array.n_channels, waveform)
     region = LosPrior.from_box((_REGION * min(_distance_m(a) for a in record.arrays),) * 3)
     n_channels = [array.n_channels for array in present.arrays]
     whole = steadied(whole, n_channels, waveform, region, num_threads)
