@@ -259,7 +259,7 @@ def _refined(
 ) -> FoundBox:
     """Box after one joint estimate of delay, orientation and each wall's distance.
 
-    sure: faces that are known to be seen squarely, (3, 2).
+    sure: faces that are known to be seen squarely, and stay where they are without echoes, (3, 2).
     """
     try:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks)
@@ -274,29 +274,31 @@ def _refined(
     found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
     turn = found.prior_to_capture[:3, :3]
     axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
-    seen, normals, angles = box.seen.copy(), box.normals.copy(), np.zeros((3, 2, 2))
-    rows = np.zeros((3, 2), dtype=np.int64)
+    seen, normals = box.seen.copy(), box.normals.copy()
+    angles = box.angle_sigmas_rad.copy() if isinstance(box, FoundBody) else np.zeros((3, 2, 2))
+    rows = np.full((3, 2), -1, dtype=np.int64)
     for wall, normal in enumerate(problem.faces.normals):
         face = np.unravel_index((box.normals @ normal).argmax(), (3, 2))
+        own = echoes.index[echoes.walls == wall]
+        is_sure = sure is not None and bool(sure[face])
+        if is_sure and len(np.unique(problem.echoes.subapertures[own])) < _FEWEST:
+            continue
         values, covariance = fit.values[shapes[wall]], fit.covariance[np.ix_(*2 * [shapes[wall]])]
         outward, across = turn @ normal, problem.faces.across[wall]
         middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
         if is_body and face[0] < 2:
             normals[face] = normal - values[1:] @ across
             normals[face] /= np.linalg.norm(normals[face])
-            level = np.cross(axes[2], normal)
-            slopes = np.stack([level, np.cross(normal, level)]) @ across.T
-            angles[face] = np.sqrt(np.diag(slopes @ covariance[1:, 1:] @ slopes.T))
+            angles[face] = _angle_sigmas(covariance[1:, 1:], across, normal, axes[2])
         else:
             normals[face] = outward
         offsets[face] = (middle + values[0] * outward) @ normals[face]
         widths[face], rows[face] = np.sqrt(covariance[0, 0]), shapes[wall, 0]
-        is_seen = _is_seen(problem, echoes.index[echoes.walls == wall], wall)
-        is_seen |= sure is not None and bool(sure[face])
-        seen[face] = Seen.SQUARELY if is_seen else Seen.NOT
+        seen[face] = Seen.SQUARELY if is_sure or _is_seen(problem, own, wall) else Seen.NOT
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
     skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
-    errors = fit.covariance[rows[:, 0], rows[:, 1]] / widths.prod(axis=1)
+    common = fit.covariance[rows[:, 0], rows[:, 1]] / widths.prod(axis=1)
+    is_pair = ((seen == Seen.SQUARELY) & (rows >= 0)).all(axis=1)
     if isinstance(box, FoundBody):
         box = replace(box, planes=normals, angle_sigmas_rad=angles)
     return replace(
@@ -305,9 +307,19 @@ def _refined(
         turn_sigma_rad=np.hypot(found.rotation_sigma_rad, skew),
         offsets_m=offsets,
         sigmas_m=np.where(seen == Seen.SQUARELY, widths, np.inf),
-        correlations=np.where((seen == Seen.SQUARELY).all(axis=1), errors, 0.0),
+        correlations=np.where(is_pair, common, 0.0),
         seen=seen,
     )
+
+
+def _angle_sigmas(covariance: Floats, across: Floats, normal: Floats, up: Floats) -> Floats:
+    """Return the standard deviations of a wall's yaw and lean, (2,) [rad].
+
+    covariance: of its tilts, (2, 2) [m^2]. across: directions over half extents, (2, 3) [1/m].
+    """
+    level = np.cross(up, normal)
+    slopes = np.stack([level, np.cross(normal, level)]) @ across.T
+    return np.asarray(np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
 
 
 def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
