@@ -35,7 +35,6 @@ CASES = {
     "moved": MOVED | {"encoder_jitter_m": 0.00005},
     "blind": MOVED | {"encoder": False},
 }
-LENGTH_M = 0.30
 KEYS = ("seed", "case", "world", "preset", "arrays")
 SIDES = [{"side": side, "n_boards": 4, "row_m": 0.005} for side in ("left", "right", "above")]
 ALL = "left+right+above+speed"
@@ -48,7 +47,7 @@ def spec_of(seed: int, case: str, world: str):
     return parse_spec(
         {
             "figure": {"name": f"random-{seed}", "height_m": float(rng.uniform(0.10, 0.16))},
-            "walls": [{"size_m": (LENGTH_M, 0.30, 0.26)}],
+            "walls": [{"size_m": (0.30, 0.30, 0.26)}],
             "belt": {"arrays": ARRAYS, **CASES[case]},
             "numerics": {"wall_patch_m": 0.008},
             "world": {
@@ -87,7 +86,7 @@ def measured(seed: int, case: str, world: str, presets: list[str], arrays: str):
     """Yield a row for each preset."""
     capture, belt, truth, spec = recorded(seed, case, world, arrays)
     start = time.process_time()
-    scan, motion = parcel_scan(capture, belt, length_m=LENGTH_M, num_threads=1)
+    scan, motion = parcel_scan(capture, belt, num_threads=1)
     cut_s = time.process_time() - start
     for preset in presets:
         start = time.process_time()

@@ -31,8 +31,7 @@ def test_the_speed_is_found_to_half_a_thousandth(encoder):
 
 
 def test_a_yaw_over_the_travel_is_found_and_moves_the_antennas():
-    # As long as the travel, so that all frames are in front of it.
-    scan, motion = parcel_scan(*small_parcel(yaw_drift_deg=1.0), length_m=0.42, num_threads=1)
+    scan, motion = found(yaw_drift_deg=1.0)
     assert np.rad2deg(motion.turn_rad_per_m) == pytest.approx(1.0 / 0.4, abs=0.3)
     assert motion.scale == pytest.approx(0.0, abs=1.5e-3)
     spec = BeltSpec(
@@ -59,8 +58,6 @@ def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():
 def test_the_second_array_of_a_line_gives_no_planes():
     scan, _ = found()
     assert {pose.name.rpartition("/")[0] for pose in scan.poses} == {"left", "above"}
-    along = np.abs(np.concatenate([pose.phase_centers[:, 0] for pose in scan.poses]))
-    assert along.max() == pytest.approx(0.2 * np.tan(np.deg2rad(35.0)), abs=0.004)
     for pose in scan.poses:
         assert np.array_equal(pose.tx_positions, pose.rx_positions)
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.apps.belt.parcel import in_front
 from geraf2.freespace.specular import inner_points, received_normals, sphere_points
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation.belt import belt_planes, belt_record
@@ -52,8 +51,7 @@ def coverage(belt: BeltSpec, box_m: tuple[float, float, float]) -> Iterator[Cove
     seen = np.zeros((len(points), len(normals)), dtype=bool)
     n_boards, n_chips = 0, 0
     for spec, station, (plane, _) in zip(belt.arrays, record.arrays, whole, strict=True):
-        places = 0.5 * (plane.tx + plane.rx)
-        places = places[in_front(places[:, 0], station, box_m[0])] @ plane.axes.T
+        places = 0.5 * (plane.tx + plane.rx) @ plane.axes.T
         aperture = Aperture(axes=plane.axes, low_m=places.min(axis=0), high_m=places.max(axis=0))
         seen |= [received_normals([aperture], normals, point)[:, 0] for point in points]
         n_tx, n_rx = spec.n_antennas_of_board()

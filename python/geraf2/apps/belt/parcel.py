@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Bools, Floats
 from geraf2.apps.belt.cutting import travel_of
 from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
 from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
 from geraf2.apps.belt.vibration import steadied
 from geraf2.errors import UserError
-from geraf2.io.belt_file import MOTION_KEY, BeltRecord, BeltStation, read_belt
+from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
 from geraf2.io.text import parse_json
@@ -27,26 +26,18 @@ from geraf2.scene.store import capture_without_poses, save_capture
 _REGION = 1.4
 # Travel of one plane [m].
 _PLANE_M = 0.25
-# Largest angle between the normal of an array's line and the direction to a parcel's middle: at 45
-# degrees it crosses the edge of a box as long as wide, and content and sub-apertures extend by 10.
-_MOST_OBLIQUE_RAD = float(np.deg2rad(35.0))
 
 
 @with_one_blas_thread
 def parcel_scan(
-    recorded: Capture,
-    record: BeltRecord,
-    *,
-    length_m: float = 0.0,
-    num_threads: int | None = None,
+    recorded: Capture, record: BeltRecord, *, num_threads: int | None = None
 ) -> tuple[Capture, Motion]:
     """Planes of a parcel with estimated motion, antennas at midpoints and on rasters.
 
     recorded: planes of one parcel in the frame of the belt, the parcel's middle at the origin.
-    record: the belt's arrays. length_m: of the parcel, if known [m]. num_threads: all when None.
+    record: the belt's arrays. num_threads: all when None.
 
-    All frames give the motion. Planes hold those that are in front of the parcel (`in_front`), and
-    none of the second of two arrays on one line.
+    The second of two arrays on one line gives the motion; its planes are left out.
     """
     waveform = recorded.waveform
     parts: dict[str, list[Pose]] = {array.name: [] for array in record.arrays}
@@ -58,7 +49,8 @@ def parcel_scan(
         pose = without_offset(complex_pose(joined(parts[array.name])), array.n_channels)
         pose = at_midpoints(pose, stretching(array, waveform))
         whole[array.name] = on_raster(pose, array.n_channels, waveform)
-    region = LosPrior.from_box((_REGION * min(_distance_m(a) for a in record.arrays),) * 3)
+    distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
+    region = LosPrior.from_box((_REGION * float(min(distances)),) * 3)
     n_channels = [array.n_channels for array in present.arrays]
     whole = steadied(whole, n_channels, waveform, region, num_threads)
     lines = common_lines(present, whole)
@@ -69,34 +61,13 @@ def parcel_scan(
         if array.name in second:
             continue
         moved = corrected(whole[array.name], array, motion)
+        n_planes = max(1, round(float(np.ptp(moved.phase_centers[:, 0])) / _PLANE_M))
         frames = np.arange(moved.n_antennas).reshape(-1, array.n_channels)
-        travel = moved.phase_centers[:, 0]
-        frames = frames[in_front(travel[frames].mean(axis=1), array, length_m)]
-        if not len(frames):
-            continue
-        n_planes = max(1, round(float(np.ptp(travel[frames])) / _PLANE_M))
         for number, own in enumerate(np.array_split(frames, n_planes)):
             plane = replace(moved.select(own.ravel()), name=f"{array.name}/{number}")
             poses.append(on_raster(along_path(plane), array.n_channels, waveform))
     about = {**recorded.provenance, MOTION_KEY: json.dumps(asdict(motion))}
     return replace(recorded, poses=tuple(poses), provenance=about), motion
-
-
-def in_front(along_m: Floats, array: BeltStation, length_m: float) -> Bools:
-    """Whether an array sees a parcel through the side that faces it, (n,).
-
-    Farther on, its rays cross the edges of the box, and directions err by several millimetres.
-
-    along_m: position of the array along the belt, from the parcel's middle, (n,) [m].
-    length_m: of the parcel [m].
-    """
-    most_m = max(_distance_m(array) * np.tan(_MOST_OBLIQUE_RAD), 0.5 * length_m)
-    return np.asarray(np.abs(along_m) <= most_m)
-
-
-def _distance_m(array: BeltStation) -> float:
-    """Distance of an array's line from the middle line of the belt [m]."""
-    return float(np.abs(array.phase_centers_m[:, 1:]).max(axis=1).min())
 
 
 def without_offset(pose: Pose, n_channels: int) -> Pose:
@@ -123,8 +94,7 @@ def cut_parcel(
 ) -> dict[str, Any]:
     """Write one parcel of a stream as a scene; arguments and result are plain values.
 
-    window_m: lower end of its frames, both ends of the parcel, and upper end of its frames, in the
-    frame of the belt [m].
+    window_m: lower end, middle and upper end of its frames in the frame of the belt [m].
     planes: of the stream that hold them.
 
     Returns the motion and the processor time, or an error line.
@@ -133,8 +103,7 @@ def cut_parcel(
     if is_scene(folder):  # by a process that was stopped
         found = SceneReader(folder).manifest.provenance[MOTION_KEY]
         return {"motion": parse_json(found), "cpu_seconds": 0.0}
-    record, (low, start_m, end_m, high) = read_belt(Path(stream)), window_m
-    middle, length_m = 0.5 * (start_m + end_m), end_m - start_m
+    record, (low, middle, high) = read_belt(Path(stream)), window_m
     reader = SceneReader(Path(stream))
     last: dict[str, float] = {}
     poses = []
@@ -150,7 +119,7 @@ def cut_parcel(
             if len(index):
                 poses.append(pose.select(index).moved(np.array([-middle, 0.0, 0.0])))
         recorded = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
-        scan, motion = parcel_scan(recorded, record, length_m=length_m, num_threads=num_threads)
+        scan, motion = parcel_scan(recorded, record, num_threads=num_threads)
         save_capture(scan, folder)
     except UserError as error:
         return {"error": str(error), "cpu_seconds": time.process_time() - start}

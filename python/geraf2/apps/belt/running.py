@@ -196,7 +196,7 @@ class _Line:
                 arguments=(
                     str(self.stream.absolute()),
                     str((self.out / PARCELS_FOLDER / name).absolute()),
-                    [span.low_m, span.start_m, span.end_m, span.high_m],
+                    [span.low_m, span.middle_m, span.high_m],
                     list(span.planes),
                     self.options.threads or 1,
                 ),
