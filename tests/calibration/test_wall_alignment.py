@@ -12,9 +12,10 @@ from geraf2.calibration.wall_alignment import (
     turntable_axis,
 )
 from geraf2.calibration.wall_echoes import WallMiddles, find_wall_peak, loss_shift
+from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
-from geraf2.scene import Wall
+from geraf2.scene import Wall, Waveform
 from helpers.carton import PRIOR, aligned, bulged, carton_capture, with_bias
 
 SHIFT_M = (0.004, -0.003, 0.0)
@@ -69,6 +70,32 @@ def test_faces_that_cancel_leave_the_middle_uncertain(capture):
     wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.00458, permittivity=1.483)
     assert loss_shift(wall, capture.waveform, 0.45) < -0.004
     assert WallMiddles.of((wall,), capture.waveform).sigmas_m[2] > 0.002
+
+
+@pytest.mark.parametrize("loss_db", [0.0, 0.45, 0.9])
+def test_the_echo_of_faces_that_cancel_is_found_a_range_cell_away(loss_db):
+    """Twin: a zero-padded Fourier transform. Two wavelengths of optical path: seed 24."""
+    waveform = Waveform(
+        start_frequency_hz=60e9,
+        chirp_slope_hz_per_s=70.15e12,
+        sample_rate_hz=625e3,
+        n_samples=32,
+        path_bias_m=0.15,
+    )
+    wall = Wall(size_m=(0.25, 0.18, 0.17), thickness_m=0.0038605, permittivity=1.57572)
+    index, frequencies = np.sqrt(wall.permittivity), waveform.frequencies_hz
+    second = (1.0 - ((index - 1.0) / (index + 1.0)) ** 2) * 10.0 ** (-0.1 * loss_db)
+    middle = index * wall.thickness_m  # of both faces, two-way
+    turns = frequencies / SPEED_OF_LIGHT_M_PER_S
+    echo = 1.0 - second * np.exp(-4j * np.pi * turns * index * wall.thickness_m)
+    # The origin is half a period before the middle, so that nothing wraps around.
+    period = 1.0 / (turns[1] - turns[0])
+    echo = echo * np.exp(2j * np.pi * turns * (middle - 0.5 * period))
+    spectrum = np.abs(np.fft.ifft(np.hanning(34)[1:-1] * echo, 2**16))
+    peak = 0.5 * (spectrum.argmax() / 2**16 - 0.5) * period
+    found = loss_shift(wall, waveform, loss_db)
+    assert found == pytest.approx(peak, abs=1e-4)
+    assert -0.04 < found < -0.015
 
 
 def test_a_turned_and_moved_prior_is_moved_back(capture):

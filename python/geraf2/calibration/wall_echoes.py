@@ -25,6 +25,8 @@ mirror images shift it."""
 
 # Loss of one pass through cardboard, in addition to the reflection of its faces [dB].
 _LOSSES_DB = (0.0, 0.45, 0.9)
+# Step of the search for a wall's peak, two-way [m].
+_PATH_STEP_M = 1e-4
 # Level of a wall's echo relative to the strongest peak; content may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as for glints: walls have hundreds of echoes.
@@ -119,9 +121,11 @@ def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
     echo = np.hanning(waveform.n_samples + 2)[1:-1] * (
         1.0 - amplitude * np.exp(-phase_per_m * path_m)
     )
-    paths = path_m * np.linspace(-3.0, 4.0, 701)
-    best = int(np.abs(np.exp(np.outer(paths, phase_per_m)) @ echo).argmax())
-    return 0.5 * float(paths[best]) - 0.5 * index * wall.thickness_m
+    # Faces that cancel leave two lobes, each within two range cells of the middle.
+    reach_m = 2.0 * SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz
+    beyond = np.arange(-reach_m, reach_m, _PATH_STEP_M)
+    best = int(np.abs(np.exp(np.outer(beyond + 0.5 * path_m, phase_per_m)) @ echo).argmax())
+    return 0.5 * float(beyond[best])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
