@@ -66,12 +66,9 @@ def simulated(seed: int, case: str, world: str):
 
 
 def recorded(seed: int, case: str, world: str, arrays: str):
-    """Capture and belt of some arrays, the object, and the spec.
-
-    A parcel moves alike whether an encoder records it or not.
-    """
+    """Capture and belt of some arrays, the object, and the spec."""
     spec = spec_of(seed, case, world)
-    capture, truth = simulated(seed, "ideal" if case == "ideal" else "moved", world)
+    capture, truth = simulated(seed, case, world)
     poses = [
         replace(pose, tx_positions=plane.tx, rx_positions=plane.rx)
         for pose, plane in zip(capture.poses, recorded_planes(spec, seed)[0], strict=True)
