@@ -15,8 +15,9 @@ from geraf2.calibration.wall_echoes import WallMiddles, find_wall_peak, loss_shi
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
-from geraf2.scene import Wall, Waveform
+from geraf2.scene import Wall
 from helpers.carton import PRIOR, aligned, bulged, carton_capture, with_bias
+from helpers.synthetic import waveform_of
 
 SHIFT_M = (0.004, -0.003, 0.0)
 
@@ -50,6 +51,12 @@ def test_walls_echo_from_their_optical_middle(capture):
     assert unknown.delay_sigma_m > 1.2 * found.delay_sigma_m
 
 
+def second_face(wall, loss_db):
+    """Amplitude of the echo of a wall's second face relative to that of the first."""
+    index = np.sqrt(wall.permittivity)
+    return (1.0 - ((index - 1.0) / (index + 1.0)) ** 2) * 10.0 ** (-0.1 * loss_db)
+
+
 @pytest.mark.parametrize(("thickness_m", "permittivity"), [(0.004, 1.6), (0.0035, 1.6)])
 def test_a_lossy_wall_echoes_before_its_middle(capture, thickness_m, permittivity):
     """Twin: group delay of 1 - a exp(-j psi) at the middle of the band, where faces add up."""
@@ -57,8 +64,7 @@ def test_a_lossy_wall_echoes_before_its_middle(capture, thickness_m, permittivit
     index, waveform = np.sqrt(permittivity), capture.waveform
     psi = 4.0 * np.pi * index * thickness_m / waveform.center_wavelength_m
     for loss_db in (0.45, 0.9):
-        second = (1.0 - ((index - 1.0) / (index + 1.0)) ** 2) * 10.0 ** (-0.1 * loss_db)
-        ratio = second * np.exp(-1j * psi)
+        ratio = second_face(wall, loss_db) * np.exp(-1j * psi)
         depth = -index * thickness_m * (ratio / (1.0 - ratio)).real
         found = loss_shift(wall, waveform, loss_db)
         assert found == pytest.approx(depth - 0.5 * index * thickness_m, abs=1e-4)
@@ -75,19 +81,11 @@ def test_faces_that_cancel_leave_the_middle_uncertain(capture):
 @pytest.mark.parametrize("loss_db", [0.0, 0.45, 0.9])
 def test_the_echo_of_faces_that_cancel_is_found_a_range_cell_away(loss_db):
     """Twin: a zero-padded Fourier transform. Two wavelengths of optical path: seed 24."""
-    waveform = Waveform(
-        start_frequency_hz=60e9,
-        chirp_slope_hz_per_s=70.15e12,
-        sample_rate_hz=625e3,
-        n_samples=32,
-        path_bias_m=0.15,
-    )
+    waveform = replace(waveform_of(), start_frequency_hz=60e9)
     wall = Wall(size_m=(0.25, 0.18, 0.17), thickness_m=0.0038605, permittivity=1.57572)
-    index, frequencies = np.sqrt(wall.permittivity), waveform.frequencies_hz
-    second = (1.0 - ((index - 1.0) / (index + 1.0)) ** 2) * 10.0 ** (-0.1 * loss_db)
-    middle = index * wall.thickness_m  # of both faces, two-way
-    turns = frequencies / SPEED_OF_LIGHT_M_PER_S
-    echo = 1.0 - second * np.exp(-4j * np.pi * turns * index * wall.thickness_m)
+    middle = np.sqrt(wall.permittivity) * wall.thickness_m  # of both faces, two-way
+    turns = waveform.frequencies_hz / SPEED_OF_LIGHT_M_PER_S
+    echo = 1.0 - second_face(wall, loss_db) * np.exp(-4j * np.pi * turns * middle)
     # The origin is half a period before the middle, so that nothing wraps around.
     period = 1.0 / (turns[1] - turns[0])
     echo = echo * np.exp(2j * np.pi * turns * (middle - 0.5 * period))

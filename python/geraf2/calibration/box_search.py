@@ -337,12 +337,22 @@ class BoxSearch:
 
     def faces(self, found: Hypothesis) -> Floats:
         """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
-        offsets = np.zeros(6)
-        for face, (near, far) in enumerate(self.sides(found.yaw_rad)):
-            score = shifted(near.score(found.pair), found.shift)
-            score += shifted(far.score(found.pair), -found.shift)
-            offsets[face] = outermost(score[:, found.level])
-        return offsets.reshape(3, 2)
+        offsets = [self.outermost(side, found) for side in self.sides(found.yaw_rad)]
+        return np.array(offsets).reshape(3, 2)
+
+    def outermost(self, side: tuple[Counts, Counts], found: Hypothesis) -> float:
+        """Outermost offset of a side with enough flashes [m]; NaN without.
+
+        side: near and far flashes of its normal.
+        """
+        near, far = (counts.score(found.pair) for counts in side)
+        score = shifted(near, found.shift) + shifted(far, -found.shift)
+        count = score[:, found.level]
+        count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
+        least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
+        rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
+        peaks = np.flatnonzero(rises & falls & (count >= least))
+        return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
 
     def rough(
         self, axes: Floats, normals: Floats, offsets_m: Floats, found: Hypothesis
@@ -357,18 +367,6 @@ class BoxSearch:
             level_db=LEVEL_STEP_DB * (found.level + 1 - N_LEVELS),
             score=found.score,
         )
-
-
-def outermost(count: Floats) -> float:
-    """Outermost offset with enough flashes [m]; NaN without.
-
-    count: of flashes at each offset, (n_offsets,).
-    """
-    count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
-    least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
-    rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
-    peaks = np.flatnonzero(rises & falls & (count >= least))
-    return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
 
 
 def rough_faces(

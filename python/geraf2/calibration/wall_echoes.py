@@ -6,6 +6,7 @@ content have no such common offset (docs/math/calibration.md#delay-box-and-axis)
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -105,6 +106,7 @@ class WallMiddles:
         )
 
 
+@lru_cache(maxsize=64)
 def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
     """Distance of a wall's peak behind the middle of its faces [m].
 

@@ -24,7 +24,6 @@ from geraf2.calibration.box_search import (
     Flashes,
     Hypothesis,
     RoughFaces,
-    outermost,
     shift_penalty,
     shifted,
 )
@@ -134,9 +133,7 @@ def _plane(search: BoxSearch, normal: Floats, found: Hypothesis) -> tuple[Floats
     moved = flashes.offsets_m + OFFSET_STEP_M * found.shift * np.where(flashes.far, -1.0, 1.0)
     off_db = np.abs(flashes.levels_db - LEVEL_STEP_DB * (found.level + 1 - N_LEVELS))
     for _ in range(_N_ROUNDS):
-        near, far = (s.score(found.pair) for s in flashes.counts(normal, search.n_offsets))
-        score = shifted(near, found.shift) + shifted(far, -found.shift)
-        offset = outermost(score[:, found.level])
+        offset = search.outermost(flashes.counts(normal, search.n_offsets), found)
         off_m = np.abs(np.abs(moved - offset) - pair_m)
         own = (off_m < 2.0 * OFFSET_SIGMA_M) & (off_db < _LEVEL_RANGE_DB)
         own &= flashes.normals @ normal > np.cos(MAX_ANGLE_RAD)
