@@ -21,7 +21,7 @@ from reference import grid_energy as twin
 TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.4, outside=0.1, outside_distance_m=0.03)
 
 
-def sphere(shape=(17, 14, 15), n_points=200):
+def sphere(shape=(13, 12, 11), n_points=200):
     rng = np.random.default_rng(0)
     normals = rng.standard_normal((n_points, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
