@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from geraf2.fields import BoxSolid, MeshSolid, NestedSets, SphereSolid
-from geraf2.io.mesh import TriangleMesh
+from geraf2.fields import BoxSolid, NestedSets, SphereSolid
+from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior, Wall
 
 WALL = Wall(size_m=(0.22, 0.2, 0.18), thickness_m=0.004, permittivity=1.6)
@@ -13,25 +13,18 @@ def points(n=4000, seed=0):
     return np.random.default_rng(seed).uniform(-0.14, 0.14, (n, 3))
 
 
-def box_mesh(size):
-    prior = LosPrior.from_box(size)
-    return TriangleMesh(vertices=prior.vertices, faces=prior.faces)
-
-
 def test_a_box_has_the_distance_of_its_mesh():
-    size = (0.22, 0.2, 0.18)
-    box, mesh = BoxSolid(size_m=size), MeshSolid(box_mesh(size))
+    prior = LosPrior.from_box(WALL.size_m)
+    box, mesh = BoxSolid(size_m=WALL.size_m), MeshScene(prior.vertices, prior.faces)
     np.testing.assert_allclose(
         box.signed_distance(points()), mesh.signed_distance(points()), atol=1e-7
     )
-    assert mesh.signed_distance(np.zeros((0, 3))).shape == (0,)
 
 
 def test_signs_change_from_layer_to_layer():
     field = NestedSets.from_walls([WALL, INNER], SphereSolid(radius_m=0.04))
     ray = np.array([[x, 0.0, 0.0] for x in (0.12, 0.108, 0.09, 0.072, 0.05, 0.0)])
     got = field.signed_distance(ray)
-    np.testing.assert_array_equal(field.region(ray), [0, 1, 2, 3, 4, 5])
     # air, outer wall, air, inner wall, air, content: to the nearest of the region's two boundaries
     np.testing.assert_allclose(got, [0.01, -0.002, 0.015, -0.003, 0.01, -0.04], atol=1e-12)
 
@@ -56,7 +49,7 @@ def test_the_distance_is_the_minimum_over_the_two_boundaries_of_the_region():
 
 
 def test_the_field_is_a_distance():
-    field = NestedSets.from_walls([WALL], MeshSolid(box_mesh((0.08, 0.08, 0.08))))
+    field = NestedSets.from_walls([WALL], BoxSolid(size_m=(0.08, 0.08, 0.08)))
     a = points(3000, 1)
     b = a + np.random.default_rng(2).normal(0.0, 0.01, a.shape)
     change = np.abs(field.signed_distance(a) - field.signed_distance(b))

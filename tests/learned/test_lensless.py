@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from geraf2.fields import BoxSolid, MeshSolid
+from geraf2.fields import BoxSolid
 from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
@@ -20,7 +20,7 @@ RADIUS_M = 0.03
 
 
 def vision():
-    outside = MeshSolid(PRIOR.mesh)
+    outside = BoxSolid(size_m=PRIOR.size_m)
     return VisionPrior(outside.signed_distance, DOMAIN, 41)
 
 

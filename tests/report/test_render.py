@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from geraf2.report import MeshPainter, View
-from geraf2.report.sections import plane_section
 from geraf2.scene import LosPrior
 from helpers import solids
 
@@ -83,26 +82,3 @@ def test_views_are_checked():
         View(azimuth_deg=0, center_m=(0, 0, 0), half_width_m=0)
     with pytest.raises(ValueError, match="n_pixels must be at least 1, got 0"):
         view(n_pixels=0)
-
-
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_a_cut_through_a_ball_is_a_circle(ball, axis):
-    height = 0.0213
-    segments = plane_section(ball, axis, height)
-    np.testing.assert_allclose(segments[:, :, axis], height, atol=1e-12)
-    radius = np.sqrt(RADIUS**2 - height**2)
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1).sum()
-    assert length == pytest.approx(2 * np.pi * radius, rel=2e-3)
-    # closed: every end belongs to two segments
-    _, counts = np.unique(segments.reshape(-1, 3).round(9), axis=0, return_counts=True)
-    assert (counts == 2).all()
-
-
-def test_the_cut_of_a_box_is_its_outline_and_beside_it_empty():
-    box = LosPrior.from_box((0.2, 0.1, 0.3)).mesh
-    assert plane_section(box, 2, 0.16).shape == (0, 2, 3)
-    segments = plane_section(box, 2, 0.02)
-    assert np.allclose(segments[..., 2], 0.02)
-    lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    assert lengths.sum() == pytest.approx(0.6)
-    assert (np.abs(np.abs(segments[..., 0]) - 0.1) < 1e-12).any()

@@ -6,11 +6,9 @@ from typing import Protocol
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2._validation import require_positive, require_shape
 from geraf2.geometry.boxes import beyond_sides, box_corners
-from geraf2.io.mesh import TriangleMesh
-from geraf2.ops.visibility import MeshScene
 from geraf2.records import Wall
 
 Points = Floats
@@ -75,22 +73,6 @@ class SphereSolid:
         return np.asarray(np.asarray(self.center_m) + self.radius_m * axes)
 
 
-class MeshSolid:
-    """The inside of a closed mesh."""
-
-    def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:
-        self._vertices = np.asarray(mesh.vertices, dtype=np.float64)
-        self._scene = MeshScene(mesh.vertices, mesh.faces, num_threads=num_threads)
-
-    def signed_distance(self, points: Points) -> Floats:
-        """Exact distance to the triangles, negative inside, (n, 3) [m] -> (n,) [m]."""
-        return self._scene.signed_distance(points)
-
-    def corners(self) -> Points:
-        """Its vertices, (n, 3) [m]."""
-        return self._vertices
-
-
 class NestedSets:
     r"""Nested sets M_1, M_2, ... and the unified signed distance f of their regions.
 
@@ -153,9 +135,3 @@ class NestedSets:
         depth = (distances <= 0.0).sum(axis=0)
         sign = np.where(np.array([False, *self.strong])[depth], -1.0, 1.0)
         return np.asarray(sign * np.abs(distances).min(axis=0))
-
-    def region(self, points: Points) -> Ints:
-        """Find the region R_{i,i+1} of each point, (n, 3) [m] -> i, (n,)."""
-        require_shape("points", points, (None, 3))
-        inside = [solid.signed_distance(points) <= 0.0 for solid in self.solids]
-        return np.asarray(np.stack(inside).sum(axis=0), dtype=np.int64)

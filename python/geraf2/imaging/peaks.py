@@ -17,7 +17,7 @@ from geraf2._types import Bools, Floats, Ints, Progress
 from geraf2.imaging.bistatic import common_half_baseline, seen_from_midpoints
 from geraf2.imaging.subapertures import PoseImages, SubapertureConfig, pose_images
 from geraf2.ops.subaperture import subaperture_peaks
-from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 DETECTION_DB = 12.0
 """Detection threshold: least ratio of a peak to the noise of its range bin [dB]."""
@@ -205,22 +205,8 @@ def collect_peaks(
 
     Returns peaks whose planes are indices of the capture's poses.
     """
-    chosen = list(range(len(capture.poses)) if planes is None else planes)
-    parts = []
-    for done, number in enumerate(chosen, start=1):
-        pose, waveform = capture.poses[number], capture.waveform
-        if pose.n_antennas == 0:
-            continue
-        near, far = _box_span(pose, prior)
-        # Within two range cells the leakage from transmitter to receiver dominates.
-        low = max(near - reach_m[0], min(near, 2.0 * waveform.range_cell_m))
-        high = max(far, min(far + reach_m[1], low + waveform.unambiguous_range_m))
-        focus = prior.bounds.mean(axis=0)
-        images = pose_images(pose, waveform, focus, (low, high), subaperture)
-        parts.append(_peaks_of(images, number, noise_margin_db, num_threads))
-        if progress is not None:
-            progress(done / len(chosen))
-    return join_peaks(parts)
+    peaks = KeptPeaks(prior, subaperture, noise_margin_db, reach_m=reach_m, num_threads=num_threads)
+    return peaks.of(capture, planes, progress=progress)
 
 
 def _peaks_of(
@@ -322,9 +308,9 @@ class KeptPeaks:
             pose = capture.poses[number]
             if pose.n_antennas == 0:
                 continue
-            found = self._corrected(capture, number)
+            found = self._corrected(pose, capture.waveform, number)
             if found is None:
-                found = self._imaged(capture, number)
+                found = self._imaged(pose, capture.waveform, number)
             self._kept[id(pose.signal)] = _Kept(
                 signal=ref(pose.signal),
                 tx=pose.tx_positions,
@@ -372,23 +358,21 @@ class KeptPeaks:
         self._rims[subaperture] = kept.about(prior)
         return self._rims[subaperture]
 
-    def _imaged(self, capture: Capture, number: int) -> PeakSet:
+    def _imaged(self, pose: Pose, waveform: Waveform, number: int) -> PeakSet:
         self._n_imaged += 1
-        return collect_peaks(
-            capture,
-            self.prior,
-            self.subaperture,
-            self.noise_margin_db,
-            planes=[number],
-            reach_m=self.reach_m,
-            num_threads=self.num_threads,
-        )
+        near, far = _box_span(pose, self.prior)
+        # Within two range cells the leakage from transmitter to receiver dominates.
+        low = max(near - self.reach_m[0], min(near, 2.0 * waveform.range_cell_m))
+        high = max(far, min(far + self.reach_m[1], low + waveform.unambiguous_range_m))
+        focus = self.prior.bounds.mean(axis=0)
+        images = pose_images(pose, waveform, focus, (low, high), self.subaperture)
+        return _peaks_of(images, number, self.noise_margin_db, self.num_threads)
 
-    def _corrected(self, capture: Capture, number: int) -> PeakSet | None:
-        pose, kept = capture.poses[number], self._kept.get(id(capture.poses[number].signal))
+    def _corrected(self, pose: Pose, waveform: Waveform, number: int) -> PeakSet | None:
+        kept = self._kept.get(id(pose.signal))
         if kept is None or kept.signal() is not pose.signal:
             return None
-        shift_m = 0.5 * (capture.waveform.path_bias_m - kept.bias_m)
+        shift_m = 0.5 * (waveform.path_bias_m - kept.bias_m)
         rotation, origin, moved_to = (
             kept.axes.T @ pose.axes,
             kept.tx.mean(axis=0),

@@ -6,7 +6,7 @@ import numpy as np
 from torch import nn
 
 from geraf2._types import Floats
-from geraf2.fields import MeshSolid, NestedSets, SphereSolid
+from geraf2.fields import NestedSets, SphereSolid
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import (
     CubeDomain,
@@ -22,6 +22,7 @@ from geraf2.learned.fields import (
 )
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior
 from geraf2.learned.ray_sampling import LenslessSampler
+from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior, Waveform
 
 DOMAIN_MARGIN = 1.25
@@ -75,7 +76,7 @@ class StartDistance:
     def __init__(
         self, prior: LosPrior, config: PaperConfig, *, num_threads: int | None = None
     ) -> None:
-        self.vision = MeshSolid(prior.mesh, num_threads=num_threads)
+        self.vision = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
         ball = SphereSolid(
             radius_m=0.5 * config.start_radius * min(prior.size_m), center_m=prior.center_m
         )

@@ -6,22 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geraf2._memory import available_memory_bytes, memory_of_parts, require_memory
+from geraf2._memory import memory_of_parts, require_memory
 from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.scene.summary import CaptureSummary
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.fit_memory import fit_bytes
-
-__all__ = [
-    "Estimate",
-    "available_memory_bytes",
-    "image_estimate",
-    "n_threads",
-    "reconstruct_estimate",
-    "require_memory",
-    "require_renderable",
-]
 
 # CPU seconds of `geraf2 reconstruct` by preset: serial part (imports, pictures), parallel part
 # (fits, mesh), and parallel part per antenna sample.

@@ -74,11 +74,9 @@ class Grid:
     @property
     def axes_m(self) -> tuple[Floats, Floats, Floats]:
         """Coordinates of the voxel centres along each axis [m]."""
-        return self._axis(0), self._axis(1), self._axis(2)
-
-    def _axis(self, axis: int) -> Floats:
-        steps = np.arange(self.shape[axis], dtype=np.float64)
-        return self.origin_m[axis] + self.spacing_m * steps
+        steps = (np.arange(n, dtype=np.float64) for n in self.shape)
+        x, y, z = (o + self.spacing_m * k for o, k in zip(self.origin_m, steps, strict=True))
+        return x, y, z
 
     def points(self) -> Floats:
         """Voxel centres, (n_voxels, 3) [m]; z runs fastest (C order)."""

@@ -9,10 +9,11 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from geraf2 import __version__
+from geraf2._memory import available_memory_bytes
 from geraf2.apps.batch.engine import MEMORY_RESOURCE
 from geraf2.apps.batch.options import BatchOptions
 from geraf2.errors import UserError
-from geraf2.pipeline.estimates import available_memory_bytes, n_threads
+from geraf2.pipeline.estimates import n_threads
 
 if TYPE_CHECKING:
     from distributed import Client

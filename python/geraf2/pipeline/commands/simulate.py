@@ -5,12 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
+from geraf2._memory import require_memory
 from geraf2.io.atomic import atomic_folder
 from geraf2.io.belt_file import write_belt
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME, require_scene_folder
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import stage_key
-from geraf2.pipeline.estimates import BYTES_PER_ELEMENT, box_area_m2, require_memory
+from geraf2.pipeline.estimates import BYTES_PER_ELEMENT, box_area_m2
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.photos import save_photos

@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from geraf2._memory import require_memory
 from geraf2._types import Progress
 from geraf2.baselines.heat import counted_voxels
 from geraf2.baselines.level import best_level
@@ -24,7 +25,6 @@ from geraf2.io.run_folder import (
     TENSORBOARD_FOLDER,
 )
 from geraf2.learned.config import TRAINING_VERSION, PaperConfig
-from geraf2.pipeline.estimates import require_memory
 from geraf2.pipeline.stages.direct import loader, mesh_stage, saver
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
 from geraf2.scene import LosPrior
