@@ -7,13 +7,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-import torch
 
 import geraf2
 from geraf2.scene import Grid
 from helpers.synthetic import WAVEFORM, white_noise
-from reference import matched_filter as reference
-from reference.closeness import assert_adjoint, relative_error
+from reference.closeness import assert_adjoint
 
 N_ANTENNAS = 41
 RNG = np.random.default_rng(3)
@@ -27,24 +25,14 @@ def make_plan(points, dtype=np.complex128, **options):
     return geraf2.MatchedFilterPlan(TX, RX, points, WAVEFORM, dtype=dtype, **options)
 
 
-@pytest.mark.parametrize("points", [GRID, LIST], ids=["grid", "list"])
-@pytest.mark.parametrize("method", ["exact", "block", "auto"])
-def test_the_image_is_that_of_the_twin_each_time(points, method):
-    plan = make_plan(points, method=method, rtol=1e-8)
-    places = torch.from_numpy(np.array(points.points() if points is GRID else points))
-    for scale in (1.0, -2.0):
-        signal = scale * white_noise(plan.signal_shape, np.complex128)
-        tensors = (torch.from_numpy(np.array(a)) for a in (signal, TX, RX))
-        want = reference.matched_filter(*tensors, places, WAVEFORM)
-        assert relative_error(plan.execute(signal).reshape(-1), want) < 1e-8
-
-
 @pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
-@pytest.mark.parametrize("method", ["block", "factorised"])
-def test_execution_gives_the_bits_of_the_function(method, dtype):
-    plan = make_plan(GRID, dtype, method=method)
+@pytest.mark.parametrize(
+    ("method", "points"), [("exact", LIST), ("block", GRID), ("auto", LIST), ("factorised", GRID)]
+)
+def test_execution_gives_the_bits_of_the_function(method, points, dtype):
+    plan = make_plan(points, dtype, method=method)
     signal = white_noise(plan.signal_shape, dtype)
-    once = geraf2.matched_filter(signal, TX, RX, GRID, WAVEFORM, method=method)
+    once = geraf2.matched_filter(signal, TX, RX, points, WAVEFORM, method=method)
     for _ in range(2):
         np.testing.assert_array_equal(plan.execute(signal), once)
 
