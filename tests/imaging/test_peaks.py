@@ -1,4 +1,4 @@
-"""The common collection of peaks, against plain loops and against images of corrected captures."""
+"""The common collection of peaks, against the twin and against images of corrected captures."""
 
 import gc
 from dataclasses import replace
@@ -9,12 +9,12 @@ import pytest
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.imaging.peaks import KeptPeaks, box_spans, collect_peaks, grating_lobes, join_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.ops.subaperture import noise_floor
 from geraf2.scene import LosPrior
-from helpers.aperture_images import image_bins, subaperture_images
+from helpers.aperture_images import subaperture_images
 from helpers.carton import PRIOR, carton_capture, with_bias
 from helpers.specular import antennas, raster
 from helpers.synthetic import WAVEFORM, point_capture
+from reference import peaks as twin
 
 BOX = LosPrior.from_box((0.12,) * 3)
 TARGETS = np.array([[0.03, 0.01, 0.0], [-0.03, 0.0, 0.02]])
@@ -36,39 +36,19 @@ def peaks(carton):
     return KeptPeaks(PRIOR).of(carton)
 
 
-def maxima(image, margin_db):
-    """Bins above their noise that none of 26 neighbours exceeds; plain loops."""
-    values, floor = image.magnitude, noise_floor(image.magnitude, image_bins(image))
-    for i, j, k in zip(*np.nonzero(values > floor * 10.0 ** (margin_db / 20.0)), strict=True):
-        if not 0 < k < values.shape[2] - 1:
-            continue
-        around = []
-        for di in (-1, 0, 1):
-            for dj in (-1, 0, 1):
-                row, column = i + di, j + dj
-                if image.wraps[0]:
-                    row %= values.shape[0]
-                if image.wraps[1]:
-                    column %= values.shape[1]
-                if not (0 <= row < values.shape[0] and 0 <= column < values.shape[1]):
-                    around.append(np.inf)
-                    continue
-                around += [values[row, column, k + dk] for dk in (-1, 0, 1)]
-        if values[i, j, k] >= max(around):
-            yield values[i, j, k], floor[k], image.ranges_m[k]
-
-
 def test_peaks_are_local_maxima_above_the_noise_of_their_range_bin(carton):
     margin_db, pose = 12.0, carton.poses[1]
     found = collect_peaks(carton, PRIOR, COARSE, margin_db, planes=[1], reach_m=(0.0, 0.0))
     span = box_spans(carton.poses, PRIOR)[1]
     focus = PRIOR.bounds.mean(axis=0)
     expected = [
-        (number, *peak)
+        (number, value, noise, image.ranges_m[place[2]])
         for number, image in enumerate(
             subaperture_images(pose, carton.waveform, focus, tuple(span), COARSE)
         )
-        for peak in maxima(image, margin_db)
+        for place, _, value, noise in twin.find_peaks(
+            image.magnitude, image.wraps, 200.0, margin_db
+        )
     ]
     assert len(found) == len(expected) > 10
     number, magnitudes, noise, ranges = np.array(expected).T

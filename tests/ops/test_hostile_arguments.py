@@ -13,10 +13,11 @@ import torch
 from geraf2.ops import EchoForm, _threads, matched_filter
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.lensless import facing_samples
-from geraf2.ops.subaperture import Lattice, subaperture_images
+from geraf2.ops.subaperture import Lattice
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from helpers.antennas import bins_of, blocks_of, members_of
+from helpers.aperture_images import kernel_images
 from helpers.synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=4, spacing_m=0.004)
@@ -43,7 +44,7 @@ def pattern(exponent):
 def images(lattice, scale=1.0):
     members = members_of(scale * POSE.tx_positions[:, 1:], lattice=lattice)
     antennas = POSE.signal, POSE.tx_positions, POSE.rx_positions
-    return subaperture_images(*antennas, WAVEFORM, members, bins_of())
+    return kernel_images(*antennas, WAVEFORM, members, bins_of())
 
 
 @pytest.mark.parametrize(

@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.physical_optics import SurfaceElements, physical_optics
-from geraf2.ops.subaperture import subaperture_images, subaperture_peaks
+from geraf2.ops.subaperture import subaperture_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid, Wall
 from helpers import hostile
 from helpers.antennas import bins_of, blocks_of, members_of
+from helpers.aperture_images import kernel_images
 from helpers.synthetic import waveform_of, white_noise
 
 WAVEFORM = waveform_of(9)
@@ -166,9 +167,7 @@ def test_subaperture_images_and_peaks(members, data, dtype, level):
 
     def images():
         problem = (signal, tx, tx, WAVEFORM, members_of(places, **rest), bins_of())
-        return subaperture_images(*problem), subaperture_peaks(
-            *problem, thresholds_db=(99.0, -99.0)
-        )
+        return kernel_images(*problem), subaperture_peaks(*problem, thresholds_db=(99.0, -99.0))
 
     good = hostile.allowed(tx, rest["focus"], 1e4 * places)
     with hostile.forced(level):
@@ -365,5 +364,5 @@ def test_subaperture_waveform_of_one_sample():
     bins = replace(bins_of((1, 0.1), n_ranges=1), first_range_m=0.0, range_pitch_m=1.0)
     waveform = replace(WAVEFORM, n_samples=1)
     signal = white_noise((n, 1), np.complex64)
-    image = subaperture_images(signal, np.zeros((n, 3)), np.zeros((n, 3)), waveform, members, bins)
+    image = kernel_images(signal, np.zeros((n, 3)), np.zeros((n, 3)), waveform, members, bins)
     assert_bounded(image, np.abs(signal).max())

@@ -7,12 +7,10 @@ from geraf2.ops.subaperture import (
     CosineAxis,
     Lattice,
     SubapertureBins,
-    image_peaks,
-    noise_floor,
-    subaperture_images,
     subaperture_peaks,
 )
 from helpers.antennas import bins_of, members_of
+from helpers.aperture_images import image_peaks, kernel_images, noise_floor
 from helpers.synthetic import WAVEFORM, white_noise
 from reference import peaks as peaks_twin
 from reference import subaperture as twin
@@ -60,7 +58,7 @@ def direct_sum(arguments, bins):
 def test_images_on_a_lattice_are_the_direct_sum(shape, n_samples, n_cosines, wraps, dtype, atol):
     arguments = problem(shape, n_samples, dtype=dtype)
     bins = bins_of((n_cosines, 0.06), (3, 0.2), wraps=wraps)
-    (image,) = subaperture_images(*arguments, bins)
+    (image,) = kernel_images(*arguments, bins)
     assert image.dtype == np.empty(0, dtype).real.dtype
     np.testing.assert_allclose(image, direct_sum(arguments, bins), atol=atol)
 
@@ -71,7 +69,7 @@ def test_images_of_antennas_anywhere_are_the_direct_sum(dtype, atol):
     places = np.random.default_rng(3).uniform(-0.04, 0.04, (60, 2))
     arguments = problem(places=places, dtype=dtype)
     bins = bins_of((9, 0.15), (3, 0.31), n_ranges=3)
-    (image,) = subaperture_images(*arguments, bins)
+    (image,) = kernel_images(*arguments, bins)
     np.testing.assert_allclose(image, direct_sum(arguments, bins), atol=atol)
 
 
@@ -95,7 +93,7 @@ def test_peaks_are_those_of_the_twin(shape, wraps, dtype):
         range_pitch_m=0.02,
         n_ranges=shape[2],
     )
-    found = image_peaks(magnitude, bins, thresholds_db=(20.0, 0.0))
+    found = image_peaks(magnitude, bins, (20.0, 0.0))
     expected = peaks_twin.find_peaks(magnitude, wraps, 20.0, 0.0)
     assert len(found.ranges_m) == len(expected)
     if shape[0] > 5:
@@ -126,15 +124,15 @@ def test_peaks_are_those_of_the_images_with_any_threads(scattered):
     )
     arguments[4] = half
     bins = bins_of((21, 0.06), (21, 0.05), n_ranges=12)
-    images = subaperture_images(*arguments, bins, num_threads=1)
-    assert np.array_equal(images, subaperture_images(*arguments, bins, num_threads=3))
+    images = kernel_images(*arguments, bins, num_threads=1)
+    assert np.array_equal(images, kernel_images(*arguments, bins, num_threads=3))
     for num_threads in (1, 2, 4):
         found = subaperture_peaks(
             *arguments, bins, thresholds_db=(20.0, 0.0), num_threads=num_threads
         )
         np.testing.assert_array_equal(found.tops, images.max(axis=(1, 2, 3)))
         for number, image in enumerate(images):
-            expected = image_peaks(image, bins, thresholds_db=(20.0, 0.0))
+            expected = image_peaks(image, bins, (20.0, 0.0))
             own = found.subapertures == number
             assert own.sum() > 0
             for name in ("cosines", "ranges_m", "magnitudes", "noise"):
@@ -144,9 +142,9 @@ def test_peaks_are_those_of_the_images_with_any_threads(scattered):
 def test_a_conjugate_view_and_strides_change_nothing():
     signal, *rest = problem()
     bins = bins_of()
-    expected = subaperture_images(signal, *rest, bins)
+    expected = kernel_images(signal, *rest, bins)
     wide = np.repeat(signal, 2, axis=1)
-    assert np.array_equal(subaperture_images(wide[:, ::2], *rest, bins), expected)
+    assert np.array_equal(kernel_images(wide[:, ::2], *rest, bins), expected)
 
 
 def test_no_subaperture_and_an_empty_one_are_no_error():
@@ -159,11 +157,11 @@ def test_no_subaperture_and_an_empty_one_are_no_error():
         weights=members.weights[:0],
         places=members.places[:0],
     )
-    assert not subaperture_images(signal, tx, rx, waveform, empty, bins).any()
+    assert not kernel_images(signal, tx, rx, waveform, empty, bins).any()
     peaks = subaperture_peaks(signal, tx, rx, waveform, empty, bins, thresholds_db=(20.0, 0.0))
     assert len(peaks.ranges_m) == 0
     none = replace(empty, offsets=np.array([0]), focus=np.zeros((0, 3)), focus_range_m=np.zeros(0))
-    assert subaperture_images(signal, tx, rx, waveform, none, bins).shape == (0, *bins.shape)
+    assert kernel_images(signal, tx, rx, waveform, none, bins).shape == (0, *bins.shape)
 
 
 @pytest.mark.parametrize("value", [np.nan, -np.nan, np.inf, -np.inf])
@@ -177,20 +175,20 @@ def test_an_image_with_nan_has_no_peaks(value):
     image = np.ones(bins.shape)
     image[2, 1, 0] = np.copysign(np.nan, value)
     assert np.isnan(noise_floor(image, bins)).all()
-    assert len(image_peaks(image, bins, thresholds_db=(60.0, -60.0)).ranges_m) == 0
+    assert len(image_peaks(image, bins, (60.0, -60.0)).ranges_m) == 0
 
 
 def test_wrong_arguments_are_named():
     signal, tx, rx, waveform, members = problem()
     bins = bins_of()
     with pytest.raises(TypeError, match="complex64 or complex128, got float64"):
-        subaperture_images(signal.real, tx, rx, waveform, members, bins)
+        kernel_images(signal.real, tx, rx, waveform, members, bins)
     bad = replace(members, antennas=members.antennas + 1)
     with pytest.raises(ValueError, match="antennas must lie in 0 to"):
-        subaperture_images(signal, tx, rx, waveform, bad, bins)
+        kernel_images(signal, tx, rx, waveform, bad, bins)
     aside = replace(bins, vertical=replace(bins.vertical, first=0.0))
     with pytest.raises(ValueError, match="symmetric"):
-        subaperture_images(signal, tx, rx, waveform, members, aside)
+        kernel_images(signal, tx, rx, waveform, members, aside)
     with pytest.raises(ValueError, match="odd"):
         CosineAxis.symmetric(4, 0.1, wraps=False)
     with pytest.raises(ValueError, match="offsets must ascend"):

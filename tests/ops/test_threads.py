@@ -15,10 +15,11 @@ from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
 from geraf2.ops._threads import resolve_num_threads, with_one_blas_thread
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.physical_optics import SurfaceElements, physical_optics
-from geraf2.ops.subaperture import subaperture_images, subaperture_peaks
+from geraf2.ops.subaperture import subaperture_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from helpers.antennas import bins_of, blocks_of, members_of
+from helpers.aperture_images import kernel_images
 from helpers.synthetic import waveform_of, white_noise
 
 WAVEFORM = waveform_of(16)
@@ -45,7 +46,7 @@ MEMBERS = members_of(
 def subapertures(threads):
     problem = (SIGNAL, ANTENNAS, ANTENNAS, WAVEFORM, MEMBERS, bins_of())
     peaks = subaperture_peaks(*problem, thresholds_db=(99.0, -99.0), num_threads=threads)
-    return subaperture_images(*problem, num_threads=threads), peaks.magnitudes, peaks.ranges_m
+    return kernel_images(*problem, num_threads=threads), peaks.magnitudes, peaks.ranges_m
 
 
 def energy(threads):

@@ -173,36 +173,6 @@ class SubaperturePeaks:
     """Largest magnitude of each image, (n_subapertures,)."""
 
 
-def subaperture_images(
-    signal: Array,
-    tx: Floats,
-    rx: Floats,
-    waveform: Waveform,
-    subapertures: Subapertures,
-    bins: SubapertureBins,
-    *,
-    num_threads: int | None = None,
-) -> Array:
-    """Magnitudes of the focused images, (n_subapertures, *bins.shape).
-
-    I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
-    with the path q_a to the focus less that of the centre, the instrument delay b, and Hann
-    weights w_t over the chirp (docs/math/images.md#sub-aperture-images). On a lattice the sums
-    separate and are exact to rounding. Antennas at any positions are spread over a lattice first,
-    which errs by 5e-7 of the largest possible magnitude. Not differentiable.
-
-    signal: complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
-    tx, rx: (n_antennas, 3) [m].
-    subapertures: which antennas form which image.
-    bins: where the images are taken.
-    """
-    arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
-    images: Array = _core.subaperture_images(
-        **arguments, num_threads=resolve_num_threads(num_threads)
-    )
-    return images
-
-
 def subaperture_peaks(
     signal: Array,
     tx: Floats,
@@ -214,11 +184,22 @@ def subaperture_peaks(
     thresholds_db: tuple[float, float],
     num_threads: int | None = None,
 ) -> SubaperturePeaks:
-    """Peaks of the images, without keeping these; arguments as in `subaperture_images`.
+    """Peaks of the magnitudes of the focused images, which are not kept.
 
-    `thresholds_db`: peaks weaker than the image's largest by more than the first, or less than the
-    second above the noise floor of their range bin, are dropped [dB]. A peak is a maximum among
-    26 neighbours, refined by a parabola through three log magnitudes per axis.
+    I(u, r) = |sum_a sum_t w_a w_t s_a(t) exp(j k_t (2 r + q_a + b)) exp(-2 j k_c u . delta_a)|
+    with the path q_a to the focus less that of the centre, the instrument delay b, and Hann
+    weights w_t over the chirp (docs/math/images.md#sub-aperture-images). On a lattice the sums
+    separate and are exact to rounding. Antennas at any positions are spread over a lattice first,
+    which errs by 5e-7 of the largest possible magnitude. Not differentiable. A peak is a maximum
+    among 26 neighbours, refined by a parabola through three log magnitudes per axis. The noise of a
+    range bin is seen by the median direction, as long as echoes fill less than about half of them.
+
+    signal: complex64 or complex128, which is the precision of the sums, (n_antennas, n_samples).
+    tx, rx: (n_antennas, 3) [m].
+    subapertures: which antennas form which image.
+    bins: where the images are taken.
+    thresholds_db: peaks weaker than the image's largest by more than the first, or less than the
+        second above the noise floor of their range bin, are dropped [dB].
     """
     arguments = _native_arguments(signal, tx, rx, waveform, subapertures, bins)
     found = _core.subaperture_peaks(
@@ -227,22 +208,6 @@ def subaperture_peaks(
         num_threads=resolve_num_threads(num_threads),
     )
     return _peaks(found)
-
-
-def image_peaks(
-    magnitude: Array, bins: SubapertureBins, *, thresholds_db: tuple[float, float]
-) -> SubaperturePeaks:
-    """Peaks of one given image (bins.shape); thresholds as in `subaperture_peaks`."""
-    image = _image(magnitude, bins)
-    return _peaks(_core.image_peaks(image, bins.native(), _thresholds(thresholds_db)))
-
-
-def noise_floor(magnitude: Array, bins: SubapertureBins) -> Floats:
-    """Root mean square of the noise in each range bin, (n_ranges,), from the median direction.
-
-    The median sees the noise as long as echoes fill less than about half of the directions.
-    """
-    return _core.noise_floor(_image(magnitude, bins), bins.native())
 
 
 def _native_arguments(
@@ -312,14 +277,6 @@ def _thresholds(thresholds_db: tuple[float, float]) -> _core.PeakThresholds:
     return _core.PeakThresholds(
         dynamic_range=10.0 ** (-dynamic_range / 20.0), noise_margin=10.0 ** (noise_margin / 20.0)
     )
-
-
-def _image(magnitude: Array, bins: SubapertureBins) -> Array:
-    if magnitude.dtype not in (np.float32, np.float64):
-        msg = f"magnitude must be float32 or float64, got {magnitude.dtype}"
-        raise TypeError(msg)
-    require_shape("magnitude", magnitude, bins.shape)
-    return np.ascontiguousarray(magnitude)
 
 
 def _peaks(found: tuple[Array, ...]) -> SubaperturePeaks:
