@@ -79,7 +79,6 @@ def surface_above(
     capture: for the viewing directions of its planes.
     total: heat of all planes.
     counted: voxels that are not cropped, (x, y, z) of the grid.
-    threshold: in units of the heat.
     normal_reach_m: see :class:`MatchedFilterConfig`.
     """
     chosen = counted & (total.heat > threshold)

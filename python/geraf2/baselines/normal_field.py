@@ -106,9 +106,6 @@ def antenna_votes(
     with a_i the middle of transmitter and receiver, and their mean a in the last denominator, which
     differs from each antenna's own by less than a tenth. As c_i is linear in the signal, the sum
     over c_i a_i is the matched filter of the signals times a coordinate: four images in all.
-
-    capture: for its waveform.
-    grid: where the normals are wanted.
     """
 
     def image(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:

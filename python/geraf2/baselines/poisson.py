@@ -32,7 +32,6 @@ def poisson_surface(positions: Floats, normals: Floats, grid: Grid) -> SdfGrid:
 
     positions: (n_points, 3) inside the grid [m].
     normals: outward unit normals, (n_points, 3).
-    grid: where the field is wanted.
 
     Returns minus the indicator, shifted by its mean at the points and scaled to a slope of about
     one across the surface: no distance farther away.

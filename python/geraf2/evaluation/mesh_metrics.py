@@ -228,12 +228,10 @@ def evaluate_mesh(
     """Distances between a mesh and the truth, without alignment, scaling or cropping.
 
     mesh: reconstructed surface, in the truth's frame.
-    truth: true surface.
     n_samples: points drawn uniformly by area from each surface.
     seed: seed of the two independent draws.
     thresholds_m: thresholds of the F1 score [m].
     planes: of the scan; the parts of the truth in and out of their sight are scored separately.
-    num_threads: threads of the exact distances; all cores when None.
 
     Returns all distances; definitions by `describe()`.
     """

@@ -55,7 +55,6 @@ def oracle_matched_filter(
     isosurface of the volume instead of a Poisson fit to its points.
 
     volume: sum over planes of |P|, grid.shape, as from :func:`geraf2.imaging.volume.image_volume`.
-    grid: where its voxels lie.
     truth: surface of the content.
     crop_m: voxels nearer to the prior's surface do not count, as for the method compared [m].
     levels: thresholds to try, as shares of the largest value among the voxels that count.

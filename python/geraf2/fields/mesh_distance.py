@@ -37,7 +37,6 @@ def mesh_distance(
     """Signed distance to a mesh at the voxels of a grid, negative inside [m].
 
     mesh: surface, wound outwards.
-    grid: voxels.
     closed: whether the mesh is closed. Else a point is inside if its winding number is above one
         half, which closes holes smoothly but takes a time of voxels times triangles.
 

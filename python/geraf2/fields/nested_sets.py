@@ -88,8 +88,6 @@ class NestedSets:
 
     Raises ValueError if a corner of a solid is not inside the one before it.
 
-    Notes
-    -----
     Equations 5 to 11 of the paper (nested sets, regions, sign, distance). A path from a point to
     another boundary crosses one of the two of its region, so the minimum may include all.
     """

@@ -20,7 +20,6 @@ def nearest_distance(
     points: (n, 3) [m].
     to: other points, at least one, (m, 3) [m], or a tree of them.
     max_distance_m: limit of the search [m].
-    num_threads: all cores when None.
     """
     tree = to if isinstance(to, KDTree) else KDTree(to)
     # Not in the main thread: there a signal ends scipy's wait while its threads still read arrays

@@ -195,13 +195,11 @@ def collect_peaks(
 ) -> PeakSet:
     """Peaks of each plane around the prior's box; every plane is imaged once.
 
-    capture: the scan.
     prior: outside of the box; images are focused on its centre.
     subaperture: size and sampling of the images.
     noise_margin_db: detection threshold relative to the noise of the range bin [dB].
     planes: indices of the planes to image; all when None.
     reach_m: distances in front of the box and behind it within which peaks are collected [m].
-    progress: called with the fraction done.
 
     Returns peaks whose planes are indices of the capture's poses.
     """

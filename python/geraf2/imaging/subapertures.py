@@ -148,7 +148,6 @@ def pose_images(
     waveform: the chirp; its instrument delay is subtracted.
     target: point on which the near field is focused, (3,) [m].
     range_span_m: smallest and largest one-way distance to image [m].
-    config: size and sampling.
     """
     raster = find_raster(pose, waveform.center_wavelength_m)
     if raster is None:

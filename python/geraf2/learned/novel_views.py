@@ -48,7 +48,6 @@ def render_plane(
     with_reflectivity: whether reflectivity was trained.
     n_draws: independent draws of the samples along the rays; averaging their powers reduces
         speckle.
-    seed: of the draws.
     """
     generator = torch.Generator().manual_seed(seed)
     power = np.zeros(grid.shape)

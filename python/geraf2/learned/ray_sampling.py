@@ -46,8 +46,6 @@ class LenslessSampler:
     inner: region of the samples; the whole scene when None. Rays start at the scene's boundary.
     dtype: of the samples.
 
-    Notes
-    -----
     Section 3.2 of the paper: rays are parallel to the radar's direction w_p and start at the
     boundary of the scene, which Embree finds.
     """

@@ -58,12 +58,8 @@ class PaperTrainer:
     """Trains the fields of one capture.
 
     prior: outside of the box; f_v is the distance to it.
-    config: all settings.
-    seed: of networks and samples.
     maps: measured heat maps of the capture; computed when None.
 
-    Notes
-    -----
     Bit-identical for a given seed and number of threads, also when it was stopped and resumed. On
     a GPU the draws are the same, but sums are taken in any order. On a CPU the planes of a step are
     rendered in parallel, unless `config.field` is "mlp".

@@ -20,7 +20,6 @@ class FacetEcho:
 
     tx, rx: transmitter and receiver of each antenna, (n_antennas, 3) [m].
     targets: where the heat map is taken, (n_targets, 3) [m].
-    waveform: the chirp.
     num_threads: threads; torch's number when torch is loaded, else all cores, when None. With one
         all results repeat bit for bit.
     """

@@ -121,8 +121,6 @@ def echo_amplitudes(
 
     Returns amplitude (n_pairs,) and unit normals (n_pairs, 3).
 
-    Notes
-    -----
     Differentiable once with respect to alpha, transmittance and gradient. Equations 4 and 5 of the
     paper without reflectivity, power and the tracer's own w_o . w_r;
     docs/math/ray-march-and-lensless.md#lensless-amplitude.

@@ -199,8 +199,6 @@ def explain_method(
     tx, rx, points, waveform, rtol: as for :func:`matched_filter`; no signal is needed.
     dtype: of the signal, complex64 or complex128.
 
-    Notes
-    -----
     Costs are counted in multiply-adds: docs/math/matched-filter.md#choice-of-the-method. Nothing is
     computed but the plan.
     """

@@ -43,8 +43,6 @@ def point_images(
     tx, rx: (n_antennas, 3) [m].
     points: (n_points, 3) [m].
 
-    Notes
-    -----
     Differentiable once with respect to `signals` alone. The result does not depend on num_threads.
     """
     tx_rows, rx_rows = require_antennas(tx, rx)

@@ -60,8 +60,6 @@ def ray_march(
 
     Returns RayMarch of alpha, transmittance (T, or T^2 for "squared"), weight and depth.
 
-    Notes
-    -----
     Differentiable once with respect to sdf, cos and inv_s. A NaN spreads to what lies behind it on
     its ray. The opacity is that of NeuS (Wang et al. 2021, equation 13), in a form without
     cancellation or overflow: docs/math/ray-march-and-lensless.md#ray-march.

@@ -48,8 +48,6 @@ def sdf_grid(
 
     Returns GridSample of value and gradient, in the dtype of `values`.
 
-    Notes
-    -----
     Differentiable with respect to values and points. Twice with respect to values, so that a term
     of the gradient's length, as (|gradient| - 1)^2, may enter a loss, whether the gradient is that
     returned here or torch's of the value. The gradient to points of `gradient` (the Hessian) is

@@ -86,7 +86,6 @@ def projections(
 
     volume: complex image or magnitude, grid.shape; shown as 20 log10 |v| / max |v|.
     box: outline drawn over the projections.
-    title: line above the panels.
     """
     require_shape("volume", volume, grid.shape)
     magnitude = np.abs(np.asarray(volume))
@@ -140,7 +139,6 @@ def mesh_views(
 ) -> None:
     """Draw the mesh from four sides, coloured by expected error, beside the truth if known.
 
-    mesh: reconstructed surface.
     truth: true surface, drawn grey in a second row, with the same scale and position.
     distances_m: distance of each vertex to the truth, (n_vertices,) [m]: drawn in a third row.
     """

@@ -26,10 +26,7 @@ class SurfaceView(NamedTuple):
 
 
 def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
-    """Draw photo, rendered view and normal map side by side, a row for each view.
-
-    views: at least one.
-    """
+    """Draw photo, rendered view and normal map side by side, a row for each view."""
     if not views:
         msg = "views must hold at least one view, got none"
         raise ValueError(msg)

@@ -62,10 +62,7 @@ class View:
 
 
 class MeshPainter:
-    """Renderer of a mesh from any side; ray tracer, normals and ambient light are made once.
-
-    mesh: at least one triangle.
-    """
+    """Renderer of a mesh from any side; ray tracer, normals and ambient light are made once."""
 
     def __init__(self, mesh: TriangleMesh, *, num_threads: int | None = None) -> None:
         self.mesh = mesh

@@ -16,8 +16,6 @@ def octave_weights(n_open: Tensor, n_octaves: int) -> Tensor:
 
     n_open: how many are open, without dimensions; of 2.5 the third is half open.
 
-    Notes
-    -----
     A raised cosine an octave: Park et al., Nerfies, 2021, and Lin et al., BARF, 2021.
     """
     numbers = torch.arange(n_octaves, dtype=n_open.dtype, device=n_open.device)
@@ -38,8 +36,6 @@ def positional_encoding(
 
     Returns (n, 3 + 6 L), first the coordinates. Differentiable.
 
-    Notes
-    -----
     Equation 4 of Mildenhall et al., NeRF, 2020.
     """
     if n_octaves == 0:

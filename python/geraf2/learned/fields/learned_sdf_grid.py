@@ -19,8 +19,6 @@ class LearnedSdfGrid(SdfField):
     domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
     n_per_side: voxels along a side at the start.
 
-    Notes
-    -----
     Not to be confused with :class:`geraf2.fields.SdfGrid`, which has no parameters.
     """
 
@@ -56,8 +54,6 @@ class LearnedSdfGrid(SdfField):
 
         n_per_side: voxels along a side; by default 2 n - 1, which keeps every voxel centre.
 
-        Notes
-        -----
         The parameter is replaced; create a new optimiser.
         """
         wanted = 2 * self.grid.shape[0] - 1 if n_per_side is None else n_per_side

@@ -70,13 +70,10 @@ class SdfMlp(SdfField):
     """Perceptron with encoded input, one skip, weight normalisation and geometric start.
 
     domain: cube that is normalised to [-1, 1]; the network is defined outside it as well.
-    config: size and start.
     seed: of the initial weights.
 
     All octaves of the encoding are active until :meth:`open_octaves` is called.
 
-    Notes
-    -----
     Starts as a sphere about the middle of the domain: Atzmon and Lipman, SAL, 2020, section 5,
     with zero weights of the encoding's sines as in Yariv et al. 2020.
     """

@@ -15,13 +15,10 @@ class SdfMlpGrid(SdfField):
     """The network of :class:`SdfMlp`, sampled through the voxels of a grid.
 
     domain: its faces hold the outermost voxel centres. Outside, the nearest face's value holds.
-    config: of the network.
     n_per_side: voxels along a side at the start.
 
     A step calls `refresh`, renders, accumulates gradients in `values`, and calls `pull_back`.
 
-    Notes
-    -----
     A step of four planes needs distance, slope and second derivatives at 60,000 samples or more;
     25^3 voxels are 16,000 points without derivatives, for any number of planes. The network
     regularises the voxels: smooth shapes are learned first (deep priors: Ulyanov et al. 2018).

@@ -125,8 +125,6 @@ def image_tiles(
     options: poses, voxels, angles, memory of a slab.
     run_slabs: who images them; this process, one after another, when None.
     overwrite: replace an image of other options, finished or not, or the run of another scene.
-    num_threads: threads of this process; all when None.
-    listener: hears progress, warnings and findings.
 
     Returns where the image lies and what is in it [m]. UserError as of `image_scene`.
     """

@@ -46,7 +46,6 @@ def simulate_scene(
     out: scene folder to make, whole or not at all; the same scene there is left as it is.
     seed: of noise, jitter, scatterers and photos; the same seed gives the same scene.
     overwrite: replace another scene in `out`.
-    num_threads: all cores when None.
     listener: hears the steps "simulating" and "photographing".
 
     Returns the capture, and the object in its frame [m]. Raises UserError where the object does
