@@ -116,11 +116,6 @@ def test_every_command_is_a_target_of_make(jobs, project_root):
                 assert asked <= targets, (name, command)
 
 
-def test_every_file_of_github_is_valid_yaml(folder):
-    for path in folder.rglob("*.yml"):
-        assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict), path
-
-
 def test_releases_wait_for_the_wheels_and_the_source(jobs):
     assert set(jobs["release", "publish"]["needs"]) == {"wheels", "sdist"}
     assert jobs["release", "github"]["needs"] == ["publish"]

@@ -63,31 +63,6 @@ def test_fields_of_vision_and_radar_agree_outside_the_box():
     np.testing.assert_allclose(field.signed_distance(outside), outer.signed_distance(outside))
 
 
-def test_equal_gradients_and_equal_values_on_one_closed_surface_make_equal_fields():
-    """The paper's proposition: a relative distance differs by a constant, which a surface fixes."""
-    field = NestedSets.from_walls([WALL], SphereSolid(radius_m=0.05))
-    rng = np.random.default_rng(3)
-    surface = BoxSolid(size_m=WALL.size_m).corners()[:, None] * rng.uniform(1.02, 1.2, (1, 20, 1))
-    places = points()
-    for offset in rng.normal(0.0, 0.02, 5):
-
-        def relative(x, offset=offset):
-            return field.signed_distance(x) + offset
-
-        step = 1e-6
-        for axis in np.eye(3):
-            slopes = [
-                (f(places + step * axis) - f(places - step * axis)) / (2 * step)
-                for f in (relative, field.signed_distance)
-            ]
-            np.testing.assert_allclose(*slopes, atol=1e-8)
-        on_surface = surface.reshape(-1, 3)
-        constant = relative(on_surface) - field.signed_distance(on_surface)
-        assert np.ptp(constant) < 1e-12
-        aligned = relative(places) - constant[0]
-        np.testing.assert_allclose(aligned, field.signed_distance(places), atol=1e-12)
-
-
 def test_sets_that_are_not_nested_are_refused():
     with pytest.raises(ValueError, match=r"solids\[1\] must lie inside solids\[0\], got a corner"):
         NestedSets([SphereSolid(radius_m=0.1), BoxSolid(size_m=(0.2, 0.1, 0.1))], [True, True])

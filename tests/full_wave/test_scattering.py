@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from reference.physical_optics import mie_backscatter_rcs
+from reference.mie import mie_backscatter_rcs
 
 K = 1655.0  # 79 GHz
 

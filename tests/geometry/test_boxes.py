@@ -16,10 +16,6 @@ def test_corners_are_all_sums_of_middle_and_half_sides():
     np.testing.assert_allclose(box_corners(CENTER, SIZE), want)
 
 
-def test_a_box_without_extent_is_a_point_eight_times():
-    np.testing.assert_array_equal(box_corners(CENTER, (0.0, 0.0, 0.0)), [CENTER] * 8)
-
-
 def test_beyond_sides_equals_a_plain_loop():
     points = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 3))
     got = beyond_sides(points, CENTER, SIZE)

@@ -1,6 +1,5 @@
 """Each function against the same thing said with plain loops, and on what has no extent."""
 
-import itertools
 import math
 
 import numpy as np
@@ -181,21 +180,8 @@ def test_closed_edges_equals_a_plain_count(faces):
     assert len(directed_edges(faces)) == 3 * len(faces)
 
 
-@pytest.mark.parametrize(("n_missing", "n_open"), [(0, 0), (1, 3), (2, 4), (12, 0)])
-def test_open_edges_of_a_box_are_counted(n_missing, n_open):
-    assert count_open_edges(FACES[n_missing:]) == n_open
-
-
 def test_used_vertices_are_renumbered_in_their_order():
     used, faces = used_vertices(np.array([[7, 2, 9], [2, 7, 4]]))
     assert used.tolist() == [2, 4, 7, 9]
     assert faces.tolist() == [[2, 0, 3], [0, 2, 1]]
     assert [array.size for array in used_vertices(NO_FACES)] == [0, 0]
-
-
-def test_faces_of_a_box_look_outward():
-    vertices = box_corners((1.0, 2.0, 3.0), (0.2, 0.3, 0.4))
-    outward = vertices[FACES].mean(axis=1) - [1.0, 2.0, 3.0]
-    assert (np.einsum("ij,ij->i", unit_normals(vertices[FACES]), outward) > 0.0).all()
-    sides = {tuple(np.abs(n).round(12)) for n in unit_normals(vertices[FACES])}
-    assert sides == set(itertools.permutations((1.0, 0.0, 0.0)))

@@ -145,13 +145,6 @@ def test_irregular_positions_are_imaged_up_to_ambiguous_directions(places, limit
         assert lobe > 0.2
 
 
-def test_an_echo_at_jittered_positions_gives_one_peak():
-    places = raster(20, 0.004) + np.random.default_rng(0).normal(0.0, 3e-4, (400, 2))
-    pose = pose_at(places, target_at((0.11, -0.08), 0.387))
-    _, peaks = only_peak(pose, SubapertureConfig())
-    np.testing.assert_allclose(peaks.cosines[0], (0.11, -0.08), atol=2e-3)
-
-
 def test_too_few_irregular_antennas_make_no_image():
     places = jittered(raster(27))[::60]
     assert 4 < len(places) < 16

@@ -53,20 +53,6 @@ def test_a_folder_is_replaced_whole(tmp_path):
     assert names(tmp_path / "f") == ["new"]
 
 
-def test_a_disk_that_is_really_full_is_named(tmp_path):
-    # /dev/full takes every write and says ENOSPC, as a full disk does.
-    with pytest.raises(UserError, match=r"cannot write the file: No space left on device"):
-        _write_to_a_full_device(tmp_path)
-    assert names(tmp_path) == []
-
-
-def _write_to_a_full_device(folder):
-    with atomic_path(folder / "x") as temporary:
-        temporary.unlink()
-        temporary.symlink_to("/dev/full")
-        temporary.write_bytes(b"data")
-
-
 def test_a_quota_that_only_the_disk_reports_leaves_the_former_file(tmp_path, monkeypatch):
     write_text_atomic(tmp_path / "a.txt", "whole")
 

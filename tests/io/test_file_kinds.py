@@ -4,7 +4,6 @@ import bz2
 import gzip
 import io
 import lzma
-import os
 import tarfile
 import zipfile
 
@@ -104,12 +103,6 @@ def test_every_reader_names_the_kind(tmp_path, name, kind):
     named, _, todo = kind.partition(": ")
     with pytest.raises(UserError, match=f"{named}.*{todo}"):
         READERS[name](path)
-
-
-@pytest.mark.parametrize("name", ["capture.bin", "scan.npy", "part.stl", "log.csv"])
-def test_no_reader_waits_for_a_pipe(tmp_path, name):
-    os.mkfifo(tmp_path / name)
-    refuse_other_kind(tmp_path / name, is_raw=True)
 
 
 @pytest.mark.parametrize(

@@ -169,16 +169,6 @@ def test_materials_are_not_opened(box, tmp_path, monkeypatch, caplog, kind, exis
     assert caplog.records == []
 
 
-def test_a_text_ply_cut_within_its_last_row_is_a_user_error(box, tmp_path):
-    foreign = trimesh.Trimesh(box.vertices, box.faces, process=False)
-    whole = foreign.export(file_type="ply", encoding="ascii").rstrip()
-    (tmp_path / "m.ply").write_bytes(whole)
-    assert read_mesh(tmp_path / "m.ply").faces.shape == (12, 3)
-    (tmp_path / "m.ply").write_bytes(whole[:-2])
-    with pytest.raises(UserError, match="lacks face rows, expected 12, got 11"):
-        read_mesh(tmp_path / "m.ply")
-
-
 def test_unknown_output_format_is_a_user_error(box, tmp_path):
     with pytest.raises(UserError, match=r"\.ply or \.glb"):
         write_mesh(box, tmp_path / "m.fbx")

@@ -31,8 +31,3 @@ def test_json_that_is_deep_or_not_finite_is_a_value_error(text):
 def test_toml_that_is_deep_is_a_value_error(text):
     with pytest.raises(ValueError, match="more than 32 levels"):
         parse_toml(text)
-
-
-def test_long_lists_of_numbers_are_not_deep():
-    text = "a = [" + ", ".join(["0.25"] * 500) + "]\nb.c.d = 'one.two.three'"
-    assert parse_toml(text)["a"] == [0.25] * 500

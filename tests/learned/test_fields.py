@@ -140,13 +140,6 @@ def test_features_stand_beside_the_distance():
     assert field.layers[0].bias.grad.abs().sum() > 0
 
 
-def test_nothing_is_recorded_without_grad():
-    with torch.no_grad():
-        value, gradient = SdfMlp(DOMAIN, SMALL_MLP)(random_points(3, dtype=torch.float32))
-    assert not value.requires_grad
-    assert not gradient.requires_grad
-
-
 def box_distance(points):
     return BoxSolid(size_m=(0.2, 0.16, 0.2), center_m=DOMAIN.center_m).signed_distance(points)
 
@@ -187,12 +180,6 @@ def test_upsampling_keeps_the_values():
     assert change < 0.002  # a cubic through more points bends a little otherwise
     with pytest.raises(ValueError, match="n_per_side must be at least 17, got 9"):
         field.upsample(9)
-
-
-def test_a_field_is_sampled_on_any_grid():
-    field = LearnedSdfGrid(DOMAIN, n_per_side=5)
-    sampled = field.sample_grid(DOMAIN.grid(5))
-    np.testing.assert_allclose(sampled.values, field.values.detach().numpy(), atol=1e-7)
 
 
 @pytest.mark.parametrize(

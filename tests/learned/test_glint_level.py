@@ -16,7 +16,6 @@ from geraf2.learned.glint_level import (
     GlintDepths,
     GlintShift,
     depth_difference,
-    line_of_sight,
     moved,
     part_depths,
 )
@@ -50,12 +49,6 @@ def test_the_peaks_beside_the_middle_count():
     assert depth_difference(spot(0.003, 0.004), measured) == pytest.approx(0.002, abs=1e-4)
     assert depth_difference(np.ones_like(DEPTHS_M), measured) is None
     assert depth_difference(measured, np.arange(len(DEPTHS_M), dtype=float)) is None
-
-
-def test_a_line_of_sight_goes_through_the_glint_away_from_the_window():
-    line = line_of_sight(np.array([0.0, 0.0, 0.1]), np.array([0.0, 0.0, 0.5]))
-    np.testing.assert_allclose(line[:, 2], 0.1 - DEPTHS_M, atol=1e-12)
-    np.testing.assert_allclose(line[:, :2], 0.0)
 
 
 def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
@@ -103,18 +96,6 @@ def test_a_thick_part_is_moved_all_the_way_and_a_thin_one_by_half_of_its_depth()
     assert radius_of(shifted(ball(0.03), -0.002)) == pytest.approx(0.032, abs=1e-4)
     assert radius_of(shifted(ball(0.006), 0.005)) == pytest.approx(0.003, abs=3e-4)
     assert radius_of(shifted(ball(0.006), -0.005)) == pytest.approx(0.011, abs=1e-4)
-
-
-@pytest.mark.parametrize("radius_m", [0.006, 0.03])
-def test_finer_voxels_are_moved_alike(radius_m):
-    radii = [radius_of(shifted(ball(radius_m, n), 0.0015)) for n in (41, 121)]
-    assert radii[1] == pytest.approx(radii[0], abs=3e-4)
-
-
-def test_a_thin_part_keeps_what_a_plain_shift_takes_away():
-    plain = ball(0.003).values + 0.005
-    assert (plain > 0.0).all()
-    assert (shifted(ball(0.003), 0.005).values < 0.0).any()
 
 
 def test_a_neck_between_thick_parts_stays_where_a_plain_shift_takes_it_away():

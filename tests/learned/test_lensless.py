@@ -7,7 +7,6 @@ from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
 from geraf2.learned.ray_sampling import LenslessSampler
-from geraf2.ops import matched_filter
 from geraf2.scene import LosPrior
 from helpers.synthetic import WAVEFORM, point_pose
 from reference import lensless as reference
@@ -89,19 +88,6 @@ def test_cells_can_be_left_out():
     assert rays_of(lensless, keep=keep).cells.tolist() == [3, 17, 20]
 
 
-def test_secondary_rays_enter_where_embree_and_a_sphere_of_arithmetic_say():
-    lensless = sampler()
-    points = rays_of(lensless).points.reshape(-1, 3).numpy()[::37]
-    grown = 0.5 * 1.1 * SIDE_M
-    for antenna in POSE.phase_centers[::50]:
-        row = lensless.boundary.first_meetings(np.tile(antenna, (len(points), 1)), points)
-        way = points - antenna
-        with np.errstate(divide="ignore"):
-            slabs = np.sort(np.stack([(s * grown - antenna) / way for s in (-1, 1)]), axis=0)
-        entry = slabs[0].max(axis=1)
-        np.testing.assert_allclose(row, antenna + entry[:, None] * way, atol=2e-6)
-
-
 @pytest.mark.parametrize(
     ("two_way", "spreading", "lobe_power"),
     [("squared", "none", 1.0), ("unbiased", "none", 1.0), ("unbiased", "two-way", 8.0)],
@@ -178,35 +164,6 @@ def test_the_fused_form_is_the_long_way_round(config):
         found.append([signal.detach(), *slopes])
     for got, want in zip(*found, strict=True):
         assert float((got - want).norm()) < 1e-3 * float(want.norm())
-
-
-def test_antennas_of_a_group_share_a_transmittance_within_its_bound():
-    """|Phi(f(x')) - Phi(f(x''))| <= s / 4 |x' - x''|, and starts move less than antennas do."""
-    field, lensless, s = ball_field(), sampler(), 100.0
-    rays = rays_of(lensless)
-    renderer = LenslessRenderer(lensless, vision(), WAVEFORM)
-    inv_s = torch.tensor(s, dtype=torch.float64)
-    places = POSE.phase_centers
-    n = rays.step.numel()
-
-    def shifts(centers):
-        samples, origins = np.tile(np.arange(n), len(centers)), np.repeat(centers, n, axis=0)
-        found = renderer._boundary_shift(field, inv_s, rays, samples, origins)
-        return found.reshape(len(centers), n)
-
-    exact = shifts(places)
-    worst = []
-    for n_clusters in (1, 4, 16):
-        error = 0.0
-        for group in antenna_clusters(places, n_clusters):
-            center = places[group].mean(axis=0)
-            shared = shifts(center[None])
-            moved = np.linalg.norm(places[group] - center, axis=1).max()
-            difference = float((exact[group] - shared).abs().max())
-            assert difference <= 0.25 * s * moved + 1e-6
-            error = max(error, difference)
-        worst.append(error)
-    assert worst[2] < worst[1] < worst[0] < 0.1
 
 
 def echo_powers(field, rays, inv_s, lensless, **config):
@@ -310,21 +267,6 @@ def test_without_ulos_the_field_under_training_corrects_without_a_gradient():
     on = render(field, rays, inv_s=60.0, lensless=lensless)
     off = render(field, rays, inv_s=60.0, ulos=False, lensless=lensless)
     assert (on.signal - off.signal).abs().max() > 0.01 * on.signal.abs().max()
-
-
-def test_the_image_of_a_ball_lies_on_its_near_side():
-    """Averaged over the jitter: volume samples are too coarse for the carrier's phase."""
-    field, lensless = ball_field(), sampler(12, 48)
-    depths = np.linspace(-0.06, 0.06, 25)
-    targets = depths[:, None] * POSE.axes[0]
-    total = np.zeros(25)
-    with torch.no_grad():
-        for seed in range(8):
-            rays = rays_of(lensless, seed=seed)
-            signal = render(field, rays, lensless=lensless, lobe_power=4.0).signal[0]
-            image = matched_filter(signal, POSE.tx_positions, POSE.rx_positions, targets, WAVEFORM)
-            total += image.abs().numpy() ** 2
-    assert abs(depths[int(total.argmax())] + RADIUS_M) <= 0.02
 
 
 def test_looks_share_out_the_samples_and_add_up_to_the_signal():

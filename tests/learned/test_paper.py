@@ -12,7 +12,7 @@ from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
-from geraf2.learned.fields import SdfMlp, SdfMlpConfig, SdfMlpGrid
+from geraf2.learned.fields import SdfMlpGrid
 from geraf2.learned.heatmaps import TargetChooser, heat_maps
 from geraf2.learned.model import PaperModel, domain_of
 from geraf2.learned.optimiser import blur, make_optimiser, set_rates
@@ -218,28 +218,6 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
     state.header["config"]["no_such"] = 1
     with pytest.raises(UserError, match=r"c: settings: key 'two_way': .*; unknown key 'no_such'"):
         config_of(state.header, "c")
-
-
-def test_the_network_of_the_paper_trains(capture, maps):
-    config = replace(
-        SMALL,
-        field="mlp",
-        mlp_fit_steps=2,
-        n_cells=4,
-        n_samples=6,
-        n_antennas=4,
-        bank=2,
-        stage1=StageConfig(n_steps=1),
-        stage2=StageConfig(n_steps=1, train_reflectivity=True),
-    )
-    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
-    assert isinstance(trainer.model.sdf, SdfMlp)
-    assert trainer.model.sdf.config == SdfMlpConfig(fit_steps=2)
-    before = parameters(trainer)
-    run_steps(trainer)
-    changed = [n for n, v in parameters(trainer).items() if (v != before[n]).any()]
-    assert any(name.startswith("sdf.layers.8") for name in changed)
-    assert any(name.startswith("reflectivity.network") for name in changed)
 
 
 @pytest.mark.parametrize("field", ["mlp", "mlp-grid"])

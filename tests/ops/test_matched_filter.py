@@ -79,17 +79,6 @@ def test_no_phasor_of_the_block_method_is_wrong_by_more_than_rtol(rtol, distance
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_point_scatterer_gives_the_number_of_samples_at_its_place(method):
-    _, tx, rx, points, waveform = make_case()
-    path = (points[0] - tx).norm(dim=1) + (points[0] - rx).norm(dim=1) + waveform.path_bias_m
-    frequency = torch.from_numpy(waveform.frequencies_hz)
-    signal = torch.exp(-2j * torch.pi * frequency * path[:, None] / reference.SPEED_OF_LIGHT)
-    image = matched_filter(signal, tx, rx, points, waveform, method=method)
-    assert image[0].real == pytest.approx(waveform.n_samples, rel=1e-3)
-    assert int(image.abs().argmax()) == 0
-
-
-@pytest.mark.parametrize("method", METHODS)
 def test_grid_is_the_same_as_its_points(method):
     signal, tx, rx, _, waveform = make_case()
     grid = Grid(origin_m=(-0.01, 0.0, 0.005), spacing_m=0.0013, shape=(11, 1, 14))

@@ -43,6 +43,12 @@ def backscatter_m(k, radius_m, *, permittivity=None, coat_m=None):
     return np.array(found) / np.atleast_1d(k)
 
 
+def mie_backscatter_rcs(radius_m, frequency_hz):
+    """Monostatic cross-section of a metal sphere [m^2], plane-wave incidence."""
+    k = 2.0 * np.pi * frequency_hz / 299792458.0
+    return 4.0 * np.pi * abs(backscatter_m(k, radius_m)[0]) ** 2
+
+
 def front_echo_m(k, amplitudes_m, radius_m, reach_m=0.01):
     """Largest amplitude of the range profile around the front [m], with a Hann window."""
     weight = np.hanning(len(k) + 2)[1:-1]

@@ -1,7 +1,6 @@
-"""Physical-optics echo summed term by term in float64, and the Mie series of a metal sphere."""
+"""Physical-optics echo summed term by term in float64."""
 
 import numpy as np
-from scipy.special import spherical_jn, spherical_yn
 
 C = 299792458.0
 
@@ -101,21 +100,3 @@ def echo(
                 factor *= transmission
         signal += factor * np.exp(-2j * np.pi * f * path / C)
     return 1j / (4 * np.pi) * signal
-
-
-def mie_backscatter_rcs(radius, frequency_hz):
-    """Monostatic cross-section of a metal sphere [m^2], plane-wave incidence.
-
-    sigma = lambda^2 / (4 pi) |sum_n (-1)^n (2 n + 1) (b_n - a_n)|^2,
-    a_n = (x j_n)' / (x h_n)', b_n = j_n / h_n at x = ka (Bowman, Senior and Uslenghi, 1969).
-    """
-    x = 2 * np.pi * frequency_hz / C * radius
-    n = np.arange(1, int(x + 4 * x ** (1 / 3) + 10))
-    j, y = spherical_jn(n, x), spherical_yn(n, x)
-    dj, dy = spherical_jn(n, x, derivative=True), spherical_yn(n, x, derivative=True)
-    h, dh = j - 1j * y, dj - 1j * dy
-    a = (j + x * dj) / (h + x * dh)
-    b = j / h
-    series = np.sum((-1.0) ** n * (2 * n + 1) * (b - a))
-    wavelength = C / frequency_hz
-    return wavelength**2 / (4 * np.pi) * abs(series) ** 2

@@ -12,12 +12,6 @@ def box_mesh():
     return LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03)).mesh
 
 
-def test_a_box_knows_its_size_and_centre():
-    prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.02, 0.03))
-    assert prior.size_m == pytest.approx((0.2, 0.3, 0.4))
-    assert prior.center_m == pytest.approx((0.01, 0.02, 0.03))
-
-
 @pytest.mark.parametrize("size", [(0.0, 1.0, 1.0), (1.0, -1.0, 1.0), (np.nan, 1.0, 1.0)])
 def test_a_box_without_extent_is_refused(size):
     with pytest.raises(ValueError, match="size_m must be finite and positive"):

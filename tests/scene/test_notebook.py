@@ -7,7 +7,7 @@ import numpy as np
 
 import geraf2
 from geraf2.scene.capture import LazyPoses
-from geraf2.scene.notebook import from_above_svg, mesh_outline
+from geraf2.scene.notebook import mesh_outline
 
 
 def _polygons(html):
@@ -53,7 +53,3 @@ def test_a_prior_shows_its_size_and_outline():
     assert np.allclose(np.ptp(outline, axis=0)[0] / np.ptp(outline, axis=0)[1], 2.0, atol=0.01)
     assert repr(prior) == "LosPrior(200 x 100 x 300 mm, 12 triangles, 0 walls)"
     assert len(mesh_outline(prior.vertices)) == 4
-
-
-def test_nothing_gives_no_picture():
-    assert from_above_svg([]) == ""

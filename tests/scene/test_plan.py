@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.freespace.specular import received_normals, seen_share, sphere_points
+from geraf2.freespace.specular import received_normals, seen_share
 from geraf2.scene.plan import (
     PlanePlan,
     ScanPlan,
@@ -104,12 +104,6 @@ def test_suggestions_follow_the_box():
     wavelength = WAVEFORM.center_wavelength_m
     assert nyquist_spacing_m(BOX, 0.4, wavelength) == pytest.approx(wavelength * 0.4 / 0.44)
     assert nyquist_spacing_m((5.0, 1.0, 1.0), 0.4, wavelength) == pytest.approx(wavelength / 4)
-
-
-def test_points_on_the_sphere_are_even():
-    points = sphere_points(2000)
-    assert np.linalg.norm(points, axis=1) == pytest.approx(1.0)
-    assert points.mean(axis=0) == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(

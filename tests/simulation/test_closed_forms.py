@@ -12,7 +12,7 @@ from geraf2.simulation.elements import mesh_elements, wall_elements
 from helpers.antennas import blocks_of
 from helpers.solids import ball
 from helpers.synthetic import waveform_of
-from reference.physical_optics import mie_backscatter_rcs
+from reference.mie import mie_backscatter_rcs
 
 C = 299792458.0
 WAVEFORM = waveform_of(path_bias_m=0.0)
