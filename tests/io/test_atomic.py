@@ -1,5 +1,4 @@
 import errno
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -51,19 +50,6 @@ def test_a_folder_is_replaced_whole(tmp_path):
             (folder / name).write_text(name)
     assert names(tmp_path) == ["f"]
     assert names(tmp_path / "f") == ["new"]
-
-
-def test_a_quota_that_only_the_disk_reports_leaves_the_former_file(tmp_path, monkeypatch):
-    write_text_atomic(tmp_path / "a.txt", "whole")
-
-    def fsync(_):
-        raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    with pytest.raises(UserError, match=r"a\.txt: cannot write the file: Disk quota exceeded"):
-        write_text_atomic(tmp_path / "a.txt", "new")
-    assert names(tmp_path) == ["a.txt"]
-    assert (tmp_path / "a.txt").read_text() == "whole"
 
 
 def test_objects_and_nan_are_refused_rather_than_pickled(tmp_path):

@@ -1,4 +1,3 @@
-import errno
 import json
 from dataclasses import replace
 from itertools import pairwise
@@ -131,19 +130,6 @@ def test_overwrite_replaces_a_scene_but_never_another_folder(scene, tmp_path):
     save_capture(point_capture(), tmp_path / "empty")
     assert is_scene(tmp_path / "empty")
     assert folder_names(tmp_path) == ["empty", "notes", "scene"]
-
-
-def test_a_disk_that_fills_up_names_the_scene_and_keeps_the_old_one(
-    scene, ragged, monkeypatch, tmp_path
-):
-    def full(path, text):
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(scene_writer, "write_toml", full)
-    with pytest.raises(UserError, match=r"scene: cannot write .*No space left on device"):
-        save_capture(point_capture(), scene, overwrite=True)
-    assert_same(load_capture(scene), ragged)
-    assert folder_names(tmp_path) == ["scene"]
 
 
 def parts_of(pose, sizes):

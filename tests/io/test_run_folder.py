@@ -66,13 +66,6 @@ def test_the_log_is_one_json_object_a_line(run):
     assert second["event"] == "second\nline"
 
 
-def test_a_file_in_place_of_the_folder(tmp_path):
-    (tmp_path / "out").write_text("mine")
-    with pytest.raises(UserError, match="is a file"):
-        RunFolder.open(tmp_path / "out", scene_digest="abc", scene_name="scene")
-    assert (tmp_path / "out").read_text() == "mine"
-
-
 @pytest.mark.parametrize(
     ("name", "text"),
     [

@@ -1,9 +1,7 @@
 """Every setting of the presets fast and best is read by a stage; no stage makes its own."""
 
-import ast
 import sys
 from dataclasses import fields, is_dataclass, replace
-from pathlib import Path
 
 import pytest
 
@@ -15,8 +13,6 @@ from geraf2.pipeline.stages.direct import GLINTS
 from geraf2.pipeline.stages.stage import Job, kept_peaks
 from geraf2.surfaces.refinement import SelectedGlints
 from helpers.shadows import outlines
-
-PACKAGE = Path(geraf2.__file__).parent
 
 
 def leaves(config, path=""):
@@ -125,31 +121,3 @@ def test_every_setting_is_read_by_a_stage(preset, made, tmp_path):
     unread = [name for name in leaves(preset) if name not in read | {"preset"}]
     assert unread == []
     assert own == set()
-
-
-def own_defaults(source):
-    """Lines that make a config of defaults elsewhere than in place of a missing argument."""
-    tree = ast.parse(source)
-    for parent in ast.walk(tree):
-        for child in ast.iter_child_nodes(parent):
-            child.parent = parent
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call) or node.args or node.keywords:
-            continue
-        name = node.func.id if isinstance(node.func, ast.Name) else ""
-        if not name.endswith(("Config", "Preset")):
-            continue
-        if not isinstance(node.parent, ast.BoolOp | ast.IfExp):
-            yield node.lineno
-
-
-def test_no_module_makes_a_config_of_defaults_of_its_own():
-    assert [*own_defaults("FAR = GlintConfig()")] == [1]
-    assert [*own_defaults("def f(a):\n  return g(a, GlintConfig().wall_margin_m)")] == [2]
-    assert [*own_defaults("def f(config=None):\n  config = config or GlintConfig()")] == []
-    found = {
-        f"{path.relative_to(PACKAGE)}:{line}"
-        for path in sorted(PACKAGE.rglob("*.py"))
-        for line in own_defaults(path.read_text(encoding="utf-8"))
-    }
-    assert found == set()

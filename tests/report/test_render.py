@@ -67,14 +67,6 @@ def test_flat_faces_stay_flat_across_a_sharp_edge():
     assert np.ptp(face) < 0.02
 
 
-def test_other_colours_on_the_same_view_keep_the_outline(ball):
-    painter = MeshPainter(ball)
-    first = painter.render(view(), grey(ball))
-    second = painter.render(view(), 0.5 * grey(ball))
-    np.testing.assert_array_equal(first[..., 3], second[..., 3])
-    assert second[..., :3].sum() < 0.8 * first[..., :3].sum()
-
-
 def test_views_are_checked():
     with pytest.raises(ValueError, match="elevation_deg must lie between"):
         view(elevation=90.0)

@@ -278,3 +278,5 @@ def test_a_result_shows_itself_in_a_browser(run, monkeypatch):
     assert load_run(run)._repr_html_().startswith("<pre>")
     with pytest.raises(UserError, match="no surface to show"):
         load_run(run).show()
+    with pytest.raises(UserError, match=r"has no mesh_content\.ply yet"):
+        _ = load_run(run).content

@@ -18,7 +18,7 @@ from geraf2.report.view3d import (
     thinned,
     view_scene,
 )
-from geraf2.report.view_layers import box_faces, heat_map
+from geraf2.report.view_layers import heat_map
 from geraf2.scene import Grid
 from helpers.glint_sets import glints_on_sphere
 from helpers.solids import ball, joined, triangles
@@ -57,12 +57,6 @@ def test_a_thinned_surface_is_nearly_the_same_one(max_faces):
     longest = made.edges_unique_length.max()
     depth = 0.03 - np.linalg.norm(made.triangles_center, axis=1)
     assert depth.max() < longest**2 / (6 * 0.03) + 1e-5
-
-
-def test_few_triangles_stay_as_they_are():
-    mesh = ball(0.03)
-    kept, faces = thinned(mesh.vertices, mesh.faces, 1280)
-    np.testing.assert_array_equal(mesh.vertices[kept][faces], mesh.corners)
 
 
 def test_a_large_mesh_takes_a_megabyte_with_a_note():
@@ -160,11 +154,6 @@ def test_a_volume_is_thinned_to_its_largest_values():
     assert levels.max() == 255
     assert np.median(levels) == 0
     assert len(scene_json(scene)) < 0.3e6
-
-
-def test_a_box_without_a_face_is_not_drawn():
-    assert box_faces({}) == []
-    assert box_faces({"faces": {"-x": {"seen": "squarely", "offset_m": 0.1}}, "axes": []}) == []
 
 
 def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
