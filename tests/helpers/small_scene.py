@@ -18,9 +18,7 @@ antenna_block_m = 0.07
 """
 _COARSE = {"fit.spacing-m": "0.012", "fit.distance-rounds": "1"}
 FAST = ["--preset", "fast", *(w for name, v in _COARSE.items() for w in (f"--{name}", v))]
-QUICK_BEST = [
-    *(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v)),
-]
+QUICK_BEST = [*(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v))]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 COARSE_RENDER = [
     *("--spacing-m", "0.02", "--echo.max-edge-m", "0.009", "--echo.wall-edge-m", "0.015"),

@@ -5,12 +5,7 @@ import pytest
 import torch
 
 from geraf2.ops import EchoForm, _device_ops, _tensors, ray_march, sdf_grid
-from geraf2.ops.lensless import (
-    echo_amplitudes,
-    facing_samples,
-    length_defect,
-    trace_pairs,
-)
+from geraf2.ops.lensless import echo_amplitudes, facing_samples, length_defect, trace_pairs
 from geraf2.ops.point_images import point_images
 from geraf2.scene import Grid
 from geraf2.surfaces.clusters import antenna_clusters

@@ -3,12 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.ops.subaperture import (
-    CosineAxis,
-    Lattice,
-    SubapertureBins,
-    subaperture_peaks,
-)
+from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, subaperture_peaks
 from helpers.antennas import bins_of, members_of
 from helpers.aperture_images import image_peaks, kernel_images, noise_floor
 from helpers.synthetic import WAVEFORM, white_noise

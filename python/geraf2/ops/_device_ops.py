@@ -160,11 +160,7 @@ def trace_pairs(
         begin, end = (int(pairs.offsets[(number + k) * n_looks]) for k in (0, 1))
 
         def part(
-            strength: Tensor,
-            turned: Tensor,
-            at: Tensor,
-            draws: Tensor,
-            ends: list[Tensor] = ends,
+            strength: Tensor, turned: Tensor, at: Tensor, draws: Tensor, ends: list[Tensor] = ends
         ) -> Tensor:
             echo = _echoes(strength, turned, at, ends, waveform)
             return echo.new_zeros((n_looks, *echo.shape[1:])).index_add(0, draws, echo)

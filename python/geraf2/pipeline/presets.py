@@ -160,8 +160,7 @@ def preset_type(name: str) -> type[PresetConfig]:
     """Config type of a preset; the UserError of an unknown one suggests a name."""
     if name not in PRESETS:
         raise UserError(
-            what=f"unknown preset {name!r}{nearest(name, PRESETS)}",
-            expected=", ".join(PRESETS),
+            what=f"unknown preset {name!r}{nearest(name, PRESETS)}", expected=", ".join(PRESETS)
         )
     return PRESETS[name]
 

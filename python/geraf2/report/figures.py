@@ -362,10 +362,7 @@ def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:
 def _coloured(values: Floats, largest: float) -> tuple[Floats, Any]:
     canvas.load_matplotlib()
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
-    from matplotlib.colors import (  # noqa: PLC0415 - as above
-        LinearSegmentedColormap,
-        Normalize,
-    )
+    from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: PLC0415 - as above
 
     colours = LinearSegmentedColormap.from_list("errors", ERROR_COLOURS)
     mappable = ScalarMappable(norm=Normalize(0.0, largest), cmap=colours)

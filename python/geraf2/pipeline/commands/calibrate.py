@@ -61,9 +61,7 @@ class CalibratedScene:
         All other files of the scene go with it. `out` may be the scene itself, with `overwrite`.
         Raises UserError where `out` holds something else.
         """
-        from geraf2.report.calibration import (  # noqa: PLC0415 - matplotlib: 0.5 s
-            calibration_figure,
-        )
+        from geraf2.report.calibration import calibration_figure  # noqa: PLC0415 - matplotlib: 0.5 s
 
         listener = listener or Listener()
         capture = self.found.capture

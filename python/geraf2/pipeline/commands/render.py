@@ -255,17 +255,8 @@ def _render(
 
 def _of_fields(views: _Views) -> View:
     """Prepare to render planes from trained fields."""
-    from geraf2.learned.checkpoints import (  # noqa: PLC0415 - needs torch
-        KIND,
-        VERSION,
-        config_of,
-        load_model,
-    )
-    from geraf2.learned.model import (  # noqa: PLC0415 - needs torch
-        PaperModel,
-        domain_of,
-        make_renderer,
-    )
+    from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model  # noqa: PLC0415 - needs torch
+    from geraf2.learned.model import PaperModel, domain_of, make_renderer  # noqa: PLC0415 - needs torch
     from geraf2.learned.novel_views import render_plane  # noqa: PLC0415 - needs torch
 
     path, options, threads = views.run.path / FIELDS_NAME, views.options, views.num_threads
@@ -357,10 +348,7 @@ def _kept_fit(
 
 def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     """Read the fitted echo of the surface, or fit it to the planes."""
-    from geraf2.surfaces.surface_fit import (  # noqa: PLC0415 - needs torch
-        SurfaceEcho,
-        fit_surface_echo,
-    )
+    from geraf2.surfaces.surface_fit import SurfaceEcho, fit_surface_echo  # noqa: PLC0415 - needs torch
 
     options = views.options
 
@@ -386,10 +374,7 @@ def _residual(
     views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
 ) -> "ResidualField | None":
     """Read or fit scatterers beside the surface; None where they explain nothing."""
-    from geraf2.surfaces.residual_field import (  # noqa: PLC0415 - needs torch
-        ResidualField,
-        fit_residual_field,
-    )
+    from geraf2.surfaces.residual_field import ResidualField, fit_residual_field  # noqa: PLC0415 - needs torch
 
     options = views.options
 
