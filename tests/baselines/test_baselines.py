@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.baselines import BackProjectionConfig, NormalFieldConfig, cloud_as_mesh
+from geraf2.baselines import BackProjectionConfig, cloud_as_mesh
 from geraf2.baselines.back_projection import OrientedCloud, back_projection_cloud
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level
@@ -193,9 +193,3 @@ def test_triangles_of_a_cloud_are_equal_and_face_their_plane():
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert np.allclose(cross / np.linalg.norm(cross, axis=1, keepdims=True), normals)
     assert np.allclose(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=1), 0.002)
-
-
-@pytest.mark.parametrize("kind", [BackProjectionConfig, NormalFieldConfig])
-def test_a_spacing_that_is_not_positive_is_refused(kind):
-    with pytest.raises(ValueError, match="spacing_m"):
-        kind(spacing_m=0.0)

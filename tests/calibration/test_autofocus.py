@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from geraf2.calibration.autofocus import (
-    AutofocusConfig,
     focus_antennas,
     trajectory_basis,
     with_displacements,
@@ -55,9 +54,3 @@ def test_correct_positions_do_not_change():
 
 def test_the_splines_sum_to_one():
     assert trajectory_basis(50, 7).sum(axis=1) == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize(("name", "value"), [("sigma_m", 0.0), ("n_coefficients", 3)])
-def test_impossible_settings_are_named_in_the_error(name, value):
-    with pytest.raises(ValueError, match=name):
-        AutofocusConfig(**{name: value})

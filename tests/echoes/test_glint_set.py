@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from geraf2.echoes.glint_set import Glints
-from geraf2.errors import UserError
 
 
 @pytest.fixture
@@ -44,15 +43,3 @@ def test_fields_of_different_length_are_refused(glints):
             poses=glints.poses,
             probability=glints.probability,
         )
-
-
-def test_a_missing_or_foreign_file_is_a_user_error(glints, tmp_path):
-    with pytest.raises(UserError, match=r"glints\.npz: cannot read the arrays"):
-        Glints.load(tmp_path / "glints.npz")
-    np.savez(tmp_path / "other.npz", positions=np.zeros((3, 3)))
-    with pytest.raises(UserError, match="lacks the array normals"):
-        Glints.load(tmp_path / "other.npz")
-    fields = {name: getattr(glints, name) for name in Glints.__dataclass_fields__}
-    np.savez(tmp_path / "uneven.npz", **{**fields, "poses": np.arange(3)})
-    with pytest.raises(UserError, match="array poses is not what geraf2 writes"):
-        Glints.load(tmp_path / "uneven.npz")

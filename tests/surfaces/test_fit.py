@@ -172,11 +172,3 @@ def test_the_zero_level_of_a_sphere_is_wound_outward():
     volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
     assert volume == pytest.approx(4.0 / 3.0 * np.pi * RADIUS_M**3, rel=0.02)
     np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), RADIUS_M, atol=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("name", "value"), [("spacing_m", 0.0), ("bending_weight", -1.0), ("distance_rounds", -1)]
-)
-def test_bad_settings_name_the_value(name, value):
-    with pytest.raises(ValueError, match=f"{name}.*{value}"):
-        FitConfig(**{name: value})
