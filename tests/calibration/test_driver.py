@@ -82,12 +82,7 @@ def test_a_rotated_prior_moves_and_the_capture_does_not(capture):
 
 
 def cut(pose, antennas, n_samples=32):
-    return replace(
-        pose,
-        signal=pose.signal[antennas, :n_samples],
-        tx_positions=pose.tx_positions[antennas],
-        rx_positions=pose.rx_positions[antennas],
-    )
+    return replace(pose, signal=pose.signal[:, :n_samples]).select(antennas)
 
 
 @pytest.mark.parametrize("kind", ["empty pose", "few antennas", "one sample", "silent", "noise"])

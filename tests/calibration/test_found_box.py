@@ -113,10 +113,7 @@ def test_sides_that_no_antenna_faces_are_found_by_their_edges():
 
 def test_the_origin_of_the_frame_may_lie_anywhere(scan):
     shift = np.array([0.3, -0.2, 1.0])
-    poses = tuple(
-        replace(p, tx_positions=p.tx_positions + shift, rx_positions=p.rx_positions + shift)
-        for p in scan.poses
-    )
+    poses = tuple(pose.moved(shift) for pose in scan.poses)
     here, there = find_box(scan), find_box(replace(scan, poses=poses))
     np.testing.assert_allclose(there.center_m - here.center_m, shift, atol=1e-5)
     np.testing.assert_allclose(there.size_m, here.size_m, atol=1e-5)
@@ -233,13 +230,7 @@ def test_the_region_of_content_in_free_air_contains_it():
 
 def test_antennas_within_the_walls_are_refused(scan):
     middle = scan.poses[3]
-    inward = 0.38 * middle.axes[0]
-    lost = replace(
-        middle,
-        tx_positions=middle.tx_positions + inward,
-        rx_positions=middle.rx_positions + inward,
-    )
-    poses = (*scan.poses[:3], lost, *scan.poses[4:])
+    poses = (*scan.poses[:3], middle.moved(0.38 * middle.axes[0]), *scan.poses[4:])
     with pytest.raises(UserError, match="planes of antennas within the walls: 1"):
         find_box(replace(scan, poses=poses))
 

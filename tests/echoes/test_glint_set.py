@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,12 +36,4 @@ def test_selection_uses_the_same_rows_of_every_field(glints):
 
 def test_fields_of_different_length_are_refused(glints):
     with pytest.raises(ValueError, match="strengths must have shape"):
-        Glints(
-            positions=glints.positions,
-            normals=glints.normals,
-            strengths=glints.strengths[:3],
-            position_sigma_m=glints.position_sigma_m,
-            normal_sigma_rad=glints.normal_sigma_rad,
-            poses=glints.poses,
-            probability=glints.probability,
-        )
+        replace(glints, strengths=glints.strengths[:3])

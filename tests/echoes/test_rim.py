@@ -1,9 +1,10 @@
 """Glints of the rim of each plane, where known glints support them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.glints import GlintConfig, find_glints
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -58,9 +59,7 @@ def test_irregular_positions_have_a_rim_too(glints):
 
 
 def test_peaks_without_a_known_glint_nearby_are_dropped(capture, glints):
-    elsewhere = Glints(
-        **{**vars(glints), "positions": glints.positions + np.array([0.0, 0.0, 0.03])}
-    )
+    elsewhere = replace(glints, positions=glints.positions + np.array([0.0, 0.0, 0.03]))
     assert len(find_rim_glints(capture, BOX, elsewhere, first=NARROW)) == 0
 
 

@@ -5,6 +5,7 @@ import pytest
 
 from geraf2.echoes.glint_set import Glints
 from geraf2.freespace.caps import cap_retreat
+from helpers.glint_sets import glints_at
 
 SETTINGS = {"slope": 1.0, "start_m": 0.02, "lean": (0.2, 0.4)}
 UP = np.array([[0.0, 0.0, 1.0]])
@@ -14,15 +15,7 @@ def ring(lean: float, radius_m: float = 0.05, n: int = 300) -> Glints:
     """Glints on a circle at z = 0; normals lean upwards by the cosine `lean`."""
     angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
     around = np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
-    return Glints(
-        positions=radius_m * around,
-        normals=np.sqrt(1.0 - lean**2) * around + lean * UP,
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 4e-4),
-        normal_sigma_rad=np.full(n, 0.03),
-        poses=np.zeros(n, dtype=np.int64),
-        probability=np.ones(n),
-    )
+    return glints_at(radius_m * around, np.sqrt(1.0 - lean**2) * around + lean * UP)
 
 
 @pytest.mark.parametrize(("lean", "share"), [(0.0, 1.0), (0.2, 1.0), (0.3, 0.5), (0.5, 0.0)])

@@ -25,6 +25,7 @@ from geraf2.surfaces import refinement
 from geraf2.surfaces.fit import cut_to_outlines
 from geraf2.surfaces.refinement import RefineConfig
 from helpers.glint_sets import glints_on_sphere
+from helpers.shadows import shadows
 from helpers.synthetic import WAVEFORM
 from reference import wall_shadow
 
@@ -133,10 +134,7 @@ def test_the_reason_for_no_outline_is_stated():
     capture = shadow_capture("body", "geometric_flash")
     assert str(find_silhouettes(capture).reason) == ""
     pose, weak = capture.poses[0], shadow_capture("body", "geometric_flash", strength=0.0)
-    beside, inside = (
-        replace(pose, tx_positions=pose.tx_positions + at, rx_positions=pose.rx_positions + at)
-        for at in ([0.0, 0.3, 0.0], [0.35, 0.0, 0.0])
-    )
+    beside, inside = (pose.moved(np.array(at)) for at in ([0.0, 0.3, 0.0], [0.35, 0.0, 0.0]))
     silent = replace(pose, signal=np.zeros_like(pose.signal))
     for found, reason in (
         (find_silhouettes(replace(capture, walls=())), "not known"),
@@ -190,17 +188,7 @@ def test_sides_that_show_different_outlines_disagree():
 
 
 def made(transmission, *, axis=1, known=None):
-    transmission = np.asarray(transmission, dtype=np.float64)[None]
-    return Silhouettes(
-        axes=np.array([axis]),
-        origins_m=np.array([[-0.06, -0.08]]),
-        spacing_m=np.array(0.002),
-        transmission=transmission,
-        known=np.ones(transmission.shape, bool) if known is None else known[None],
-        thresholds=np.array([0.5]),
-        disagreement=np.zeros(1),
-        reason=np.array(""),
-    )
+    return shadows([transmission], [axis], known)
 
 
 def disc(radius_m=0.03, hole_m=0.0):

@@ -14,6 +14,8 @@ from geraf2.pipeline.prior import read_prior, save_prior
 from geraf2.report.run_report import stored_truth
 from geraf2.report.view_layers import read_heat_map
 from geraf2.scene import Grid, LosPrior, Wall
+from helpers.glint_sets import glints_at
+from helpers.shadows import shadows
 
 WALL = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
 BOX = LosPrior.from_box((0.2, 0.2, 0.2), walls=(WALL,))
@@ -39,25 +41,11 @@ def corrections():
 
 
 def glints(n=4):
-    rows = np.ones((n, 3))
-    names = ("strengths", "position_sigma_m", "normal_sigma_rad", "probability")
-    return Glints(
-        positions=rows, normals=rows, poses=np.arange(n), **{name: np.ones(n) for name in names}
-    )
+    return glints_at(np.ones((n, 3)), np.ones((n, 3)), poses=np.arange(n))
 
 
 def silhouettes():
-    cells = np.ones((2, 5, 6))
-    return Silhouettes(
-        axes=np.array([0, 1]),
-        origins_m=np.zeros((2, 2)),
-        spacing_m=np.array(0.002),
-        transmission=cells,
-        known=cells > 0.0,
-        thresholds=np.full(2, 0.5),
-        disagreement=np.zeros(2),
-        reason=np.array("none"),
-    )
+    return shadows(np.ones((2, 5, 6)), [0, 1])
 
 
 def sdf():

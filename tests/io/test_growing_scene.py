@@ -17,15 +17,7 @@ def capture():
     """Planes of different sizes: the second is larger than the first, the third smaller."""
     capture, _ = examples.small_capture()
     sizes = (20, 44, 9)
-    poses = tuple(
-        replace(
-            pose,
-            signal=pose.signal[:n],
-            tx_positions=pose.tx_positions[:n],
-            rx_positions=pose.rx_positions[:n],
-        )
-        for n, pose in zip(sizes, capture.poses, strict=False)
-    )
+    poses = tuple(pose.select(slice(n)) for n, pose in zip(sizes, capture.poses, strict=False))
     return replace(capture, poses=poses)
 
 

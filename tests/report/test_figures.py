@@ -3,13 +3,13 @@ import pytest
 
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
 from geraf2.report import canvas, error_curves, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
 from helpers.glint_sets import glints_on_sphere
+from helpers.shadows import shadows
 
 GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 
@@ -122,16 +122,7 @@ def test_error_curves_reach_every_sample(tmp_path, drawn):
 
 def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):
     u, v = np.meshgrid(0.002 * np.arange(-20, 21), 0.002 * np.arange(-15, 16), indexing="ij")
-    shadow = Silhouettes(
-        axes=np.array([0]),
-        origins_m=np.array([[-0.04, -0.03]]),
-        spacing_m=np.array(0.002),
-        transmission=(np.hypot(u, v) > 0.02).astype(float)[None],
-        known=(u < 0.03)[None],
-        thresholds=np.array([0.5]),
-        disagreement=np.zeros(1),
-        reason=np.array(""),
-    )
+    shadow = shadows([np.hypot(u, v) > 0.02], known=u < 0.03)
     shadow_pictures(shadow, ball(), tmp_path / "s.png", truth=ball())
     assert is_png(tmp_path / "s.png")
     panel = drawn[0].axes[0]

@@ -9,7 +9,6 @@ from PIL import Image
 from geraf2.errors import UserError
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
-from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import Evidence, write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import RunFolder, mesh_digest
@@ -20,6 +19,7 @@ from geraf2.scene.aperture import Aperture
 from helpers import solids
 from helpers.drawing import blank, small_pictures
 from helpers.glint_sets import glints_on_sphere
+from helpers.shadows import shadows
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
 
@@ -86,16 +86,7 @@ def reported(built, truth, tmp_path_factory):
 def outline_of_a_ball():
     cells = 0.002 * np.arange(-20, 21)
     r = np.hypot(*np.meshgrid(cells, cells, indexing="ij"))
-    return Silhouettes(
-        axes=np.array([1]),
-        origins_m=np.array([[-0.04, -0.04]]),
-        spacing_m=np.array(0.002),
-        transmission=(r > 0.031).astype(float)[None],
-        known=np.ones((1, *r.shape), dtype=bool),
-        thresholds=np.array([0.5]),
-        disagreement=np.zeros(1),
-        reason=np.array(""),
-    )
+    return shadows([r > 0.031], [1])
 
 
 def test_shadows_are_those_of_this_run(run):

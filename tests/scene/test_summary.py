@@ -39,12 +39,7 @@ def test_a_capture_in_parts_has_the_same_numbers(size):
     capture = point_capture(2)
     capture.poses[1].signal[3] = 1.0
     parts = [
-        replace(
-            pose,
-            signal=pose.signal[first : first + size],
-            tx_positions=pose.tx_positions[first : first + size],
-            rx_positions=pose.rx_positions[first : first + size],
-        )
+        pose.select(slice(first, first + size))
         for pose in capture.poses
         for first in range(0, 36, size)
     ]

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.scene import Grid
 from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report
+from helpers.glint_sets import glints_at
 from helpers.specular import fibonacci_sphere
 
 RADIUS_M = 0.04
@@ -16,17 +16,8 @@ CENTER = np.array([0.01, -0.005, 0.02])
 COARSE = FitConfig(spacing_m=0.006)
 
 
-def glints_on(directions, strengths=None):
-    n = len(directions)
-    return Glints(
-        positions=CENTER + RADIUS_M * directions,
-        normals=directions.copy(),
-        strengths=np.ones(n) if strengths is None else strengths,
-        position_sigma_m=np.full(n, 4e-4),
-        normal_sigma_rad=np.full(n, 0.03),
-        poses=np.zeros(n, dtype=np.int64),
-        probability=np.ones(n),
-    )
+def glints_on(directions, strengths=1.0):
+    return glints_at(CENTER + RADIUS_M * directions, directions, strengths)
 
 
 def errors_near(sdf, directions, reach_m=0.008):
@@ -84,16 +75,7 @@ def test_wide_caps_are_flatter_than_domes():
     heights = np.linspace(-0.03, 0.03, 13)
     normals = np.tile(around, (13, 1))
     positions = 0.05 * normals + np.repeat(heights, 72)[:, None] * np.array([0.0, 0.0, 1.0])
-    n = len(positions)
-    glints = Glints(
-        positions=positions,
-        normals=normals,
-        strengths=np.ones(n),
-        position_sigma_m=np.full(n, 4e-4),
-        normal_sigma_rad=np.full(n, 0.03),
-        poses=np.zeros(n, dtype=np.int64),
-        probability=np.ones(n),
-    )
+    glints = glints_at(positions, normals)
     tops = []
     for slope in (0.0, 1.0):
         sdf = fit_sdf(glints, FitConfig(cap_slope=slope))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from geraf2.cli._outcome import found_lines
-from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.report.answer import answer_of
@@ -16,7 +15,7 @@ from geraf2.surfaces.pieces import (
     pieces_of,
     separate_pieces,
 )
-from helpers.glint_sets import glints_on_sphere
+from helpers.glint_sets import glints_at, glints_on_sphere
 from helpers.solids import ball
 
 
@@ -29,15 +28,10 @@ def scene(planes, probability=0.9, radius_m=0.004):
     n = len(large.vertices)
     index = np.append(np.arange(n), n + np.arange(len(planes)))
     poses = np.append(np.arange(n) % 8, planes).astype(np.int64)
-    glints = Glints(
-        positions=both.vertices[index],
-        normals=vertex_normals(both.vertices, both.faces)[index],
-        strengths=np.ones(len(index)),
-        position_sigma_m=np.full(len(index), 1e-4),
-        normal_sigma_rad=np.full(len(index), 0.1),
-        poses=poses,
-        probability=np.append(np.full(n, 0.9), np.full(len(planes), probability)),
-    )
+    normals = vertex_normals(both.vertices, both.faces)[index]
+    sure = {"position_sigma_m": 1e-4, "normal_sigma_rad": 0.1}
+    glints = glints_at(both.vertices[index], normals, poses=poses, **sure)
+    glints.probability[:] = np.append(np.full(n, 0.9), np.full(len(planes), probability))
     return separate_pieces(both, glints), n
 
 
