@@ -127,6 +127,12 @@ class Wall:
             raise ValueError(msg)
 
     @property
+    def inner_size_m(self) -> tuple[float, float, float]:
+        """Inner side lengths [m]."""
+        x, y, z = (side - 2.0 * self.thickness_m for side in self.size_m)
+        return x, y, z
+
+    @property
     def one_way_delay_m(self) -> float:
         """Extra one-way path of a normal crossing, (sqrt(eps) - 1) thickness [m]."""
         return (float(np.sqrt(self.permittivity)) - 1.0) * self.thickness_m

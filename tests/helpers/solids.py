@@ -20,8 +20,4 @@ def ball(radius, subdivisions=3, middle=(0.0, 0.0, 0.0), **attributes):
 
 def joined(*meshes):
     """All in one, touching or not."""
-    starts = np.cumsum([0, *(len(m.vertices) for m in meshes)])
-    return TriangleMesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        faces=np.concatenate([m.faces + s for m, s in zip(meshes, starts[:-1], strict=True)]),
-    )
+    return TriangleMesh.joined(meshes)

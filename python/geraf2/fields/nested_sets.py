@@ -116,9 +116,8 @@ class NestedSets:
         solids: list[Solid] = []
         strong: list[bool] = []
         for wall in walls:
-            x, y, z = (side - 2.0 * wall.thickness_m for side in wall.size_m)
             solids.append(BoxSolid(size_m=wall.size_m, center_m=wall.center_m))
-            solids.append(BoxSolid(size_m=(x, y, z), center_m=wall.center_m))
+            solids.append(BoxSolid(size_m=wall.inner_size_m, center_m=wall.center_m))
             strong += [True, False]
         if content is not None:
             solids.append(content)

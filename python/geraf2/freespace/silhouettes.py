@@ -32,7 +32,7 @@ from geraf2.echoes.echo_phases import response_at
 from geraf2.freespace.wall_shape import path_shape
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
-from geraf2.scene import Capture, Pose, Wall
+from geraf2.scene import Capture, Pose
 
 _FOCUSES = 9
 """Number of focal lengths that are tried, from one pass of the content to two."""
@@ -249,10 +249,9 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
     outlines, disagreement, free_shares = [], [], [0.0]
     for axis, flashes in by_axis.items():
         wall = capture.walls[0]
-        cells = [
-            config.spacing_m * np.arange(-n, n + 1)
-            for n in (_half_inner_size(wall)[_across(axis)] / config.spacing_m).astype(int)
-        ]
+        half_m = 0.5 * np.array(wall.inner_size_m)[_across(axis)]
+        counts = (half_m / config.spacing_m).astype(int)
+        cells = [config.spacing_m * np.arange(-n, n + 1) for n in counts]
         found, free_share = _focus_planes(
             flashes, cells, capture.waveform.center_wavelength_m, config
         )
@@ -312,15 +311,10 @@ def _across(axis: int) -> list[int]:
     return [k for k in range(3) if k != axis]
 
 
-def _half_inner_size(wall: Wall) -> Floats:
-    """Half the inner side lengths of a box, (3,) [m]."""
-    return 0.5 * np.asarray(wall.size_m) - wall.thickness_m
-
-
 def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
     """Flash of the far wall along an axis; None if too few antennas face it."""
     wall, waveform = capture.walls[0], capture.waveform
-    inner, across = _half_inner_size(wall), _across(axis)
+    inner, across = 0.5 * np.array(wall.inner_size_m), _across(axis)
     tx, rx, feet = (
         np.asarray(p) - np.asarray(wall.center_m)
         for p in (pose.tx_positions, pose.rx_positions, pose.phase_centers)

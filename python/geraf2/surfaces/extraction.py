@@ -67,7 +67,7 @@ def extract_meshes(
     samples = replace(samples, mesh=replace(samples.mesh, confidence=content.confidence))
     box = box_surface(prior)
     return ExtractedMeshes(
-        mesh=join_meshes(box, samples.mesh),
+        mesh=TriangleMesh.joined([box, samples.mesh]),
         mesh_box=box,
         mesh_content=samples.mesh,
         samples=samples,
@@ -122,46 +122,24 @@ def extract_cropped_meshes(
     """Meshes of a run without glints: content by :func:`cropped_content`, box from the prior."""
     content = cropped_content(sdf, prior, crop_m, num_threads=num_threads)
     box = box_surface(prior)
-    return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
+    mesh = TriangleMesh.joined([box, content])
+    return ExtractedMeshes(mesh=mesh, mesh_box=box, mesh_content=content)
 
 
 def box_surface(prior: LosPrior) -> TriangleMesh:
     """Outer surface of the prior, and both faces of every wall of known thickness."""
-    outer = TriangleMesh(
-        vertices=np.asarray(prior.vertices, dtype=np.float64),
-        faces=np.asarray(prior.faces, dtype=np.int64),
-    )
-    parts = [outer]
+    parts = [prior.mesh]
     if prior.walls:
         parts.append(_inner_face(prior, prior.walls[0]))
         for wall in prior.walls[1:]:
-            parts.append(_box(wall.size_m, wall))
-            parts.append(_flipped(_box(_inner_size(wall), wall)))
-    return join_meshes(*parts)
-
-
-def join_meshes(*meshes: TriangleMesh) -> TriangleMesh:
-    """Join triangles in one mesh, without errors and evidence, which the box does not have."""
-    offsets = np.cumsum([0, *(m.vertices.shape[0] for m in meshes)])
-    return TriangleMesh(
-        vertices=np.concatenate([m.vertices for m in meshes]),
-        faces=np.concatenate([m.faces + o for m, o in zip(meshes, offsets[:-1], strict=True)]),
-    )
+            parts.append(LosPrior.from_box(wall.size_m, wall.center_m).mesh)
+            parts.append(_flipped(LosPrior.from_box(wall.inner_size_m, wall.center_m).mesh))
+    return TriangleMesh.joined(parts)
 
 
 def prior_distance(prior: LosPrior, grid: Grid, num_threads: int | None = None) -> Floats:
     """Distance of each voxel centre to the prior's surface, negative inside, grid.shape [m]."""
     return signed_distances(prior.mesh, grid.points(), num_threads=num_threads).reshape(grid.shape)
-
-
-def _inner_size(wall: Wall) -> tuple[float, float, float]:
-    x, y, z = (side - 2.0 * wall.thickness_m for side in wall.size_m)
-    return x, y, z
-
-
-def _box(size_m: tuple[float, float, float], wall: Wall) -> TriangleMesh:
-    box = LosPrior.from_box(size_m, wall.center_m)
-    return TriangleMesh(vertices=box.vertices, faces=box.faces)
 
 
 def _flipped(mesh: TriangleMesh) -> TriangleMesh:
@@ -174,15 +152,14 @@ def _inner_face(prior: LosPrior, wall: Wall) -> TriangleMesh:
         axes, size, center = prior.cuboid
         sides = triple(size - 2.0 * wall.thickness_m)
         inner = LosPrior.from_box(sides, triple(center), axes=axes)
-        return _flipped(TriangleMesh(vertices=inner.vertices, faces=inner.faces))
+        return _flipped(inner.mesh)
     # Any other closed shape: the level set one thickness inside. Flat parts are exact, edges are
     # rounded by a voxel; 80 voxels a side take about a second.
     extent = prior.bounds[1] - prior.bounds[0]
     spacing = max(float(extent.max()) / 80.0, 0.5 * wall.thickness_m)
     shape = tuple(int(n) for n in np.ceil(extent / spacing).astype(int) + 3)
-    origin = prior.bounds[0] - spacing
     grid = Grid(
-        origin_m=(float(origin[0]), float(origin[1]), float(origin[2])),
+        origin_m=triple(prior.bounds[0] - spacing),
         spacing_m=spacing,
         shape=(shape[0], shape[1], shape[2]),
     )

@@ -12,7 +12,6 @@ from geraf2.echoes.glints import GlintConfig
 from geraf2.echoes.rim import RimConfig, find_rim_glints
 from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes, find_silhouettes
 from geraf2.imaging.peaks import KeptPeaks
-from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig
 from geraf2.surfaces.workers import Workers
@@ -94,7 +93,7 @@ def select_glints(
     Other arguments as those of `find_rim_glints`.
     """
     config = config or RefineConfig()
-    with Workers(resolve_num_threads(num_threads)) as workers:
+    with Workers(num_threads) as workers:
         outlines = workers.start(
             lambda: find_silhouettes(capture, config.silhouettes) if config.shadows else None
         )

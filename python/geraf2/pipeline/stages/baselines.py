@@ -16,7 +16,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import FIT_NAME
 from geraf2.pipeline.stages.direct import loader, mesh_numbers, mesh_stage, saver, write_meshes
 from geraf2.pipeline.stages.stage import Job, Stage, Stages
-from geraf2.surfaces.extraction import ExtractedMeshes, box_surface, join_meshes
+from geraf2.surfaces.extraction import ExtractedMeshes, box_surface
 
 MATCHED_FILTER = Stage(
     name="baseline",
@@ -69,7 +69,8 @@ def _open_mesh_stage(
 
     def compute(job: Job, progress: Progress) -> ExtractedMeshes:
         content, box = content_of(job, progress), box_surface(job.prior)
-        return ExtractedMeshes(mesh=join_meshes(box, content), mesh_box=box, mesh_content=content)
+        mesh = TriangleMesh.joined([box, content])
+        return ExtractedMeshes(mesh=mesh, mesh_box=box, mesh_content=content)
 
     return Stage(
         name="mesh",
