@@ -6,6 +6,13 @@ from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.subaperture import CosineAxis, SubapertureBins, Subapertures
 
 
+def scattered(rng, n, x_m, apart_m):
+    """Transmitters over 14 x 24 cm of the plane x = `x_m`, each receiver somewhere beside."""
+    y, z = rng.uniform(-0.07, 0.07, n), rng.uniform(-0.12, 0.12, n)
+    tx = np.stack([np.full(n, x_m), y, z], axis=1)
+    return tx, tx + rng.uniform(-apart_m, apart_m, tx.shape)
+
+
 def blocks_of(tx, rx=None, *, offsets=None, **changes):
     """Antennas in one block unless `offsets` say otherwise; a receiver is its transmitter."""
     tx = np.atleast_2d(tx)

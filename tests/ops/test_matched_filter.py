@@ -13,6 +13,7 @@ import torch
 
 from geraf2.ops import matched_filter, simd_level
 from geraf2.scene import Grid
+from helpers.antennas import scattered
 from helpers.synthetic import waveform_of, white_noise
 from reference import matched_filter as reference
 from reference.closeness import assert_adjoint, assert_close, relative_error
@@ -23,15 +24,7 @@ METHODS = ("exact", "block", "auto")
 def make_case(n_antennas=37, n_samples=32, n_points=200, spread_m=0.02, seed=0):
     """White noise, bistatic antennas scattered over a plane 0.36 m away, points in a cube."""
     rng = np.random.default_rng(seed)
-    tx = np.stack(
-        [
-            np.full(n_antennas, -0.36),
-            rng.uniform(-0.07, 0.07, n_antennas),
-            rng.uniform(-0.12, 0.12, n_antennas),
-        ],
-        axis=1,
-    )
-    rx = tx + rng.uniform(-0.01, 0.01, tx.shape)
+    tx, rx = scattered(rng, n_antennas, -0.36, 0.01)
     points = rng.uniform(-spread_m, spread_m, (n_points, 3))
     return (
         torch.from_numpy(white_noise((n_antennas, n_samples), seed=seed)),

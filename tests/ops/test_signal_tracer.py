@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from geraf2.ops import matched_filter, signal_tracer
+from helpers.antennas import scattered
 from helpers.synthetic import waveform_of, white_noise
 from reference import signal_tracer as reference
 from reference.closeness import assert_adjoint, assert_close, relative_error
@@ -27,15 +28,7 @@ def make_case(
     The cube hangs behind x = 0, so that no point comes near an antenna, however wide it is.
     """
     rng = np.random.default_rng(0)
-    tx = np.stack(
-        [
-            np.full(n_antennas, -0.4),
-            rng.uniform(-0.07, 0.07, n_antennas),
-            rng.uniform(-0.12, 0.12, n_antennas),
-        ],
-        axis=1,
-    )
-    rx = tx + rng.uniform(-0.05, 0.05, tx.shape)
+    tx, rx = scattered(rng, n_antennas, -0.4, 0.05)
     points = rng.uniform(-spread_m, spread_m, (n_points, 3)) + np.array([spread_m, 0.0, 0.0])
     shape = (n_points,) if kind.startswith("shared") else (n_antennas, n_points)
     amplitude = rng.normal(size=shape)

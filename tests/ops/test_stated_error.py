@@ -11,6 +11,7 @@ import pytest
 
 from geraf2.ops import matched_filter
 from geraf2.scene import Grid
+from helpers.antennas import scattered
 from helpers.synthetic import waveform_of
 
 TOLERANCES = np.logspace(-1, -10, 28)
@@ -27,11 +28,8 @@ ROUNDING = {
 def aperture():
     """Antennas, the loudest of them, and its phasors on the grid."""
     n, waveform = 300, waveform_of(8)
-    rng = np.random.default_rng(1)
-    y, z = rng.uniform(-0.07, 0.07, n), rng.uniform(-0.12, 0.12, n)
-    tx = np.stack([np.full(n, -0.36), y, z], axis=1)
-    rx = tx + rng.uniform(-0.005, 0.005, tx.shape)
-    one = int(np.argmax(np.abs(y) + np.abs(z)))
+    tx, rx = scattered(np.random.default_rng(1), n, -0.36, 0.005)
+    one = int(np.argmax(np.abs(tx[:, 1:]).sum(axis=1)))
     signal = np.zeros((n, waveform.n_samples), dtype=np.complex128)
     signal[one, -1] = n
     alone = (signal[one : one + 1] / n, tx[one : one + 1], rx[one : one + 1])
