@@ -262,7 +262,7 @@ class ExpectedEchoes:
 
         def image(view: WindowView) -> Array:
             out = np.zeros((len(view.window.measured), 1 + 6 * n_models), dtype=np.complex128)
-            of = view.window.echo.image
+            of = view.window.image
             if len(view.lit):
                 out[:, 0] = of(view.amplitudes, view.points)
             for m in np.unique(view.model):
@@ -296,7 +296,7 @@ class ExpectedEchoes:
         def parts(view: WindowView, image: Array) -> _PatchEchoes:
             gain, own = gains[view.window.plane], which[view.lit]
             echoes = {
-                int(q): gain * view.window.echo.image(view.amplitudes[at], view.points[at])
+                int(q): gain * view.window.image(view.amplitudes[at], view.points[at])
                 for q in np.unique(own)
                 if (at := own == q).any()
             }

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Array, Floats, Ints
-from geraf2.ops import matched_filter
-from geraf2.ops.facet_echo import FacetEcho
+from geraf2.ops import MatchedFilterPlan, matched_filter, signal_tracer
+from geraf2.records import Waveform
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.clusters import antenna_clusters
 from geraf2.surfaces.facets import LitFacets
@@ -34,10 +34,19 @@ class MeasuredWindow:
     plane: int
     middle: Floats
     """Of the antennas, (3,) [m]."""
-    echo: FacetEcho
-    """From facets to the targets."""
+    antennas: tuple[Floats, Floats]
+    """Transmitter and receiver of each, (n_antennas, 3) [m]."""
+    waveform: Waveform
+    plan: MatchedFilterPlan
+    """From signals to the targets, which are summed one by one: they are isolated."""
     measured: Array
     """Complex heat map at the targets, (n_targets,)."""
+
+    def image(self, amplitudes: Array, points: Floats) -> Array:
+        """Heat map of facets (n_points, 3) [m] with real amplitudes (n_points,), (n_targets,)."""
+        real = amplitudes.astype(np.float32)
+        signal = signal_tracer(real, points, *self.antennas, self.waveform, num_threads=1)
+        return self.plan.execute(signal)
 
 
 def measured_windows(
@@ -61,9 +70,16 @@ def measured_windows(
         name = f"the heat map of plane {plane} ({pose.name})"
         targets = points[choose_targets(np.asarray(image).ravel(), _N_TARGETS, rng, name)]
         antennas = pose.tx_positions[used], pose.rx_positions[used]
-        echo = FacetEcho(*antennas, targets, waveform, num_threads=1)
-        measured = echo.matched(np.ascontiguousarray(pose.signal[used]))
-        return MeasuredWindow(plane=plane, middle=middle, echo=echo, measured=measured)
+        plan = MatchedFilterPlan(*antennas, targets, waveform, method="exact", num_threads=1)
+        measured = plan.execute(np.ascontiguousarray(pose.signal[used]))
+        return MeasuredWindow(
+            plane=plane,
+            middle=middle,
+            antennas=antennas,
+            waveform=waveform,
+            plan=plan,
+            measured=measured,
+        )
 
     jobs = [
         (plane, group)
