@@ -77,23 +77,6 @@ def test_stubs_are_those_of_the_built_module(project_root):
     assert told == _built_signatures(_core)
 
 
-def test_imports_respect_the_layers(project_root):
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-c",
-            "from importlinter.cli import lint_imports_command as c; c()",
-            "--no-cache",
-        ],
-        cwd=project_root,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stdout
-
-
 def test_imports_do_not_go_in_circles():
     """Not even those inside functions and those for type checkers."""
     graph = grimp.build_graph("geraf2", exclude_type_checking_imports=False, cache_dir=None)
