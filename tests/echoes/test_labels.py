@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from geraf2.echoes import labels as labels_module
-from geraf2.echoes.hypotheses import Candidates, find_candidates
+from geraf2.echoes.hypotheses import find_candidates
 from geraf2.echoes.labels import Label, continuing, label_peaks, pair_density, posterior
 from geraf2.imaging.peaks import join_peaks
 from geraf2.ops.visibility import MeshScene
@@ -216,13 +216,6 @@ def test_the_cloud_holds_every_peak_with_probability_and_label():
     np.testing.assert_allclose(rows["probability"][2:], found.probability[2:], atol=1e-7)
     assert rows["label"][:2].tolist() == [Label.SEEN_THROUGH] * 2
     assert rows["probability"][:2].tolist() == [0.0, 0.0]
-
-
-def test_candidates_are_subsets_of_all_fields():
-    found = found_in(sphere_peaks((0, 0, 0), RADIUS_M, [0]))
-    some = found.select(np.array([3, 1]))
-    assert isinstance(some, Candidates)
-    np.testing.assert_array_equal(some.peaks, [3, 1])
 
 
 def test_beyond_an_assumed_face_a_lone_peak_needs_more_evidence_than_a_surface():

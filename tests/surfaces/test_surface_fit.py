@@ -130,13 +130,6 @@ def test_departure_rows_whiten_the_covariance():
     np.testing.assert_allclose(departure_rows(nodes, length) @ np.ones(7), 0.0, atol=1e-9)
 
 
-def test_similar_neighbours_have_a_smaller_departure():
-    nodes = np.stack([np.arange(6) * 0.01, np.zeros(6), np.zeros(6)], axis=1)
-    rows = departure_rows(nodes, 0.02)
-    halves, comb = np.array([1.0, 1, 1, 0, 0, 0]), np.array([1.0, 0, 1, 0, 1, 0])
-    assert np.linalg.norm(rows @ comb) > 2 * np.linalg.norm(rows @ halves)
-
-
 def test_arrays_restore_the_echo(truth):
     again = SurfaceEcho.of_arrays(truth.arrays())
     for name in ("nodes", "reflectivity", "walls"):
