@@ -12,7 +12,6 @@ from bad_inputs.table import (
     cut,
     drop,
     flip,
-    folder,
     keys,
     link,
     npy,
@@ -70,34 +69,21 @@ def mat(**arrays):
 ROWS = [
     *rows(
         IMPORT,
-        *(drop(f"{FRAME}/{name}.npy") for name in ("tpos", "rpos", "adcr", "adci", "rotation")),
-        *(put(f"{FRAME}/{name}.npy", b"") for name in ("rpos", "adci")),
-        *(put(f"{TWO}/{name}.npy", b"\x93NUMPY") for name in ("tpos", "adcr", "rotation")),
-        *(cut(f"{FRAME}/{name}.npy") for name in ("tpos", "adcr", "rotation")),
-        *(flip(f"{TWO}/{name}.npy", 12) for name in ("tpos", "adcr", "adci", "rpos")),
+        *(drop(f"{FRAME}/{name}.npy") for name in ("tpos", "rotation")),
+        put(f"{FRAME}/rpos.npy", b""),
+        put(f"{TWO}/tpos.npy", b"\x93NUMPY"),
+        *(cut(f"{FRAME}/{name}.npy") for name in ("tpos", "rotation")),
+        flip(f"{TWO}/tpos.npy", 12),
         (edited(FRAME, "tpos", "in mm", lambda a: 1000 * a), "transmitter"),
-        (edited(TWO, "rpos", "in mm", lambda a: 1000 * a), "transmitter"),
         (*(edited(FRAME, n, "in mm", lambda a: 1000 * a) for n in ("tpos", "rpos")), "metres"),
         edited(FRAME, "rpos", "NaN", set_at((3, "nan"))),
         (edited(FRAME, "rpos", "1e30", set_at((3, 1e30))), "1e+30"),
         edited(TWO, "tpos", "2 columns", lambda a: a[:, :2]),
         edited(FRAME, "rotation", "x 2", lambda a: 2 * a),
-        edited(FRAME, "rotation", "0", lambda a: 0 * a),
-        edited(FRAME, "rotation", "NaN", lambda a: a * float("nan")),
-        edited(TWO, "rotation", "4 x 4", lambda a: np.eye(4)),
-        edited(TWO, "rotation", "inf", lambda a: a + float("inf")),
-        edited(FRAME, "adcr", "one short", lambda a: a[:-1]),
         edited(FRAME, "adcr", "integers", lambda a: a.astype("i4")),
-        edited(TWO, "adcr", "no samples", lambda a: a[:, :0]),
-        edited(TWO, "adci", "text", lambda a: a.astype("U9")),
-        edited(TWO, "adci", "NaN", lambda a: a * float("nan")),
         *((link(FRAME, target), "1_120_0") for target in ("nowhere", "1_120_0")),
         (put("frames/mf/3_300_0", "a file"), "3_300_0"),
-        (link("frames/mf/3_300_0", "../../nowhere"), "3_300_0"),
-        (link("frames/mf", "nowhere"), "frames"),
         link(f"{FRAME}/tpos.npy", "nowhere"),
-        folder(f"{FRAME}/tpos.npy"),
-        *(put(CAPTURE, text) for text in ("[]", "{", b"\xff", "[" * 100000)),
         (values(CAPTURE, path_bais_m=0.15, path_bias_m=...), "path_bais_m"),
         (
             values(
@@ -111,33 +97,20 @@ ROWS = [
         *(
             (values(CAPTURE, **{key: value}), says)
             for key, value, says in (
-                ("n_pose", 3, "n_pose"),
-                ("start_freqency_hz", 77e9, "start_freqency_hz"),
                 ("start_frequency_hz", 77.0, "start_frequency_hz"),
                 ("start_frequency_hz", "77e9", "frequency"),
-                ("chirp_slope_hz_per_s", -7e13, "slope"),
-                ("chirp_slope_hz_per_s", 70.15, "slope"),
                 ("adc_sample_rate_hz", ..., "sample_rate"),
-                ("adc_sample_rate_hz", [1], "sample_rate"),
                 ("n_adc_samples", 31, "n_samples"),
-                ("n_adc_samples", -1, "n_samples"),
                 ("path_bias_m", 1e9, "path_bias_m"),
-                ("path_bias_m", "long", "path_bias_m"),
                 ("path_bias_m", True, "path_bias_m"),
-                ("box_size", 0.22, "box_size"),
                 ("box_size_m", "big", "box_size_m"),
                 ("box_size_m", [-0.2], "size_m"),
                 ("box_size_m", [[0.2, 0.2]], "size_m"),
-                ("wall_thicknes_m", 0.004, "wall_thicknes_m"),
                 ("wall_thickness_m", [0.1, 0.2], "wall_thickness_m"),
                 ("wall_thickness_m", 0.2, "thickness_m"),
-                ("wall_permittivity", 0.1, "permittivity"),
             )
         ),
     ),
-    bad(IMPORT + " --phase-sign 2", says="--phase-sign"),
-    bad(IMPORT + " --threads 0", says="--threads"),
-    bad(IMPORT + " --radar nowhere.toml", says="nowhere.toml"),
     *keys(
         IMPORT + " --radar radar.toml",
         "radar.toml",
@@ -155,15 +128,12 @@ ROWS = [
         RAW,
         "radar.toml",
         """
-        start_frequency_hz 77 -1 nan
-        chirp_slope_hz_per_s 60 inf
-        sample_rate_hz 0 "fast"
-        adc_start_s -1 nan 2
-        n_samples 0 63 9999999
-        raw.n_rx 0 100
+        start_frequency_hz nan
+        chirp_slope_hz_per_s inf
+        n_samples 63
         raw.layout "other"
-        raw.frame_period_s 0 -1
-        antennas.rx_offsets_m []|[[1,2]]|[[0,0,nan]]
+        raw.frame_period_s 0
+        antennas.rx_offsets_m []|[[1,2]]
         """,
     ),
     *rows(
@@ -179,7 +149,6 @@ ROWS = [
         for flags, says in (
             ("--raster 0 6 1 1", "--raster"),
             ("--raster 6 6 nan 1", "--raster"),
-            ("--raster 5 5 0.004 0.004", "36"),
             ("--raster 6 6 0.004", "--raster"),
             ("--raster 1000000 1000000 0.004 0.004", "36"),
             ("--raster 6 6 1e9 0.004", "step"),
@@ -197,16 +166,11 @@ ROWS = [
                 b"\x00\xff",
                 ROBOT,
                 ROBOT + "0,0,0\n",
-                "time_s,x_m,y_m\n0,0,0\n",
                 ROBOT + "1,0,0,0\n0,0,0,0\n",
                 ROBOT + "0,nan,0,0\n1,0,0,0\n",
-                ROBOT + "0,a,0,0\n1,0,0,0\n",
-                ROBOT + "0,0,0,0\n",
                 ROBOT + "0,0,0,0\n0,0,0,0\n",
                 ROBOT + "inf,0,0,0\n1,0,0,0\n",
-                ROBOT + "0;0;0;0\n1;0;0;0\n",
                 "t,a,b,c\n0,0,0,0\n1,0,0,0\n",
-                ROBOT.replace("_m", "_mm_") + "0,0,0,0\n",
                 "x_m,x_m,y_m,z_m\n0,0,0,0\n",
                 ROBOT + "0,1e30,0,0\n9,1e30,0,0\n",
                 ROBOT + "a" * 5000,

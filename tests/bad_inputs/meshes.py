@@ -2,23 +2,17 @@
 
 import struct
 
-from bad_inputs.table import bad, cut, folder, put, swap, values
+from bad_inputs.table import bad, cut, put, swap, values
 
 CUBE = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
 GLB = struct.pack("<4sII", b"glTF", 2, 9999) + struct.pack("<I4s", 8, b"JSON") + b"{}      "
 
 ROWS = [
-    bad("reconstruct scene out --box 0.16 0.16 --no-report", says="--box"),
-    bad("reconstruct scene out --box 0 0.16 0.16", says="box"),
-    bad("reconstruct scene out --box nan 0.16 0.16", says="box"),
     bad("reconstruct scene out --box 160 160 160", says="metres"),
-    bad("reconstruct scene out --box 0.0001 0.0001 0.0001", says="box"),
     bad("reconstruct scene out --box 0.9 0.9 0.9", says="box"),
     bad("reconstruct scene out --box 0.16 0.16 0.16 --box-center 5 0 0", says="box"),
-    bad("reconstruct scene out --box 0.16 0.16 0.16 --box-center nan 0 0", says="box"),
     bad("reconstruct scene out --los nowhere", says="nowhere"),
     bad("reconstruct scene out --los empty", says="empty"),
-    bad("reconstruct scene out --los scene", says="scene"),
     bad("reconstruct scene out --los spec.toml", says="spec.toml"),
     *(
         bad(line, change)
@@ -26,13 +20,9 @@ ROWS = [
         for change in (
             put("box.ply", ""),
             put("box.ply", "ply\n"),
-            put("box.ply", "no mesh"),
-            cut("box.ply"),
             cut("box.ply", 0.95),
             swap("box.ply", "element vertex 8", "element vertex 9999999"),
-            swap("box.ply", "element face 12", "element face 13"),
             swap("box.ply", "property float x", "property list x y"),
-            folder("box.ply"),
         )
     ),
     bad(
@@ -51,7 +41,6 @@ ROWS = [
         ),
     ),
     bad("los nan.obj out", put("nan.obj", "v nan 0 0\nv 0 1 0\nv 0 0 1\nv 0 0 0\nf 1 2 3\n")),
-    bad("los dots.obj out", put("dots.obj", "v 0 0 0\nv 0 1 0\n")),
     bad(
         "los big.stl out",
         put(
@@ -73,37 +62,23 @@ ROWS = [
     ),
     bad("evaluate run --truth box.ply", values("box.ply.json", unit="millimetre"), says="unit"),
     bad("los box.ply out", values("box.ply.json", unit="millimetre"), says="unit"),
-    bad("los box.ply out --unit parsec", says="--unit"),
-    bad("los box.ply out --unit -1", says="--unit"),
     bad("los box.ply out --to-radar nowhere.txt", says="nowhere.txt"),
     bad("los box.ply out --to-radar m.txt", put("m.txt", "1 2 3")),
     bad("los box.ply out --to-radar m.txt", put("m.txt", "2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1")),
-    bad("los box.ply out --to-radar m.txt", put("m.txt", "nan 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1")),
-    bad("los a.obj out", put("a.obj", CUBE.format(160)), says="millimetres"),
     bad("los a.obj out --unit cm", put("a.obj", CUBE.format(9000)), says="90"),
-    bad("los a.obj out", put("a.obj", CUBE.format("1e-40")), says="a.obj"),
     bad("los a.obj out", put("a.obj", CUBE.format(0)), says="a.obj"),
-    bad("los a.obj out", put("a.obj", CUBE.format("inf"))),
     bad("los a.obj out", put("a.obj", CUBE.format("x"))),
     bad("los a.obj out", put("a.obj", "f 1 2 3\n")),
-    bad("los a.obj out", put("a.obj", CUBE.format(1) + "f 1 2 99\n")),
     bad("los a.obj out", put("a.obj", CUBE.format(1) + "f 1 2 -99\n")),
     bad("los a.obj out", put("a.obj", b"\xff\xfe" + bytes(100))),
     bad("los a.stl out", put("a.stl", bytes(84))),
     bad("los a.stl out", put("a.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50))),
-    bad("los a.stl out", put("a.stl", bytes(80) + b"\x01\x00\x00\x00" + b"\xff" * 50)),
-    bad("los a.stl out", put("a.stl", "solid\nfacet")),
     bad("los a.glb out", put("a.glb", b"glTF")),
     bad("los a.glb out", put("a.glb", GLB)),
-    bad("los a.gltf out", put("a.gltf", "{}")),
-    bad("los a.gltf out", put("a.gltf", "[" * 5000)),
     bad("los a.gltf out", put("a.gltf", '{"buffers":[{"uri":"/etc/passwd","byteLength":9}]}')),
     bad("los a.xyz out", put("a.xyz", "1 2 3"), says="a.xyz"),
-    bad("los mesh out", put("mesh", "1 2 3"), says="mesh"),
-    bad("reconstruct scene out --los a.obj", put("a.obj", CUBE.format(160)), says="metres"),
     bad("reconstruct scene out --los a.obj", put("a.obj", CUBE.format(0)), says="a.obj"),
     bad("reconstruct scene out --los box.ply", values("box.ply.json", unit="mm"), says="unit"),
-    bad("calibrate scene --los box.ply", values("box.ply.json", unit="inch"), says="unit"),
     bad(
         "reconstruct scene out --los box.ply",
         values("box.ply.json", unit="cm\n\x1b[31m"),
@@ -115,11 +90,8 @@ ROWS = [
     bad("evaluate run --truth truth.ply", swap("truth.ply", "little", "middle")),
     bad("evaluate run --truth truth.ply", swap("truth.ply", "float x", "string x")),
     bad("evaluate run --truth truth.ply", swap("truth.ply", "end_header", "end_of_it")),
-    bad("los 0.2x0.2 out", says="0.2x0.2"),
     bad("los 0.2xax0.2 out", says="0.2xax0.2"),
-    bad("los 0.2x0.2x1e400 out", says="1e400"),
     bad("los 21x1x1 out", says="20 m"),
-    bad("los 160x160x160 out", says="20 m"),
     *(
         bad("los box.ply out --to-radar m.json", put("m.json", text))
         for text in (

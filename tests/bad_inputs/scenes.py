@@ -11,7 +11,6 @@ from bad_inputs.table import (
     flip,
     folder,
     keys,
-    link,
     numbers,
     put,
     rows,
@@ -61,35 +60,24 @@ ROWS = [
         "info scene",
         TOML,
         """
-        version 2 "one" -1 1.5 "1"
-        unit "mm" 3 "metre" ""
-        format "other"
+        version 2 "one"
+        unit "mm" 3
         frame "" 7
         typo 3
-        waveform.start_frequency_hz 77 0 nan "77e9" true [77e9]
-        waveform.chirp_slope_hz_per_s -1 70.15 inf
-        waveform.n_samples 0 31 32.5 1000000000 "32" 33
-        waveform.bandwidth_hz 4e9
-        waveform.sample_rate_hz 0 nan -625e3 inf
-        waveform.path_bias_m 1e6 nan
-        walls.permittivity 0.5 nan -1
-        walls.thickness_m 0 -1 nan 0.08 1000
-        walls.size_m [0.16,0.16]|[0,0.16,0.16]|"big"
-        walls.center_m [0,0]|[nan,0,0]|[1e9,0,0]
-        walls.colour "red"
-        provenance.seed 3
+        waveform.start_frequency_hz 77 nan "77e9" true [77e9]
+        waveform.chirp_slope_hz_per_s inf
+        waveform.n_samples 31 32.5 1000000000 "32"
+        walls.thickness_m 0 0.08
+        walls.size_m [0.16,0.16]|"big"
+        walls.center_m [nan,0,0]|
         calibration 3 [1]
         """,
     ),
     *rows(
         "info scene",
-        *(put(TOML, text) for text in ("", b"\xff\xfe\x00", "a = [" * 2000, "\x00")),
         put(TOML, "a = 1e9999999\n" * 3),
         cut(TOML),
-        drop(TOML),
-        folder(TOML),
         (swap(TOML, "frame", "fra\\u0000me"), "scene.toml"),
-        *((link(TOML, target), "scene") for target in ("nowhere", "scene.toml")),
         (toml(TOML, "walls.center_m", "[0.4, 0, 0]"), "wall"),
         (toml(TOML, "walls.size_m", "[2, 2, 2]"), "wall"),
         (
@@ -103,12 +91,8 @@ ROWS = [
         ),
         drop("scene/radar.zarr"),
         (drop(GROUP), "radar.zarr"),
-        (put(GROUP, "{}"), "radar.zarr"),
         (values(GROUP, zarr_format=9), "radar.zarr"),
         drop(SIGNAL),
-        (drop(f"{TX}/zarr.json"), "tx_positions"),
-        *((put(f"{SIGNAL}/zarr.json", text), "signal") for text in ("[]", b"\xff", "[" * 100000)),
-        *((drop(f"scene/radar.zarr/{name}"), name) for name in ("angle", "antenna_count")),
         (values(f"{SIGNAL}/zarr.json", shape=[4, 1 << 40, 32]), "radar.zarr"),
         *(
             about(SIGNAL, shape=shape)
@@ -116,44 +100,25 @@ ROWS = [
         ),
         *(about(SIGNAL, data_type=name) for name in ("float64", "nonsense")),
         *(about(TX, data_type=name) for name in ("complex128", "bool")),
-        about(SIGNAL, codecs=[]),
-        about(SIGNAL, codecs=[{"name": "zstd", "configuration": {}}]),
         about(SIGNAL, codecs=[{"name": "pickle"}]),
         about(SIGNAL, node_type="group"),
-        about(SIGNAL, zarr_format=2),
         about(SIGNAL, chunk_grid={"name": "other"}),
         about(SIGNAL, chunk_key_encoding={"name": "x"}),
         about(SIGNAL, fill_value="big"),
-        about(AXES, shape=[4, 3]),
         about(AXES, data_type="int8"),
-        about("scene/radar.zarr/angle", shape=[3]),
-        about("scene/radar.zarr/angle", data_type="float32"),
-        about("scene/radar.zarr/antenna_count", data_type="float64"),
         about("scene/radar.zarr/antenna_count", shape=[1 << 40]),
-        about(RX, shape=[4, 256, 2]),
-        attribute("pose_names", pose_names=...),
-        attribute("pose_names", pose_names=["a"]),
         attribute("pose_names", pose_names=7),
         attribute("checksums", checksums=7),
-        attribute("checksums", checksums={"signal": []}),
-        attribute("checksums", checksums={"other": ["0"] * 4}),
         attribute("signal", checksums={"signal": ["0"] * 4}),
         (cut(chunk(SIGNAL)), "signal"),
-        (cut(chunk(TX)), "tx_positions"),
-        (flip(chunk(SIGNAL, 1), 1000), "signal"),
         (flip(chunk(SIGNAL, 3), 0), "signal"),
-        (drop(chunk(SIGNAL, 1)), "signal"),
-        (put(chunk(SIGNAL, 1), b""), "signal"),
         (put(chunk(RX, 1), bytes(99)), "rx_positions"),
         (folder(chunk(SIGNAL, 1)), "signal"),
         (floats(SIGNAL, 2, "NaN", set_at((9, "nan"))), "NaN"),
         (floats(TX, 0, "1e30", set_at((0, 1e30))), "1e+30"),
         (floats(TX, 2, "in mm", lambda a: 1000 * a), "transmitter"),
         (floats(RX, 3, "-inf", set_at((1, "-inf"))), "infinite"),
-        (floats(RX, 3, "in mm", lambda a: 1e3 * a), "transmitter"),
-        (floats(TX, 3, "in cm", lambda a: 1e2 * a), "transmitter"),
         (*(floats(a, 1, "moved 0", lambda a: a + 300.0) for a in (TX, RX)), "metres"),
-        (*(floats(a, 1, "moved 1", lambda a: 0.0 * a) for a in (TX, RX)), "within the outer wall"),
     ),
     *rows(
         "info scene --verify",
@@ -161,33 +126,22 @@ ROWS = [
         (flip(chunk(TX), 7), "tx_positions"),
         attribute("angle", checksums={"angle": ["0"] * 4}),
     ),
-    *(
-        bad(line, floats(SIGNAL, 0, "NaN", set_at((5, "nan"))), says="NaN")
-        for line in ("info scene", RUN, IMAGE)
-    ),
+    *(bad(line, floats(SIGNAL, 0, "NaN", set_at((5, "nan"))), says="NaN") for line in (RUN, IMAGE)),
     *rows(
         RUN,
         (toml(TOML, "walls.size_m", "[2, 2, 2]"), "wall"),
         (flip(chunk(SIGNAL, 2), -1), "signal"),
         (flip(chunk(RX, 2), 3), "rx_positions"),
-        (floats(SIGNAL, 0, "infinite", set_at((3, "inf"))), "infinite"),
         (floats(TX, 0, "NaN", set_at((0, "nan"))), "NaN"),
         (floats(TX, 0, "1e30", set_at((0, 1e30))), "1e+30"),
-        (floats(RX, 0, "-1e9", set_at((1, -1e9))), "1e+09"),
         (floats(AXES, 0, "NaN", set_at((0, "nan"))), "axes"),
-        (floats(AXES, 0, "0", lambda a: 0 * a), "axes"),
         (floats(AXES, 0, "x 2", lambda a: 2 * a), "axes"),
-        (floats(AXES, 1, "skew", set_at((4, 0.5))), "axes"),
-        (floats(AXES, 3, "inf", set_at((4, "inf"))), "axes"),
         (floats(TX, 2, "in mm", lambda a: 1000 * a), "transmitter"),
-        (*(floats(a, 2, "in mm", lambda a: 1000 * a) for a in (TX, RX)), "metres"),
         (*(floats(a, 1, "moved 2", lambda a: 0.05 * a) for a in (TX, RX)), "within the outer wall"),
         (counts("-1", 0, -1), "antenna_count"),
-        (counts("big", 0, 9999), "antenna_count"),
         (counts("0", 0, 0), "0 antennas"),
     ),
     bad(IMAGE, flip(chunk(TX, 1), 100), says="tx_positions"),
     bad("calibrate scene --box 0.16 0.16 0.16", flip(chunk(AXES, 1), 4), says="axes"),
     bad(RUN + " --hold-out 17.5", says="17.5"),
-    bad(RUN + " --fit.cap-lean 1 2 3", says="'3'"),
 ]
