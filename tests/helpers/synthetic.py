@@ -76,13 +76,13 @@ CAPTURE_JSON = {
 }
 
 
-def write_frame(folder, pose):
+def write_frame(folder, pose, dtype=np.float32):
     folder.mkdir(parents=True)
-    np.save(folder / "tpos.npy", pose.tx_positions.astype(np.float32))
-    np.save(folder / "rpos.npy", pose.rx_positions.astype(np.float32))
+    np.save(folder / "tpos.npy", pose.tx_positions.astype(dtype))
+    np.save(folder / "rpos.npy", pose.rx_positions.astype(dtype))
     np.save(folder / "adcr.npy", pose.signal.real)
     np.save(folder / "adci.npy", pose.signal.imag)
-    np.save(folder / "rotation.npy", pose.axes.T.astype(np.float32))
+    np.save(folder / "rotation.npy", pose.axes.T.astype(dtype))
 
 
 def write_geraf_sens(folder, capture, *, parameters=CAPTURE_JSON):

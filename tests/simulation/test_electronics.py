@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
-from geraf2.simulation.electronics import amplify, convert, receiver_gains
+from geraf2.simulation.electronics import convert, receiver_gains
 from geraf2.simulation.spec import AWR1843
 
 C = 299792458.0
@@ -27,13 +27,6 @@ def signals(world=None, seed=0, snr_db=np.inf):
 def noise(*shape, seed=0):
     parts = np.random.default_rng(seed).normal(size=(2, *shape))
     return (parts[0] + 1j * parts[1]).astype(np.complex64)
-
-
-def test_off_nothing_is_touched():
-    plain = [noise(9, 32)]
-    assert receiver_gains(WorldSpec(), (9, 32), 0, 0) is None
-    assert amplify(WorldSpec(), plain, 0)[0] is plain[0]
-    assert convert(WorldSpec(), plain, 0)[0] is plain[0]
 
 
 def test_leakage_is_the_same_everywhere_short_and_as_strong_as_asked():

@@ -49,11 +49,6 @@ def signals(spec=SPEC, **world):
     return np.concatenate([pose.signal for pose in capture.poses])
 
 
-def test_off_walls_are_plane():
-    assert shape() is None
-    assert wall_layers((BOX,), 0.02, (None,))[0].walls is None
-
-
 def test_a_bulge_is_the_sum_of_its_modes_reaches_its_size_and_keeps_the_edges():
     bulged, half = shape(wall_bulge_m=0.003), 0.5 * np.asarray(BOX.size_m)
     grid = np.linspace(-1.0, 1.0, 41)

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.errors import UserError
 from geraf2.io.toml import write_toml
 from geraf2.simulation import WorldSpec, load_spec, parse_spec
 from geraf2.simulation.world import EFFECTS
@@ -43,27 +42,6 @@ def test_single_values_override_the_preset_and_replace_keeps_the_others():
     assert got.settings == {"wall_bulge_m": 0.002, **of_iq}
     assert world(leakage_db=3.0).settings == {"leakage_db": 3.0}
     assert replace(got, wall_bulge_m=0.0).settings == of_iq
-
-
-@pytest.mark.parametrize(
-    ("table", "line"),
-    [
-        (
-            {"preset": "hard", "effects": ["leakge"]},
-            "world.effects has an unknown effect 'leakge', did you mean 'leakage'?",
-        ),
-        ({"preset": "hard", "effects": ["xyz"]}, "'xyz'; there are waves, second_bounce"),
-        ({"effects": ["iq"]}, "world.effects needs preset 'plausible' or 'hard'"),
-        ({"leakage": 3}, "unknown key 'world.leakage', did you mean 'leakage_db'?"),
-    ],
-)
-def test_a_bad_table_is_one_line(table, line):
-    with pytest.raises(UserError) as error:
-        world(**table)
-    text = str(error.value)
-    assert line in text
-    assert text.startswith("spec.toml: ")
-    assert "\n" not in text
 
 
 def test_a_spec_that_is_written_out_is_read_back_as_it_was(tmp_path):

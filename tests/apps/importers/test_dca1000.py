@@ -72,8 +72,6 @@ def test_samples_per_chirp_are_found_out(tmp_path, n_samples):
     [
         ({"raw": RawManifest(layout="2-lane-pairs")}, "contradict the layout given"),
         ({"raw": RawManifest(offset_binary=True)}, "contradict the layout given"),
-        ({"n_samples": 128}, "number of samples per chirp, expected 64"),
-        ({"n_samples": 32}, "number of samples per chirp, expected 64"),
         ({"n_samples": 48}, "number of samples per chirp, expected 64"),
         ({"raw": RawManifest(n_tx=2, n_chirps_per_frame=3)}, "no multiple of n_tx"),
         ({"raw": RawManifest(layout="2-lane-pairs", n_rx=3)}, "2-lane-pairs needs an even n_rx"),

@@ -57,8 +57,6 @@ def test_nan_samples_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("table", "text"),
     [
-        (None, "cannot be read as numbers"),
-        ([[1.0, 2.0]], "two rows"),
         ([[22.2e9, 25e9], [0, 1]], "does not cover the frequencies"),
         ([[26.2e9, 22.2e9], [0, 1]], "does not cover the frequencies"),
         ([[22.2e9, 24e9, 26.2e9], [0, np.nan, 1]], "1 of 3 columns hold NaN"),
@@ -67,7 +65,7 @@ def test_nan_samples_are_refused(tmp_path):
 def test_a_phase_that_does_not_fit_is_named(tmp_path, table, text):
     folder = write_planar(tmp_path / "scan")
     path = folder / "antenna_phase.txt"
-    path.write_text("a b\n") if table is None else np.savetxt(path, table)
+    np.savetxt(path, table)
     with pytest.raises(UserError, match=text):
         opened(folder)
     if "NaN" in text:
@@ -129,8 +127,6 @@ def test_one_frequency_is_enough(tmp_path, alone):
     ("changes", "text"),
     [
         ({"data": np.zeros((2, 6, 4, 4), np.complex64)}, "array 1 has the wrong shape"),
-        ({"data": np.zeros((6, 4), np.complex64)}, "array 1 has the wrong shape"),
-        ({"data": np.zeros((6, 4, 4))}, "array 1 has the wrong shape"),
         ({"data": np.array([{"a": 1}])}, "array 1 of 6 cannot be read"),
         ({"nf": np.array(5)}, "contradicts the samples, expected 6, got 5"),
         ({"data": np.ones((1, 4, 4), complex), "nf": np.array(1)}, "one frequency, but the last"),
@@ -139,9 +135,7 @@ def test_one_frequency_is_enough(tmp_path, alone):
         ({"step": np.array([[0.004, -0.004]])}, "steps must be positive"),
         ({"f1": np.array(np.nan)}, "first frequency must be 1 finite numbers"),
         ({"step": np.array(0.003)}, "step must be 2 finite numbers"),
-        ({"nf": np.array(5.5)}, "number of frequencies contradicts"),
         ({"nf": np.array("eleven")}, "number of frequencies must be 1 finite numbers"),
-        ({"data": np.zeros((2, 6, 4), np.uint16)}, "array 1 has the wrong shape"),
     ],
 )
 def test_scans_that_make_no_sense_are_named(tmp_path, changes, text):

@@ -92,15 +92,12 @@ def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        ("ProfileConfig", "Profile", "is no log of mmWave Studio"),
-        ("1435384036", "fast", "line 6: 'ProfileConfig' must be a number, got 'fast'"),
         (
             "FrameConfig,0,1,20,1,10000000,0,0,1,",
             "FrameConfig,0,1,",
             "line 10: FrameConfig has too f",
         ),
         ("FrameConfig,0,1", "FrameConfig,1,0", "chirpEndIdx of the frame lies before"),
-        ("AdcOutConfig,2,1", "AdcOutConfig,0,1", "samples are not of 16 bits"),
         ("AdcOutConfig,2,1", "AdcOutConfig,2,3", "samples are neither real nor complex"),
         ("64,1000", "0x40,1e400", "line 7: 'ProfileConfig' must be a number, got '1e400'"),
     ],
@@ -159,7 +156,6 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
     ("name", "text", "told"),
     [
         ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
-        ("a.cfg", "profileCfg 0 fast 7", "line 1, profileCfg' must be a number"),
         ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0 0\n", "frameCfg has too many values.*got 9"),
         ("a.cfg", "profileCfg" + " 1" * 16, "profileCfg has too many values.*got 16"),
         ("a.cfg", "chirpCfg 0 0 0 0 0 0 0 1 0\n", "chirpCfg has too many values.*got 9"),
@@ -182,7 +178,6 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
             "my.mmwave.json, which it names",
         ),
         ("a.json", "{}", "is no configuration of a TI radar"),
-        ("notes.m", "x = 3;\n", "is no configuration of a TI radar"),
     ],
 )
 def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, told):

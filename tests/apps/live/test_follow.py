@@ -18,6 +18,7 @@ from geraf2.io.growing_scene import GrowingScene
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene.store import manifest_of
 from geraf2.surfaces import FitConfig
+from helpers.synthetic import CAPTURE_JSON, write_frame
 
 COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 BOX = PriorSource(box=examples.BOX_M)
@@ -33,35 +34,15 @@ def _growing(capture, path, poses=(), announced=()):
     return scene
 
 
-def _write_frame(folder, pose, name, names=("tpos", "rpos", "adcr", "adci", "rotation")):
-    frame = folder / "mf" / name
-    frame.mkdir(parents=True, exist_ok=True)
-    arrays = {
-        "tpos": pose.tx_positions,
-        "rpos": pose.rx_positions,
-        "adcr": pose.signal.real,
-        "adci": pose.signal.imag,
-        "rotation": pose.axes.T,
-    }
-    for array in names:
-        np.save(frame / f"{array}.npy", arrays[array])
-    return frame
+def _write_half_a_frame(folder, pose):
+    write_frame(folder, pose)
+    (folder / "adci.npy").unlink()
 
 
-def _write_capture_json(folder, capture, **more):
-    waveform, wall = capture.waveform, capture.walls[0]
-    values = {
-        "start_frequency_hz": waveform.start_frequency_hz,
-        "chirp_slope_hz_per_s": waveform.chirp_slope_hz_per_s,
-        "adc_sample_rate_hz": waveform.sample_rate_hz,
-        "n_adc_samples": waveform.n_samples,
-        "path_bias_m": waveform.path_bias_m,
-        "box_size_m": list(wall.size_m),
-        "wall_thickness_m": wall.thickness_m,
-        "wall_permittivity": wall.permittivity,
-    }
+def _write_capture_json(folder, **more):
+    values = CAPTURE_JSON | {"box_size_m": [list(examples.BOX_M)]} | more
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "capture.json").write_text(json.dumps(values | more))
+    (folder / "capture.json").write_text(json.dumps(values))
 
 
 def _settle(folder):
@@ -122,13 +103,10 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path)
 
 def test_frames_of_geraf_sens_are_planes_once_they_are_whole(capture, whole, tmp_path):
     folder = tmp_path / "scan"
-    _write_capture_json(folder, capture, n_poses=len(capture.poses))
-    for number, pose in enumerate(capture.poses[:-1]):
-        _write_frame(folder, pose, f"{number}_{pose.angle_deg:g}_0")
-    last, name = capture.poses[-1], f"5_{capture.poses[-1].angle_deg:g}_0"
-    frame = _write_frame(folder, last, name, names=("tpos", "rpos", "adcr", "rotation"))
-    signal = frame / "adci.npy"
-    np.save(signal, last.signal.imag)
+    _write_capture_json(folder, n_poses=len(capture.poses))
+    for number, pose in enumerate(capture.poses):
+        write_frame(folder / f"mf/{number}_{pose.angle_deg:g}_0", pose, dtype=float)
+    signal = folder / f"mf/5_{capture.poses[-1].angle_deg:g}_0" / "adci.npy"
     stored = signal.read_bytes()
     signal.write_bytes(stored[: len(stored) // 2])
 
@@ -157,7 +135,7 @@ def test_frames_of_geraf_sens_are_planes_once_they_are_whole(capture, whole, tmp
 
 def test_sub_scans_of_an_angle_are_a_plane(capture, tmp_path):
     folder = tmp_path / "scan"
-    _write_capture_json(folder, capture, n_poses=1)
+    _write_capture_json(folder, n_poses=1)
     pose = capture.poses[0]
     for sub, part in enumerate((slice(0, 200), slice(200, None))):
         some = replace(
@@ -166,7 +144,7 @@ def test_sub_scans_of_an_angle_are_a_plane(capture, tmp_path):
             tx_positions=pose.tx_positions[part],
             rx_positions=pose.rx_positions[part],
         )
-        _write_frame(folder, some, f"0_0_{sub}")
+        write_frame(folder / f"mf/0_0_{sub}", some)
     outcome, _ = _followed(folder, tmp_path / "out", LiveOptions(idle_s=30.0, report=False))
     assert outcome.n_planes == 1
     assert geraf2.load_capture(tmp_path / "out/scene").n_antennas == pose.n_antennas
@@ -174,13 +152,15 @@ def test_sub_scans_of_an_angle_are_a_plane(capture, tmp_path):
 
 def test_what_is_wrong_is_one_line_and_the_session_goes_on(capture, tmp_path):
     folder, poses = tmp_path / "scan", capture.poses
-    _write_capture_json(folder, capture)
-    _write_frame(folder, poses[0], "0_0_0")
-    _write_frame(folder, poses[0], "1_60_0")  # again
-    _write_frame(folder, replace(poses[1], signal=poses[1].signal[:, :16]), "2_120_0")
-    _write_frame(folder, poses[2], "3_180_0", names=("tpos", "rpos", "adcr", "rotation"))
-    _write_frame(folder, replace(poses[3], axes=2.0 * poses[3].axes), "4_240_0")
-    _write_frame(folder, poses[4], "5_300_0")
+    _write_capture_json(folder)
+    write_frame(folder / "mf/0_0_0", poses[0])
+    write_frame(folder / "mf/1_60_0", poses[0])  # again
+    write_frame(
+        folder / "mf/2_120_0", replace(poses[1], signal=poses[1].signal[:, :16]), dtype=float
+    )
+    _write_half_a_frame(folder / "mf/3_180_0", poses[2])
+    write_frame(folder / "mf/4_240_0", replace(poses[3], axes=2.0 * poses[3].axes))
+    write_frame(folder / "mf/5_300_0", poses[4])
     _settle(folder)
     outcome, reports = _followed(folder, tmp_path / "out")
     assert outcome.n_planes == 2
@@ -222,16 +202,8 @@ def test_it_ends_when_the_surface_is_good_enough(capture, tmp_path):
 
 
 def test_no_plane_is_an_error(capture, tmp_path):
-    with pytest.raises(UserError, match="no plane came"):
-        _followed(tmp_path / "missing", tmp_path / "out")
-    (tmp_path / "photos").mkdir()
-    (tmp_path / "photos" / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match="is no scan that grows"):
-        _followed(tmp_path / "photos", tmp_path / "out")
-    with pytest.raises(UserError, match="is a file"):
-        _followed(tmp_path / "photos" / "notes.txt", tmp_path / "out")
-    _write_capture_json(tmp_path / "scan", capture)
-    _write_frame(tmp_path / "scan", capture.poses[0], "0_0_0", names=("tpos",))
+    _write_capture_json(tmp_path / "scan")
+    _write_half_a_frame(tmp_path / "scan/mf/0_0_0", capture.poses[0])
     _settle(tmp_path / "scan")
     with pytest.raises(UserError, match="no plane came"):
         _followed(tmp_path / "scan", tmp_path / "out")
