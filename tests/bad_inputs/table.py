@@ -5,6 +5,7 @@ Paths are relative to a folder of the row's own, into which `things` puts what t
 
 import json
 import os
+import shutil
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -161,12 +162,7 @@ def flip(path, place, mask=0xFF):
 
 def drop(path):
     def apply(file):
-        if file.is_dir():
-            for entry in sorted(file.rglob("*"), reverse=True):
-                entry.rmdir() if entry.is_dir() else entry.unlink()
-            file.rmdir()
-        else:
-            file.unlink()
+        shutil.rmtree(file) if file.is_dir() else file.unlink()
 
     return Change(path, "missing", apply)
 

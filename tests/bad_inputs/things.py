@@ -1,6 +1,7 @@
 """Good inputs of every command, made once, which the rows of the table spoil."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,6 @@ from scipy.io import savemat
 import geraf2
 from geraf2.geometry.boxes import FACES, box_corners
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.simulation import FigureSpec, NumericsSpec, ScanSpec, SceneSpec, simulate
 from geraf2.surfaces import FitConfig
 from helpers.planar_scan import write_planar
 from helpers.raw_capture import (
@@ -36,6 +36,7 @@ spacing_m = 0.008
 aperture_m = [0.12, 0.12]
 [numerics]
 wall_patch_m = 0.02
+antenna_block_m = 0.07
 [world]
 preset = "none"
 [[walls]]
@@ -43,13 +44,12 @@ size_m = [0.16, 0.16, 0.16]
 thickness_m = 0.004
 permittivity = 1.6
 """
-RASTER = "--raster 6 6 0.004 0.004"
 
 
 def make_things(root):
     """Fill a folder; every entry is what a row may name first in a path."""
-    _scene_and_run(root)
     make_foreign(root)
+    _scene_and_run(root)
     (root / "empty").mkdir()
     (root / "other").mkdir()
     (root / "other" / "diary.txt").write_text("kept")
@@ -96,26 +96,12 @@ def make_foreign(root):
 
 
 def _scene_and_run(root):
-    walls = (geraf2.Wall(size_m=BOX, thickness_m=0.004, permittivity=1.6),)
-    capture, truth = simulate(
-        SceneSpec(
-            figure=FigureSpec(name="llama", height_m=0.06),
-            walls=walls,
-            scan=ScanSpec(n_poses=4, spacing_m=0.008, aperture_m=(0.12, 0.12)),
-            numerics=NumericsSpec(wall_patch_m=0.02, antenna_block_m=0.07),
-        ),
-        seed=0,
-    )
+    capture, truth = geraf2.simulate(geraf2.load_spec(root / "spec.toml"), seed=0)
     geraf2.save_capture(capture, root / "scene")
     write_mesh(truth, root / "truth.ply")
-    fit = FitConfig(spacing_m=0.012, distance_rounds=1)
-    geraf2.reconstruct(
-        root / "scene",
-        BOX,
-        geraf2.FastPreset(fit=fit),
-        root / "run",
-        options=geraf2.RunOptions(calibrate="no"),
-    )
+    preset = geraf2.FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=1))
+    options = geraf2.RunOptions(calibrate="no")
+    geraf2.reconstruct(root / "scene", BOX, preset, root / "run", options=options)
 
 
 def _nerf(root):
@@ -128,17 +114,11 @@ def _nerf(root):
         frames.append({"file_path": f"images/photo{index}.png", "transform_matrix": pose.tolist()})
     lens = {"fl_x": 60.0, "fl_y": 60.0, "cx": 32.5, "cy": 24.5, "w": 64, "h": 48}
     (root / "nerf" / "transforms.json").write_text(json.dumps(lens | {"frames": frames}))
-    for file in (root / "nerf" / "sparse" / "0").iterdir():
-        file.unlink()
-    (root / "nerf" / "sparse" / "0").rmdir()
-    (root / "nerf" / "sparse").rmdir()
+    shutil.rmtree(root / "nerf" / "sparse")
 
 
 def named(texts, root):
     """Entries of `root` that are named in some texts."""
     words = {part for text in texts for part in text.replace("=", " ").split()}
-    return sorted({Path(word).parts[0] for word in words if (root / word).parts} & set(_all(root)))
-
-
-def _all(root):
-    return [entry.name for entry in root.iterdir()]
+    first = {Path(word).parts[0] for word in words if (root / word).parts}
+    return sorted(first & {entry.name for entry in root.iterdir()})
