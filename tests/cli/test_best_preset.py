@@ -58,11 +58,6 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     assert not (finished / "silhouettes.npz").exists()
 
 
-def test_resume_computes_nothing_again(finished, scene):
-    assert run(scene, finished, "--resume", "--overwrite") == 0
-    assert stages(finished) == [("reused", name) for name in ALL]
-
-
 def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume", "--overwrite") == 0

@@ -129,9 +129,3 @@ def test_a_kept_delay_stays(carton, tmp_path):
 def test_bad_input_is_one_line(carton, capsys, arguments, message):
     assert main(["calibrate", str(carton), *arguments]) == 2
     assert message in the_error(capsys)
-
-
-def test_without_a_prior_the_flags_are_named(carton, capsys):
-    (carton / "los.ply").unlink()
-    assert main(["calibrate", str(carton)]) == 2
-    assert "--los MESH or --box X Y Z" in capsys.readouterr().err

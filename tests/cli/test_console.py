@@ -68,18 +68,10 @@ def test_a_run_ends_with_what_it_found_and_the_page_to_open(
     assert main([*arguments, "--open", "--no-report"]) == 2
 
 
-def test_out_is_optional_and_another_scenes_run_there_is_refused(
-    finished_run, scene, tmp_path, monkeypatch, capsys
-):
+def test_out_is_optional(finished_run, scene, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     finished_run.rename(tmp_path / "out")
     assert main(["reconstruct", str(scene), *BOX, *FAST, "--resume", "--no-report"]) == 0
-    capsys.readouterr()
-    before = (tmp_path / "out" / "run.json").read_bytes()
-    assert main(["reconstruct", str(scene), *BOX, "--preset", "fast"]) == 2
-    error = capsys.readouterr().err.splitlines()[-1]
-    assert error.startswith("geraf2: error: out: ")
-    assert (tmp_path / "out" / "run.json").read_bytes() == before
 
 
 def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):

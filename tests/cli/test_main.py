@@ -183,9 +183,7 @@ def test_pictures_do_not_depend_on_a_backend_of_matplotlib():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, env=environment)
 
 
-def test_an_error_about_a_long_value_stays_short(capsys):
-    assert main(["info", "x" * 200_000]) == 2
-    assert len(capsys.readouterr().err) < 700
+def test_an_error_about_a_long_value_stays_short():
     error = UserError("w" * 9999, where="p" * 9999, expected="e" * 9999, got="g" * 9999, hint="do")
     assert len(str(error)) < 1300
     assert str(error).endswith("; do")

@@ -9,7 +9,6 @@ import pytest
 from geraf2.apps.photos.photo_checks import (
     check_photos,
     require_photos_in_view,
-    require_plausible_photos,
 )
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
@@ -121,11 +120,6 @@ def test_over_exposed_photos():
     part[:5] = 90
     masked = replace(photos, images=(part, *photos.images[1:]), masks=(dark,) * 16)
     assert check_photos(masked) == ()
-
-
-def test_an_error_is_raised_with_its_source():
-    with pytest.raises(UserError, match="folder: needs at least 3"):
-        require_plausible_photos(photo_set(2), "folder")
 
 
 def test_photos_and_radar_look_at_the_same():

@@ -5,7 +5,6 @@ import pytest
 
 from geraf2.apps.photos.photo_checks import check_photos
 from geraf2.apps.photos.photo_store import box_outline, load_photos
-from geraf2.errors import UserError
 from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import image_of, write_middlebury
@@ -27,20 +26,6 @@ def test_a_missing_and_a_broken_photo_are_left_out(tmp_path):
     np.testing.assert_allclose(
         loaded.photos.cameras[1].camera_to_world, cameras[2].camera_to_world, atol=1e-9
     )
-
-
-def test_no_photo_at_all_is_an_error(tmp_path):
-    write_middlebury(tmp_path, n_photos=2)
-    for index in range(2):
-        (tmp_path / f"photo{index}.png").unlink()
-    with pytest.raises(UserError, match="none of the 2 photos can be used"):
-        load_photos(tmp_path)
-
-
-def test_photos_without_poses_are_an_error(tmp_path):
-    write_image(tmp_path / "a.png", image_of(8, 6))
-    with pytest.raises(UserError, match="holds no camera poses"):
-        load_photos(tmp_path)
 
 
 def test_unit_and_frame(tmp_path):

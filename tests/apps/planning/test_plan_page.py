@@ -13,7 +13,6 @@ from geraf2.apps.planning import scan_time
 from geraf2.apps.planning.plan_page import write_plan_page
 from geraf2.apps.planning.planning import PlanOptions, make_timed_plan
 from geraf2.cli.main import main
-from geraf2.errors import UserError
 from helpers.browsing import FEW_SCREENS, require_sound
 
 pytestmark = pytest.mark.browser
@@ -124,14 +123,3 @@ def test_what_has_no_page_is_one_line(tmp_path, capsys):
     figure = ["--figure", str(tmp_path / "plan.html")]
     assert main(["plan", "--depth", "0.2", *figure]) == 2
     assert "--depth has no page" in capsys.readouterr().err
-    assert (
-        main(["plan", "--box", "0.2", "0.2", "0.2", "--figure", str(tmp_path / "no" / "p.html")])
-        == 2
-    )
-    assert "the folder of the file does not exist" in capsys.readouterr().err
-    with pytest.raises(UserError, match="no plan can be reached"):
-        write_plan_page(
-            tmp_path / "p.html", PlanOptions(box=(0.2,) * 3, minutes=0.1), minutes=(), channels=()
-        )
-    assert main(["info", str(tmp_path), *figure]) == 2
-    assert ".png" in capsys.readouterr().err
