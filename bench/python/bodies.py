@@ -21,7 +21,7 @@ import geraf2
 from compare_pairs import CLEARANCE_M, WALL_M, scan_parser, scan_spec
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import triple
-from geraf2.io.mesh import TriangleMesh
+from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
 from inspection import kept_run, scored
@@ -44,8 +44,10 @@ def content(rng: np.random.Generator) -> list[TriangleMesh]:
         if placed:
             others = KDTree(TriangleMesh.joined(placed).vertices)
             # Corners are 1 mm apart: every fourth shows the gap to a millimetre.
-            step = 0.15
-            while others.query(vertices[::4] + step * along)[0].min() > gap and step > 0.0:
+            step, few = 0.15, vertices[::4]
+            while step > 0.0 and np.isinf(
+                others.query(few + step * along, distance_upper_bound=gap)[0]
+            ).all():
                 step -= 0.001
             vertices = vertices + step * along
         placed.append(TriangleMesh(vertices=vertices, faces=mesh.faces))
@@ -56,6 +58,9 @@ def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, fl
     """Run of a box, its number of bodies, and their permittivity (0: metal)."""
     permittivity = float(np.random.default_rng([seed, 12]).uniform(*_PERMITTIVITY)) * (seed % 2)
     folder = options.out / str(seed)
+    if (folder / "run" / "mesh_content.ply").is_file():
+        n_bodies = face_labels(read_mesh(folder / "truth.ply").faces)[1]
+        return folder / "run", n_bodies, permittivity
     whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)

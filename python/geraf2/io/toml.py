@@ -91,7 +91,7 @@ def from_table(
     except ValidationError as error:
         items = error.errors(include_url=False)
         # pydantic counts the good entries of a tuple: with a bad one it is "too short", too.
-        bad = {item["loc"][:-1] for item in items}
+        bad = {item["loc"][:n] for item in items for n in range(len(item["loc"]))}
         items = [item for item in items if item["type"] != "too_short" or item["loc"] not in bad]
         found = [_complaint(item, table, one) for item in items]
     else:

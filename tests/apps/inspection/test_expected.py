@@ -124,6 +124,7 @@ def test_a_list_is_a_verdict_in_sentences(run, tmp_path, capsys, text, code, sen
     assert sentence in shown.out + shown.err
     if code == 2:
         assert len(shown.err.strip().splitlines()) == 1
+        assert "item after validation" not in shown.err  # the list has one: its key is wrong
         assert not (tmp_path / "out").exists()
 
 
