@@ -70,7 +70,9 @@ APART = """() => {
 
 def test_parts_move_apart_and_a_picked_point_keeps_its_true_position(open_page, page_url):
     page = open_page(page_url)
-    assert page.locator(".things img").count() == 2
+    pictures = page.locator(".things img")
+    assert pictures.count() == 2
+    assert pictures.first.evaluate("one => one.naturalWidth / one.naturalHeight") == 12
     before = pixels(page)
     slider = page.get_by_label("move the parts apart")
     slider.fill("100")

@@ -29,7 +29,7 @@ from geraf2.report.view3d import (
 _NOT_SEEN_COLOUR, _MODEL_OPACITY = "#8d959c", 0.25
 _APART = 1.2
 """Largest displacement of a part in the exploded view, as a share of its distance to the middle."""
-_PICTURE_PX, _PICTURE_FACES = 112, 6000
+_PICTURE_PX, _PICTURE_FACES, _N_VIEWS = 84, 3000, 12
 
 
 def inspection_page(
@@ -82,6 +82,7 @@ def inspection_page(
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
         material_text=material_text,
+        n_views=_N_VIEWS,
         pictures=[_picture(whole, numbers, k) for k in range(1, len(inspection.parts) + 1)],
     )
 
@@ -131,7 +132,7 @@ def _apart(inspection: Inspection, numbers: Ints) -> Apart | None:
 
 
 def _picture(whole: Body, numbers: Ints, number: int) -> str:
-    """Return the data URL of a small picture of a part, in its colour."""
+    """Return the data URL of a part from all around: small pictures in a row, in its colour."""
     from PIL import Image  # noqa: PLC0415 - takes 0.1 s
 
     faces = whole.mesh.faces[(numbers[whole.mesh.faces] == number).all(axis=1)]
@@ -141,16 +142,19 @@ def _picture(whole: Body, numbers: Ints, number: int) -> str:
     kept, few = thinned(mesh.vertices, mesh.faces, _PICTURE_FACES)
     mesh = TriangleMesh(vertices=mesh.vertices[kept], faces=few)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    view = View(
-        azimuth_deg=-50.0,
-        elevation_deg=22.0,
-        center_m=triple(0.5 * (low + high)),
-        half_width_m=0.52 * float(np.linalg.norm(high - low)),
-        n_pixels=_PICTURE_PX,
-    )
-    colour = PART_COLOURS[(number - 1) % len(PART_COLOURS)]
-    srgb = np.array(rgb(colour)) / 255.0
-    drawn = MeshPainter(mesh).render(view, np.tile(srgb, (len(mesh.vertices), 1)))
+    views = [
+        View(
+            azimuth_deg=-50.0 + 360.0 * k / _N_VIEWS,
+            elevation_deg=22.0,
+            center_m=triple(0.5 * (low + high)),
+            half_width_m=0.52 * float(np.linalg.norm(high - low)),
+            n_pixels=_PICTURE_PX,
+        )
+        for k in range(_N_VIEWS)
+    ]
+    srgb = np.array(rgb(PART_COLOURS[(number - 1) % len(PART_COLOURS)])) / 255.0
+    painter, colours = MeshPainter(mesh), np.tile(srgb, (len(mesh.vertices), 1))
+    drawn = np.concatenate([painter.render(view, colours) for view in views], axis=1)
     return picture_source(Image.fromarray(np.round(255.0 * drawn).astype(np.uint8), "RGBA"))
 
 
