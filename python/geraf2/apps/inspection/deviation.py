@@ -116,7 +116,15 @@ def deviation_of(
     if glints is not None:
         facing = vertex_normals(body.mesh.vertices, body.mesh.faces)
         known &= confirmed_by(glints, body.mesh.vertices, facing, tolerance_m)
-    regions = regions_of(body.mesh, values, sigma, known, tolerance_m)
+    excess = known & (np.abs(values) - _CERTAIN * sigma > tolerance_m)
+    of_faces = values[body.mesh.faces].mean(axis=1), sigma[body.mesh.faces].mean(axis=1)
+    regions = [
+        region
+        for what, side in (("too much", values > 0), ("too little", values < 0))
+        for region in _regions(
+            what, body.mesh, (excess & side)[body.mesh.faces].all(axis=1), *of_faces
+        )
+    ]
     near, gap, at_sigma = _nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)
@@ -129,7 +137,7 @@ def deviation_of(
         asked = np.flatnonzero(should & far)
         lacks = np.zeros(len(centers), dtype=bool)
         lacks[asked[~of_flats(centers, normals, asked, np.flatnonzero(confirmed))]] = True
-        regions += _absent(pieces, lacks, gap, least)
+        regions += _regions("absent", pieces, lacks, -gap, least)
     areas_here = body.areas_m2 * body.seen
     total = max(float(areas_here.sum()), 1e-30)
     return Deviation(
@@ -144,30 +152,7 @@ def deviation_of(
 
 def pose_sigma(placement: Placement, points: Floats) -> Floats:
     """Uncertainty of the model's position at points (n, 3) [m], over all directions, (n,) [m]."""
-    off = points - placement.middle_m
-    zero = np.zeros(len(points))
-    x, y, z = off.T
-    # A small turn w moves a point by w x off.
-    turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
-    rows = np.concatenate([turn, np.broadcast_to(np.eye(3), (len(points), 3, 3))], axis=2)
-    moved = np.einsum("nij,jk,nik->n", rows, placement.covariance, rows)
-    return np.asarray(np.sqrt(moved / 3.0))
-
-
-def regions_of(
-    mesh: TriangleMesh, values: Floats, sigma: Floats, seen: Bools, tolerance_m: float
-) -> list[Region]:
-    """Find connected regions whose deviation is beyond tolerance and uncertainty, for certain.
-
-    mesh: where the values are. values, sigma: of each vertex, (n_vertices,) [m]. seen: others do
-    not count, (n_vertices,).
-    """
-    found: list[Region] = []
-    excess = np.abs(values) - _CERTAIN * sigma > tolerance_m
-    for what, side in (("too much", values > 0), ("too little", values < 0)):
-        marked = excess & seen & side
-        found += _regions(mesh, np.asarray(marked[mesh.faces].all(axis=1)), values, sigma, what)
-    return found
+    return np.sqrt(np.trace(placement.covariances_at(points), axis1=1, axis2=2) / 3.0)
 
 
 def in_sight(
@@ -292,34 +277,20 @@ def _silent(
     return found
 
 
-def _absent(pieces: TriangleMesh, marked: Bools, gap: Floats, sigma: Floats) -> list[Region]:
-    """Regions of a model that should have echoed, and where nothing is."""
-    n_vertices = len(pieces.vertices)
-    count = np.bincount(pieces.faces.reshape(-1), minlength=n_vertices)
-    of_vertex = [
-        np.bincount(pieces.faces.reshape(-1), np.repeat(values, 3), minlength=n_vertices) / count
-        for values in (-gap, sigma)
-    ]
-    return _regions(pieces, marked, of_vertex[0], of_vertex[1], "absent")
-
-
 def _regions(
-    mesh: TriangleMesh, marked: Bools, values: Floats, sigma: Floats, what: str
+    what: str, mesh: TriangleMesh, marked: Bools, values: Floats, sigma: Floats
 ) -> list[Region]:
-    faces = mesh.faces[marked]
-    if not len(faces):
+    """Find connected regions of the marked faces; values and their uncertainties of each face."""
+    at = np.flatnonzero(marked)
+    if not len(at):
         return []
-    labels, n_regions = face_labels(faces)
-    areas = face_areas(mesh.vertices[faces])
-    total = np.bincount(labels, areas, minlength=n_regions)
-    kept = np.flatnonzero(total >= MIN_REGION_M2)
-    found = []
-    for r in kept:
-        own = faces[labels == r]
-        of_faces = (column[own].mean(axis=1) for column in (values, sigma))
-        points = mesh.vertices[own].mean(axis=1)
-        found.append(_region(what, points, areas[labels == r], *of_faces))
-    return found
+    labels, corners = face_labels(mesh.faces[at])[0], mesh.corners[at]
+    areas = face_areas(corners)
+    return [
+        _region(what, corners[own].mean(axis=1), areas[own], values[at[own]], sigma[at[own]])
+        for own in (labels == r for r in range(int(labels.max()) + 1))
+        if areas[own].sum() >= MIN_REGION_M2
+    ]
 
 
 def _region(what: str, points: Floats, areas: Floats, values: Floats, sigma: Floats) -> Region:

@@ -1,6 +1,6 @@
 """Inspection of a run: its parts, and comparison with CAD models."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
+from scipy.spatial import KDTree
 
 from geraf2._bounds import Bounded, Seed
-from geraf2._types import Floats, Ints
+from geraf2._types import Floats
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, joined, measure
@@ -126,8 +127,8 @@ def inspect(
     compare = partial(
         deviation_of, tolerance_m=tolerance_m, planes=planes, glints=glints, num_threads=num_threads
     )
-    judged = [partial(compare, echoes=patches.get(n)) for n in range(len(matches))]
-    reports = _reports(models, matches, judged, bodies, whole, listener)
+    content = Content(bodies, whole, glints)
+    reports = _reports(models, matches, patches, content, compare, listener)
     failures, more = _failures(parts, reports, contents, expect, options)
     inspection = Inspection(
         parts=parts,
@@ -299,35 +300,33 @@ def _compared(
 def _reports(
     models: Sequence[CadModel],
     matches: Sequence[Match],
-    judged: Sequence[Callable[..., Deviation]],
-    bodies: Sequence[Body],
-    whole: Body,
+    patches: Mapping[int, Patches],
+    content: Content,
+    compare: Callable[..., Deviation],
     listener: Listener,
 ) -> tuple[ModelReport, ...]:
-    """Report on each model, with its own comparison of surfaces."""
-    reports: tuple[ModelReport, ...] = ()
+    """Report on each model, with its own comparison of surfaces where it was found.
+
+    patches: of each match with expected echoes. compare: `deviation_of` with what all have in
+    common.
+    """
+    reports = list[ModelReport]()
     if not matches:
-        return reports
+        return ()
     with listener.step("comparing surfaces") as progress:
-        for match, compare in zip(matches, judged, strict=True):
-            reports = (*reports, _report(models[match.model], match, bodies, whole, compare))
-            progress(len(reports) / len(matches))
-    return reports
+        for n, match in enumerate(matches):
+            model, deviation = models[match.model], None
+            if match.placement is not None and match.status != "wrong part":
+                body = _measured(match, content.bodies, content.whole)
+                deviation = compare(body, model.mesh, match.placement, echoes=patches.get(n))
+            reports.append(ModelReport(model=model, match=match, deviation=deviation))
+            progress((n + 1) / len(matches))
+    return tuple(reports)
 
 
-def _report(
-    model: CadModel,
-    match: Match,
-    bodies: Sequence[Body],
-    whole: Body,
-    compare: Callable[..., Deviation],
-) -> ModelReport:
-    """Report of a match; compare: `deviation_of` with what all models have in common."""
-    if match.body is None or match.placement is None or match.status == "wrong part":
-        return ModelReport(model=model, match=match, deviation=None)
-    body = whole if match.body < 0 else bodies[match.body]
-    found = compare(body, model.mesh, match.placement)
-    return ModelReport(model=model, match=match, deviation=found)
+def _measured(match: Match, bodies: Sequence[Body], whole: Body) -> Body:
+    """Part of a match, or all of the content."""
+    return whole if match.body is None or match.body < 0 else bodies[match.body]
 
 
 def _rivals(reports: Sequence[ModelReport], models: Sequence[CadModel]) -> list[str]:
@@ -382,12 +381,19 @@ def _write(
     # matplotlib takes 0.5 s
     from geraf2.apps.inspection.page import inspection_page, parts_glb  # noqa: PLC0415
 
-    box, numbers = result.run.written(BOX_NAME), _part_numbers(bodies, whole)
+    box, n = result.run.written(BOX_NAME), len(whole.seen)
+    labelled = ((body, np.full(len(body.seen), float(k))) for k, body in enumerate(bodies, 1))
+    numbers = _on_content(whole, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
+    known = [
+        (_measured(report.match, bodies, whole), report.deviation.values_m)
+        for report in inspection.models
+        if report.deviation is not None
+    ]
     with listener.step("drawing the page"):
         page = inspection_page(
             inspection,
             whole,
-            _values(inspection, bodies, whole),
+            _on_content(whole, known, np.full(n, np.nan)) if known else None,
             numbers,
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
@@ -409,31 +415,10 @@ def _write(
         result.run.keep(f"{INSPECTION_NAME}.*")
 
 
-def _values(inspection: Inspection, bodies: Sequence[Body], whole: Body) -> Floats | None:
-    """Deviation of each vertex of the content, NaN where it belongs to no model."""
-    found = [report for report in inspection.models if report.deviation is not None]
-    if not found:
-        return None
-    values = np.full(len(whole.mesh.vertices), np.nan)
-    for report in found:
-        index = report.match.body
-        body = whole if index is None or index < 0 else bodies[index]
-        assert report.deviation is not None  # of `found`
-        at = _places(body, whole)
-        values[at[at >= 0]] = report.deviation.values_m[at >= 0]
+def _on_content(whole: Body, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
+    """Values of the vertices of parts, put over those of all of the content, (n_vertices,)."""
+    tree = KDTree(whole.mesh.vertices)
+    for body, own in found:
+        gap, at = tree.query(body.mesh.vertices)
+        values[at[gap == 0.0]] = own[gap == 0.0]  # a cut made the others
     return values
-
-
-def _part_numbers(bodies: Sequence[Body], whole: Body) -> Ints:
-    """Return the number of each vertex' part, from 1; 0 of ghosts and crumbs."""
-    numbers = np.zeros(len(whole.mesh.vertices), dtype=np.int64)
-    for number, body in enumerate(bodies, 1):
-        at = _places(body, whole)
-        numbers[at[at >= 0]] = number
-    return numbers
-
-
-def _places(body: Body, whole: Body) -> Ints:
-    """Index of each vertex of a part in the content; -1 of those that a cut made."""
-    index_of = {vertex.tobytes(): index for index, vertex in enumerate(whole.mesh.vertices)}
-    return np.array([index_of.get(v.tobytes(), -1) for v in body.mesh.vertices])

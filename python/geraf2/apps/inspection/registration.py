@@ -92,6 +92,15 @@ class Placement:
     explained: float | None = None
     """Share of the measured power explained by the echoes of all models; None: not compared."""
 
+    def covariances_at(self, points: Floats) -> Floats:
+        """Covariance of the model's position at points (n, 3) [m], (n, 3, 3) [m^2]."""
+        x, y, z = (points - self.middle_m).T
+        zero = np.zeros(len(points))
+        # A small turn w moves a point by w x off.
+        turn = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)
+        motion = np.concatenate([turn, np.broadcast_to(np.eye(3), turn.shape)], axis=2)
+        return np.asarray(motion @ self.covariance @ np.swapaxes(motion, 1, 2))
+
     @property
     def position_sigma_m(self) -> Floats:
         """Standard uncertainty of the middle, per coordinate, (3,) [m]."""

@@ -55,10 +55,7 @@ class ModelReport:
     def center_sigma_m(self) -> Floats:
         """Standard uncertainty of that, per coordinate, (3,) [m]."""
         assert self.match.placement is not None  # as above
-        x, y, z = self.center_m - self.match.placement.middle_m
-        by_turn = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])  # dc = w x (c - m) + t
-        motion = np.hstack([by_turn, np.eye(3)])
-        return np.sqrt(np.diag(motion @ self.match.placement.covariance @ motion.T))
+        return np.sqrt(np.diag(self.match.placement.covariances_at(self.center_m[None])[0]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
