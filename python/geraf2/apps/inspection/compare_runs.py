@@ -11,8 +11,8 @@ from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
 from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_changes, compared
 from geraf2.apps.inspection.materials import levels_of, materials_of
-from geraf2.apps.inspection.necks import cut_at_necks
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
+from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 from geraf2.io.mesh import read_mesh
@@ -121,11 +121,12 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
     assert glints is not None  # as of _require_peaks
     whole, pieces = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
-    bodies, _ = cut_at_necks(pieces, planes.corners_m, num_threads)
+    apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+    bodies = separated(pieces, echoes_in(result), apertures, num_threads).bodies
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
         peaks=read_cloud(result.path / PEAKS_NAME)[:2],
-        apertures=[Aperture.of_corners(corners) for corners in planes.corners_m],
+        apertures=apertures,
     )
     return Scanned(whole, bodies, evidence, materials_of(bodies, levels_of(result, planes)))
 

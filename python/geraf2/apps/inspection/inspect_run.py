@@ -24,24 +24,22 @@ from geraf2.apps.inspection.expected import (
     read_expected,
 )
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
-from geraf2.apps.inspection.faint import faint_bodies
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
 from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
-from geraf2.apps.inspection.necks import cut_at_necks
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
-from geraf2.echoes.labels import Label
+from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
-from geraf2.io.points import read_cloud
-from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PEAKS_NAME, PLANES_NAME
+from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import Capture
+from geraf2.scene.aperture import Aperture
 
 if TYPE_CHECKING:
     import trimesh
@@ -149,25 +147,15 @@ def _by_evidence(
     result: Reconstruction, whole: Body, pieces: Sequence[Body], planes: ScannedPlanes
 ) -> tuple[Body, Sequence[Body], float, list[str]]:
     """All of the content with faint bodies, its bodies, the odds of their number, and notes."""
-    bodies, certain = cut_at_necks(pieces, planes.corners_m)
-    where = "at necks that planes face and that did not echo"
+    apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+    bodies, faint, certain = separated(pieces, echoes_in(result), apertures)
+    where = "where planes face it and it did not echo"
     notes = [_CUT.format(where)] if len(bodies) > len(pieces) else []
-    path = result.run.written(PEAKS_NAME)
-    if path is None:
-        return whole, bodies, certain, notes
-    cloud = read_cloud(path)
-    labels, probability = (cloud.columns.get(name) for name in ("label", "probability"))
-    if labels is None or probability is None:
-        return whole, bodies, certain, notes
-    own = np.isin(labels, (Label.CLUTTER, Label.DIRECT))
-    peaks = cloud.positions[own], cloud.normals[own], probability[own]
-    faint, also = faint_bodies(whole.mesh, peaks, planes.corners_m)
     if faint:
         whole = joined([whole, *faint])
-        n = len(bodies)
-        numbers = ", ".join(str(n + k) for k in range(1, len(faint) + 1))
+        numbers = ", ".join(str(len(bodies) + k) for k in range(1, len(faint) + 1))
         notes.append(f"of part {numbers} only uncertain echoes came: its shape is their hull")
-    return whole, [*bodies, *faint], certain * also, notes
+    return whole, [*bodies, *faint], certain, notes
 
 
 def _matched(
