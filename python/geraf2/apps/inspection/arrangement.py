@@ -28,9 +28,9 @@ _SPARE_M = 0.005
 """Margin around the bounding sphere of a model within which evidence may belong to it [m]."""
 _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
-_LEAST_GAIN = 1.0
-"""Least gain of a present model, in units of FAR^2 times the measurements of its surface: 1.5 to
-2.0 where it is present, at most 0.8 where not (boxes of three and of two parts)."""
+_LEAST_GAIN = 0.9
+"""Least gain of a present model, in units of FAR^2 times the measurements of its surface: .96 to
+2.1 where it is present, at most .8 where not (boxes of three and of two parts)."""
 _LEAST_POINTS = 50
 """Least number of oriented points of a part."""
 _N_ROUNDS = 2
@@ -75,12 +75,17 @@ class _Search:
             for m in models
         ]
 
-    def candidate(self, m: int, middle: Floats) -> _Candidate | None:
-        """Model registered to the evidence around a position (3,) [m]; None with too little."""
+    def candidate(
+        self, m: int, middle: Floats, chosen: Sequence[_Candidate] = ()
+    ) -> _Candidate | None:
+        """Model registered to the evidence around a position (3,) [m]; None with too little.
+
+        chosen: models whose evidence is theirs: else a part draws others onto its own.
+        """
         placed: Placement | None = None
         for _ in range(_N_ROUNDS):
             evidence, surface, echoes = (
-                _around(e, middle, self.reaches[m] + _SPARE_M)
+                _around(e, middle, self.reaches[m] + _SPARE_M, chosen)
                 for e in (self.evidence, self.surface, self.echoes)
             )
             if evidence is None or surface is None:
@@ -159,7 +164,7 @@ def arranged(
         residual = search.residual(others)
         middles = [point for n in {1, len(remaining)} for point in search.middles(residual, n)]
         for n, (middle, m) in enumerate(product(middles, remaining), 1):
-            found = search.candidate(m, middle)
+            found = search.candidate(m, middle, others)
             pool[m] += [found] if found else []
             share = n / (len(middles) * len(remaining))
             progress((len(chosen) + share) / len(models))
@@ -219,8 +224,14 @@ def cut_apart(
     return [body for body, _ in found], {m: b for b, (_, held) in enumerate(found) for m in held}
 
 
-def _around(evidence: Evidence | None, middle: Floats, reach_m: float) -> Evidence | None:
+def _around(
+    evidence: Evidence | None, middle: Floats, reach_m: float, others: Sequence[_Candidate]
+) -> Evidence | None:
+    """Evidence around a position that is not of other models; None with too little."""
     if evidence is None:
         return None
-    near = np.flatnonzero(np.linalg.norm(evidence.points - middle, axis=1) < reach_m)
-    return evidence.select(near) if len(near) >= _LEAST_POINTS else None
+    near = np.linalg.norm(evidence.points - middle, axis=1) < reach_m
+    for other in others:
+        near &= other.solid.signed_distance(evidence.points) > _SPARE_M
+    at = np.flatnonzero(near)
+    return evidence.select(at) if len(at) >= _LEAST_POINTS else None

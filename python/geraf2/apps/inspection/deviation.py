@@ -116,15 +116,10 @@ def deviation_of(
     if glints is not None:
         facing = vertex_normals(body.mesh.vertices, body.mesh.faces)
         known &= confirmed_by(glints, body.mesh.vertices, facing, tolerance_m)
-    excess = known & (np.abs(values) - _CERTAIN * sigma > tolerance_m)
-    of_faces = values[body.mesh.faces].mean(axis=1), sigma[body.mesh.faces].mean(axis=1)
-    regions = [
-        region
-        for what, side in (("too much", values > 0), ("too little", values < 0))
-        for region in _regions(
-            what, body.mesh, (excess & side)[body.mesh.faces].all(axis=1), *of_faces
-        )
-    ]
+    excess, faces = known & (np.abs(values) - _CERTAIN * sigma > tolerance_m), body.mesh.faces
+    of_faces, regions = (values[faces].mean(axis=1), sigma[faces].mean(axis=1)), list[Region]()
+    for what, side in (("too much", values > 0), ("too little", values < 0)):
+        regions += _regions(what, body.mesh, (excess & side)[faces].all(axis=1), *of_faces)
     near, gap, at_sigma = _nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _LEAST_SIGMA_M)

@@ -1,7 +1,7 @@
 """Bodies of a content: where the normals of its echoes meet.
 
 Lines into a body along the normals of its echoes meet near its middle, and those into another body
-near another one. So echoes tell bodies apart where the smooth surface bridges their gap, or is
+near another one. So echoes show bodies apart where the smooth surface bridges their gap, or is
 missing because each single echo of a body is more likely clutter than not.
 """
 
@@ -45,7 +45,7 @@ _FEWEST = 0.5
 """Fewest planes of which echoes meet in a basin."""
 _LEAST_SHARE = 0.25
 """Least share of the planes that see a body: .30 to .80 of seven bodies (`bench/python/bodies.py`,
-seeds 10000 and 10001), .23 and less of other places."""
+seeds 10000 and 10001), .23 and less elsewhere."""
 _ONE = 0.8
 """Planes whose echoes meet between two maxima, over those of the lower maximum, above which both
 are one: .85 to .93 in five bodies there, 0 to .68 between bodies."""
@@ -96,7 +96,7 @@ def separated(
 ) -> Separated:
     """Cut connected parts, and add bodies without a surface, where echoes of many planes meet.
 
-    A part is cut between two such places where planes face its surface and it did not echo.
+    A part is cut between two such points where planes face its surface and it did not echo.
 
     pieces: connected parts. apertures: of the planes. Bodies that touch stay one.
     """
