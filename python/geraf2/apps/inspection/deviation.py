@@ -147,7 +147,8 @@ def deviation_of(
 
 def pose_sigma(placement: Placement, points: Floats) -> Floats:
     """Uncertainty of the model's position at points (n, 3) [m], over all directions, (n,) [m]."""
-    return np.sqrt(np.trace(placement.covariances_at(points), axis1=1, axis2=2) / 3.0)
+    variances = np.trace(placement.covariances_at(points), axis1=1, axis2=2) / 3.0
+    return np.asarray(np.sqrt(variances))
 
 
 def in_sight(

@@ -125,7 +125,7 @@ def separated(
         bodies, certain = bodies + cut, certain * sure
     for r in np.flatnonzero(home < 0):
         certain *= max(regions.seen[r], 1.0 - regions.seen[r])
-        hull = regions.hull(echoes, r) if regions.seen[r] > 0.5 else None
+        hull = regions.hull(echoes, int(r)) if regions.seen[r] > 0.5 else None
         faint += [] if hull is None else [hull]
     bodies.sort(key=lambda body: -float(body.areas_m2.sum()))
     return Separated(bodies, faint, certain)
