@@ -30,7 +30,8 @@ _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
 _LEAST_GAIN = 0.9
 """Least gain of a present model, in units of FAR^2 times the measurements of its surface: .96 to
-2.1 where it is present, at most .8 where not (boxes of three and of two parts)."""
+2.1 where it is present, at most .8 where not, but once .9 to 1 on a part that was not found (boxes
+of three and of two parts)."""
 _LEAST_POINTS = 50
 """Least number of oriented points of a part."""
 _N_ROUNDS = 2
