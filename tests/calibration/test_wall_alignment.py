@@ -96,6 +96,15 @@ def test_the_echo_of_faces_that_cancel_is_found_a_range_cell_away(loss_db):
     assert -0.04 < found < -0.015
 
 
+def test_unknown_walls_far_before_their_middles_are_no_error_of_a_recorded_delay(capture):
+    unknown = replace(capture, walls=())
+    prior = replace(PRIOR, walls=())
+    before, behind = (aligned(with_bias(unknown, 0.15 + off), prior) for off in (0.024, -0.024))
+    assert abs(before.delay_m) < 2.0 * before.delay_sigma_m
+    assert abs(before.delay_m) < 0.004
+    assert behind.delay_m == pytest.approx(0.024, abs=0.002)  # no board echoes from there
+
+
 def test_a_turned_and_moved_prior_is_moved_back(capture):
     turn = Rotation.from_rotvec(np.deg2rad(2.0) * np.array([0.5, 0.5, np.sqrt(0.5)]))
     moved = replace(PRIOR, vertices=turn.apply(PRIOR.vertices) + np.array(SHIFT_M))

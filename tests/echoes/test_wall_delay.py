@@ -1,9 +1,19 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
+from geraf2.echoes.wall_delay import (
+    box_delay_m,
+    learn_wall_delay,
+    loss_shifts,
+    unknown_delay_m,
+    unknown_shift,
+)
+from geraf2.imaging.peaks import PeakSet
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior, Wall
+from helpers.synthetic import waveform_of
 
 SIZE = (0.2, 0.2, 0.2)
 OUTER = Wall(size_m=SIZE, thickness_m=0.004, permittivity=1.6)
@@ -80,12 +90,17 @@ def wall_echoes(thickness, permittivity, bias, *, n=40, walls=("near", "far"), s
     parts.append(rng.uniform(0.35, 0.45, n))
     echoes = np.concatenate(parts)
     sideways = rng.uniform(-0.05, 0.05, (len(echoes), 2))
-    return WallEcho(
-        centers=np.column_stack([np.full(len(echoes), 0.4), sideways]),
+    return PeakSet(
+        subapertures=np.arange(len(echoes)),
         directions=np.tile([-1.0, 0.0, 0.0], (len(echoes), 1)),
         ranges_m=echoes,
         magnitudes=rng.uniform(0.5, 1.0, len(echoes)),
-        depth_m=np.zeros(len(echoes)),
+        noise=np.zeros(len(echoes)),
+        subaperture_centers=np.column_stack([np.full(len(echoes), 0.4), sideways]),
+        subaperture_coordinates=sideways,
+        subaperture_planes=np.zeros(len(echoes), dtype=np.int64),
+        tops=np.ones(len(echoes)),
+        periods=np.full((len(echoes), 2), np.inf),
     )
 
 
@@ -109,9 +124,35 @@ def test_no_wall_seen_is_no_delay(scene):
     assert learn_wall_delay(wall_echoes(0.004, 1.6, 0.0, n=0), scene) == 0.0
 
 
+@pytest.mark.parametrize("offset", [-0.026, -0.012, -0.004, 0.0, 0.01])
+def test_the_shift_of_unknown_walls_is_that_of_likely_boards(offset):
+    """Twin: boards and errors of the delay drawn at random, those of about this offset kept."""
+    waveform, rng = waveform_of(), np.random.default_rng(0)
+    shifts = np.concatenate(
+        [
+            loss_shifts(rng.uniform(0.002, 0.007, 2000), 1.3, loss_db, waveform)
+            for loss_db in (0.0, 0.45, 0.9)
+        ]
+    )
+    draws = np.repeat(shifts, 400)
+    errors = 0.001 * rng.standard_t(4.0, len(draws))
+    kept = draws[np.abs(draws + errors - offset) < 5e-4]
+    low, middle, high = np.quantile(kept, (0.16, 0.5, 0.84))
+    found = unknown_shift(offset, 0.001, waveform)
+    assert found == pytest.approx((middle, 0.5 * (high - low)), abs=5e-4)
+
+
+@pytest.mark.parametrize("shift", [-0.009, -0.006, 0.0])
+def test_the_shift_of_faces_that_cancel_is_no_delay(scene, shift):
+    """Near and far echoes both lie before their middles; no board delays by less than nothing."""
+    echoes = wall_echoes(0.004, 1.6, shift)
+    found = unknown_delay_m(echoes, scene, waveform_of())
+    assert found == pytest.approx((np.sqrt(1.6) - 1.0) * 0.004, abs=1.5e-3)
+
+
 def test_lines_of_sight_that_miss_the_box_are_not_used(scene):
     echoes = wall_echoes(0.004, 1.6, 0.0)
-    aside = WallEcho(**{**vars(echoes), "centers": echoes.centers + np.array([0.0, 1.0, 0.0])})
+    aside = replace(echoes, subaperture_centers=echoes.centers + np.array([0.0, 1.0, 0.0]))
     assert learn_wall_delay(aside, scene) == 0.0
 
 
@@ -120,5 +161,5 @@ def test_slanted_lines_of_sight_are_not_used(scene):
     angle = 0.3
     directions = np.tile([-np.cos(angle), np.sin(angle), 0.0], (len(echoes.ranges_m), 1))
     ranges = (echoes.ranges_m - 0.3) + 0.3 / np.cos(angle)
-    slanted = WallEcho(**{**vars(echoes), "directions": directions, "ranges_m": ranges})
+    slanted = replace(echoes, directions=directions, ranges_m=ranges)
     assert learn_wall_delay(slanted, scene) == 0.0

@@ -49,7 +49,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 11
+CALIBRATION_VERSION = 12
 """Increase when the same capture gives other corrections."""
 
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane

@@ -28,7 +28,7 @@ from geraf2.calibration.box_search import (
     shift_penalty,
     shifted,
 )
-from geraf2.calibration.wall_echoes import UNKNOWN_MIDDLES_M
+from geraf2.echoes.wall_delay import UNKNOWN_MIDDLES_M
 
 # Largest distance of the axis from the middle of the scan, and steps of its search [m]: an axis
 # that is off by the first one is off by less than `MAX_ANGLE_RAD` seen from the antennas.

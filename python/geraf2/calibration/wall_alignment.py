@@ -20,6 +20,7 @@ from geraf2.calibration.wall_echoes import (
     wall_peaks,
 )
 from geraf2.calibration.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
+from geraf2.echoes.wall_delay import DELAY_SIGMA_M, most_shift_m
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose
@@ -55,7 +56,7 @@ class AlignmentConfig(Bounded):
     if a delay was recorded, and -0.3 to 1 if not (a delay of 0)."""
     keep_delay: bool = False
     """Keep the instrument delay; then the axis may also lie nearer or farther."""
-    delay_sigma_m: MarginM = 0.002
+    delay_sigma_m: MarginM = 2.0 * DELAY_SIGMA_M
     """Expected error of a recorded delay, on the two-way path [m]; an axis that is 1 mm nearer to
     the radar has the same effect."""
     translation_sigma_m: MarginM = 0.01
@@ -203,22 +204,18 @@ class WallProblem:
     def __init__(
         self, capture: Capture, prior: LosPrior, config: AlignmentConfig, peaks: KeptPeaks
     ) -> None:
+        walls, waveform = prior.walls or capture.walls, capture.waveform
+        self.middles = WallMiddles.of(walls, waveform)
         low, high = (0.5 * edge for edge in config.search_m(capture))
+        low -= 0.0 if walls else most_shift_m(waveform)
         if config.keep_delay:
             low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
         self.size_m = peaks.subaperture.size_m
-        self.middles = WallMiddles.of(prior.walls or capture.walls, capture.waveform)
         self.faces = WallFaces.of(prior)
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
         self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
-        # Without a recorded delay, all searched delays are equally likely.
-        delay = 0.5 * config.delay_sigma_m if config.is_recorded(capture) else high - low
-        parts = self._priors(config, delay)
-        self.sigmas = np.concatenate(list(parts.values()))
-        ends = np.cumsum([len(part) for part in parts.values()])[:-1]
-        self.parts = dict(zip(parts, np.split(np.arange(len(self.sigmas)), ends), strict=True))
         maybe = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
@@ -226,6 +223,16 @@ class WallProblem:
         self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
         # Twice the limit, since the box may be rotated or shifted.
         self.maybe = maybe.select(np.abs(offset - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
+        # Without a recorded delay, all searched delays are equally likely.
+        is_known = config.keep_delay or config.is_recorded(capture)
+        delay = 0.5 * config.delay_sigma_m if is_known else high - low
+        if not walls:
+            self.middles = self.middles.at(self.peak.offset_m, delay, waveform)
+            self.peak = self.peak.less(self.middles.loss_shift_m)
+        parts = self._priors(config, delay)
+        self.sigmas = np.concatenate(list(parts.values()))
+        ends = np.cumsum([len(part) for part in parts.values()])[:-1]
+        self.parts = dict(zip(parts, np.split(np.arange(len(self.sigmas)), ends), strict=True))
 
     def _priors(self, config: AlignmentConfig, delay_m: float) -> dict[str, Floats]:
         """Return the standard deviation of each unknown, by group."""

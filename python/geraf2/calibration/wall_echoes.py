@@ -12,22 +12,15 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_faces import WallFaces
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.wall_delay import LOSSES_DB, UNKNOWN_MIDDLES_M, loss_shifts, unknown_shift
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
 from geraf2.scene import Capture, LosPrior, Wall, Waveform
 
-UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
-"""Optical middle of a near and of a far wall behind its outer face, each with its standard
-deviation [m]. For unknown walls: board of 2 to 7 mm with index 1.2 to 1.4."""
 MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a known wall, in addition to that of its loss [m]: defocused
 mirror images shift it."""
 
-# Loss of one pass through cardboard, in addition to the reflection of its faces [dB].
-_LOSSES_DB = (0.0, 0.45, 0.9)
-# Step of the search for a wall's peak, two-way [m].
-_PATH_STEP_M = 1e-4
 # Level of a wall's echo relative to the strongest peak; content may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as for glints: walls have hundreds of echoes.
@@ -97,7 +90,7 @@ class WallMiddles:
         excess = [(float(np.sqrt(w.permittivity)) - 1.0) * w.thickness_m for w in walls]
         near_m = 0.5 * (excess[0] + walls[0].thickness_m)
         far_m = 1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:])
-        shifts = [loss_shift(walls[0], waveform, loss_db) for loss_db in _LOSSES_DB]
+        shifts = [loss_shift(walls[0], waveform, loss_db) for loss_db in LOSSES_DB]
         shift, spread = float(np.mean(shifts)), float(np.std(shifts))
         return cls(
             depths_m=(near_m + shift, far_m + shift),
@@ -105,29 +98,25 @@ class WallMiddles:
             loss_shift_m=shift,
         )
 
+    def at(self, offset_m: float, sigma_m: float, waveform: Waveform) -> "WallMiddles":
+        """Middles of unknown walls whose peaks have this offset from the typical middles.
+
+        sigma_m: expected error of the delay, one-way [m].
+        """
+        shift, spread = unknown_shift(offset_m, sigma_m, waveform)
+        near, far = self.depths_m
+        return WallMiddles(
+            depths_m=(near + shift, far + shift),
+            sigmas_m=(*self.sigmas_m[:2], spread),
+            loss_shift_m=shift,
+        )
+
 
 @lru_cache(maxsize=64)
 def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
-    """Distance of a wall's peak behind the middle of its faces [m].
-
-    The faces return 1 - a exp(-j 4 pi f n t / c). a is the amplitude after two passes, (1 - r^2)
-    times the loss, and r the reflection of a face.
-
-    loss_db: of one pass, in addition to the reflection [dB].
-    """
+    """Distance of a wall's peak behind the middle of its faces [m], as of `loss_shifts`."""
     index = float(np.sqrt(wall.permittivity))
-    kept = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
-    amplitude = kept * 10.0 ** (-2.0 * loss_db / 20.0)
-    path_m = 2.0 * index * wall.thickness_m
-    phase_per_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
-    echo = np.hanning(waveform.n_samples + 2)[1:-1] * (
-        1.0 - amplitude * np.exp(-phase_per_m * path_m)
-    )
-    # Faces that cancel leave two lobes, each within two range cells of the middle.
-    reach_m = 2.0 * SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz
-    beyond = np.arange(-reach_m, reach_m, _PATH_STEP_M)
-    best = int(np.abs(np.exp(np.outer(beyond + 0.5 * path_m, phase_per_m)) @ echo).argmax())
-    return 0.5 * float(beyond[best])
+    return float(loss_shifts(np.array([wall.thickness_m]), index, loss_db, waveform)[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -183,6 +172,12 @@ class OffsetPeak:
     """Offsets of the search, (n,) [m]."""
     density: Floats
     """Combined density of near and far walls at each, 1 at the best, (n,)."""
+
+    def less(self, shift_m: float) -> "OffsetPeak":
+        """Return the same with all offsets less by `shift_m` [m]."""
+        return replace(
+            self, offset_m=self.offset_m - shift_m, candidates_m=self.candidates_m - shift_m
+        )
 
 
 def find_wall_peak(

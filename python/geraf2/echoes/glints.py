@@ -17,6 +17,7 @@ from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Label, LabelledPeaks, label_peaks
 from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
 from geraf2.echoes.reflectivity import MetalLevel, Windows, metal_level
+from geraf2.echoes.wall_delay import unknown_delay_m
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -31,7 +32,7 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 2e-4
 
 
-GLINTS_VERSION = 20
+GLINTS_VERSION = 21
 """Increase when the same capture and settings give other glints."""
 
 
@@ -184,13 +185,17 @@ def candidates_around(
     """Peaks in the box's span of ranges and the dynamic range, and their candidates."""
     near = peaks.within(box_spans(capture.poses, prior))
     near = near.select(near.levels_db >= -config.dynamic_range_db)
+    scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
+    walls, correction_m = prior.walls or capture.walls, config.range_correction_m
+    if correction_m is None and not walls:
+        correction_m = unknown_delay_m(near, scene, capture.waveform)
     found = find_candidates(
         near,
         capture.poses,
-        MeshScene(prior.vertices, prior.faces, num_threads=num_threads),
-        prior.walls or capture.walls,
+        scene,
+        walls,
         wall_margin_m=config.wall_margin_m,
-        range_correction_m=config.range_correction_m,
+        range_correction_m=correction_m,
     )
     return near, replace(found, presence=prior.presence(found.positions))
 

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.wall_delay import WallEcho, box_delay_m, learn_wall_delay
+from geraf2.echoes.wall_delay import box_delay_m
 from geraf2.imaging.peaks import PeakSet, directions_at
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Pose, Wall
@@ -62,7 +62,7 @@ def find_candidates(
 
     peaks: of any planes of `poses`.
     scene: outer surface of the box.
-    walls: of the box, outermost first; if empty, their delay is estimated from their own echoes.
+    walls: of the box, outermost first.
     wall_margin_m: half thickness of the layer with the wall's own echoes [m].
     range_correction_m: subtracted from every range [m]; None: by the walls.
     """
@@ -91,8 +91,6 @@ def find_candidates(
         depth_m=depth_m,
         presence=np.ones(len(peak)),
     ).select(~is_alias | (depth_m > -wall_margin_m))
-    if range_correction_m is None and not walls:
-        range_correction_m = _estimated_delay(peaks, found, scene)
     correction = (
         box_delay_m(
             scene, walls, peaks.centers[found.peaks], -found.normals, peaks.ranges_m[found.peaks]
@@ -121,18 +119,3 @@ def _plane_candidates(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, 
         ahead.append(directions_at(shifted[exists], axes))
         is_alias.append(np.ones(int(exists.sum()), dtype=bool))
     return np.concatenate(index), np.concatenate(ahead), np.concatenate(is_alias)
-
-
-def _estimated_delay(peaks: PeakSet, found: Candidates, scene: MeshScene) -> float:
-    """Delay of unknown walls from their own echoes [m]."""
-    seen = found.select(~found.is_alias)
-    return learn_wall_delay(
-        WallEcho(
-            centers=peaks.centers[seen.peaks],
-            directions=-seen.normals,
-            ranges_m=peaks.ranges_m[seen.peaks],
-            magnitudes=peaks.magnitudes[seen.peaks],
-            depth_m=seen.depth_m,
-        ),
-        scene,
-    )

@@ -1,6 +1,6 @@
-"""Delay of the box's walls: excess one-way path of an echo from inside."""
+"""Delay of the box's walls: excess one-way path of an echo from inside, and their own echoes."""
 
-from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -8,9 +8,20 @@ from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.geometry.boxes import beyond_sides
 from geraf2.geometry.triangles import unit_normals
+from geraf2.imaging.peaks import PeakSet
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 
+DELAY_SIGMA_M = 0.001
+"""Expected error of a recorded delay, one-way [m]."""
+UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
+"""Optical middle of a near and of a far wall behind its outer face, each with its standard
+deviation [m]. For unknown walls: board of 2 to 7 mm with index 1.2 to 1.4."""
+LOSSES_DB = (0.0, 0.45, 0.9)
+"""Losses of one pass through cardboard, in addition to the reflection of its faces [dB]."""
+_BOARDS_M, _BOARD_INDEX = np.linspace(0.002, 0.007, 201), 1.3
+# Step of the search for a wall's peak, two-way [m].
+_PATH_STEP_M = 1e-4
 # Largest offset of a wall's own echo from the prior's surface [m], by the wall's thickness and by
 # errors of the prior.
 _WALL_SEARCH_M = 0.010
@@ -66,23 +77,55 @@ def pair_distance_m(waveform: Waveform) -> float:
     return float(ranges[np.abs(np.exp(2j * np.pi * turns) @ echo).argmax()])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WallEcho:
-    """Echoes that include those of the walls."""
+def loss_shifts(thickness_m: Floats, index: float, loss_db: float, waveform: Waveform) -> Floats:
+    """Distance of the peak of each wall behind the middle of its faces, (n,) [m].
 
-    centers: Floats
-    """(n, 3) [m]."""
-    directions: Floats
-    """(n, 3)."""
-    ranges_m: Floats
-    """(n,) [m]."""
-    magnitudes: Floats
-    """(n,)."""
-    depth_m: Floats
-    """Signed distance below the prior's surface, (n,) [m]."""
+    The faces return 1 - a exp(-j 4 pi f n t / c). a is the amplitude after two passes, (1 - r^2)
+    times the loss, and r the reflection of a face.
+
+    thickness_m: (n,) [m]. index: refractive index n of all.
+    loss_db: of one pass, in addition to the reflection [dB].
+    """
+    kept = 1.0 - ((index - 1.0) / (index + 1.0)) ** 2
+    amplitude = kept * 10.0 ** (-2.0 * loss_db / 20.0)
+    phase_per_m = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * waveform.frequencies_hz
+    half = np.exp(np.outer(phase_per_m, index * np.asarray(thickness_m)))
+    echoes = np.hanning(waveform.n_samples + 2)[1:-1, None] * (half - amplitude / half)
+    # Faces that cancel leave two lobes, each within two range cells of the middle.
+    reach_m = 2.0 * SPEED_OF_LIGHT_M_PER_S / waveform.bandwidth_hz
+    beyond = np.arange(-reach_m, reach_m, _PATH_STEP_M)
+    best = np.abs(np.exp(np.outer(beyond, phase_per_m)) @ echoes).argmax(axis=0)
+    return np.asarray(0.5 * beyond[best])
 
 
-def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
+@lru_cache(maxsize=8)
+def _board_shifts(waveform: Waveform) -> Floats:
+    """Ascending shifts of the peaks of board of all thicknesses and losses, (n,) [m]."""
+    parts = [loss_shifts(_BOARDS_M, _BOARD_INDEX, loss_db, waveform) for loss_db in LOSSES_DB]
+    return np.sort(np.concatenate(parts))
+
+
+def most_shift_m(waveform: Waveform) -> float:
+    """Largest distance of the peak of any board before the middle of its faces [m]."""
+    return -float(_board_shifts(waveform)[0])
+
+
+def unknown_shift(offset_m: float, sigma_m: float, waveform: Waveform) -> tuple[float, float]:
+    """Median, and half the central 68 %, of the distance of unknown walls' peaks behind the middle.
+
+    All boards are equally likely. The offset is the sum of this distance and of the error of the
+    delay, a Student-t of four degrees of freedom.
+
+    offset_m: of the peaks from the typical middle [m]. sigma_m: of the delay, one-way [m].
+    """
+    shifts = _board_shifts(waveform)
+    weights = (1.0 + 0.25 * ((offset_m - shifts) / sigma_m) ** 2) ** -2.5
+    shares = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
+    low, middle, high = np.interp((0.16, 0.5, 0.84), shares, shifts)
+    return float(middle), 0.5 * float(high - low)
+
+
+def learn_wall_delay(echoes: PeakSet, scene: MeshScene) -> float:
     """Range correction for echoes from inside, estimated from the walls' own echoes [m].
 
     Walls have the thickness t and the index n = sqrt(eps), ranges a constant error b. The merged
@@ -92,7 +135,7 @@ def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
     wall, half of the near wall's offset is used, which is exact for n = 4/3. Without wall echoes
     the result is 0.
     """
-    if len(echoes.ranges_m) == 0:
+    if not len(echoes):
         return 0.0
     crossings = scene.entry_exit(echoes.centers, echoes.directions)
     if crossings.t_entry.shape[1] == 0:
@@ -107,7 +150,15 @@ def learn_wall_delay(echoes: WallEcho, scene: MeshScene) -> float:
     return 0.5 * (near + far)
 
 
-def _median_offset(echoes: WallEcho, scene: MeshScene, t_wall: Floats) -> float | None:
+def unknown_delay_m(echoes: PeakSet, scene: MeshScene, waveform: Waveform) -> float:
+    """Range correction of `learn_wall_delay` without the shift of walls whose faces cancel [m]."""
+    learned = learn_wall_delay(echoes, scene)
+    (near, _), (far, _) = UNKNOWN_MIDDLES_M
+    shift, _ = unknown_shift(learned - 0.5 * (near + far), DELAY_SIGMA_M, waveform)
+    return learned - shift if learned else 0.0
+
+
+def _median_offset(echoes: PeakSet, scene: MeshScene, t_wall: Floats) -> float | None:
     """Median of range minus wall distance, weighted by magnitude [m]; None without echoes."""
     seen = np.isfinite(t_wall)
     t_wall = np.where(seen, t_wall, 0.0)
