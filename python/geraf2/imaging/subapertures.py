@@ -6,6 +6,7 @@ relative to the radius of curvature. Over a full plane it moves towards the cent
 """
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from typing import Annotated
 from weakref import WeakKeyDictionary
@@ -254,7 +255,14 @@ def _raster_cuts(
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
     antennas, weights, used_offsets, centers = [], [], [], []
-    windows: dict[tuple[int, int], tuple[Floats, Floats]] = {}  # window and offsets, by size
+    # Window, whole windows as `weights`, and offsets, by size.
+    windows: dict[tuple[int, int], tuple[Floats, Floats, Floats]] = {}
+
+    @cache
+    def middle(axis: int, span: _Span) -> float:
+        lines = (h_lines, v_lines)[axis]
+        return float(lines[int(span.start) : int(span.start + span.extent)].mean())
+
     spans = (
         _raster_spans(len(h_lines), n_h, h_spacing, config),
         _raster_spans(len(v_lines), n_v, v_spacing, config),
@@ -264,14 +272,17 @@ def _raster_cuts(
         if (m_h, m_v) not in windows:
             axes = _offsets(m_h, h_spacing), _offsets(m_v, v_spacing)
             offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-            windows[m_h, m_v] = np.outer(hann(m_h), hann(m_v)), offsets
-        window, offsets = windows[m_h, m_v]
+            window = np.outer(hann(m_h), hann(m_v))
+            whole = window.ravel() / window.ravel().sum()
+            windows[m_h, m_v] = window, whole, offsets
+        window, whole, offsets = windows[m_h, m_v]
         index = raster.index[i : i + m_h, j : j + m_v]
         filled = index >= 0
-        antennas.append(index[filled])
-        weights.append(window[filled] / window[filled].sum())
-        used_offsets.append(offsets[filled])
-        centers.append((depth, h_lines[i : i + m_h].mean(), v_lines[j : j + m_v].mean()))
+        is_whole = bool(filled.all())
+        antennas.append(index.ravel() if is_whole else index[filled])
+        weights.append(whole if is_whole else window[filled] / window[filled].sum())
+        used_offsets.append(offsets.reshape(-1, 2) if is_whole else offsets[filled])
+        centers.append((depth, middle(0, h), middle(1, v)))
     return _Cuts(
         antennas=antennas,
         weights=weights,
