@@ -168,8 +168,8 @@ class Request:
     """Prior and its name in errors; None where it is first made of photos."""
     box: BoxCheck | None
     """Comparison with the box by radar; None where the prior is trusted, or made of photos."""
-    box_seconds: float
-    """Time that it took."""
+    box_seconds: tuple[float, float]
+    """Time and processor time that it took [s]."""
     making: PriorJob | None
     """Job that makes it."""
     record: RunRecord
@@ -201,7 +201,8 @@ class Request:
         findings = require_plausible(summary, where)
         listener.findings(findings)
         making = find_prior_job(source.los, options.photos, summary, listener)
-        found, box, start = None, None, time.perf_counter()
+        found, box = None, None
+        start, cpu_start = time.perf_counter(), time.process_time()
         if making is None and (given is not None or source.is_given):
             last = options.trust_los
             found = _prior(given or source, capture, summary, listener, is_last=last)
@@ -215,7 +216,7 @@ class Request:
             if box.found is None:  # no wall is seen where it is
                 require_sign(capture, where, num_threads)
             found = box.prior, found[1] if found else BY_RADAR
-        box_seconds = time.perf_counter() - start
+        box_seconds = time.perf_counter() - start, time.process_time() - cpu_start
         if found:
             require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
@@ -299,7 +300,8 @@ def start_job(
     if request.box is not None:
         box = request.box
         numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
-        run.mark_done(BOX_STAGE, key, [], round(request.box_seconds, 3), numbers=numbers)
+        seconds, cpu = (round(value, 3) for value in request.box_seconds)
+        run.mark_done(BOX_STAGE, key, [], seconds, cpu_seconds=cpu, numbers=numbers)
         (heard if box.is_warning else request.listener).note(box.text)
     job = Job(
         run=run,
