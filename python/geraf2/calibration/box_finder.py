@@ -37,6 +37,7 @@ from geraf2.calibration.found_box import (
     WallsNotFoundError,
     face_names,
 )
+from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.tube_search import TubeFit, find_tube
 from geraf2.calibration.wall_alignment import AlignmentConfig, Group, WallProblem
@@ -70,9 +71,6 @@ _LEAST_WALLS = 2
 _TILT_M, _CONTRADICTION = 0.02, 5.0
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
-# Margin of an unbounded face beyond those of a cube with the largest known side [m]: a box that is
-# too small cuts content, a large one costs nothing.
-_SLACK_M = 0.04
 LEAST_CONTENT = 0.02
 """Share of the energy from within below which planes belong to a body, not to walls."""
 
@@ -262,7 +260,7 @@ def _refined(
     sure: faces that are known to be seen squarely, and stay where they are without echoes, (3, 2).
     """
     try:
-        problem = WallProblem(capture, box.prior, _ROUGH, peaks)
+        problem = WallProblem(capture, box.prior, _ROUGH, peaks, at_middles=True)
     except UserError as error:
         raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
     shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, :3]
@@ -365,7 +363,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
         if square[face]:
             continue
         known = (seen != Seen.NOT).all(axis=1)
-        usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + _SLACK_M
+        usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + SLACK_M
         least = flash_reach(peaks, normals, box.offsets_m, square, face)
         content = content_reach(peaks, normals, box.offsets_m, square, face)
         edge = find_edge(peaks, normals, box.offsets_m, square, face, max(least, content))

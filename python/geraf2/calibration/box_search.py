@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.calibration.wall_echoes import WallMiddles
+from geraf2.calibration.wall_echoes import OVERLAP, WallMiddles
 from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
@@ -39,12 +39,13 @@ OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
 LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
 # Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
 _LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
+LEVEL_RANGE_DB = 8.0
+"""Largest difference of a flash to the level of the walls, in a fit of planes [dB]."""
 # Largest error of the recorded delay, one-way, and its standard deviation [m].
 MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
 FLASH_NATS = 7.0
-OVERLAP = 4.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of

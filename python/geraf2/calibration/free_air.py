@@ -10,8 +10,9 @@ from geraf2.scene.summary import CaptureSummary, summarize_capture
 
 # Share of the amplitude beyond each side of the region: multipath, clutter, grating lobes.
 _OUTSIDE = 0.02
-# Margin for parts without an echo, a property of the simulated population of objects [m].
-_SLACK_M = 0.04
+SLACK_M = 0.04
+"""Margin for parts without an echo [m], a property of the simulated population of objects; also of
+a face that nothing bounds beyond a cube with the largest known side."""
 # Limit of the region over the planes' distance, so that it ends before the antennas.
 _MOST_REACH = 0.75
 
@@ -45,7 +46,7 @@ def content_region(
         inner = np.cumsum(found.strengths[order]) / found.strengths.sum()
         low, high = np.searchsorted(inner, [_OUTSIDE, 1.0 - _OUTSIDE])
         along = found.points[order, k] - focus[k]
-        sides[:, k] = along[low] - _SLACK_M, along[min(high, len(along) - 1)] + _SLACK_M
+        sides[:, k] = along[low] - SLACK_M, along[min(high, len(along) - 1)] + SLACK_M
     sides = np.clip(sides, -_MOST_REACH * reach, _MOST_REACH * reach)
     if not (sides[1] > sides[0]).all():
         raise _without_echoes(got="echoes beside the point that the planes face")

@@ -14,6 +14,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_search import (
     LEAST_COUNT,
     LEAST_SIDE_M,
+    LEVEL_RANGE_DB,
     LEVEL_STEP_DB,
     LOWEST_PAIR_DB,
     MAX_ANGLE_RAD,
@@ -21,13 +22,13 @@ from geraf2.calibration.box_search import (
     N_LEVELS,
     OFFSET_SIGMA_M,
     OFFSET_STEP_M,
-    OVERLAP,
     Counts,
     Flashes,
     across,
     shift_penalty,
     shifted,
 )
+from geraf2.calibration.wall_echoes import OVERLAP
 from geraf2.echoes.wall_delay import UNKNOWN_MIDDLES_M
 
 # Largest distance of the axis from the middle of the scan, and steps of its search [m]: an axis
@@ -35,8 +36,8 @@ from geraf2.echoes.wall_delay import UNKNOWN_MIDDLES_M
 _OFF_M, _STEPS_M = 0.036, (0.012, 0.004)
 # Largest angle between looking direction and the horizontal [rad].
 _LEVEL_RAD = 0.2
-# Largest difference to the level of the walls [dB], and rounds of the fit.
-_LEVEL_RANGE_DB, _N_ROUNDS = 8.0, 5
+# Rounds of the fit.
+_N_ROUNDS = 5
 
 
 class TubeFit(NamedTuple):
@@ -144,7 +145,7 @@ class _TubeSearch:
         level = self.flashes.levels_db[self.upright]
         walls_db = LEVEL_STEP_DB * (guess.level + 1 - N_LEVELS)
         used = is_one & (np.abs(off) < 3.0 * OFFSET_SIGMA_M)
-        used &= np.abs(level - walls_db) < _LEVEL_RANGE_DB
+        used &= np.abs(level - walls_db) < LEVEL_RANGE_DB
         own = _nearest(
             np.flatnonzero(used), np.abs(off), self.flashes.subapertures[self.upright], self.far
         )

@@ -11,7 +11,7 @@ from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
 from geraf2.calibration.wall_echoes import (
-    MIN_ECHOES,
+    OVERLAP,
     OffsetPeak,
     WallEchoes,
     WallMiddles,
@@ -20,7 +20,7 @@ from geraf2.calibration.wall_echoes import (
     wall_peaks,
 )
 from geraf2.calibration.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
-from geraf2.echoes.wall_delay import DELAY_SIGMA_M, most_shift_m
+from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, most_shift_m
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose
@@ -29,8 +29,6 @@ from geraf2.scene import Capture, LosPrior, Pose
 # range [m], and of both directions [rad]. Most of it is from short waves of a bulge.
 _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01, 0.015])
 _DEGREES_OF_FREEDOM = 4.0  # of an echo's Student-t: content and clutter are far outliers
-# Neighbouring sub-apertures overlap by a half in both directions, so four echoes count as one.
-_OVERLAP = 4.0
 _N_ROUNDS = 6
 # Largest angle to the wall's normal and distance of an echo, in the first and the last round.
 _MAX_ANGLE_RAD, _MAX_OFFSET_M = (0.2, 0.08), (0.02, 0.004)
@@ -71,7 +69,7 @@ class AlignmentConfig(Bounded):
     """Expected error of each plane's distance, from drift of positions [m]."""
     wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
     """Expected error of each wall's distance from the centre of the prior [m]."""
-    least_echoes: Few = MIN_ECHOES
+    least_echoes: Few = MIN_WALL_ECHOES
     """Least number of near walls' echoes that agree."""
 
     def __post_init__(self) -> None:
@@ -202,14 +200,25 @@ class WallProblem:
     """
 
     def __init__(
-        self, capture: Capture, prior: LosPrior, config: AlignmentConfig, peaks: KeptPeaks
+        self,
+        capture: Capture,
+        prior: LosPrior,
+        config: AlignmentConfig,
+        peaks: KeptPeaks,
+        *,
+        at_middles: bool = False,
     ) -> None:
+        """Find the walls' echoes.
+
+        at_middles: peaks of walls whose faces cancel were moved to their middles.
+        """
         walls, waveform = prior.walls or capture.walls, capture.waveform
         self.middles = WallMiddles.of(walls, waveform)
         low, high = (0.5 * edge for edge in config.search_m(capture))
-        low -= 0.0 if walls else most_shift_m(waveform)
         if config.keep_delay:
             low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
+        is_moved = not walls and not at_middles
+        low -= most_shift_m(waveform) if is_moved else 0.0
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
         self.size_m = peaks.subaperture.size_m
         self.faces = WallFaces.of(prior)
@@ -226,7 +235,7 @@ class WallProblem:
         # Without a recorded delay, all searched delays are equally likely.
         is_known = config.keep_delay or config.is_recorded(capture)
         delay = 0.5 * config.delay_sigma_m if is_known else high - low
-        if not walls:
+        if is_moved:
             self.middles = self.middles.at(self.peak.offset_m, delay, waveform)
             self.peak = self.peak.less(self.middles.loss_shift_m)
         parts = self._priors(config, delay)
@@ -278,7 +287,7 @@ class WallProblem:
         residual, design = self.linearised(values, walls)
         design = design[:, :, free]
         q = (residual**2).sum(axis=1)
-        weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / _OVERLAP
+        weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / OVERLAP
         weighted = (weight[:, None, None] * design).reshape(-1, design.shape[2])
         scaled = values[free] / self.sigmas[free]
         precision = self._prior_weights(scaled, free) * self.sigmas[free] ** -2.0
@@ -302,7 +311,7 @@ class WallProblem:
         """Student-t log-likelihood of each echo up to a constant, (n,) [nats]."""
         residual, _ = self.linearised(values, walls)
         q = (residual**2).sum(axis=1) / _DEGREES_OF_FREEDOM
-        return np.asarray(-0.5 * (_DEGREES_OF_FREEDOM + 3.0) / _OVERLAP * np.log1p(q))
+        return np.asarray(-0.5 * (_DEGREES_OF_FREEDOM + 3.0) / OVERLAP * np.log1p(q))
 
     def gain(self, groups: Collection[Group], more: Group) -> Gain:
         """Gain of one more group: each half of the sub-apertures with the fit of the other.

@@ -12,7 +12,13 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_faces import WallFaces
-from geraf2.echoes.wall_delay import LOSSES_DB, UNKNOWN_MIDDLES_M, loss_shifts, unknown_shift
+from geraf2.echoes.wall_delay import (
+    LOSSES_DB,
+    MIN_WALL_ECHOES,
+    UNKNOWN_MIDDLES_M,
+    loss_shifts,
+    unknown_shift,
+)
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
 from geraf2.scene import Capture, LosPrior, Wall, Waveform
@@ -32,8 +38,8 @@ _OFFSET_SIGMA_M = 0.004
 _MISSING_FAR_SHARE = 0.1
 # Near walls alone are the first peak with this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
-MIN_ECHOES = 12
-"""Least number of wall echoes within a centimetre of one offset."""
+OVERLAP = 4.0
+"""Echoes that count as one: neighbouring sub-apertures overlap by halves in both directions."""
 
 
 def wall_peaks(
@@ -184,7 +190,7 @@ def find_wall_peak(
     near: tuple[Floats, Floats],
     far: tuple[Floats, Floats],
     search_m: tuple[float, float],
-    least: int = MIN_ECHOES,
+    least: int = MIN_WALL_ECHOES,
 ) -> OffsetPeak:
     """Offset at which echoes of near and of far walls are densest together.
 

@@ -12,6 +12,7 @@ from geraf2._types import Floats, Ints
 from geraf2.calibration.box_search import (
     FLASH_NATS,
     LEAST_COUNT,
+    LEVEL_RANGE_DB,
     LEVEL_STEP_DB,
     LOWEST_PAIR_DB,
     MAX_ANGLE_RAD,
@@ -35,8 +36,8 @@ _MOST_TURN_RAD, _MOST_LEAN_RAD = 0.4, 0.24
 _N_NORMALS = 24
 # Least number of walls: content has two faces at some angle more often.
 _FEWEST_WALLS = 3
-# Largest difference to the level of the walls [dB], and rounds of a normal's mean.
-_LEVEL_RANGE_DB, _N_ROUNDS = 8.0, 3
+# Rounds of a normal's mean.
+_N_ROUNDS = 3
 # Flashes that a free wall costs, by the number of its distinct normals.
 _FREEDOM = float(np.log(_MOST_TURN_RAD * _MOST_LEAN_RAD / MAX_ANGLE_RAD**2)) / FLASH_NATS
 
@@ -135,7 +136,7 @@ def _plane(search: BoxSearch, normal: Floats, found: Hypothesis) -> tuple[Floats
     for _ in range(_N_ROUNDS):
         offset = search.outermost(flashes.counts(normal, search.n_offsets), found)
         off_m = np.abs(np.abs(moved - offset) - pair_m)
-        own = (off_m < 2.0 * OFFSET_SIGMA_M) & (off_db < _LEVEL_RANGE_DB)
+        own = (off_m < 2.0 * OFFSET_SIGMA_M) & (off_db < LEVEL_RANGE_DB)
         own &= flashes.normals @ normal > np.cos(MAX_ANGLE_RAD)
         if own.any():
             normal = flashes.weights[own] @ flashes.normals[own]

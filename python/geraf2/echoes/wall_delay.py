@@ -27,8 +27,8 @@ _PATH_STEP_M = 1e-4
 _WALL_SEARCH_M = 0.010
 # Largest angle between the line of sight and the normal for a wall echo [rad].
 _WALL_ANGLE_RAD = 0.1
-# Least number of wall echoes of an estimate.
-_MIN_WALL_ECHOES = 12
+MIN_WALL_ECHOES = 12
+"""Least number of wall echoes of an estimate."""
 
 
 def box_delay_m(
@@ -169,7 +169,7 @@ def _median_offset(echoes: PeakSet, scene: MeshScene, t_wall: Floats) -> float |
     step = 1e-3
     before = scene.signed_distance(points - step * echoes.directions)
     seen &= np.abs(np.abs(before) / step) > np.cos(_WALL_ANGLE_RAD)
-    if int(seen.sum()) < _MIN_WALL_ECHOES:
+    if int(seen.sum()) < MIN_WALL_ECHOES:
         return None
     order = np.argsort(offset[seen])
     weight = np.cumsum(echoes.magnitudes[seen][order])

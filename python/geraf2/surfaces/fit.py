@@ -22,6 +22,7 @@ from geraf2._bounds import (
 from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, relative_strengths
+from geraf2.echoes.wall_delay import DELAY_SIGMA_M
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.caps import cap_retreat
@@ -41,7 +42,7 @@ _COARSE = 2.0
 # Relative residuals of the last solve (0.02 mm of error) and of those that only start another.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-UNKNOWN_OFFSET_M = 1e-3
+UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
 """Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
 FIT_VERSION = 24
 """Increase when the same glints and settings give another field, also for the preset best."""

@@ -29,7 +29,7 @@ from geraf2.surfaces.multigrid import (
 
 # Lengths in this file are centimetres: values, gradients and second derivatives then have order
 # one, and so have the weights.
-_CM = 100.0
+CM = 100.0
 _MAX_ITERATIONS = 100  # of the conjugate gradients; about twelve are usual
 
 
@@ -88,14 +88,14 @@ class LinearSdf:
     ) -> None:
         """Prepare the normal equations on `sdf.grid`; its values start the solver."""
         self._grid, self._terms, self._num_threads = sdf.grid, terms, num_threads
-        self._start = sdf.values.astype(np.float64).ravel() * _CM
-        spacing = sdf.grid.spacing_m * _CM
-        position = (points.positions - np.asarray(sdf.grid.origin_m)) * _CM
+        self._start = sdf.values.astype(np.float64).ravel() * CM
+        spacing = sdf.grid.spacing_m * CM
+        position = (points.positions - np.asarray(sdf.grid.origin_m)) * CM
         self._right = np.zeros(sdf.grid.n_voxels)
         for axis, rows in enumerate(trilinear_rows(position / spacing, sdf.grid.shape, spacing)[1]):
             weighted = points.normal_weights * points.normals[:, axis]
             self._right += terms.normal * (rows.T @ weighted)
-        self._right += _face_pull(sdf.grid.shape, terms) * (terms.outside_distance_m * _CM)
+        self._right += _face_pull(sdf.grid.shape, terms) * (terms.outside_distance_m * CM)
 
         self._sizes = [_Size(shape=sdf.grid.shape, spacing=(spacing, spacing, spacing))]
         while np.prod(self._sizes[-1].shape) > DIRECT_VOXELS:
@@ -128,8 +128,8 @@ class LinearSdf:
         if target is not None:
             pull[target.voxels] = target.weights
             right = right.copy()
-            right[target.voxels] += target.weights * target.values * _CM
-        first = self._start if start is None else start.values.astype(np.float64).ravel() * _CM
+            right[target.voxels] += target.weights * target.values * CM
+        first = self._start if start is None else start.values.astype(np.float64).ravel() * CM
         solution = conjugate_gradients(
             self._energy(0, _face_pull(self._grid.shape, self._terms) + pull, np.float64),
             self._preconditioner(pull),
@@ -139,7 +139,7 @@ class LinearSdf:
             max_iterations=max_iterations,
             on_iteration=on_iteration,
         )
-        values = (solution / _CM).reshape(self._grid.shape).astype(np.float32)
+        values = (solution / CM).reshape(self._grid.shape).astype(np.float32)
         return SdfGrid(grid=self._grid, values=values)
 
     def responder(self, *, tolerance: float) -> Callable[[Floats], Floats]:

@@ -29,7 +29,14 @@ from geraf2.surfaces.expected_error import (
     nearness,
 )
 from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig, fitted_points
-from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample, trilinear_rows
+from geraf2.surfaces.linear_sdf import (
+    CM,
+    LinearSdf,
+    OrientedPoints,
+    SdfTerms,
+    resample,
+    trilinear_rows,
+)
 from geraf2.surfaces.samples import SurfaceSamples
 
 N_SAMPLES = 24
@@ -42,7 +49,6 @@ _LEAST_SLOPE = 0.5
 """Lower bound of the field's gradient, which is too small between two close surfaces."""
 _BYTES_PER_DISPLACEMENT = 44.0
 """Memory of one vertex in one sample: temporary float64 arrays and the result [bytes]."""
-_CM = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,29 +181,29 @@ class FieldPosterior:
         self.grid, self._noise = sdf.grid, noise
         system = LinearSdf(sdf, points, terms, num_threads=num_threads)
         self._respond = system.responder(tolerance=tolerance)
-        shape, spacing = sdf.grid.shape, sdf.grid.spacing_m * _CM
+        shape, spacing = sdf.grid.shape, sdf.grid.spacing_m * CM
         index = (points.positions - np.asarray(sdf.grid.origin_m)) / sdf.grid.spacing_m
         value, slopes = trilinear_rows(index, shape, spacing)
         self._value = value.T.tocsr().multiply(terms.position * points.position_weights).tocsr()
         weights = terms.normal * points.normal_weights
         self._slopes = [rows.T.tocsr().multiply(weights).tocsr() for rows in slopes]
         volume = float(np.prod(np.asarray(shape) - 1)) * spacing**3
-        self._bend = float(np.sqrt(terms.bending * bend_density_m * _CM / volume))
+        self._bend = float(np.sqrt(terms.bending * bend_density_m * CM / volume))
         self._bending = terms.bending
 
     def right_side(self, rng: np.random.Generator) -> Floats:
         """Draw the change of the fit's right side by errors of data and prior, (n_voxels,)."""
         position, normal = self._noise.draw(rng)
-        right = self._value @ (position * _CM)
+        right = self._value @ (position * CM)
         for rows, error in zip(self._slopes, normal.T, strict=True):
             right += rows @ error
-        spacing = self.grid.spacing_m * _CM
+        spacing = self.grid.spacing_m * CM
         root = bending_force(self.grid.shape, spacing, self._bending, rng)
         return np.asarray(right + self._bend * root.ravel())
 
     def draw(self, rng: np.random.Generator) -> Floats:
         """Draw one error of the field, (n_voxels,) [m]."""
-        return np.asarray(self._respond(self.right_side(rng)) / _CM)
+        return np.asarray(self._respond(self.right_side(rng)) / CM)
 
 
 def bending_force(
