@@ -2,7 +2,7 @@
 
     python bench/compare.py                       the instruction set that this CPU would use
     python bench/compare.py --simd avx2 avx512    each of these
-    python bench/compare.py --check               exit 1 unless every kernel reaches its figures
+    python bench/compare.py --check               exit 1 unless every kernel reaches its target
     python bench/compare.py --check-threads       of every kernel, two threads against one; exit 1
                                                   unless all gain enough: on an idle machine
 
@@ -187,7 +187,7 @@ class QuietRuns:
 
 
 def compare_matched_filter(program: Path, simd: str | None, repetitions: int) -> bool:
-    """Print every kernel beside the naive loop and its limit; whether all figures are reached.
+    """Print every kernel beside the naive loop and its limit; whether all targets are reached.
 
     Each is run alone with both: what shares a core with a neighbour for some seconds is measured
     again.
@@ -233,7 +233,7 @@ def show(name: str, kernel: dict[str, Any], naive_ns: float, peak_ns: float, dis
 def missed(
     figures: Figures | None, ratio: float, ns: float, limit: float | None, error: float | None
 ) -> str:
-    """Say which figures are missed."""
+    """Name the targets that are missed."""
     if figures is None:
         return ""
     faults = []
@@ -249,7 +249,7 @@ def missed(
 
 
 def compare_tracer(program: Path, simd: str | None, repetitions: int) -> bool:
-    """Print the signal tracer beside the naive loop; whether its figures are reached."""
+    """Print the signal tracer beside the naive loop; whether its targets are reached."""
     times = defaultdict(list)
     for entry in run(program, simd, repetitions, f"-(real_time|<double|{PEAK})"):
         times[entry["name"].split("/")[0]].append(entry)
@@ -278,7 +278,7 @@ def compare_tracer(program: Path, simd: str | None, repetitions: int) -> bool:
 
 
 def compare_factorised(program: Path, simd: str | None, repetitions: int) -> bool:
-    """Print factorised beside block of the same run; whether its figures are reached."""
+    """Print factorised beside block of the same run; whether its targets are reached."""
     times, errors = defaultdict(list), {}
     for entry in run(program, simd, repetitions, f"-(real_time|{PEAK})"):
         name = entry["name"].rsplit("/", 1)[0]

@@ -15,7 +15,7 @@ y, z = torch.meshgrid(lines, lines, indexing="ij")
 antennas = torch.stack([torch.full_like(y, -0.36), y, z], dim=-1).reshape(-1, 3)  # (n, 3) [m]
 
 target = torch.tensor([0.01, -0.02, 0.015], dtype=torch.float64)
-path = 2 * (antennas - target).norm(dim=1)  # transmitter and receiver at one place
+path = 2 * (antennas - target).norm(dim=1)  # transmitter and receiver at one position
 frequencies = torch.from_numpy(waveform.frequencies_hz)
 signal = torch.exp(-2j * torch.pi * frequencies * path[:, None] / 299792458.0)
 signal.requires_grad_()

@@ -41,7 +41,7 @@ def plane(number: int) -> SweptPlane:
         ScanLine(
             start_m=(*ends[0], float(z)),
             end_m=(*ends[1], float(z)),
-            n_places=N_COLUMNS,
+            n_positions=N_COLUMNS,
             start_s=FRAME_S * N_COLUMNS * (N_ROWS * number + row),
             speed_m_per_s=COLUMN_M / FRAME_S,
         )

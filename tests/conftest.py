@@ -1,4 +1,4 @@
-"""Fixtures for all tests, and a header that says what this machine can run."""
+"""Fixtures for all tests, and a header with what this machine can run."""
 
 import os
 import shutil

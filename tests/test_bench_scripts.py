@@ -47,9 +47,9 @@ def test_a_measurement_is_a_line_that_is_compared_with_the_one_before(
         return capsys.readouterr().out
 
     assert "since" not in measure(2.0, {"1000": 0.5, "1001": 0.75}, "a")
-    said = measure(1.0, {"1000": 0.75, "1001": 0.5, "1002": 1.0}, "a")
-    assert "BM_A: ns 2 -> 1, vs_naive 50 -> 100" in said
-    assert "2 seeds: mean F1 at 5 mm 0.6250 -> 0.6250, largest loss 0.250 (seed 1001)" in said
+    stated = measure(1.0, {"1000": 0.75, "1001": 0.5, "1002": 1.0}, "a")
+    assert "BM_A: ns 2 -> 1, vs_naive 50 -> 100" in stated
+    assert "2 seeds: mean F1 at 5 mm 0.6250 -> 0.6250, largest loss 0.250 (seed 1001)" in stated
     assert "ns" not in measure(4.0, {}, "another").split("BM_A:")[1]
     lines = (tmp_path / "kept.jsonl").read_text().splitlines()
     assert [json.loads(line)["machine"] for line in lines] == ["a", "a", "another"]

@@ -55,8 +55,8 @@ def _built_signatures(holder, owner: str = "") -> set[tuple[str, ...]]:
     for name, value in vars(holder).items():
         if name in given or (name.startswith("_") and name != "__init__"):
             continue
-        said = [] if isinstance(value, type | property) else (value.__doc__ or "").splitlines()
-        signatures = [re.search(rf"\b{name}\((?!\*args).*\) -> .*", line) for line in said]
+        stated = [] if isinstance(value, type | property) else (value.__doc__ or "").splitlines()
+        signatures = [re.search(rf"\b{name}\((?!\*args).*\) -> .*", line) for line in stated]
         found |= {
             (owner + name, *_parameters(ast.parse(f"def {match[0]}: ...").body[0]))
             for match in signatures
@@ -73,8 +73,8 @@ def test_stubs_are_those_of_the_built_module(project_root):
     from geraf2 import _core  # noqa: PLC0415, TID251 - the stub of this very module is checked
 
     stub = project_root / "python" / "geraf2" / "_core.pyi"
-    told = _stub_signatures(ast.parse(stub.read_text(encoding="utf-8")).body)
-    assert told == _built_signatures(_core)
+    reported = _stub_signatures(ast.parse(stub.read_text(encoding="utf-8")).body)
+    assert reported == _built_signatures(_core)
 
 
 def test_imports_do_not_go_in_circles():
@@ -87,7 +87,7 @@ def test_imports_do_not_go_in_circles():
 
 
 def test_every_kernel_of_several_instruction_sets_is_named(project_root):
-    """`geraf2 doctor` says which path each takes: none may be forgotten."""
+    """`geraf2 doctor` names the path that each takes: none may be forgotten."""
     build = (project_root / "cpp" / "CMakeLists.txt").read_text(encoding="utf-8")
     compiled = set(re.findall(r"^geraf2_add_levels\(geraf2_kernels (\w+) ", build, re.MULTILINE))
     lanes = list((project_root / "cpp" / "src").glob("*/lanes.hpp"))

@@ -38,7 +38,7 @@ def _describes(text: str, parameter: str) -> bool:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_public_name_says_units_shapes_and_errors(name):
+def test_a_public_name_documents_units_shapes_and_errors(name):
     found = getattr(geraf2, name)
     text = _documentation(found)
     assert ">>> " in inspect.getdoc(found), "no example"
@@ -57,10 +57,10 @@ def test_the_examples_of_a_public_name_run(name, tmp_path, monkeypatch):
     found = geraf2 if name == "geraf2" else getattr(geraf2, name)
     # As in NumPy's, `geraf2` and `np` are taken as imported.
     tests = doctest.DocTestFinder().find(found, name, globs={"geraf2": geraf2, "np": np})
-    said: list[str] = []
-    results = [doctest.DocTestRunner(verbose=False).run(t, out=said.append) for t in tests]
+    stated: list[str] = []
+    results = [doctest.DocTestRunner(verbose=False).run(t, out=stated.append) for t in tests]
     assert sum(result.attempted for result in results) > 0
-    assert sum(result.failed for result in results) == 0, "".join(said)
+    assert sum(result.failed for result in results) == 0, "".join(stated)
 
 
 LISTED = """

@@ -26,7 +26,7 @@ def test_the_oldest_dependencies_are_the_bounds_of_pyproject(project_root):
     assert dict(line.split("==") for line in lines) == bounds
 
 
-def test_the_place_of_each_planted_bug_is_unique_in_the_kernels(project_root):
+def test_the_line_of_each_planted_bug_is_unique_in_the_kernels(project_root):
     planted_bugs = load(project_root / "tools" / "planted_bugs.py")
     for bug in planted_bugs.BUGS.values():
         right = (project_root / "cpp" / "src" / bug.file).read_text(encoding="utf-8")

@@ -4,9 +4,9 @@
     python tools/check_words.py --list        # what would have to be exempt, for words.toml
     python tools/check_words.py --sentences   # also report sentences that are too long
 
-It reads the pages, docs/reference/causes.toml, and the comments and strings of python/geraf2, cpp,
-tools and the gallery. A string without a space is a name, not a message. The lengths of pages and
-of the whole site are limited as well.
+It reads the pages, docs/reference/causes.toml, and the comments and strings of the package, cpp,
+tests, bench, examples, tools and the gallery, and the names that Python code defines. A string
+without a space is no message. The lengths of pages and of the whole site are limited as well.
 """
 
 import argparse
@@ -24,6 +24,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = ("*.md", "docs/**/*.md", "docs/**/*.rst", "docs/reference/*.toml")
 SOURCES = (
     "python/geraf2/**/*.py",
+    "bench/**/*.py",
+    "examples/*.py",
+    "tests/**/*.py",
     "tools/*.py",
     "docs/gallery/*.py",
     "cpp/**/*.cpp",
@@ -50,6 +53,8 @@ class Rule:
     allow: tuple[re.Pattern[str], ...]
     not_in: tuple[str, ...]
     """Beginnings of the names of files in which the word has its usual sense."""
+    names: bool
+    """Whether names of Python code must not contain it either."""
 
     def matches(self, text: str) -> Iterator[re.Match[str]]:
         """Matches that no allowed phrase contains."""
@@ -79,6 +84,7 @@ class Table:
                 instead=word["instead"],
                 allow=tuple(map(_compiled, word.get("allow", ()))),
                 not_in=tuple(word.get("not_in", ())),
+                names=word.get("names", True),
             )
             for word in table["word"]
         )
@@ -126,6 +132,23 @@ def prose_of_python(text: str) -> Iterator[tuple[int, str]]:
         yield first, block
 
 
+def names_of_python(text: str) -> Iterator[tuple[int, str]]:
+    """Line and words of each name that a module defines: `two_way_m` is "two-way m"."""
+    for node in ast.walk(ast.parse(text)):
+        name = ""
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            name = node.name
+        elif isinstance(node, ast.arg):
+            name = node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            name = node.id
+        elif isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store):
+            name = node.attr
+        if name:
+            words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|_", " ", name)
+            yield node.lineno, re.sub(r"\b(one|two) (?=wa)", r"\1-", words, flags=re.IGNORECASE)
+
+
 def prose_of_cpp(text: str) -> Iterator[tuple[int, str]]:
     """First line and text of each comment and string; neighbouring comment lines are one text."""
     first, block = 0, ""
@@ -157,9 +180,14 @@ def prose_of(path: Path) -> Iterator[tuple[int, str]]:
 def refused_words(name: str, path: Path, table: Table) -> list[str]:
     """Faults of a file without its name: `line: word -> instead`, in order."""
     rules = [rule for rule in table.rules if not name.startswith(rule.not_in)]
+    texts = [(first, text, rules) for first, text in prose_of(path)]
+    if path.suffix == ".py":
+        of_names = [rule for rule in rules if rule.names]
+        names = names_of_python(path.read_text(encoding="utf-8"))
+        texts += [(first, text, of_names) for first, text in names]
     found = set()
-    for first, text in prose_of(path):
-        for rule in rules:
+    for first, text, applied in texts:
+        for rule in applied:
             for match in rule.matches(text):
                 word = " ".join(match.group().split())
                 line = first + text.count("\n", 0, match.start())

@@ -36,9 +36,9 @@ def ball_echo(antennas: np.ndarray) -> np.ndarray:
     return np.exp(-2j * np.pi * np.outer(path, FREQUENCIES) / SPEED_OF_LIGHT)
 
 
-def point_echo(antennas: np.ndarray, place: np.ndarray) -> np.ndarray:
+def point_echo(antennas: np.ndarray, position: np.ndarray) -> np.ndarray:
     """Echo of a point, (n_antennas, n_frequencies)."""
-    path = 2 * np.linalg.norm(antennas - place, axis=1)
+    path = 2 * np.linalg.norm(antennas - position, axis=1)
     return np.exp(-2j * np.pi * np.outer(path, FREQUENCIES) / SPEED_OF_LIGHT)
 
 
@@ -150,14 +150,14 @@ def draw_height(axes: plt.Axes) -> None:
 
 def draw_spacing(both: tuple[plt.Axes, plt.Axes]) -> None:
     points = raster(0.11, 131)
-    place = np.array([0.02, 0.06])
+    position = np.array([0.02, 0.06])
     for axes, spacing in zip(both, (0.003, 0.008), strict=True):
         antennas = line(0.25, spacing)
-        image = heat_map(point_echo(antennas, place), antennas, points)
+        image = heat_map(point_echo(antennas, position), antennas, points)
         axes.imshow(
             image.T, origin="lower", extent=[-110, 110, -110, 110], cmap="magma", vmin=0, vmax=1
         )
-        axes.plot(*(1e3 * place), "o", mfc="none", mec="cyan", ms=12)
+        axes.plot(*(1e3 * position), "o", mfc="none", mec="cyan", ms=12)
         axes.set_title(f"an antenna every {1e3 * spacing:.0f} mm", fontsize=9)
         axes.set_xlabel("away from the radar (mm)", fontsize=8)
         axes.tick_params(labelsize=7)

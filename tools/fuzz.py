@@ -56,14 +56,14 @@ def fuzz_one(name, arguments):
     def found_one(name, data, error, what):
         """Keep the first data with this failure, and continue."""
         frame = traceback.extract_tb(error.__traceback__)[-1]
-        way = f"{name}, {type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
-        if way not in seen:
-            seen.add(way)
+        kind = f"{name}, {type(error).__name__} at {Path(frame.filename).name}:{frame.lineno}"
+        if kind not in seen:
+            seen.add(kind)
             number = f"{zlib.crc32(data):08x}"
-            place = HERE / "crashes" / name
-            place.mkdir(parents=True, exist_ok=True)
-            (place / number).write_bytes(data)
-            print(f"finding: {way}: {what[:200]!r}: {number}", file=sys.stderr)
+            crash = HERE / "crashes" / name
+            crash.mkdir(parents=True, exist_ok=True)
+            (crash / number).write_bytes(data)
+            print(f"finding: {kind}: {what[:200]!r}: {number}", file=sys.stderr)
 
     found = Path(tempfile.gettempdir()) / "found"
     found.mkdir()
@@ -99,8 +99,8 @@ def fuzz_all(enough, names, keep=0):
                 env={**os.environ, "TMPDIR": scratch},
             )
             _keep(Path(scratch) / "found", HERE / "corpus" / name, keep)
-        said = re.search(r"number_of_executed_units: (\d+)|Done (\d+) runs", done.stderr)
-        n = int(next(filter(None, said.groups()))) if said else 0
+        found = re.search(r"number_of_executed_units: (\d+)|Done (\d+) runs", done.stderr)
+        n = int(next(filter(None, found.groups()))) if found else 0
         # libFuzzer reports what ends the process (crash, 20 s, 4 GiB); the rest is reported above.
         lines = re.findall(r"^(?:finding: |.*ERROR: libFuzzer).*$", done.stderr, re.MULTILINE)
         total, findings = total + n, findings + len(lines)

@@ -79,8 +79,10 @@ def _spheres(*radius_height_mm: tuple[float, float]) -> tuple[Meridian, ...]:
 def _around(radius_mm: float, n: int, at_mm: float, height_mm: float) -> tuple[Ball, ...]:
     """Spheres on a horizontal circle."""
     turns = 2 * np.pi * np.arange(n) / n
-    places = 1e-3 * np.stack([at_mm * np.cos(turns), at_mm * np.sin(turns), 0 * turns + height_mm])
-    return tuple(Ball(1e-3 * radius_mm, tuple(place)) for place in places.T.tolist())
+    positions = 1e-3 * np.stack(
+        [at_mm * np.cos(turns), at_mm * np.sin(turns), 0 * turns + height_mm]
+    )
+    return tuple(Ball(1e-3 * radius_mm, tuple(position)) for position in positions.T.tolist())
 
 
 _VASE = (0, -25), (10, -25), (17, -12), (17, -2), (8, 10), (8, 16), (12, 20), (12, 25), (0, 25)

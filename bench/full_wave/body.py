@@ -130,7 +130,7 @@ def _radiated(m: int, source: Ring, k: float, radial: tuple) -> np.ndarray:
 
 
 def _least_squares(matrix: np.ndarray, incident: np.ndarray) -> tuple[np.ndarray, float]:
-    """Amplitudes whose field cancels the incident one, and the energy of what is left."""
+    """Amplitudes whose field cancels the incident one, and the energy of the residual."""
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 1e-12 * scale.max(), scale, np.inf)
     q, r = np.linalg.qr(matrix / scale)

@@ -2,7 +2,7 @@
 
 Each wall is a plate whose reflection and transmission are those of a plane wave in the direction
 of the straight path: Airy's sums, TE and TM. A far wall shows images of the antennas. Scattering
-between images and antennas holds the body's echo over the wall and its shadow on it. A wall ends
+between images and antennas holds the body's multipath via the wall and its shadow. A wall ends
 as a plate of Kirchhoff's integral (Born and Wolf, Principles of Optics, 1999, 8.7).
 
 Not held: the curvature of the wave in a wall, and paths over two far walls. What a wall returns to

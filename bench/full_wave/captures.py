@@ -86,7 +86,7 @@ class Echoes:
         return total
 
     def _by_mirrors(self, ends: list[list[Dipoles]], faces: list[tuple[int, int]]) -> np.ndarray:
-        """Echoes of waves that meet the body on their way to a far wall, and after it."""
+        """Echoes of waves that meet the body before and after a far wall."""
         box, at = self.body.box, np.array([s.k for s in self.scatterers])
         mirrors = [
             Mirror(

@@ -220,7 +220,7 @@ def make_and_ablate(
     """Write the results of variants on a scene; simulate it first unless it is there."""
     runner = Runner(out=out, num_threads=1, cache=cache)
     runner.simulate(row)
-    return ablate_scene(runner.place(row).scene, out, row.config, base, variants)
+    return ablate_scene(runner.folders(row).scene, out, row.config, base, variants)
 
 
 def key_of(preset: str, variant: Variant) -> str:

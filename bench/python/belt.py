@@ -6,7 +6,7 @@
 `run` puts the objects of the population (`geraf2.simulation.population`) into 0.3 m parcels between
 two side arrays and one above, each of four cascades, with a fourth array on the line of the left
 one. It appends a line for each object and case to the file ROWS, and continues after a stop. `show`
-prints the mean of each case beside the figure that is asked for. Cases: `ideal`; `moved`, the speed
+prints the mean of each case beside the value that is asked for. Cases: `ideal`; `moved`, the speed
 wrong by 1 %, vibration of 0.2 mm, yaw of 2 degrees over the travel; `blind`, the speed wrong by 1 %
 without an encoder. In the case `ideal` a part of the arrays is reconstructed, too: the left one,
 and both sides.

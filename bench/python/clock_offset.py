@@ -34,19 +34,19 @@ PERIOD_S, JITTER_S, POSE_JITTER_M = 0.01, 0.002, 5e-5
 
 def path():
     """Times (n,) [s] and positions (n, 3) [m] at the corners of a serpentine."""
-    times, places = [0.0], [[0.0, -WIDTH_M / 2, -STEP_M * N_LINES / 2]]
+    times, positions = [0.0], [[0.0, -WIDTH_M / 2, -STEP_M * N_LINES / 2]]
     for row in range(N_LINES):
         y = WIDTH_M / 2 if row % 2 == 0 else -WIDTH_M / 2
-        z = places[-1][2]
+        z = positions[-1][2]
         times += [times[-1] + t for t in np.cumsum([WIDTH_M / SPEED_M_PER_S, 0.05, 0.07, 0.05])]
-        places += [[0.0, y, z], [0.0, y, z], [0.0, y, z + STEP_M], [0.0, y, z + STEP_M]]
-    return np.array(times), np.array(places)
+        positions += [[0.0, y, z], [0.0, y, z], [0.0, y, z + STEP_M], [0.0, y, z + STEP_M]]
+    return np.array(times), np.array(positions)
 
 
 def one(seed, noise):
     """Offset put in, that found, and its sigma [ms]."""
     rng = np.random.default_rng(seed)
-    corners, places = path()
+    corners, positions = path()
     targets = rng.uniform((0.3, -0.12, -0.1), (0.5, 0.12, 0.1), (30, 3))
     offset_s = rng.uniform(0.005, 0.08)
 
@@ -54,11 +54,11 @@ def one(seed, noise):
         return lambda t: np.stack([np.interp(t, at, table[:, k]) for k in range(3)], axis=1)
 
     pose_times = np.arange(0.0, corners[-1], 0.01)
-    poses = between(corners, places)(pose_times)
+    poses = between(corners, positions)(pose_times)
     poses += POSE_JITTER_M * rng.normal(size=poses.shape)
     positions_at = between(pose_times, poses)
     times = np.arange(0.3, corners[-1] - 0.3, PERIOD_S)
-    distance = np.linalg.norm(between(corners, places)(times)[:, None] - targets, axis=2)
+    distance = np.linalg.norm(between(corners, positions)(times)[:, None] - targets, axis=2)
     phase = 2 * np.pi / SPEED_OF_LIGHT_M_PER_S * (2 * distance + WAVEFORM.path_bias_m)
     signal = np.exp(1j * phase[..., None] * WAVEFORM.frequencies_hz).sum(axis=1)
     level = noise * np.sqrt(np.mean(np.abs(signal) ** 2) / 2)

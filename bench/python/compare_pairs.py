@@ -209,7 +209,7 @@ def main() -> None:
     parser.add_argument("--again", type=int, default=1)
     parser.add_argument("--changes", nargs="*", choices=CHANGES, default=CHANGES)
     options = parser.parse_args()
-    told: dict[str, list[bool]] = {}
+    verdicts: dict[str, list[bool]] = {}
     for seed in range(options.first, options.first + options.boxes):
         box = PackedBox(seed)
         reference = box.run("reference", options)
@@ -218,9 +218,9 @@ def main() -> None:
             if run is None or reference is None:
                 continue
             found = geraf2.compare(run, [reference])
-            told.setdefault(change.rstrip("0123456789"), []).append(found.changed)
+            verdicts.setdefault(change.rstrip("0123456789"), []).append(found.changed)
             print(f"  {seed} {change}: {'; '.join(map(str, found.changes)) or 'unchanged'}")
-    for change, changed in told.items():
+    for change, changed in verdicts.items():
         what = "unchanged box reported as changed" if change == "again" else f"{change}: found"
         scored(changed, what)
 

@@ -5,7 +5,7 @@
 Every allocation of malloc, C++ and torch is counted that is as large as stated. A trial is a fork
 of a process that has run once. It makes one of them fail and asks for
 - exit code 2 and one line of error that is no internal one, or 0 where the run did without;
-- no file half-written: each one that the run's own record names is as it says;
+- no file half-written: each one that the run's own record names has the recorded digest;
 - no temporary file left;
 - the same bytes as without the fault, once the run is continued.
 A line a failure, and the counts at the end; exit code 1 if any trial failed. Wants Linux with glibc
@@ -53,11 +53,11 @@ def run(scene: Path, out: Path, *more: str) -> int:
     return command_line(["reconstruct", str(scene), str(out), "--box", *box, *COARSE, *more])
 
 
-def wrong(code: int, said: str, out: Path) -> str:
+def wrong(code: int, printed: str, out: Path) -> str:
     """What a run with a fault did wrong; empty where it did nothing."""
-    lines = [line for line in said.splitlines() if "geraf2: " in line]
-    if (code, len(lines)) not in ((0, 0), (2, 1)) or "internal error" in said:
-        return f"exit code {code}: {' '.join(lines) or said[-300:]}"
+    lines = [line for line in printed.splitlines() if "geraf2: " in line]
+    if (code, len(lines)) not in ((0, 0), (2, 1)) or "internal error" in printed:
+        return f"exit code {code}: {' '.join(lines) or printed[-300:]}"
     if left := list(out.parent.rglob(".*.tmp*")):
         return f"left {left[0].name}"
     try:

@@ -39,9 +39,9 @@ def torch_sample(values: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tens
     origin = points.new_tensor(GRID.origin_m)
     last = points.new_tensor(GRID.shape) - 1.0
     # grid_sample counts axes from the last to the first.
-    place = (2.0 * (points - origin) / (GRID.spacing_m * last) - 1.0).flip(1)
+    position = (2.0 * (points - origin) / (GRID.spacing_m * last) - 1.0).flip(1)
     value = torch.nn.functional.grid_sample(
-        values[None, None], place[None, None, None], align_corners=True, padding_mode="border"
+        values[None, None], position[None, None, None], align_corners=True, padding_mode="border"
     ).reshape(-1)
     (gradient,) = torch.autograd.grad(value.sum(), points, create_graph=True)
     return value, gradient

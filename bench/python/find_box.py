@@ -135,7 +135,7 @@ def measured(scene: Path, yaw_deg: float, preset: str | None, with_wrong: bool) 
 
 
 def summary(rows: list[dict]) -> list[str]:
-    """Figures over all scenes."""
+    """Print the values over all scenes."""
     found = [row for row in rows if "error" not in row]
     size = np.abs([e for row in found for e in row["size_mm"]])
     covered = [c for row in found for c in row["size_covered"]]

@@ -84,10 +84,10 @@ def screw_scene(seed: int, out: Path, preset: str) -> tuple[Path, Path]:
         middle = 0.5 * (thing.vertices.min(axis=0) + thing.vertices.max(axis=0))
         thing = TriangleMesh(vertices=scale * (thing.vertices - middle), faces=thing.faces)
         screw = surface(cylinder((0, 0, 0), 2, 0.004, 0.004, 0.0005))
-        place = np.ones(3)
-        while not 0.018 < signed_distances(thing, place[None])[0] < 0.03:
-            place = rng.uniform(-0.06, 0.06, 3)
-        screw = TriangleMesh(vertices=screw.vertices + place, faces=screw.faces)
+        position = np.ones(3)
+        while not 0.018 < signed_distances(thing, position[None])[0] < 0.03:
+            position = rng.uniform(-0.06, 0.06, 3)
+        screw = TriangleMesh(vertices=screw.vertices + position, faces=screw.faces)
         write_mesh(TriangleMesh.joined([thing, screw]), folder / "parts.ply")
         both = read_mesh(folder / "parts.ply")
         size = np.ptp(both.vertices, axis=0)

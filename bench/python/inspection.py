@@ -1,4 +1,4 @@
-"""What `geraf2 inspect` finds of parts whose place and shape are known.
+"""What `geraf2 inspect` finds of parts whose position and shape are known.
 
     python bench/python/inspection.py --out out/inspection [--placements 20] [--preset best]
 
@@ -6,7 +6,7 @@ Six parts of 50 to 70 mm in cartons of 14 cm, turned by any angle about the vert
 to 12 degrees and shifted by up to 10 mm; a bracket with and without the head of its screw (8 mm);
 three parts of which one may be missing. `--parts development` takes four other parts: constants are
 set on these. Each is simulated, reconstructed, inspected. Captures and runs are kept in `--out` and
-used again, so that a stopped script goes on where it was; `--cached` counts what is there and makes
+used again, so that a stopped script continues where it was; `--cached` counts what is there, makes
 nothing new. The inspection is always new. Shares come with their Wilson intervals (95 %).
 """
 
@@ -109,8 +109,8 @@ HEADS = {
 def surface(*distances: Distance) -> TriangleMesh:
     """Closed mesh of the union."""
     at = np.arange(-_HALF_M, _HALF_M, _STEP_M)
-    places = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
-    values = np.minimum.reduce([d(places) for d in distances]).astype(np.float32)
+    positions = np.stack(np.meshgrid(at, at, at, indexing="ij"), -1)
+    values = np.minimum.reduce([d(positions) for d in distances]).astype(np.float32)
     vertices, faces, _, _ = marching_cubes(
         values, 0.0, gradient_direction="descent", allow_degenerate=False
     )
@@ -189,11 +189,11 @@ def wilson(n_yes: int, n: int, z: float = 1.96) -> tuple[float, float]:
 
 
 def scored(made: list[bool], what: str) -> None:
-    said = "none was run"
+    named = "none was run"
     if made:
         low, high = (100.0 * limit for limit in wilson(sum(made), len(made)))
-        said = f"{sum(made)} of {len(made)}, {100 * np.mean(made):.0f} % ({low:.0f} to {high:.0f})"
-    print(f"{what:<52} {said}", flush=True)
+        named = f"{sum(made)} of {len(made)}, {100 * np.mean(made):.0f} % ({low:.0f} to {high:.0f})"
+    print(f"{what:<52} {named}", flush=True)
 
 
 def pose_errors(
@@ -244,7 +244,7 @@ def single(options: argparse.Namespace) -> None:
         turns += list(np.abs(turn) / match.placement.rotation_sigma_rad)
         print(
             f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angles[-1]:.2f} degrees, "
-            f"misfit {match.placement.misfit:.2f}, {match.status}, taken for {taken}, "
+            f"misfit {match.placement.misfit:.2f}, {match.status}, interpreted as {taken}, "
             f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}",
             flush=True,
         )
@@ -252,7 +252,7 @@ def single(options: argparse.Namespace) -> None:
     if offs:
         print(f"  median {1e3 * np.median(offs):.2f} mm, {np.median(angles):.2f} degrees")
     scored(right, f"right part of {len(names)}")
-    scored(failed, "whole part said to fail")
+    scored(failed, "whole part fails")
     scored([bool(pull < 1.96) for pull in pulls], "stated 95 % of the pose's middle hold")
     scored([bool(turn < 1.96) for turn in turns], "stated 95 % of the pose's turn hold")
     for what, held in measured.items():
@@ -275,10 +275,10 @@ def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
 
 def head(options: argparse.Namespace) -> None:
     """Is the head of the screw there."""
-    whole, bare, extra, place, first = HEADS[options.parts]
+    whole, bare, extra, position, first = HEADS[options.parts]
     model = surface(*bare, extra)
     for name, parts in ((whole, (*bare, extra)), (f"{whole} without head", bare)):
-        said, failed = [], []
+        named, failed = [], []
         for number in range(first, first + options.heads):
             case = Case(name, number, parts)
             run = case.run(options)
@@ -286,29 +286,31 @@ def head(options: argparse.Namespace) -> None:
                 continue
             answer = geraf2.inspect(run, [model], write=False)
             found = answer.models[0]
-            at = apply_rigid(case.pose, np.array(place))
+            at = apply_rigid(case.pose, np.array(position))
             regions = found.deviation.regions if found.deviation else ()
             here = [
                 r
                 for r in regions
                 if r.what != "too much" and np.linalg.norm(r.center_m - at) < 0.008
             ]
-            said.append(bool(here))
+            named.append(bool(here))
             failed.append(answer.verdict == "fail")
             print(
                 f"  {name} {number}: {[(r.what, round(1e6 * r.area_m2)) for r in here]}, "
                 f"{answer.verdict} {'; '.join(answer.failures)}",
                 flush=True,
             )
-        scored(said, "head said to miss" + (", though it is there" if name == whole else ""))
-        scored(failed, f"{name} said to fail")
+        scored(
+            named, "head reported as missing" + (", though it is there" if name == whole else "")
+        )
+        scored(failed, f"{name} fails")
 
 
 def trio(options: argparse.Namespace) -> None:
     """Is one of three parts missing."""
     models = [surface(*parts) for parts in TRIO.values()]
     for gone in (None, "right"):
-        said, failed = [], []
+        named, failed = [], []
         for number in range(200, 200 + options.trios):
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
@@ -318,15 +320,18 @@ def trio(options: argparse.Namespace) -> None:
             found = geraf2.inspect(run, models, expect=3, write=False)
             states = [report.match.status for report in found.models]
             missing = [status in ("missing", "wrong part") for status in states]
-            said.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])
+            named.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])
             failed.append(found.verdict == "fail")
             print(
                 f"  {case.name} {number}: {', '.join(states)}; {len(found.parts)} parts, "
                 f"{found.verdict} {'; '.join(found.failures)}",
                 flush=True,
             )
-        scored(said, "one of three said to miss" if gone is None else "the missing one is named")
-        scored(failed, f"{'all three' if gone is None else 'two of three'} said to fail")
+        scored(
+            named,
+            "one of three reported as missing" if gone is None else "the missing one is named",
+        )
+        scored(failed, f"{'all three' if gone is None else 'two of three'} fail")
 
 
 def main() -> None:

@@ -4,7 +4,7 @@
 
 Scenes of `scores.py` (`--scenes out/scores` uses them again) and 48 simulated photos of
 640 x 480. Each is reconstructed with `--los los.ply`, the true box, and with `--los photos/`, by
-the `geraf2` command with unchanged settings; seed 0. All figures stand in the same carton: it is
+the `geraf2` command with unchanged settings; seed 0. All objects are in the same carton: it is
 trained for the first, and used as a folder for the others. Printed: distance of the trained
 surface from the true box, and F1 and Chamfer distance of both reconstructions with their relative
 change, by 100,000 samples of each surface: with the usual 10,000 the change of the Chamfer distance
@@ -73,7 +73,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("out/los_photos"))
     parser.add_argument("--scenes", type=Path, help="--out of scores.py, whose scenes are used")
     parser.add_argument("--los", type=Path, help="prior already trained from these photos")
-    parser.add_argument("--only", nargs="*", default=["cat"], help="figures; cat by default")
+    parser.add_argument("--only", nargs="*", default=["cat"], help="objects; cat by default")
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
     missed: list[str] = []
@@ -94,7 +94,7 @@ def main() -> None:
         los = photos_of(scene, options.out / "photos") if trained is None else trained
         got = reconstruct_and_score(scene, los, truth, run, n_samples=N_SCORED)
         print(got.row(f"{case.name}, photos"), flush=True)
-        if first:  # all figures stand in the same carton
+        if first:  # all objects are in the same carton
             print_surface(run, scene / "los.ply")
             trained = options.out / "los"
             shutil.rmtree(trained, ignore_errors=True)

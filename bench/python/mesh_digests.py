@@ -3,7 +3,7 @@
     python bench/python/mesh_digests.py [--data ../shared/data] [--presets fast best]
 
 A line a capture and preset: blake2b of the file, its size, seconds. Captures: that of
-`geraf2 demo`, an own simulation of another figure, and, where --data is given, the independent
+`geraf2 demo`, an own simulation of another object, and, where --data is given, the independent
 capture spot_carton. Only the command line is used, as any two versions have it; run it at both
 commits on one machine, whose instruction set and library versions are part of the bytes, and
 compare the lines. The comment of the file that names geraf2's own version is left out.

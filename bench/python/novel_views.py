@@ -1,4 +1,4 @@
-"""What learned reflectivity is worth in heat maps of planes that were left out.
+"""Effect of learned reflectivity on heat maps of planes that were left out.
 
     python bench/python/novel_views.py OUT SCENE ... [--preset best] [--hold-out 60 180 300]
 

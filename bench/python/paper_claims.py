@@ -1,19 +1,19 @@
-"""What the paper claims of its second stage, L_RSDF and ULoS rendering, on painted figures.
+"""What the paper claims of its second stage, L_RSDF and ULoS rendering, on painted objects.
 
     python bench/python/paper_claims.py scenes OUT [--figures NAME ...] [--planes 18] [--world]
     python bench/python/paper_claims.py train OUT/SCENE ... --seeds 0 1 [--form corrected] \
         [--early 400] [--moved] [--calibrate] [--rows FILE.csv]
 
-`scenes` simulates figures whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
+`scenes` simulates objects whose reflectivity varies: patches of 3 cm with 0.3 of the amplitude of
 metal beside patches of metal, in a carton with 0.45 dB of loss a crossing. With `--world` it takes
-everything that docs/world.md calls plausible in their place, drawn anew for every figure; train
+everything that docs/world.md calls plausible instead, drawn anew for every object; train
 such scans with `--calibrate`, which corrects them as the first stage of every preset does.
 
-`train` trains a first stage and goes on from it in several ways for as many steps. Each way is
-compared with the first stage, and with the first stage gone on with for as long at the same rate,
+`train` trains a first stage and continues it by several methods for as many steps. Each method is
+compared with the first stage, and with the first stage continued for as long at the same rate,
 scene by scene: mean over seeds, then mean over scenes with its 95 % interval (Student's t), and in
 how many scenes it is better. `--early N` scores a first stage after its first N steps, too.
-`--moved` scores each way a second time, with its level moved to the glints. FILE.csv keeps the rows
+`--moved` scores each method again, with its level moved to the glints. FILE.csv keeps the rows
 of one set of scenes: what it holds is not trained again. The rows behind docs/paper-results.md are
 paper_claims.csv and, of scans of a plausible world, paper_claims_world.csv.
 """
@@ -46,13 +46,13 @@ from paper_forms import (
 )
 
 Found = dict[str, list[float]]
-"""Figures of each way."""
+"""Scores of each method."""
 FIRST, ON, ULOS = "stage 1", "stage 1, longer", "stage 1, ULoS off"
 FIRSTS = (FIRST, ULOS)
 WHOLE = ", whole rate"
 MOVED = ", moved"
 WIDTH = 41
-"""Of a way's name when printed."""
+"""Of a method's name when printed."""
 SECOND: dict[str, dict[str, Any]] = {
     ON: {"rsdf_weight": 0.0, "train_reflectivity": False},
     "stage 2, lambda 1": {"rsdf_weight": 1.0},
@@ -97,7 +97,7 @@ def make_scenes(out: Path, figures: list[str], planes: int, *, world: bool) -> N
 
 
 def after(name: str, n_steps: int) -> str:
-    """Name of a way after its first steps."""
+    """Name of a method after its first steps."""
     return f"{name}, first {n_steps} steps"
 
 
@@ -112,7 +112,7 @@ class Scoring:
 
     @property
     def levels(self) -> tuple[str, ...]:
-        """What is added to a way's name."""
+        """What is added to a method's name."""
         return ("", MOVED) if self.moved else ("",)
 
     def stops(self, name: str) -> dict[str, int | None]:
@@ -121,26 +121,26 @@ class Scoring:
         return {after(name, n): n for n in early} | {name: None}
 
     def names(self, name: str) -> list[str]:
-        """Ways that come of one training."""
-        return [way + level for way in self.stops(name) for level in self.levels]
+        """Methods that share one training."""
+        return [route + level for route in self.stops(name) for level in self.levels]
 
     def figures(self, bench: Bench, name: str, trainer: PaperTrainer) -> Found:
         """Train to the end, and score."""
         found, form = Found(), trainer.config
-        for way, n_steps in self.stops(name).items():
+        for route, n_steps in self.stops(name).items():
             for level in self.levels:
                 moves = form.glint_level or level == MOVED
                 trainer.config = replace(form, glint_level=moves)
-                found[way + level] = scored(bench, trainer, n_steps=n_steps)
+                found[route + level] = scored(bench, trainer, n_steps=n_steps)
         return found
 
 
-def train(bench: Bench, base: PaperConfig, ways: list[str], scoring: Scoring) -> Found:
-    """Train ways, one of them FIRST, of one scene and seed."""
+def train(bench: Bench, base: PaperConfig, routes: list[str], scoring: Scoring) -> Found:
+    """Train methods, one of them FIRST, of one scene and seed."""
     alone = replace(base, stage2=replace(base.stage2, n_steps=0))
     first = bench.trainer(alone)
     found = scoring.figures(bench, FIRST, first)
-    for name in ways:
+    for name in routes:
         if name in SECOND:
             config = replace(base, stage2=replace(base.stage2, **SECOND[name]))
             found |= scoring.figures(bench, name, bench.second_stage(config, first))
@@ -171,9 +171,9 @@ def compared(rows: dict[tuple[str, str], list[list[float]]]) -> None:
 
 
 def references(name: str) -> tuple[str, ...]:
-    """Ways that a way is compared with."""
+    """Methods that a method is compared with."""
     if name.endswith(MOVED):
-        return tuple(way + MOVED for way in references(name.removesuffix(MOVED)))
+        return tuple(route + MOVED for route in references(name.removesuffix(MOVED)))
     if name.startswith(ULOS):
         return (name.replace(ULOS, FIRST),)
     if name not in SECOND:  # a first stage
@@ -224,18 +224,18 @@ def main() -> None:
     if options.moved and FORMS[options.form].get("glint_level"):
         parser.error(f"--moved asks for a form whose level is as trained, not for {options.form}")
     scoring = Scoring(options.early, options.moved)
-    ways = list(dict.fromkeys([FIRST, *options.ways]))
+    routes = list(dict.fromkeys([FIRST, *options.routes]))
     kept = Rows(options.rows)
-    print(f"{'scene':14} seed {'way':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
+    print(f"{'scene':14} seed {'route':{WIDTH}} " + " ".join(f"{n:>7}" for n in NAMES))
     rows: dict[tuple[str, str], list[list[float]]] = {}
     for scene in options.scenes:
         bench = None
         for seed in options.seeds:
             start = time.process_time()
             missing = [
-                way
-                for way in ways
-                if any((scene.name, seed, n) not in kept.known for n in scoring.names(way))
+                route
+                for route in routes
+                if any((scene.name, seed, n) not in kept.known for n in scoring.names(route))
             ]
             if missing:
                 if bench is None:
@@ -246,7 +246,7 @@ def main() -> None:
                 for name, values in train(bench, base, missing, scoring).items():
                     if (scene.name, seed, name) not in kept.known:
                         kept.keep(scene.name, seed, name, values)
-            for name in (name for way in ways for name in scoring.names(way)):
+            for name in (name for route in routes for name in scoring.names(route)):
                 values = kept.known[scene.name, seed, name]
                 rows.setdefault((scene.name, name), []).append(values)
                 shown = " ".join(f"{v:7.3f}" for v in values)

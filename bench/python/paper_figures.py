@@ -1,4 +1,4 @@
-"""Figures of docs/paper-method.md: what the equations of the paper do to the zero level.
+"""Values of docs/paper-method.md: what the equations of the paper do to the zero level.
 
     python bench/python/paper_figures.py docs/paper-method.png
 
@@ -39,25 +39,25 @@ def weights(two_way: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def interval_bias() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean place of the weight where it stands for mid-interval and for the near sample."""
+    """Mean position of the weight where it stands for mid-interval and for the near sample."""
     steps = np.linspace(0.5e-3, 10e-3, 20)
     middle, near = [], []
     for step in steps:
-        places = []
+        positions = []
         for shift in np.linspace(0.0, 1.0, 16, endpoint=False):
             sdf = (0.08 - step * (np.arange(round(0.16 / step)) + shift))[None]
             ones = np.ones_like(sdf)
             weight = np.asarray(
                 ray_march(sdf, -ones, step * ones, INV_S, two_way="unbiased").weight
             )
-            places.append((weight * sdf).sum() / weight.sum())
-        middle.append(np.mean(places))
-        near.append(np.mean(places) + 0.5 * step)
+            positions.append((weight * sdf).sum() / weight.sum())
+        middle.append(np.mean(positions))
+        near.append(np.mean(positions) + 0.5 * step)
     return steps, np.array(middle), np.array(near)
 
 
 def sphere_peaks() -> tuple[np.ndarray, np.ndarray]:
-    """Depth of the brightest place behind the surface of a metal sphere, by side of aperture."""
+    """Depth of the brightest point behind the surface of a metal sphere, by side of aperture."""
     sides = np.linspace(0.02, 0.24, 12)
     depths = np.arange(-0.03, 0.05, 5e-4)
     # The antenna plane is x = 0, the sphere's near point lies at STANDOFF_M.
@@ -68,16 +68,16 @@ def sphere_peaks() -> tuple[np.ndarray, np.ndarray]:
     for side in sides:
         line = np.linspace(-0.5 * side, 0.5 * side, max(round(side / 0.004), 6))
         y, z = (a.ravel() for a in np.meshgrid(line, line))
-        places = np.stack([np.zeros_like(y), y, z], axis=1)
-        path = 2.0 * (np.linalg.norm(places - center, axis=1) - RADIUS_M)
+        positions = np.stack([np.zeros_like(y), y, z], axis=1)
+        path = 2.0 * (np.linalg.norm(positions - center, axis=1) - RADIUS_M)
         phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * path[:, None] * WAVEFORM.frequencies_hz
-        image = matched_filter(np.exp(-1j * phase), places, places, targets, WAVEFORM)
+        image = matched_filter(np.exp(-1j * phase), positions, positions, targets, WAVEFORM)
         peaks.append(depths[int(np.abs(image).argmax())])
     return sides, np.array(peaks)
 
 
 def spreading_shift() -> tuple[np.ndarray, np.ndarray]:
-    """Where the peak of one echo goes if 1 / R^p is taken off after the range blur, by p."""
+    """Where the peak of one echo lies if 1 / R^p is removed after the range blur, by p."""
     offsets = np.arange(-0.04, 0.04, 1e-4)
     blur = np.abs(np.sinc(offsets / WAVEFORM.range_cell_m))
     powers = np.arange(0, 5)
@@ -91,7 +91,10 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     out = parser.parse_args().out
     figure, panels = plt.subplots(1, 4, figsize=(15, 3.4), layout="constrained")
-    for two_way, label in (("squared", "squared T, the paper"), ("unbiased", "T of both ways")):
+    for two_way, label in (
+        ("squared", "squared T, the paper"),
+        ("unbiased", "T of both directions"),
+    ):
         sdf, weight = weights(two_way)
         panels[0].plot(1e3 * sdf, weight / weight.max(), label=label)
         print(
@@ -123,7 +126,7 @@ def main() -> None:
     powers, shifts = spreading_shift()
     panels[3].plot(powers, 1e3 * shifts, "o-")
     panels[3].set(
-        xlabel="power of R taken off after the blur",
+        xlabel="power of R removed after the blur",
         ylabel="shift of the peak [mm]",
         title="spreading after the range blur",
     )

@@ -116,7 +116,7 @@ def scored(bench: Bench, trainer: PaperTrainer, *, n_steps: int | None = None) -
 
 
 class Rows:
-    """Figures of a scene, a seed and a way to train, kept in a file if one is named."""
+    """Scores of a scene, a seed and a method of training, kept in a file if one is named."""
 
     def __init__(self, path: Path | None) -> None:
         self.path, self.known = path, dict[tuple[str, int, str], list[float]]()
@@ -133,7 +133,7 @@ class Rows:
 
 
 def shown(values: Any) -> str:
-    """Figures of a row."""
+    """Scores of a row."""
     f1_15, f1_5, chamfer, median = values
     return f"{f1_15:7.3f} {f1_5:7.3f} {chamfer:7.3f} {median:+7.2f}"
 

@@ -7,7 +7,7 @@
 errors and noise); PHOTOS is any set that geraf2 reads. --box are the true sides of a carton about
 the origin, with which the mesh is compared: distances of points spread evenly over it, for the
 faces that photos show and for the bottom that they do not. --bounds are published ones that the
-mesh is compared with. Neither is told to the training. Every eighth photo is held out. PSNR is over
+mesh is compared with. The training knows neither. Every eighth photo is held out. PSNR is over
 the pixels of the silhouette ("object") and over the whole picture with the background black in both
 ("picture"); IoU is of opacity above 1/2 with the silhouette, and for --mask-threshold with what is
 brighter than that, shadows of the object left open ("unfilled"), too.
@@ -152,13 +152,13 @@ def main():
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
     config = replace(GridPhotoConfig(), seed=options.seed)
 
-    def tell(trainer, losses):
+    def show(trainer, losses):
         if trainer.step_number % 100 == 0:
             terms = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
             print(f"{trainer.step_number}/{trainer.n_steps}  {terms}", flush=True)
 
     wall_s, cpu_s = time.perf_counter(), time.process_time()
-    surface = train_neural_surface(photos.subset(np.nonzero(~held)[0]), config, progress=tell)
+    surface = train_neural_surface(photos.subset(np.nonzero(~held)[0]), config, progress=show)
     mesh = surface.mesh()
     wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     names = [name for name, out in zip(photos.names, held, strict=True) if out]

@@ -57,10 +57,10 @@ def antennas(count: int) -> np.ndarray:
     """A raster of lambda / 4 spacing, 0.36 m in front of the origin."""
     rows = 2 ** (int(np.log2(count)) // 2)
     y, z = np.meshgrid(np.arange(rows), np.arange(count // rows), indexing="ij")
-    places = np.stack(
+    positions = np.stack(
         [np.full(y.size, -360.0), y.ravel() - rows / 2, z.ravel() - y.size / rows / 2]
     )
-    return 1e-3 * places.T
+    return 1e-3 * positions.T
 
 
 def seconds(step: Callable[[], object], repeats: int, clock: Callable[[], float]) -> float:

@@ -1,15 +1,15 @@
 """What planes buy for the minutes that they take: parts of one simulated scan, reconstructed.
 
-    geraf2 simulate SPEC.toml SCENE --scan SUPER.json      # of each figure; see `superset`
+    geraf2 simulate SPEC.toml SCENE --scan SUPER.json      # of each object; see `superset`
     python bench/python/scan_time.py superset SUPER.json
     python bench/python/scan_time.py scores SCENE... --out OUT [--preset fast best] [--only NAME...]
     python bench/python/scan_time.py draw OUT --to docs/scan-time.svg
 
 `superset` writes a scan of 12 planes around the box of 22 cm, 8 at 40 degrees and 1 above at 4 mm,
 with 8 channels at 0.1 m/s. `scores` takes planes of it out of each scene, as DESIGNS
-says, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
+has them, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
 planes see apart. Rows that OUT/scores.json holds are not made again. Minutes are those of 8
-channels and of one. `draw` draws the means over the figures against the minutes.
+channels and of one. `draw` draws the means over the objects against the minutes.
 """
 
 import argparse
@@ -56,7 +56,7 @@ class Part:
     rows: int = 64
     """Rows of antennas kept, about the middle."""
     step: int = 1
-    """Every which row and place is kept."""
+    """Steps in rows and in positions."""
 
     def planes(self, capture: Capture) -> list[int]:
         """Which planes of the capture."""
@@ -113,7 +113,7 @@ def write_superset(path: Path) -> None:
 
 
 def taken(capture: Capture, part: Part) -> Capture:
-    """Planes of a capture, rows about their middle, every so many rows and places."""
+    """Planes of a capture, rows about their middle, every so many rows and positions."""
     return replace(capture, poses=tuple(cut(capture.poses[i], part) for i in part.planes(capture)))
 
 
@@ -133,7 +133,7 @@ def cut(pose: Pose, part: Part) -> Pose:
 
 
 def minutes(capture: Capture, part: Part, channels: int) -> float:
-    """Of the planes as they lie, without the way to the first."""
+    """Of the planes as they lie, without the travel to the first."""
     scanner = Scanner(channels=channels, speed_m_per_s=SPEED_M_PER_S)
     planes = [Aperture.of_pose(pose).right_handed() for pose in capture.poses]
     return (swept_planes(planes, part.step * SPACING_M, scanner)[1] - scanner.turn_s) / 60.0
@@ -162,7 +162,7 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
         "extents_m": metrics.size.extent_errors_m,
         "f1_5mm_by_sight": [one.scores[1].f1 for one in metrics.by_sight],
         "seen": metrics.by_sight[0].area_fraction,
-        "median_m": metrics.both_ways.median_m,
+        "median_m": metrics.both_directions.median_m,
         "chamfer_1e3_m2": metrics.chamfer_1e3_m2,
         **but_bottom(mesh, truth, seed),
         "expected_m": float(np.mean(mesh.expected_error_m)),
@@ -205,7 +205,7 @@ def print_means(rows: Iterable[dict[str, Any]]) -> None:
     rows = list(rows)
     for preset in sorted({row["preset"] for row in rows}):
         print(
-            f"\n| {preset} | figures | minutes | F1 15 / 5 / 3 / 2 mm | seen | unseen | CD, median "
+            f"\n| {preset} | objects | minutes | F1 15 / 5 / 3 / 2 mm | seen | unseen | CD, median "
             "| volume, extents mm | s | all but the bottom, top |"
         )
         for name in DESIGNS:
@@ -233,7 +233,7 @@ def print_means(rows: Iterable[dict[str, Any]]) -> None:
 
 
 def draw(rows: list[dict[str, Any]], to: Path) -> None:
-    """Means over the figures against minutes; the curve goes through what nothing quicker beats."""
+    """Means over the objects against minutes; the curve goes through what nothing quicker beats."""
     plt.rcParams["svg.hashsalt"] = "scan-time"
     figure, axes = plt.subplots(figsize=(7.5, 5.2), layout="constrained")
     n_figures = len({row["scene"] for row in rows})

@@ -3,7 +3,7 @@
     python bench/python/scores.py --data ../shared/data --out out/scores \\
         [--preset fast | best] [--only cat cat_6_planes] [--jobs N | --scheduler tcp://HOST:8786]
 
-The figures are public meshes and no part of the project; `--data` names the folder that holds
+The objects are public meshes and no part of the project; `--data` names the folder that holds
 them (`meshes/*.ply`) and the independent capture (`spot_carton/`). Every case is simulated,
 reconstructed and evaluated by the `geraf2` command with unchanged settings. `--preset` goes to
 `geraf2 reconstruct`. Scenes are kept in
@@ -101,7 +101,7 @@ HARDER = (
     ),
 )
 
-# The independent capture and the five figures again, with less to go by.
+# The independent capture and the five objects again, with less data.
 FEW_PLANES = (
     Case(name=f"{INDEPENDENT}_of_6_planes", mesh="", of=INDEPENDENT, planes=6),
     *(replace(c, name=f"{c.name}_of_6_planes", of=c.name, planes=6) for c in FIGURES),

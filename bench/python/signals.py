@@ -1,4 +1,4 @@
-"""Signals at random moments of every long command: does each end, and go on, as it should?
+"""Signals at random moments of every long command: does each end, and continue, as it should?
 
     python bench/python/signals.py [--trials 700] [--seed 0] [--commands reconstruct image ...]
     python bench/python/signals.py --pairs 20
@@ -8,11 +8,11 @@ random moment of the processor time that it takes, and asks for
 - exit code 130 or 143 (or death by that very signal, before Python runs and after SIGKILL), or 0
   where it was done before the signal came; and no more than one line of error;
 - a true sentence: after "nothing was written" no file is another;
-- no file half-written: each one that the folder's own record names is as it says;
+- no file half-written: each one that the folder's own record names has the recorded digest;
 - the same bytes as without the signal, once the command is given again;
 - no temporary file left then.
 A line a failure, and the counts at the end; exit code 1 if any trial failed. With --counts FILE
-they are kept after each trial, and the same command goes on from there. Nine trials of ten are
+they are kept after each trial, and the same command continues from there. Nine trials of ten are
 forks of a process that has every library loaded, which takes a third of the time: their moments
 fall on the work. Those of the others fall on the imports, too. Wants Linux.
 
@@ -57,7 +57,7 @@ BOX = ["--box", "0.2", "0.2", "0.2"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
 FORKS_OF = 10
 """Of so many trials all but one are forks."""
-# What tells the time or how long something took; everything else is the same in every run.
+# Times of day and durations; everything else is the same in every run.
 CHANGING = ("run.json", "log.jsonl", "report.html")
 
 
@@ -68,7 +68,7 @@ class Command:
     words: list[str]
     before: Path | None = None
     again: tuple[str, ...] = ()
-    """Flags with which it goes on after a stop."""
+    """Flags with which it continues after a stop."""
 
 
 def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]:
@@ -93,9 +93,9 @@ def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]
         "render": Command(["render", "{}", *coarse], run),
     }
     chosen = {name: every[name] for name in names or every}
-    for place, more in ((run, []), (plain, ["--calibrate", "no"])):
-        if any(command.before == place for command in chosen.values()):
-            call(*(word.replace("{}", str(place)) for word in quick), *more)
+    for base, more in ((run, []), (plain, ["--calibrate", "no"])):
+        if any(command.before == base for command in chosen.values()):
+            call(*(word.replace("{}", str(base)) for word in quick), *more)
     return chosen
 
 
@@ -125,8 +125,8 @@ class Process:
     A fork must not come after threads of OpenMP: this process computes nothing.
     """
 
-    def __init__(self, words: list[str], said: Path, *, fork: bool) -> None:
-        self._said, self.cpu_s = said, 0.0
+    def __init__(self, words: list[str], printed: Path, *, fork: bool) -> None:
+        self._printed, self.cpu_s = printed, 0.0
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
         if fork:
             # A signal waits until the fork is no longer this script.
@@ -134,13 +134,13 @@ class Process:
             self.pid = os.fork()
             if self.pid == 0:
                 os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
-                os.dup2(os.open(said, flags), 2)
+                os.dup2(os.open(printed, flags), 2)
                 self._run(words)
             signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS[:2])
             return
         actions = [
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
-            (os.POSIX_SPAWN_OPEN, 2, str(said), flags, 0o600),
+            (os.POSIX_SPAWN_OPEN, 2, str(printed), flags, 0o600),
         ]
         command = [*geraf2_command(), *words]
         self.pid = os.posix_spawn(command[0], command, os.environ, file_actions=actions)
@@ -159,7 +159,7 @@ class Process:
                 code = end.code if isinstance(end.code, int) else 1
             signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS[:2])  # geraf2 would be gone here
             atexit._run_exitfuncs()
-            self._said.with_suffix(".modules").write_text("\n".join(sys.modules))
+            self._printed.with_suffix(".modules").write_text("\n".join(sys.modules))
             sys.stderr.flush()
         finally:  # never on into the script: it removes its folder
             os._exit(code)
@@ -179,10 +179,10 @@ class Process:
         return 1e-9 * nanoseconds
 
     def end(self) -> tuple[int, str]:
-        """Exit code, negative after a signal, and what was said on stderr."""
+        """Exit code, negative after a signal, and the text of stderr."""
         _, status, usage = os.wait4(self.pid, 0)
         self.cpu_s = usage.ru_utime + usage.ru_stime
-        return os.waitstatus_to_exitcode(status), self._said.read_text(errors="replace")
+        return os.waitstatus_to_exitcode(status), self._printed.read_text(errors="replace")
 
 
 class Bench:
@@ -204,9 +204,9 @@ class Bench:
             for _ in range(1 + fork):  # the first one finds out what is imported
                 out = self._fresh(name)
                 process = self._start(name, out, fork=fork)
-                code, said = process.end()
+                code, printed = process.end()
                 if code != 0:
-                    sys.exit(f"{name}: {said.strip()}")
+                    sys.exit(f"{name}: {printed.strip()}")
                 if fork:
                     self._import_its_modules()
             self._known[name, fork] = results_of(out), process.cpu_s
@@ -222,19 +222,19 @@ class Bench:
         process = self._start(name, out, fork=fork)
         process.wait_for(moment * cpu_s)
         os.kill(process.pid, number)
-        code, said = process.end()
+        code, printed = process.end()
         ended = {0: "done before", -number: "killed"}.get(code, "stopped")
-        # While Python starts, SIGINT is its own affair: it tells of it at length, or that it could
+        # While Python starts, SIGINT is its own affair: it reports it at length, or that it could
         # not start, or loses it in a callback of an import. geraf2's handler is there with run().
-        early = number == signal.SIGINT and "in run" not in said
+        early = number == signal.SIGINT and "in run" not in printed
         early &= code == -number or (not fork and moment * cpu_s < PYTHON_STARTS_S)
         words = () if early else ("Traceback", "internal error", "Fatal")
-        faults = [f"{text} in: {said[-900:]}" for text in words if text in said]
+        faults = [f"{text} in: {printed[-900:]}" for text in words if text in printed]
         code_fits = code in (0, -number) or (code == 128 + number and number != signal.SIGKILL)
         if not code_fits and not early:
-            faults.append(f"exit code {code}: {said[-300:]}")
+            faults.append(f"exit code {code}: {printed[-300:]}")
         untouched = files_of(out.parent) == before
-        if "nothing was written" in said and not untouched:
+        if "nothing was written" in printed and not untouched:
             faults.append("something was written")
         if out.is_dir() and any(out.iterdir()) and name != "los":
             faults += _corrupt(out)
@@ -243,22 +243,22 @@ class Bench:
         return ended, faults
 
     def _again(self, name: str, out: Path, wanted: dict[str, str], *, fork: bool) -> list[str]:
-        code, said = self._start(name, out, *self.commands[name].again, fork=fork).end()
+        code, printed = self._start(name, out, *self.commands[name].again, fork=fork).end()
         if code != 0:
-            return [f"again: exit code {code}: {said[-300:]}"]
+            return [f"again: exit code {code}: {printed[-300:]}"]
         got = results_of(out)
         different = sorted(n for n in wanted.keys() | got.keys() if got.get(n) != wanted.get(n))
         left = [f"left: {p.name}" for p in out.parent.rglob(".*.tmp*")]
         return [*(f"again: {n} differs" for n in different), *left]
 
     def _fresh(self, name: str) -> Path:
-        place = self.folder / "trial"
-        shutil.rmtree(place, ignore_errors=True)
-        place.mkdir()
+        base = self.folder / "trial"
+        shutil.rmtree(base, ignore_errors=True)
+        base.mkdir()
         before = self.commands[name].before
         if before is not None:
-            shutil.copytree(before, place / "out")
-        return place / "out"
+            shutil.copytree(before, base / "out")
+        return base / "out"
 
     def _start(self, name: str, out: Path, *more: str, fork: bool) -> Process:
         words = [word.replace("{}", str(out)) for word in self.commands[name].words]
@@ -279,11 +279,11 @@ def _corrupt(out: Path) -> list[str]:
 
 
 def run_trials(
-    bench: Bench, n_trials: int, seed: int, told: Callable[[str], None], kept: Path | None = None
+    bench: Bench, n_trials: int, seed: int, report: Callable[[str], None], kept: Path | None = None
 ) -> int:
     """Make trials, commands and signals in turn -> how many failed, in all slices.
 
-    kept: file of counts, from which a later call goes on.
+    kept: file of counts, from which a later call continues.
     """
     record = {"seed": seed, "trials": 0, "counts": {}, "failures": []}
     if kept is not None and kept.exists():
@@ -299,7 +299,7 @@ def run_trials(
             record["failures"].append(
                 f"trial {trial}: {name} {number.name} at {moment:.2f}: {'; '.join(faults)}"
             )
-            told(record["failures"][-1])
+            report(record["failures"][-1])
         record |= {"trials": trial + 1, "counts": dict(sorted(counts.items()))}
         if kept is not None:
             kept.write_text(json.dumps(record, indent=1), encoding="utf-8")
@@ -307,11 +307,11 @@ def run_trials(
     for what, n in counts.items():
         of_signal[what.partition(" ")[2]] += n
     parts = ", ".join(f"{what} {n}" for what, n in sorted(of_signal.items()))
-    told(f"{record['trials']} signals: {parts}; {len(record['failures'])} failed")
+    report(f"{record['trials']} signals: {parts}; {len(record['failures'])} failed")
     return len(record["failures"])
 
 
-def run_pairs(folder: Path, n_pairs: int, seed: int, told: Callable[[str], None]) -> int:
+def run_pairs(folder: Path, n_pairs: int, seed: int, report: Callable[[str], None]) -> int:
     """Make pairs of concurrent runs -> how many failed."""
     rng, counts, n_failed = random.Random(seed), Counter[str](), 0
     scene, out, wanted, took = folder / "scene", folder / "pair", list[dict[str, str]](), 0.0
@@ -332,16 +332,16 @@ def run_pairs(folder: Path, n_pairs: int, seed: int, told: Callable[[str], None]
             command = [*geraf2_command(), *words]
             running.append(subprocess.Popen(command, stderr=subprocess.PIPE, text=True))
             time.sleep(rng.uniform(0.0, 0.5 * took) if len(running) == 1 else 0.0)
-        said = [process.communicate()[1] for process in running]
+        printed = [process.communicate()[1] for process in running]
         codes = sorted(process.returncode for process in running)
         counts[f"exit codes {codes}"] += 1
-        told_why = ("another run is writing", "a finished mesh of other settings")
-        refused = [text for p, text in zip(running, said, strict=True) if p.returncode == 2]
-        good = codes == [0, 2] and all(any(w in text for w in told_why) for text in refused)
+        reason = ("another run is writing", "a finished mesh of other settings")
+        refused = [text for p, text in zip(running, printed, strict=True) if p.returncode == 2]
+        good = codes == [0, 2] and all(any(w in text for w in reason) for text in refused)
         if not (good and results_of(out) in wanted):
             n_failed += 1
-            told(f"pair {pair}: exit codes {codes}; {[text[-200:] for text in said]}")
-    told(f"{n_pairs} pairs: {dict(counts)}; {n_failed} failed")
+            report(f"pair {pair}: exit codes {codes}; {[text[-200:] for text in printed]}")
+    report(f"{n_pairs} pairs: {dict(counts)}; {n_failed} failed")
     return n_failed
 
 
@@ -358,14 +358,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder, seed = Path(scratch), arguments.seed
 
-        def told(text: str) -> None:
+        def report(text: str) -> None:
             print(text, flush=True)
 
         if arguments.pairs:
-            failed = run_pairs(folder, arguments.pairs, seed, told)
+            failed = run_pairs(folder, arguments.pairs, seed, report)
         else:
             bench = Bench(folder, arguments.commands, forks=True)
-            failed = run_trials(bench, arguments.trials, seed, told, arguments.counts)
+            failed = run_trials(bench, arguments.trials, seed, report, arguments.counts)
     sys.exit(1 if failed else 0)
 
 

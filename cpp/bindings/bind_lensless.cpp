@@ -45,10 +45,10 @@ void require_offsets(const char* name, const Indices& offsets, py::ssize_t size)
 }
 
 /// Indices below `size`.
-void require_places(const char* name, const Indices& places, py::ssize_t size) {
-    require_shape(name, places, {-1});
-    for (const index_t place : view(places)) {
-        if (place < 0 || place >= size) {
+void require_indices(const char* name, const Indices& indices, py::ssize_t size) {
+    require_shape(name, indices, {-1});
+    for (const index_t index : view(indices)) {
+        if (index < 0 || index >= size) {
             throw py::value_error(std::string(name) + " must be indices");
         }
     }
@@ -56,7 +56,7 @@ void require_places(const char* name, const Indices& places, py::ssize_t size) {
 
 PairsView pairs_of(const Indices& sample, const Indices& offsets, index_t n_looks,
                    py::ssize_t n_samples, const EchoForm& form) {
-    require_places("sample", sample, n_samples);
+    require_indices("sample", sample, n_samples);
     require_offsets("offsets", offsets, sample.shape(0));
     if (3 * (offsets.shape(0) - 1) != static_cast<py::ssize_t>(form.centers.size()) * n_looks) {
         throw py::value_error("offsets must have a part for each group and look");
@@ -219,7 +219,7 @@ Reflectors<T> reflectors_of(const Array<T>& amplitude, const Doubles& points,
 TracerParts parts_of(const Indices& offsets, const Indices& order, const Indices& groups,
                      py::ssize_t n_points, py::ssize_t n_antennas) {
     require_offsets("offsets", offsets, n_points);
-    require_places("order", order, n_antennas);
+    require_indices("order", order, n_antennas);
     require_shape("order", order, {n_antennas});
     require_offsets("groups", groups, n_antennas);
     const py::ssize_t n_groups = groups.shape(0) - 1;

@@ -25,23 +25,23 @@ Array<T> copy_array(const std::vector<T>& values, std::initializer_list<py::ssiz
 /// Owner of the arrays that SubapertureMembers refers to.
 struct Members {
     Indices offsets, antennas;
-    Doubles weights, places, focus, focus_range_m;
+    Doubles weights, positions, focus, focus_range_m;
 
-    Members(Indices offsets_in, Indices antennas_in, Doubles weights_in, Doubles places_in,
+    Members(Indices offsets_in, Indices antennas_in, Doubles weights_in, Doubles positions_in,
             Doubles focus_in, Doubles focus_range_in)
         : offsets(std::move(offsets_in)), antennas(std::move(antennas_in)),
-          weights(std::move(weights_in)), places(std::move(places_in)), focus(std::move(focus_in)),
-          focus_range_m(std::move(focus_range_in)) {
+          weights(std::move(weights_in)), positions(std::move(positions_in)),
+          focus(std::move(focus_in)), focus_range_m(std::move(focus_range_in)) {
         const py::ssize_t n_subapertures = focus_range_m.size();
         require_shape("offsets", offsets, {n_subapertures + 1});
         require_shape("weights", weights, {antennas.size()});
-        require_shape("places", places, {antennas.size(), 2});
+        require_shape("positions", positions, {antennas.size(), 2});
         require_shape("focus", focus, {n_subapertures, 3});
     }
 
     [[nodiscard]] SubapertureMembers view_all() const {
-        return {view(offsets), view(antennas), view(weights),
-                view(places),  view(focus),    view(focus_range_m)};
+        return {view(offsets),   view(antennas), view(weights),
+                view(positions), view(focus),    view(focus_range_m)};
     }
 };
 
@@ -142,7 +142,7 @@ void bind_subaperture(py::module_& m) {
     py::class_<Members>(m, "SubapertureMembers")
         .def(py::init<Indices, Indices, Doubles, Doubles, Doubles, Doubles>(),
              py::arg("offsets").noconvert(), py::arg("antennas").noconvert(),
-             py::arg("weights").noconvert(), py::arg("places").noconvert(),
+             py::arg("weights").noconvert(), py::arg("positions").noconvert(),
              py::arg("focus").noconvert(), py::arg("focus_range_m").noconvert());
     bind_functions<float>(m);
     bind_functions<double>(m);

@@ -60,7 +60,7 @@ def _read_steps(text: str, chart: Chart) -> None:
     ]
 
 
-def places(chart: Chart) -> dict[str, tuple[int, int]]:
+def positions(chart: Chart) -> dict[str, tuple[int, int]]:
     """Column (the longest way from a start) and row of each node."""
     column = dict.fromkeys(chart.texts, 0)
     for _ in chart.texts:
@@ -82,7 +82,7 @@ def places(chart: Chart) -> dict[str, tuple[int, int]]:
 
 def svg(chart: Chart) -> str:
     """Draw one chart from left to right."""
-    at = places(chart)
+    at = positions(chart)
     n_columns = max(column for column, _ in at.values()) + 1
     widths = [
         max(len(chart.texts[name]) for name in at if at[name][0] == number) * CHARACTER + 22

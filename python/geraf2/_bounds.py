@@ -23,8 +23,8 @@ SignedM = Annotated[float, Interval(ge=-1e3, le=1e3)]
 CellM = Annotated[float, Interval(ge=1e-5, le=1.0)]
 """Side of a voxel, a facet, a cell."""
 ApertureM = Annotated[float, Interval(ge=1e-3, le=10.0)]
-PlaceM = Annotated[float, Interval(ge=-1e6, le=1e6)]
-Triple = tuple[PlaceM, PlaceM, PlaceM]
+CoordinateM = Annotated[float, Interval(ge=-1e6, le=1e6)]
+Triple = tuple[CoordinateM, CoordinateM, CoordinateM]
 SideM = Annotated[float, Interval(ge=1e-3, le=1e3)]
 Sides = tuple[SideM, SideM, SideM]
 Degrees = Annotated[float, Interval(ge=-3600.0, le=3600.0)]
@@ -157,7 +157,7 @@ def _note_check(bare: Any, note: Interval | MinLen) -> Check:
             msg = f"{name} must be a {'whole ' * whole}number, got {value!r}"
             raise BoundsError(msg)
         if not _is_inside(value, limits):
-            msg = f"{name} must be {_said(limits, value)}, got {value!r}"
+            msg = f"{name} must be {_in_words(limits, value)}, got {value!r}"
             raise BoundsError(msg)
 
     return check
@@ -180,7 +180,7 @@ def _is_inside(value: Any, limits: Interval) -> bool:
     )
 
 
-def _said(limits: Interval, value: Any) -> str:
+def _in_words(limits: Interval, value: Any) -> str:
     """Interval in words, without the end that a value keeps; NaN keeps neither."""
     low = "" if limits.gt is None else f"above {_short(limits.gt)}"
     low = low if limits.ge is None else f"at least {_short(limits.ge)}"

@@ -271,7 +271,7 @@ class SubapertureMembers:
         offsets: NDArray[np.int64],
         antennas: NDArray[np.int64],
         weights: NDArray[np.float64],
-        places: NDArray[np.float64],
+        positions: NDArray[np.float64],
         focus: NDArray[np.float64],
         focus_range_m: NDArray[np.float64],
     ) -> None: ...

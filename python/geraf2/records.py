@@ -187,9 +187,9 @@ class Pose(RawPose):
 
     ValueError where shapes do not go together.
 
-    >>> place = np.array([[-0.4, 0.0, 0.0], [-0.4, 0.003, 0.0]])  # of two antennas [m]
-    >>> pose = geraf2.Pose(signal=np.zeros((2, 32), np.complex64), tx_positions=place,
-    ...                    rx_positions=place, axes=np.eye(3))
+    >>> position = np.array([[-0.4, 0.0, 0.0], [-0.4, 0.003, 0.0]])  # of two antennas [m]
+    >>> pose = geraf2.Pose(signal=np.zeros((2, 32), np.complex64), tx_positions=position,
+    ...                    rx_positions=position, axes=np.eye(3))
     >>> pose.phase_centers.shape
     (2, 3)
     """

@@ -146,70 +146,70 @@ GLTF = (
 
 _ROWS = [
     *(
-        bad(line, put(path, text), says=path.split("/")[-2 if path.startswith(ZARR) else -1])
+        bad(line, put(path, text), text=path.split("/")[-2 if path.startswith(ZARR) else -1])
         for line, path, texts in JSON_FILES
         for text in texts
     ),
     *(bad(line, put(path, text)) for line, path, texts in TOML_FILES for text in texts),
-    *(bad("info scene", codec(number), says="signal") for number in range(len(CODECS))),
-    bad("view scene", values(f"{ZARR}/signal/zarr.json", zarr_format=2), says="signal"),
+    *(bad("info scene", codec(number), text="signal") for number in range(len(CODECS))),
+    bad("view scene", values(f"{ZARR}/signal/zarr.json", zarr_format=2), text="signal"),
     *(
-        bad("verify run", number(name, value), says=name)
+        bad("verify run", number(name, value), text=name)
         for name, wrong in NUMBERS.items()
         for value in wrong
     ),
-    *(bad(EVALUATE, number("numbers", value), says="run.json") for value in ([], None)),
-    bad("verify run", number("permittivity", 2.0), says="permittivity_sigma"),
+    *(bad(EVALUATE, number("numbers", value), text="run.json") for value in ([], None)),
+    bad("verify run", number("permittivity", 2.0), text="permittivity_sigma"),
     *(
-        bad(line, npz(f"run/{file}.npz", f"{name} {how}", **{name: change}), says=f"{file}.npz")
+        bad(line, npz(f"run/{file}.npz", f"{name} {how}", **{name: change}), text=f"{file}.npz")
         for line, file, names in RUN_ARRAYS
         for name in names
         for how, change in SPOILED.items()
     ),
-    *(bad("los m.gltf out --unit m", put("m.gltf", text), says=says) for text, says in GLTF),
-    *(bad(f"info {up}", says="goes down only") for up in UPWARDS),
-    *(bad(line.format(UPWARDS[0]), says="goes down only") for line in READS_SCENE),
+    *(bad("los m.gltf out --unit m", put("m.gltf", text), text=text) for text, text in GLTF),
+    *(bad(f"info {up}", text="goes down only") for up in UPWARDS),
+    *(bad(line.format(UPWARDS[0]), text="goes down only") for line in READS_SCENE),
     *(
-        bad(f"plan {flags}", says=says)
-        for flags, says in (
+        bad(f"plan {flags}", text=text)
+        for flags, text in (
             ("--box 1e-300 1 1", "--box"),
             ("--box 0.2 0.2 0.2 --array nix", "--array"),
             ("--box 0.2 0.2 0.2 --elevations-deg 10 10", "twice"),
             (f"--box 1 1 1 --elevations-deg {' '.join(map(str, range(40)))}", "40 elevations"),
         )
     ),
-    bad(f"{UNPLACED} --raster 6 6 0 0", says="row_step_m"),
-    bad(f"{UNPLACED} --raster 6 6 1e-9 0.004", says="row_step_m"),
-    bad(f"{UNPLACED} --raster 6 6 0.004 0", says="column_step_m"),
-    *(bad(f"los box.ply out --unit {unit}", says="--unit") for unit in ("furlong", "nan", "-1")),
-    bad("los 0.2x0.2x0.2 out --unit mm", says="--unit"),
+    bad(f"{UNPLACED} --raster 6 6 0 0", text="row_step_m"),
+    bad(f"{UNPLACED} --raster 6 6 1e-9 0.004", text="row_step_m"),
+    bad(f"{UNPLACED} --raster 6 6 0.004 0", text="column_step_m"),
+    *(bad(f"los box.ply out --unit {unit}", text="--unit") for unit in ("furlong", "nan", "-1")),
+    bad("los 0.2x0.2x0.2 out --unit mm", text="--unit"),
     *(
-        bad(f"los box.ply out --bounds {corners}", says="--bounds")
+        bad(f"los box.ply out --bounds {corners}", text="--bounds")
         for corners in ("nan nan nan nan nan nan", "0 0 0 nan 1 1", "1 1 1 0 0 0", "0 0 0 0 1 1")
     ),
-    bad("reconstruct scene out --box 0.16 0.16 0.16 --hold-out 0 360", says="named twice"),
-    bad("render run --angles 90 0 90", says="named twice"),
-    bad("batch scene out --box 1e-300 1 1", says="--box"),
+    bad("reconstruct scene out --box 0.16 0.16 0.16 --hold-out 0 360", text="named twice"),
+    bad("render run --angles 90 0 90", text="named twice"),
+    bad("batch scene out --box 1e-300 1 1", text="--box"),
     bad("batch table.csv out --list", put("table.csv", "scene\n" + "x" * 200_000)),
-    bad("info " + "x" * 200_000, says="xxx"),
-    bad("los " + "x" * 200_000 + " out", says="xxx"),
-    bad("view run --host=", says="--host"),
-    bad("export run no/m.stl", says="the folder of the file does not exist"),
+    bad("info " + "x" * 200_000, text="xxx"),
+    bad("los " + "x" * 200_000 + " out", text="xxx"),
+    bad("view run --host=", text="--host"),
+    bad("export run no/m.stl", text="the folder of the file does not exist"),
     bad(
         "plan --box 0.2 0.2 0.2 --minutes 5 --out no/scan.json",
-        says="the folder of the file does not exist",
+        text="the folder of the file does not exist",
     ),
-    bad("plan --box 0.001 0.2 0.2", says="--box"),
+    bad("plan --box 0.001 0.2 0.2", text="--box"),
     *(
-        bad(f"{line} --max-memory 0.1", says="--max-memory")
+        bad(f"{line} --max-memory 0.1", text="--max-memory")
         for line in (
             RUN,
             "image scene out --every 4",
             "image scene out --spacing-m 0.0005 --tiles --slab-gib 0.1",
         )
     ),
-    bad("inspect run --max-memory 0.1", says="has no estimate of its memory"),
-    bad("image scene out --spacing-m 0.0004 --max-memory 0.5", says="voxels"),
+    bad("inspect run --max-memory 0.1", text="has no estimate of its memory"),
+    bad("image scene out --spacing-m 0.0004 --max-memory 0.5", text="voxels"),
 ]
 
 _KNOWN = {

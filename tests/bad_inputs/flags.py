@@ -1,4 +1,4 @@
-"""Values of flags: each number out of range or none, each choice unknown; and what is left."""
+"""Values of flags: each number out of range or none, each choice unknown; and the rest."""
 
 from importlib import import_module
 
@@ -40,7 +40,7 @@ def walked(line):
         if flag.name not in seen:
             n_values = max(flag.counts[0], 1)
             for value in _bad_values(flag.kinds[0]):
-                yield bad(f"{line} {flag.name} {' '.join([value] * n_values)}", says=flag.name)
+                yield bad(f"{line} {flag.name} {' '.join([value] * n_values)}", text=flag.name)
 
 
 def _flags(line):
@@ -98,6 +98,6 @@ ROWS = [
     *sweep("simulate spec.toml out {}", "max-memory 1e-6 0\nthreads 1e3"),
     *sweep("import geraf-sens frames out {}", "phase-sign 0 x\nmax-memory"),
     *sweep("demo out {}", "hybrid.fit.spacing-m 0\nglints.wall-margin-m inf"),
-    bad("los 1e9x1e9x1e9 out", says="1e9"),
-    bad("los -1x0.2x0.2 out", says="-1x"),
+    bad("los 1e9x1e9x1e9 out", text="1e9"),
+    bad("los -1x0.2x0.2 out", text="-1x"),
 ]

@@ -95,8 +95,8 @@ ROWS = [
             "outermost first",
         ),
         *(
-            (values(CAPTURE, **{key: value}), says)
-            for key, value, says in (
+            (values(CAPTURE, **{key: value}), text)
+            for key, value, text in (
                 ("start_frequency_hz", 77.0, "start_frequency_hz"),
                 ("start_frequency_hz", "77e9", "frequency"),
                 ("adc_sample_rate_hz", ..., "sample_rate"),
@@ -142,11 +142,11 @@ ROWS = [
         *(put("raw/adc.bin", data) for data in (b"", bytes(7), bytes(40000))),
         *(cut("raw/adc.bin", share) for share in (0.97, 0.5)),
     ),
-    bad(UNPLACED, says="--raster"),
-    bad(UNPLACED + " --serpentine", says="--raster"),
+    bad(UNPLACED, text="--raster"),
+    bad(UNPLACED + " --serpentine", text="--raster"),
     *(
-        bad(f"{UNPLACED} {flags}", says=says)
-        for flags, says in (
+        bad(f"{UNPLACED} {flags}", text=text)
+        for flags, text in (
             ("--raster 0 6 1 1", "--raster"),
             ("--raster 6 6 nan 1", "--raster"),
             ("--raster 6 6 0.004", "--raster"),
@@ -185,15 +185,15 @@ ROWS = [
             for data in (b"", b"\x93NUMPY\x01\x00", b"PK\x03\x04", b"\x80\x04K\x01.")
         ),
     ),
-    bad("info raw/adc.bin --radar radar.toml", toml("radar.toml", "raw.n_rx", "0"), says="n_rx"),
-    bad("info raw/adc.bin --config nowhere.json", says="nowhere.json"),
+    bad("info raw/adc.bin --radar radar.toml", toml("radar.toml", "raw.n_rx", "0"), text="n_rx"),
+    bad("info raw/adc.bin --config nowhere.json", text="nowhere.json"),
     *rows(
         "info raw/adc.bin --config studio.mmwave.json",
         *(put("studio.mmwave.json", text) for text in ("{", "[]")),
     ),
     *(
-        bad(f"{RAW} --config studio.mmwave.json", swap("studio.mmwave.json", old, new), says=says)
-        for old, new, says in (
+        bad(f"{RAW} --config studio.mmwave.json", swap("studio.mmwave.json", old, new), text=text)
+        for old, new, text in (
             ('"numAdcSamples": 64', '"numAdcSamples": "many"', None),
             ('"numAdcSamples": 64', '"numAdcSamples": []', None),
             ('"startFreqConst_GHz": 77.0', '"startFreqConst_GHz": []', None),
@@ -223,7 +223,7 @@ ROWS = [
         MAT,
         *(put("scan.mat", b) for b in (b"", b"MATLAB" * 40, b"\x89HDF\r\n\x1a\n" + bytes(200))),
         *(cut("scan.mat", share) for share in (0.5, 0.999)),
-        *(flip("scan.mat", place) for place in (128, 132, 144, 160, 176)),
+        *(flip("scan.mat", position) for position in (128, 132, 144, 160, 176)),
         mat(signal=np.zeros((4, 8))),
         mat(signal=np.array([["text"]], dtype=object)),
         mat(signal=1j * np.ones((4, 8)), positions=np.ones((3, 3))),

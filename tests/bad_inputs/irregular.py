@@ -52,9 +52,9 @@ info raw/adc.bin --radar radar.toml|raw/adc.bin
 
 def _rows(table, *changes):
     for entry in table.strip().splitlines():
-        line, path, *says = entry.split("|")
+        line, path, *text = entry.split("|")
         for change in changes:
-            yield bad(line, change(path), says=says[0] if says and change != holes else None)
+            yield bad(line, change(path), text=text[0] if text and change != holes else None)
 
 
 def zero(path):
@@ -80,11 +80,11 @@ ROWS = [
         for name in ("zarr.json", "signal/zarr.json", "signal/c/1/0/0", "angle/c/0")
         for change in changes
     ),
-    bad("los nerf out", *(pipe(f"nerf/images/photo{n}.png") for n in range(5)), says="photo"),
-    bad("los nerf out", *(holes(f"nerf/images/photo{n}.png") for n in range(5)), says="none of"),
+    bad("los nerf out", *(pipe(f"nerf/images/photo{n}.png") for n in range(5)), text="photo"),
+    bad("los nerf out", *(holes(f"nerf/images/photo{n}.png") for n in range(5)), text="none of"),
     *(
-        bad("los a.gltf out --unit m", put("a.gltf", GLTF % name), *changes, says=says)
-        for name, changes, says in (
+        bad("los a.gltf out --unit m", put("a.gltf", GLTF % name), *changes, text=text)
+        for name, changes, text in (
             ("a.bin", (pipe("a.bin"),), "a.bin"),
             ("a.bin", (zero("a.bin"),), "outside"),
             ("a.bin", (put("a.bin", ""), holes("a.bin")), "a.bin"),
@@ -94,7 +94,7 @@ ROWS = [
     ),
     # Links lead out of a folder that came from elsewhere.
     *(
-        bad(line, link(path, target), says=f"{path}: is a link")
+        bad(line, link(path, target), text=f"{path}: is a link")
         for line, path, target in (
             ("info scene", f"{SIGNAL}/c/1/0/0", "../../../../c/0/0/0"),
             ("info scene", f"{RX}/c", "/etc"),
@@ -117,7 +117,7 @@ ROWS = [
             RUN.replace(" out ", " run ") + flag,
             link("run/notes", "../other"),
             values("run/run.json", **{key: named}),
-            says="run/notes: is a link",
+            text="run/notes: is a link",
         )
         for flag in (" --resume", " --overwrite")
         for key, named in (

@@ -8,12 +8,12 @@ CUBE = "v 0 0 0\nv {0} 0 0\nv 0 {0} 0\nv 0 0 {0}\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1
 GLB = struct.pack("<4sII", b"glTF", 2, 9999) + struct.pack("<I4s", 8, b"JSON") + b"{}      "
 
 ROWS = [
-    bad("reconstruct scene out --box 160 160 160", says="metres"),
-    bad("reconstruct scene out --box 0.9 0.9 0.9", says="box"),
-    bad("reconstruct scene out --box 0.16 0.16 0.16 --box-center 5 0 0", says="box"),
-    bad("reconstruct scene out --los nowhere", says="nowhere"),
-    bad("reconstruct scene out --los empty", says="empty"),
-    bad("reconstruct scene out --los spec.toml", says="spec.toml"),
+    bad("reconstruct scene out --box 160 160 160", text="metres"),
+    bad("reconstruct scene out --box 0.9 0.9 0.9", text="box"),
+    bad("reconstruct scene out --box 0.16 0.16 0.16 --box-center 5 0 0", text="box"),
+    bad("reconstruct scene out --los nowhere", text="nowhere"),
+    bad("reconstruct scene out --los empty", text="empty"),
+    bad("reconstruct scene out --los spec.toml", text="spec.toml"),
     *(
         bad(line, change)
         for line in ("los box.ply out", "reconstruct scene out --los box.ply")
@@ -58,15 +58,15 @@ ROWS = [
             )
             + "endsolid\n",
         ),
-        says="millimetres",
+        text="millimetres",
     ),
-    bad("evaluate run --truth box.ply", values("box.ply.json", unit="millimetre"), says="unit"),
-    bad("los box.ply out", values("box.ply.json", unit="millimetre"), says="unit"),
-    bad("los box.ply out --to-radar nowhere.txt", says="nowhere.txt"),
+    bad("evaluate run --truth box.ply", values("box.ply.json", unit="millimetre"), text="unit"),
+    bad("los box.ply out", values("box.ply.json", unit="millimetre"), text="unit"),
+    bad("los box.ply out --to-radar nowhere.txt", text="nowhere.txt"),
     bad("los box.ply out --to-radar m.txt", put("m.txt", "1 2 3")),
     bad("los box.ply out --to-radar m.txt", put("m.txt", "2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1")),
-    bad("los a.obj out --unit cm", put("a.obj", CUBE.format(9000)), says="90"),
-    bad("los a.obj out", put("a.obj", CUBE.format(0)), says="a.obj"),
+    bad("los a.obj out --unit cm", put("a.obj", CUBE.format(9000)), text="90"),
+    bad("los a.obj out", put("a.obj", CUBE.format(0)), text="a.obj"),
     bad("los a.obj out", put("a.obj", CUBE.format("x"))),
     bad("los a.obj out", put("a.obj", "f 1 2 3\n")),
     bad("los a.obj out", put("a.obj", CUBE.format(1) + "f 1 2 -99\n")),
@@ -76,13 +76,13 @@ ROWS = [
     bad("los a.glb out", put("a.glb", b"glTF")),
     bad("los a.glb out", put("a.glb", GLB)),
     bad("los a.gltf out", put("a.gltf", '{"buffers":[{"uri":"/etc/passwd","byteLength":9}]}')),
-    bad("los a.xyz out", put("a.xyz", "1 2 3"), says="a.xyz"),
-    bad("reconstruct scene out --los a.obj", put("a.obj", CUBE.format(0)), says="a.obj"),
-    bad("reconstruct scene out --los box.ply", values("box.ply.json", unit="mm"), says="unit"),
+    bad("los a.xyz out", put("a.xyz", "1 2 3"), text="a.xyz"),
+    bad("reconstruct scene out --los a.obj", put("a.obj", CUBE.format(0)), text="a.obj"),
+    bad("reconstruct scene out --los box.ply", values("box.ply.json", unit="mm"), text="unit"),
     bad(
         "reconstruct scene out --los box.ply",
         values("box.ply.json", unit="cm\n\x1b[31m"),
-        says="unit",
+        text="unit",
     ),
     bad("evaluate run --truth a.obj", put("a.obj", CUBE.format("nan"))),
     bad("evaluate run --truth a.obj", put("a.obj", "v 1 2 3\n")),
@@ -90,8 +90,8 @@ ROWS = [
     bad("evaluate run --truth truth.ply", swap("truth.ply", "little", "middle")),
     bad("evaluate run --truth truth.ply", swap("truth.ply", "float x", "string x")),
     bad("evaluate run --truth truth.ply", swap("truth.ply", "end_header", "end_of_it")),
-    bad("los 0.2xax0.2 out", says="0.2xax0.2"),
-    bad("los 21x1x1 out", says="20 m"),
+    bad("los 0.2xax0.2 out", text="0.2xax0.2"),
+    bad("los 21x1x1 out", text="20 m"),
     *(
         bad("los box.ply out --to-radar m.json", put("m.json", text))
         for text in (
@@ -104,5 +104,5 @@ ROWS = [
             "",
         )
     ),
-    bad("los box.ply out --to-radar scene", says="scene"),
+    bad("los box.ply out --to-radar scene", text="scene"),
 ]

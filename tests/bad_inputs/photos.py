@@ -5,8 +5,8 @@ from bad_inputs.table import bad, cut, drop, npy, npz, put, swap, sweep, values
 NEUS = "neus/cameras_sphere.npz"
 ROWS = [
     *(
-        bad(f"los {name} out --preset quick", change, says=says)
-        for name, change, says in (
+        bad(f"los {name} out --preset quick", change, text=text)
+        for name, change, text in (
             ("nerf", put("nerf/transforms.json", "{}"), "transforms.json"),
             ("nerf", values("nerf/transforms.json", fl_x=0), "focal"),
             ("nerf", values("nerf/transforms.json", fl_x="wide"), "fl_x"),
@@ -44,5 +44,5 @@ ROWS = [
         )
     ),
     *sweep("los nerf out {}", "hold-out -1 1\nmask-threshold -1 255 nan\nseed -1\nmasks nowhere"),
-    bad("los nerf out --masks nerf --mask-threshold 20", says="both"),
+    bad("los nerf out --masks nerf --mask-threshold 20", text="both"),
 ]

@@ -3,11 +3,11 @@
 from bad_inputs.table import bad, cut, drop, flip, folder, keys, put, rows, swap, toml, values
 
 ROWS = [
-    bad("render run", values("run/run.json", version=99), says="99"),
+    bad("render run", values("run/run.json", version=99), text="99"),
     bad("render run", drop("run/config.toml")),
     bad("render run", put("run/config.toml", "preset = 'other'")),
-    bad("render run", toml("run/config.toml", "fit.max_voxels", "-1"), says="max_voxels"),
-    bad("render run", cut("run/prior.npz"), says="prior.npz"),
+    bad("render run", toml("run/config.toml", "fit.max_voxels", "-1"), text="max_voxels"),
+    bad("render run", cut("run/prior.npz"), text="prior.npz"),
     *rows(
         "reconstruct scene out --config run/config.toml",
         put("run/config.toml", "preset = 3"),
@@ -24,9 +24,9 @@ ROWS = [
         folder("run/run.json"),
         (values("run/run.json", format="x"), "another"),
     ),
-    bad("render run", flip("run/prior.npz", 70), says="prior.npz"),
-    bad("render run", drop("run/prior.npz"), says="prior.npz"),
-    bad("render run", put("run/config.toml", b"\xff"), says="config.toml"),
+    bad("render run", flip("run/prior.npz", 70), text="prior.npz"),
+    bad("render run", drop("run/prior.npz"), text="prior.npz"),
+    bad("render run", put("run/config.toml", b"\xff"), text="config.toml"),
     *keys(
         "reconstruct scene out --config run/config.toml",
         "run/config.toml",

@@ -24,7 +24,7 @@ TOML, GROUP, AXES = "scene/scene.toml", "scene/radar.zarr/zarr.json", "scene/rad
 IMAGE = "image scene out --every 4 --spacing-m 0.02"
 
 
-def attribute(says, **new):
+def attribute(text, **new):
     """Attributes of the scene's group; `...` takes one away."""
 
     def apply(file):
@@ -33,7 +33,7 @@ def attribute(says, **new):
         content["attributes"] = {k: v for k, v in content["attributes"].items() if v is not ...}
         file.write_text(json.dumps(content))
 
-    return Change(GROUP, str(new)[:60], apply), says
+    return Change(GROUP, str(new)[:60], apply), text
 
 
 def about(array, **new):
@@ -126,7 +126,7 @@ ROWS = [
         (flip(chunk(TX), 7), "tx_positions"),
         attribute("angle", checksums={"angle": ["0"] * 4}),
     ),
-    *(bad(line, floats(SIGNAL, 0, "NaN", set_at((5, "nan"))), says="NaN") for line in (RUN, IMAGE)),
+    *(bad(line, floats(SIGNAL, 0, "NaN", set_at((5, "nan"))), text="NaN") for line in (RUN, IMAGE)),
     *rows(
         RUN,
         (toml(TOML, "walls.size_m", "[2, 2, 2]"), "wall"),
@@ -141,7 +141,7 @@ ROWS = [
         (counts("-1", 0, -1), "antenna_count"),
         (counts("0", 0, 0), "0 antennas"),
     ),
-    bad(IMAGE, flip(chunk(TX, 1), 100), says="tx_positions"),
-    bad("calibrate scene --box 0.16 0.16 0.16", flip(chunk(AXES, 1), 4), says="axes"),
-    bad(RUN + " --hold-out 17.5", says="17.5"),
+    bad(IMAGE, flip(chunk(TX, 1), 100), text="tx_positions"),
+    bad("calibrate scene --box 0.16 0.16 0.16", flip(chunk(AXES, 1), 4), text="axes"),
+    bad(RUN + " --hold-out 17.5", text="17.5"),
 ]

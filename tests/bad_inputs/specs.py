@@ -21,7 +21,7 @@ def walked():
             is_list = len(kinds) > 1 and not isinstance(kind, str)
             text = f"[{', '.join([value] * len(kinds))}]" if is_list else value
             if (name, value) not in OPEN:
-                yield bad(SIMULATE, toml("spec.toml", key, text), says=name)
+                yield bad(SIMULATE, toml("spec.toml", key, text), text=name)
 
 
 def _keys(record, prefix=""):
@@ -40,7 +40,7 @@ def _bad_numbers(kind):
     return {float: ("nan", "-1e30", "1e30"), int: ('"x"', "0.5", f"-{huge}", huge)}.get(kind, ())
 
 
-# What the walk does not reach: names of files and figures, bounds on each other, what fits.
+# What the walk does not reach: names of files and objects, bounds on each other, what fits.
 ROWS = [
     *keys(
         SIMULATE,
@@ -60,10 +60,10 @@ ROWS = [
         photos.ring_elevations_deg []
         """,
     ),
-    bad(SIMULATE, toml("spec.toml", "waveform.n_samples", "1048576"), says="GHz"),
-    bad(SIMULATE, toml("spec.toml", "figure.name", '"yeti"'), says="yeti"),
+    bad(SIMULATE, toml("spec.toml", "waveform.n_samples", "1048576"), text="GHz"),
+    bad(SIMULATE, toml("spec.toml", "figure.name", '"yeti"'), text="yeti"),
     bad(SIMULATE, put("spec.toml", "[figure\n")),
-    bad(SIMULATE, put("spec.toml", "[figure]\nmesh = 'no.ply'"), says="no.ply"),
+    bad(SIMULATE, put("spec.toml", "[figure]\nmesh = 'no.ply'"), text="no.ply"),
     bad(
         SIMULATE,
         swap(
@@ -71,9 +71,9 @@ ROWS = [
             "[[walls]]\nsize_m = [0.16, 0.16, 0.16]",
             "[[walls]]\nsize_m = [0.12, 0.12, 0.12]\n[[walls]]\nsize_m = [0.16, 0.16, 0.16]",
         ),
-        says="outermost first",
+        text="outermost first",
     ),
-    bad("demo out --spec spec.toml --max-memory 1e-6", says="--max-memory"),
+    bad("demo out --spec spec.toml --max-memory 1e-6", text="--max-memory"),
     bad("benchmark out --suite suite.toml --list", put("suite.toml", "")),
     bad("benchmark out --suite suite.toml --list", put("suite.toml", "[scenes]\n[methods]\n")),
     bad("benchmark out --suite suite.toml --list", put("suite.toml", "scenes = 3")),

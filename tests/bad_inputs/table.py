@@ -20,7 +20,7 @@ class Bad:
 
     line: str
     changes: tuple["Change", ...] = ()
-    says: str = ""
+    text: str = ""
     """Stands in the error, so that the row is refused for its own reason."""
 
     @property
@@ -41,19 +41,19 @@ class Change:
         return f"{self.path} {self.how}"
 
 
-def bad(line, *changes, says=None):
-    """A row; says: by default the name of the last file that was changed."""
-    if says is None:
-        says = Path(changes[-1].path).name if changes else ""
-    return Bad(line, changes, says)
+def bad(line, *changes, text=None):
+    """A row; text: by default the name of the last file that was changed."""
+    if text is None:
+        text = Path(changes[-1].path).name if changes else ""
+    return Bad(line, changes, text)
 
 
 def rows(line, *changes):
-    """A row for each change; of some changes at once, or of one whose error says something else
-    than its file's name, a tuple that ends with what the error says."""
+    """A row for each change; of some changes at once, or of one whose error names something else
+    than its file's name, a tuple that ends with the text of the error."""
     for change in changes:
-        *several, says = change if isinstance(change, tuple) else (change, None)
-        yield bad(line, *several, says=says)
+        *several, text = change if isinstance(change, tuple) else (change, None)
+        yield bad(line, *several, text=text)
 
 
 def sweep(line, table):
@@ -62,7 +62,7 @@ def sweep(line, table):
     return [
         bad(
             line.replace("{}", f"--{name} {value}" if " " in value else f"--{name}={value}"),
-            says=name,
+            text=name,
         )
         for name, value in _entries(table)
     ]
@@ -71,7 +71,7 @@ def sweep(line, table):
 def keys(line, path, table):
     """A row for each value in each line of a table: `key value value ...`, put into a TOML."""
     return [
-        bad(line, toml(path, key, value), says=key.split(".")[-1]) for key, value in _entries(table)
+        bad(line, toml(path, key, value), text=key.split(".")[-1]) for key, value in _entries(table)
     ]
 
 
@@ -149,15 +149,15 @@ def cut(path, share=0.5):
     )
 
 
-def flip(path, place, mask=0xFF):
-    """Turn bits of one byte round; a place below 0 counts from the end."""
+def flip(path, position, mask=0xFF):
+    """Turn bits of one byte round; a position below 0 counts from the end."""
 
     def apply(file):
         data = bytearray(file.read_bytes())
-        data[place] ^= mask
+        data[position] ^= mask
         file.write_bytes(data)
 
-    return Change(path, f"byte {place} flipped", apply)
+    return Change(path, f"byte {position} flipped", apply)
 
 
 def drop(path):
@@ -248,12 +248,12 @@ def numbers(path, dtype, how, change):
 
 
 def set_at(*pairs):
-    """Function that puts values at flat places."""
+    """Function that puts values at flat positions."""
 
     def change(array):
         array = array.copy()
-        for place, value in pairs:
-            array.reshape(-1)[place] = value
+        for position, value in pairs:
+            array.reshape(-1)[position] = value
         return array
 
     return change

@@ -56,9 +56,9 @@ GOOD = (
 # In a process that may not have more memory than this; with Python and torch, 1 GiB is for them.
 LIMIT_BYTES = 4 << 30
 HUNGRY = (
-    bad("simulate spec.toml out", toml("spec.toml", "scan.n_poses", "1000000"), says="n_poses"),
-    bad("render run --spacing-m 0.0001 --max-memory 0.5", says="--spacing-m"),
-    bad("render run --echo.n-nodes 10000 --max-memory 2", says="lower --echo.n-nodes"),
+    bad("simulate spec.toml out", toml("spec.toml", "scan.n_poses", "1000000"), text="n_poses"),
+    bad("render run --spacing-m 0.0001 --max-memory 0.5", text="--spacing-m"),
+    bad("render run --echo.n-nodes 10000 --max-memory 2", text="lower --echo.n-nodes"),
 )
 
 
@@ -70,7 +70,7 @@ def things(tmp_path_factory):
 
 
 @pytest.fixture
-def place(things, tmp_path, request, monkeypatch):
+def position(things, tmp_path, request, monkeypatch):
     """Folder of a row, with copies of what it names."""
     row = request.node.callspec.params["row"]
     for name in named([row.line, *(change.path for change in row.changes)], things):
@@ -112,37 +112,37 @@ def require_refused(row, code, err, out=""):
     assert len(lines) == 1
     assert lines[0].startswith("geraf2: error: ")
     assert "Traceback" not in err + out
-    assert row.says in lines[0]
+    assert row.text in lines[0]
     assert len(lines[0]) < 700
     assert lines[0].isprintable()
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", ROWS.values(), ids=ROWS)
-def test_it_is_refused(row, place, capsys, time_limit):
+def test_it_is_refused(row, position, capsys, time_limit):
     for change in row.changes:
-        change.apply(place / change.path)
-    before, start = content(place), time.process_time()
+        change.apply(position / change.path)
+    before, start = content(position), time.process_time()
     code = main(row.line.split())
     seconds = time.process_time() - start
-    said = capsys.readouterr()
-    require_refused(row, code, said.err, said.out)
-    assert content(place) == before
+    stated = capsys.readouterr()
+    require_refused(row, code, stated.err, stated.out)
+    assert content(position) == before
     assert seconds < MOST_CPU_S
 
 
-def accepted_of(rows, place, capsys):
+def accepted_of(rows, position, capsys):
     """Names of the rows that are not refused, one after the other in one folder."""
     accepted = []
     for row in rows:
-        kept = {change.path: (place / change.path).read_bytes() for change in row.changes}
+        kept = {change.path: (position / change.path).read_bytes() for change in row.changes}
         for change in row.changes:
-            change.apply(place / change.path)
-        code, said = main(row.line.split()), capsys.readouterr()
+            change.apply(position / change.path)
+        code, stated = main(row.line.split()), capsys.readouterr()
         for path, data in kept.items():
-            (place / path).write_bytes(data)
+            (position / path).write_bytes(data)
         try:
-            require_refused(row, code, said.err, said.out)
+            require_refused(row, code, stated.err, stated.out)
         except AssertionError as error:
             accepted.append(f"{row.name}: {error}")
     return accepted
@@ -150,30 +150,30 @@ def accepted_of(rows, place, capsys):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", [*map(bad, flags.LINES)], ids=flags.LINES)
-def test_every_flag_refuses_what_is_out_of_its_range(row, place, capsys):
-    before = content(place)
-    assert accepted_of(flags.walked(row.line), place, capsys) == []
-    assert content(place) == before
+def test_every_flag_refuses_what_is_out_of_its_range(row, position, capsys):
+    before = content(position)
+    assert accepted_of(flags.walked(row.line), position, capsys) == []
+    assert content(position) == before
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", [bad(specs.SIMULATE)], ids=["spec"])
-def test_every_key_of_a_spec_refuses_what_is_out_of_its_range(row, place, capsys):
-    before = content(place)
-    assert accepted_of(specs.walked(), place, capsys) == []
-    assert content(place) == before
+def test_every_key_of_a_spec_refuses_what_is_out_of_its_range(row, position, capsys):
+    before = content(position)
+    assert accepted_of(specs.walked(), position, capsys) == []
+    assert content(position) == before
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("row", [*map(bad, GOOD)], ids=GOOD)
-def test_what_is_not_spoiled_is_accepted(row, place, capsys):
+def test_what_is_not_spoiled_is_accepted(row, position, capsys):
     assert main(row.line.split()) == 0, capsys.readouterr().err
 
 
 @pytest.mark.parametrize("row", HUNGRY, ids=[row.line for row in HUNGRY])
-def test_hungry_work_is_refused_where_memory_is_limited(row, place):
+def test_hungry_work_is_refused_where_memory_is_limited(row, position):
     for change in row.changes:
-        change.apply(place / change.path)
+        change.apply(position / change.path)
 
     def limit():
         resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, LIMIT_BYTES))

@@ -68,11 +68,11 @@ def make_foreign(root):
     board = f"[antennas]\nrx_offsets_m = {BOARD_RX.tolist()}\n"
     (root / "radar.toml").write_text(RADAR_TOML + "[raw]\nframe_period_s = 0.01\n" + board)
     studio = json.dumps(STUDIO).replace('"numFrames": 20', '"numFrames": 36')
-    studio = studio.replace('"numLoops": 2', '"numLoops": 1')  # a chirp is a place
+    studio = studio.replace('"numLoops": 2', '"numLoops": 1')  # a chirp is a position
     (root / "studio.mmwave.json").write_text(studio)
     times = 0.01 * np.arange(40)
-    places = np.column_stack([times, 0 * times, 0.01 * times, 0 * times])
-    text = "\n".join(",".join(f"{v:.6g}" for v in row) for row in places)
+    positions = np.column_stack([times, 0 * times, 0.01 * times, 0 * times])
+    text = "\n".join(",".join(f"{v:.6g}" for v in row) for row in positions)
     (root / "robot.csv").write_text(f"time_s,x_m,y_m,z_m\n{text}\n")
     stack = {
         name: np.stack([getattr(pose, name) for pose in capture.poses])

@@ -28,9 +28,9 @@ def capture():
     """One plane at x = 0.4 m that looks at a single point."""
     lines = np.arange(-0.06, 0.0601, 0.004)
     y, z = (axis.ravel() for axis in np.meshgrid(lines, lines, indexing="ij"))
-    places = np.stack([np.full(y.size, 0.4), y, z], axis=1)
-    signal = signal_tracer(np.ones(1, np.float32), TARGET[None], places, places, WAVEFORM)
-    pose = Pose(signal=signal, tx_positions=places, rx_positions=places, axes=AXES)
+    positions = np.stack([np.full(y.size, 0.4), y, z], axis=1)
+    signal = signal_tracer(np.ones(1, np.float32), TARGET[None], positions, positions, WAVEFORM)
+    pose = Pose(signal=signal, tx_positions=positions, rx_positions=positions, axes=AXES)
     return Capture(waveform=WAVEFORM, poses=(pose,))
 
 
@@ -92,7 +92,7 @@ def test_crop_counts_from_the_innermost_known_box():
         counted_voxels(prior, grid, 0.06)
 
 
-def test_plane_normals_of_a_sheet_point_where_they_are_told():
+def test_plane_normals_of_a_sheet_point_as_given():
     rng = np.random.default_rng(0)
     points = np.concatenate([rng.uniform(-0.02, 0.02, (400, 2)), np.zeros((400, 1))], axis=1)
     toward = np.tile([0.3, 0.0, -1.0], (400, 1))
@@ -121,19 +121,19 @@ def test_votes_at_the_point_lead_to_the_middle_of_the_plane(capture):
 
 def test_votes_equal_the_sum_over_antennas(capture):
     """Against the definition: each antenna's own contribution, one after the other."""
-    places = TARGET + np.array([[0.0, 0.0, 0.0], [0.004, -0.003, 0.006], [-0.01, 0.01, 0.0]])
+    positions = TARGET + np.array([[0.0, 0.0, 0.0], [0.004, -0.003, 0.006], [-0.01, 0.01, 0.0]])
     pose = capture.poses[0]
     frequency = WAVEFORM.frequencies_hz
-    for place in places:
-        path = 2.0 * np.linalg.norm(pose.tx_positions - place, axis=1)
+    for position in positions:
+        path = 2.0 * np.linalg.norm(pose.tx_positions - position, axis=1)
         phase = np.exp(2j * np.pi * frequency * path[:, None] / 299792458.0)
         each = (pose.signal * phase).sum(axis=1) / pose.n_antennas
         whole = each.sum()
-        toward = pose.phase_centers - place
+        toward = pose.phase_centers - position
         center = pose.phase_centers.mean(axis=0)
         wanted = (np.conj(whole) / abs(whole) * each).real @ toward
-        wanted /= np.linalg.norm(center - place)
-        grid = Grid(origin_m=tuple(place), spacing_m=0.001, shape=(1, 1, 1))
+        wanted /= np.linalg.norm(center - position)
+        grid = Grid(origin_m=tuple(position), spacing_m=0.001, shape=(1, 1, 1))
         vote = antenna_votes(capture, pose, grid).ravel()
         assert np.allclose(vote, wanted, atol=2e-3 * np.linalg.norm(wanted))
 
@@ -142,9 +142,9 @@ def test_level_is_judged_by_the_part_that_is_shown(capture):
     """A ball, and a larger one nearer to the plane that nobody measured."""
     grid = Grid.cube((0.0, 0.0, 0.0), 0.1, 51)
     ball, ghost = np.array([-0.02, 0.0, 0.0]), np.array([0.06, 0.04, 0.0])
-    places = grid.points()
-    to_ball = np.linalg.norm(places - ball, axis=1)
-    relative = np.minimum(to_ball, np.linalg.norm(places - ghost, axis=1) - 0.01)
+    positions = grid.points()
+    to_ball = np.linalg.norm(positions - ball, axis=1)
+    relative = np.minimum(to_ball, np.linalg.norm(positions - ghost, axis=1) - 0.01)
     sdf = SdfGrid(grid=grid, values=relative.reshape(grid.shape).astype(np.float32))
     points, normals = sphere_points(n=20000, radius=0.02)
     pose = capture.poses[0]

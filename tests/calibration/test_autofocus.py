@@ -13,8 +13,8 @@ from helpers.carton import PRIOR, carton_capture
 
 def drift_m(n, number):
     """Slow, 0.4 mm rms, along the looking direction."""
-    place = np.arange(n) / n
-    return 0.00056 * np.sin(2.0 * np.pi * (1.7 * place + 0.3 * number))
+    position = np.arange(n) / n
+    return 0.00056 * np.sin(2.0 * np.pi * (1.7 * position + 0.3 * number))
 
 
 def estimate(capture):
@@ -22,7 +22,7 @@ def estimate(capture):
 
 
 def unexplained(errors, pose):
-    """What is left when shift, tilt and bend of the whole plane are taken off: these a surface
+    """Residual without shift, tilt and bend of the whole plane: these a surface
     elsewhere would explain as well."""
     h, v = ((pose.phase_centers - pose.phase_centers.mean(axis=0)) @ pose.axes[1:].T).T / 0.1
     modes = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v], axis=1)

@@ -55,8 +55,8 @@ def test_interleaved_channels_are_found_and_corrected(capture):
     assert found.corrections.n_turns == n_channels
     left = found.corrections.channel_phases_rad - true
     assert np.rad2deg(np.abs(np.angle(np.exp(1j * left)))).max() < 3.0
-    said = numbers(found, "channels")
-    assert said["coherence"] > said["coherence_before"]
+    stated = numbers(found, "channels")
+    assert stated["coherence"] > stated["coherence_before"]
 
 
 def test_antennas_that_agree_have_no_interleaved_channels(capture):
@@ -68,9 +68,9 @@ def test_antennas_that_agree_have_no_interleaved_channels(capture):
 def test_a_wrong_delay_is_corrected_within_its_interval(capture):
     found = calibrate(with_bias(capture, 0.142), PRIOR)
     assert applied(found) == ["delay"]
-    said = numbers(found, "delay")
-    assert abs(said["delay_m"] - 0.008) < 2.0 * said["sigma_m"] < 0.003
-    assert found.capture.waveform.path_bias_m == 0.142 + said["delay_m"]
+    stated = numbers(found, "delay")
+    assert abs(stated["delay_m"] - 0.008) < 2.0 * stated["sigma_m"] < 0.003
+    assert found.capture.waveform.path_bias_m == 0.142 + stated["delay_m"]
 
 
 def test_a_rotated_prior_moves_and_the_capture_does_not(capture):
@@ -173,10 +173,10 @@ def test_a_ripple_of_the_chirp_delays_by_its_slope(capture):
     paths = np.linspace(-0.02, 0.02, 2001)
     waves = np.repeat(ripple[None], len(paths), axis=0)
     late = paths[np.abs(response_at(waves, paths, replace(waveform, path_bias_m=0.0))).argmax()]
-    said = numbers(found, "delay")
+    stated = numbers(found, "delay")
     assert "delay" in applied(found)
     assert late > 0.004
-    assert abs(said["delay_m"] - late) < 2.0 * said["sigma_m"]
+    assert abs(stated["delay_m"] - late) < 2.0 * stated["sigma_m"]
 
 
 def test_without_recorded_delay_channels_use_that_of_the_walls(capture):

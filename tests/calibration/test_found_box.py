@@ -79,7 +79,7 @@ def test_a_found_box_is_a_prior_and_describes_its_evidence(scan):
 
 
 def test_the_yaw_is_as_uncertain_as_the_skew_of_a_carton(scan):
-    """Walls at right angles to a hundredth of a degree do not exist; one pair tells less."""
+    """Walls at right angles to a hundredth of a degree do not exist; one pair proves less."""
     four = find_box(scan).yaw_sigma_deg
     two = find_box(examples.small_capture()[0]).yaw_sigma_deg
     assert 0.17 < four < 0.6

@@ -20,7 +20,7 @@ from helpers.synthetic import WAVEFORM
 
 FREQUENCIES_HZ = WAVEFORM.frequencies_hz
 WAVELENGTH_M = WAVEFORM.center_wavelength_m
-PATHS_M = np.array([0.0, 0.03, 0.06])  # the direct one, and what stands before the antennas
+PATHS_M = np.array([0.0, 0.03, 0.06])  # the direct one, and objects before the antennas
 AMPLITUDES = np.array([1.0, 0.3j, -0.2])
 
 

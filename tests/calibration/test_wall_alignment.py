@@ -203,8 +203,8 @@ def log_posterior(problem, values, walls, some):
         half = 1.0 / np.linalg.norm(problem.faces.across[wall], axis=1)
         units = problem.faces.across[wall] * half[:, None]
 
-        def shape(place, half=half, wall=wall):
-            x, y = place / half
+        def shape(position, half=half, wall=wall):
+            x, y = position / half
             waves = [
                 np.sin(0.5 * np.pi * m * (x + 1)) * np.sin(0.5 * np.pi * n * (y + 1))
                 for m in (1, 2, 3)
@@ -212,12 +212,14 @@ def log_posterior(problem, values, walls, some):
             ]
             return shapes[wall] @ [1.0, x, y, *waves]
 
-        place, eps = units @ (center - q), 1e-6
-        slope = [(shape(place + eps * e) - shape(place - eps * e)) / (2 * eps) for e in np.eye(2)]
+        position, eps = units @ (center - q), 1e-6
+        slope = [
+            (shape(position + eps * e) - shape(position - eps * e)) / (2 * eps) for e in np.eye(2)
+        ]
         behind = problem.echoes.ranges_m[peak] - parts["delay"][0] - side * height
         middle = problem.middles.depths_m[far] + parts["middles"][far] + parts["middles"][2]
         range_sigma, direction_sigma = ((4e-4, 0.01), (6e-4, 0.015))[far]
-        residual = [(behind - middle + side * shape(place)) / range_sigma]
+        residual = [(behind - middle + side * shape(position)) / range_sigma]
         residual += list((units @ direction - side * np.array(slope)) / direction_sigma)
         # Student-t of four degrees of freedom in three dimensions; four echoes count as one.
         total -= 0.25 * 3.5 * np.log1p(np.dot(residual, residual) / 4.0)

@@ -25,10 +25,10 @@ def test_a_box_has_six_walls_with_coordinates_of_their_own():
 
 def test_shapes_vanish_at_the_rim_and_slopes_are_their_derivatives():
     walls = WallFaces.of(LosPrior.from_box(SIDES_M))
-    place = np.array([[0.5, -0.25], [1.0, 0.3], [0.0, 0.0]])
+    position = np.array([[0.5, -0.25], [1.0, 0.3], [0.0, 0.0]])
     inverse = np.linalg.pinv(walls.across[2])
     number = np.full(3, 2)
-    points = walls.centers[2] + place @ inverse.T
+    points = walls.centers[2] + position @ inverse.T
     found, slopes = walls.modes(number, points)
     assert found.shape == (3, N_MODES) == (3, len(MODE_SIGMAS_M))
     assert found[0, :4] == pytest.approx(

@@ -33,7 +33,7 @@ def test_a_baseline_makes_a_run_that_is_evaluated_and_resumed(preset, built_scen
     assert main([*arguments, *COARSE[preset].split(), "--resume"]) == 0
     assert (out / "mesh_content.ply").stat().st_mtime_ns == before
     assert main(["evaluate", str(out), "--truth", str(built_scene / "truth.ply")]) == 0
-    # As coarse as this scene is, the figures say nothing; that they are there, does.
+    # As coarse as this scene is, the scores mean nothing; only their presence counts.
     assert json.loads((out / "metrics.json").read_text())["truth_to_mesh"]["median_m"] < 0.1
 
 

@@ -52,7 +52,7 @@ scenes = ["llama"]
 methods = ["fast"]
 cases = [
   { label = "known" },
-  { label = "unknown", told_permittivity = "none" },
+  { label = "unknown", given_permittivity = "none" },
   { label = "moved", prior_shift_m = [0.001, 0.0, 0.0] },
 ]
 """
@@ -68,7 +68,7 @@ def suite(tmp_path_factory):
 @pytest.fixture(scope="module")
 def finished(suite, tmp_path_factory):
     out = tmp_path_factory.mktemp("benchmark") / "out"
-    # The giant does not fit into its box: its rows fail, the others go on.
+    # The giant does not fit into its box: its rows fail, the others continue.
     assert main(["benchmark", str(out), "--suite", str(suite)]) == 2
     return out
 
@@ -104,7 +104,7 @@ def glints_and_settings(out, row):
     return np.load(folder / "glints.npz")["positions"], config["box_center"]
 
 
-def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
+def test_unknown_walls_and_a_moved_prior_change_the_run(finished):
     table = read_table(finished, "walls")
     assert table[0]["F1 15 mm"] == read_table(finished, "objects")[0]["F1 15 mm"]  # the same run
     assert table[0]["F1 3 mm"] != table[1]["F1 3 mm"]
@@ -113,11 +113,11 @@ def test_walls_that_are_not_told_and_a_moved_prior_change_the_run(finished):
     near = KDTree(known)
     unknown, center = glints_and_settings(finished, "walls / llama / unknown / fast")
     assert center == [0.0, 0.0, 0.0]
-    # What the untold wall delays is learned from its echo: here to 0.1 mm, not to nothing.
+    # What the unknown wall delays is learned from its echo: here to 0.1 mm, not to nothing.
     assert 3e-5 < np.median(near.query(unknown)[0]) < 3e-4
     moved, center = glints_and_settings(finished, "walls / llama / moved / fast")
     assert center == [0.001, 0.0, 0.0]
-    # Told walls stand where the prior says: 1 mm beside changes what rays cross by micrometres.
+    # Known walls are where the prior has them: 1 mm beside changes what rays cross by micrometres.
     assert 1e-6 < np.median(near.query(moved)[0]) < 1e-4
     scenes = [p for p in (finished / "scenes").iterdir() if p.is_dir()]
     walls = [(p / "scene.toml").read_text().count("[[walls]]") for p in scenes]
@@ -200,9 +200,9 @@ def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
     path = tmp_path / "suite.toml"
     path.write_text(SUITE.replace(*change))
     assert main(["benchmark", str(tmp_path / "out"), "--suite", str(path)]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    stated = capsys.readouterr().err
+    assert message in stated
+    assert stated.count("\n") == 1
 
 
 def test_a_row_depends_on_the_versions_of_its_own_stages():
@@ -254,7 +254,7 @@ def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
 def test_unknown_choices_are_one_line_that_lists_them(flags, message, suite, tmp_path, capsys):
     out = tmp_path / "out"
     assert main(["benchmark", str(out), "--suite", str(suite), *flags.split()]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    stated = capsys.readouterr().err
+    assert message in stated
+    assert stated.count("\n") == 1
     assert not out.exists()

@@ -50,7 +50,7 @@ def test_a_run_has_linked_glints_and_those_of_the_rim(built):
     assert config["refine"]["rim"]["sizes_m"] == [0.06, 0.04]
 
 
-def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
+def test_a_run_searches_silhouettes_unless_switched_off(finished, scene):
     found = Silhouettes.load(finished / "silhouettes.npz")
     assert RunFolder.read(finished).stages["selection"].numbers["outlines"] == len(found)
     assert run(scene, finished, "--resume", "--overwrite", "--refine.no-shadows") == 0
@@ -58,7 +58,7 @@ def test_a_run_looks_for_silhouettes_unless_told_not_to(finished, scene):
     assert not (finished / "silhouettes.npz").exists()
 
 
-def test_a_run_of_fast_goes_on_as_best(built_run, scene, tmp_path):
+def test_a_run_of_fast_continues_as_best(built_run, scene, tmp_path):
     out = shutil.copytree(built_run, tmp_path / "run")
     assert run(scene, out, "--resume", "--overwrite") == 0
     assert stages(out) == [*(("reused", n) for n in FIRST), *(("done", n) for n in AFTERWARDS)]

@@ -47,7 +47,7 @@ def test_nothing_is_written_unasked(carton, capsys):
 
 
 @pytest.mark.usefixtures("drawn")
-def test_a_corrected_scene_says_what_was_done(carton, tmp_path, capsys):
+def test_a_corrected_scene_records_its_corrections(carton, tmp_path, capsys):
     out = tmp_path / "corrected"
     assert main(["calibrate", str(carton), str(out), "--channels", "37"]) == 0
     capture = load_capture(out)

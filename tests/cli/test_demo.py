@@ -5,7 +5,7 @@ from geraf2.cli.main import main
 from geraf2.io.mesh import read_mesh
 from geraf2.surfaces.isosurface import surface_report
 
-# Figures of the whole demo (docs/results.md), three times as long, and what they may fall by.
+# Scores of the whole demo (docs/results.md), three times as long, and the allowed loss.
 WHOLE_F1 = {0.015: 1.000, 0.005: 0.993, 0.003: 0.946}
 MARGIN = {0.015: 0.01, 0.005: 0.02, 0.003: 0.03}
 

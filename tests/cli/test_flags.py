@@ -80,7 +80,7 @@ def test_a_flag_sets_its_field_and_no_other(arguments, expected):
     assert read("a", *arguments) == Settings(scene=Path("a"), **expected)
 
 
-def test_flags_may_stand_before_places_as_far_as_they_say_how_many_values_they_have():
+def test_flags_with_a_fixed_number_of_values_may_precede_positional_arguments():
     assert read("--seed", "2", "a", "--resume", "b") == Settings(
         scene=Path("a"), out=Path("b"), seed=2, resume=True
     )
@@ -107,7 +107,7 @@ def test_defaults_may_be_others_and_say_what_a_group_holds():
         (["a", "--rim.size-m", "-1"], "--rim.size-m must be positive, got -1.0"),
     ],
 )
-def test_what_does_not_fit_is_said_in_one_line(arguments, line):
+def test_what_does_not_fit_is_one_line(arguments, line):
     with speaking_of_flags(), pytest.raises(UserError) as caught:
         read(*arguments)
     with speaking_of_flags():
@@ -151,7 +151,7 @@ class Several:
     seed: int = 0
 
 
-def test_a_place_may_take_several_words_and_leaves_one_to_the_next():
+def test_a_positional_argument_takes_several_words_and_leaves_one_to_the_next():
     read = parse(Several, ["a", "b", "--seed", "3", "c", "out"], prog="p")
     assert read == Several(scenes=("a", "b", "c"), out=Path("out"), seed=3)
     assert parse(Several, ["a", "out"], prog="p").scenes == ("a",)

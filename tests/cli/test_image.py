@@ -30,8 +30,8 @@ def test_a_point_appears_where_it_is(points, tmp_path, capsys):
     assert method["reason"] in out
     stored = np.load(tmp_path / "out" / "image.npz")
     peak = np.unravel_index(stored["volume"].argmax(), stored["volume"].shape)
-    place = stored["origin_m"] + stored["spacing_m"] * np.array(peak)
-    assert np.abs(place - TARGETS[0]).max() <= 0.0051
+    position = stored["origin_m"] + stored["spacing_m"] * np.array(peak)
+    assert np.abs(position - TARGETS[0]).max() <= 0.0051
     assert stored["poses"].tolist() == list(range(8))
     about = json.loads((tmp_path / "out" / "image.json").read_text())
     assert about["shape"] == [17, 17, 17]

@@ -31,14 +31,14 @@ def radar(tmp_path):
 
 
 @pytest.fixture
-def places():
+def positions():
     return raster_positions(10, 12, STEP, serpentine=True)
 
 
 @pytest.fixture
-def recording(tmp_path, places):
+def recording(tmp_path, positions):
     path = tmp_path / "adc_data.bin"
-    path.write_bytes(words_of(scan_signal(places)).tobytes())
+    path.write_bytes(words_of(scan_signal(positions)).tobytes())
     return path
 
 
@@ -59,7 +59,7 @@ def peak_of(tmp_path):
     return stored["origin_m"] + stored["spacing_m"] * np.array(index)
 
 
-def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, places, capsys):
+def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, positions, capsys):
     assert run(recording, radar, *RASTER) == 0
     printed = capsys.readouterr().out
     assert "4-lane, two-complement" in printed
@@ -70,7 +70,7 @@ def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, place
     # A raw capture is kept as it is, half the bytes of complex numbers.
     metadata = json.loads((tmp_path / "scene" / "radar.zarr" / "signal" / "zarr.json").read_text())
     assert metadata["data_type"] == "int16"
-    assert np.array_equal(scene.poses[0].signal, np.conj(scan_signal(places)).reshape(480, 64))
+    assert np.array_equal(scene.poses[0].signal, np.conj(scan_signal(positions)).reshape(480, 64))
     assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
 
 
@@ -86,7 +86,7 @@ def test_what_the_check_refuses_after_the_writing_leaves_no_scene(
     assert not [path for path in tmp_path.iterdir() if "scene" in path.name]
 
 
-def test_a_capture_at_one_place_can_be_looked_at(tmp_path, radar, capsys):
+def test_a_capture_at_one_position_can_be_inspected(tmp_path, radar, capsys):
     path = tmp_path / "a.bin"
     path.write_bytes(words_of(beat(), "2-lane-pairs", offset_binary=True).tobytes())
     assert main(["info", str(path)]) == 0

@@ -142,7 +142,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_what_is_implausible_is_said_and_nothing_else(tmp_path, capsys, name):
+def test_only_what_is_implausible_is_reported(tmp_path, capsys, name):
     change, text = CASES[name]
     code = 2 if name in ERRORS else 0
     findings = show(change(point_capture(4)), tmp_path, capsys, code=code).err
@@ -154,7 +154,7 @@ def test_a_good_scene_has_no_findings(tmp_path, capsys):
     assert show(point_capture(4, spacing_m=0.003), tmp_path, capsys).err == ""
 
 
-def test_a_run_says_what_it_found_and_what_to_type_next(finished_run, capsys):
+def test_a_run_prints_what_it_found_and_the_next_command(finished_run, capsys):
     assert main(["info", str(finished_run)]) == 0
     shown = capsys.readouterr().out
     for text in ("run of scene", "found", "typical error", f"geraf2 view {finished_run}"):

@@ -58,7 +58,7 @@ def test_it_stops_at_a_target(source, tmp_path, capsys):
     assert not (tmp_path / "out" / "report.html").exists()
 
 
-def test_what_is_left_out_is_a_warning_on_stderr(source, tmp_path, capsys):
+def test_omitted_data_is_a_warning_on_stderr(source, tmp_path, capsys):
     chunk = source / "radar.zarr/signal/c/1/0/0"
     chunk.write_bytes(bytes(chunk.stat().st_size))
     assert (

@@ -167,7 +167,7 @@ def test_photos_become_a_prior_once(photo_folder, tiny_training, tmp_path, capsy
     assert (out / "refused.png").is_file()
 
 
-def test_the_key_tells_photos_and_settings_apart(photo_folder, tiny_training):
+def test_the_key_differs_with_photos_and_settings(photo_folder, tiny_training):
     def key(**flags):
         return los.read_photos(photo_folder, LosOptions(**flags)).key
 
@@ -190,15 +190,15 @@ def test_the_key_tells_photos_and_settings_apart(photo_folder, tiny_training):
 )
 @pytest.mark.parametrize("prefix", ["", "trained_"])
 def test_silhouettes_decide_or_one_colour_for_all(numbers, refuted, warned, prefix):
-    told = []
+    reported = []
     listener = Listener()
-    listener.warning = told.append
+    listener.warning = reported.append
     named = {prefix + name: value for name, value in numbers.items()}
     assert los_views.is_refuted(named) == refuted
     los_views.warn_unexplained(named, "photos", listener)
-    assert bool(told) == warned
+    assert bool(reported) == warned
     los_views.warn_unexplained({"n_photos": 3, "psnr_db": 11.0}, "photos", listener)
-    assert len(told) == warned
+    assert len(reported) == warned
 
 
 @pytest.mark.slow

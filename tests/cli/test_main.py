@@ -38,7 +38,7 @@ def test_progress_where_no_one_watches_is_a_line_a_minute(monkeypatch, capsys):
     clock = SimpleNamespace(monotonic=lambda: now[0], perf_counter=lambda: now[0])
     monkeypatch.setattr(_console, "time", clock)
     with CONSOLE.step("train") as progress:
-        for step in range(100, 400):  # a run that goes on from step 100
+        for step in range(100, 400):  # a run that continues from step 100
             progress(step / 1000)
             now[0] += 0.5
     assert capsys.readouterr().err.splitlines() == [
@@ -60,7 +60,7 @@ def test_every_command_has_help_and_rejects_unknown_flags(name, capsys):
     assert capsys.readouterr().err != ""
 
 
-def test_help_of_reconstruct_fits_one_screen_and_says_who_explains_the_flags_of_photos(capsys):
+def test_help_of_reconstruct_fits_one_screen_and_names_the_command_for_photos(capsys):
     assert main(["reconstruct", "--help"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) <= 60
@@ -115,7 +115,7 @@ def test_debug_shows_the_traceback_wherever_it_stands(capsys, arguments):
 
 
 @pytest.mark.parametrize("name", list(COMMANDS))
-def test_an_interrupted_command_offers_only_a_way_on_that_it_has(name):
+def test_an_interrupted_command_names_how_to_continue_only_if_it_can(name):
     message, code = describe_error(KeyboardInterrupt(), COMMANDS[name])
     assert code == 130
     module = importlib.import_module(f"geraf2.cli.{COMMANDS[name].module}")
@@ -133,7 +133,7 @@ def test_doctor_finds_a_working_machine(capsys):
         assert word in text
 
 
-def test_doctor_says_what_does_not_work(monkeypatch, capsys):
+def test_doctor_names_what_does_not_work(monkeypatch, capsys):
     def broken():
         msg = "no such device"
         raise RuntimeError(msg)
@@ -154,12 +154,12 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     with printing("info"):
         logging.getLogger("geraf2.test").warning(name)
     assert main(["info", name]) == 2
-    said = capsys.readouterr()
-    assert said.out.count(r"a\x1b[2J\r\nerror: b\u202e\udcff é") == 2
-    for text in (said.out, said.err):
+    stated = capsys.readouterr()
+    assert stated.out.count(r"a\x1b[2J\r\nerror: b\u202e\udcff é") == 2
+    for text in (stated.out, stated.err):
         assert all(line.isprintable() for line in text.splitlines())
         assert "\r" not in text
-    assert len(said.err.splitlines()) == 4
+    assert len(stated.err.splitlines()) == 4
 
 
 @pytest.mark.parametrize(

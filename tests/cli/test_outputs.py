@@ -24,7 +24,7 @@ def contents(folder):
         [*BOX, *FAST, "--resume", "--fit.bending-weight", "0.5"],
     ],
 )
-def test_a_finished_mesh_is_replaced_only_when_told(built_run, built_scene, flags, capsys):
+def test_a_finished_mesh_is_replaced_only_on_request(built_run, built_scene, flags, capsys):
     before = contents(built_run)
     assert main(["reconstruct", str(built_scene), str(built_run), *flags]) == 2
     printed = capsys.readouterr().err
@@ -85,7 +85,7 @@ def test_a_scene_that_would_be_refused_is_refused_before_the_work(
     assert contents(built_scene) == before
 
 
-def test_a_finished_prior_is_replaced_only_when_told(tmp_path, capsys):
+def test_a_finished_prior_is_replaced_only_on_request(tmp_path, capsys):
     out = tmp_path / "los"
     assert main(["los", "0.2x0.2x0.2", str(out)]) == 0
     before = contents(out)

@@ -57,14 +57,14 @@ def test_a_run_holds_fields_meshes_and_pictures(paper_run):
     assert (last["stage"], last["step"]) == (2, 8)
 
 
-def test_the_corrected_form_says_by_how_much_it_moved_the_level(built_scene, tmp_path):
+def test_the_corrected_form_reports_the_shift_of_the_level(built_scene, tmp_path):
     out = tmp_path / "out"
     assert run(built_scene, out, "--preset", "paper-corrected") == 0
     events = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
-    (told,) = [e for e in events if e["event"] == "glint_level"]
-    assert 0 < told["glints"] <= 4 * len(load_capture(built_scene).poses)
-    assert len(told["outside_mm"]) == glint_level.N_ROUNDS
-    assert told["inward_mm"] <= sum(told["outside_mm"]) + 1e-9
+    (reported,) = [e for e in events if e["event"] == "glint_level"]
+    assert 0 < reported["glints"] <= 4 * len(load_capture(built_scene).poses)
+    assert len(reported["outside_mm"]) == glint_level.N_ROUNDS
+    assert reported["inward_mm"] <= sum(reported["outside_mm"]) + 1e-9
 
 
 def test_interrupted_and_resumed_is_bit_identical(
@@ -89,7 +89,7 @@ def test_interrupted_and_resumed_is_bit_identical(
         np.testing.assert_array_equal(array, parts[name], err_msg=name)
 
 
-def test_too_little_memory_is_said_before_the_run(built_scene, tmp_path, monkeypatch, capsys):
+def test_too_little_memory_is_reported_before_the_run(built_scene, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(_memory, "available_memory_bytes", lambda: 100e6)
     assert run(built_scene, tmp_path / "out") == 2
     message = the_error(capsys)

@@ -94,7 +94,7 @@ def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, ca
         assert text in shown
 
 
-def test_a_plan_in_minutes_is_simulated_explained_and_gone_on_from(tmp_path, capsys):
+def test_a_plan_in_minutes_is_simulated_explained_and_continued(tmp_path, capsys):
     scan, scene = tmp_path / "scan.json", tmp_path / "scene"
     arm = ["--channels", "8", "--speed-m-per-s", "0.1"]
     size = ["--aperture", "0.06", "0.06", "--spacing", "0.01", "--max-elevation-deg", "50"]
@@ -136,7 +136,7 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
     error = capsys.readouterr().err
     assert "no plan can be reached in the time" in error
-    # Three planes of 7 lines of 36 places, half a second and 3 ms each, and 172 mm of way at 0.2
+    # Three planes of 7 lines of 36 positions, half a second and 3 ms each, and 172 mm each at 0.2
     # m/s; two turns of a minute.
     least = float(error.split("at least ")[1].split(" ")[0])
     assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)

@@ -35,8 +35,8 @@ def test_points_before_a_flat_sheet_are_sharp_at_their_depth(tmp_path, capsys):
     assert stored["volume"].shape == (31, 26, 21)
     best = int(np.argmax(about["sharpness"]))
     peak = np.unravel_index(stored["volume"][best].argmax(), (26, 21))
-    place = stored["origin_m"][1:] + 0.002 * np.array(peak)
-    assert np.abs(TARGETS[:, :2] - place).max(axis=1).min() <= 0.003
+    position = stored["origin_m"][1:] + 0.002 * np.array(peak)
+    assert np.abs(TARGETS[:, :2] - position).max(axis=1).min() <= 0.003
     assert (tmp_path / "out" / "figures" / "depth.png").stat().st_size > 1000
 
 
@@ -132,7 +132,7 @@ def test_antennas_on_no_raster_are_imaged_over_all_depths(tmp_path, capsys):
     assert about["sharpest_depth_m"] == pytest.approx(0.1, abs=0.01)
 
 
-def test_a_line_of_one_frequency_tells_nothing_of_where_to_look(tmp_path, capsys):
+def test_a_line_of_one_frequency_gives_no_range(tmp_path, capsys):
     positions = np.zeros((50, 3))
     positions[:, 1] = 0.003 * np.arange(50)
     save_capture(one_frequency(positions), tmp_path / "scene")

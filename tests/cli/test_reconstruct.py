@@ -132,20 +132,20 @@ def stopping_at(stage, error, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("stage", "stop", "said"),
+    ("stage", "stop", "stated"),
     [
         ("sdf", (KeyboardInterrupt(), 130), "interrupted; finished stages are kept, --resume"),
         ("mesh", (OSError(errno.ENOSPC, "No space left on device"), 2), "the disk is full"),
     ],
 )
 def test_what_stops_a_run_is_one_line_and_resume_gives_the_uninterrupted_one(
-    stage, stop, said, scene, tmp_path, built_run, monkeypatch, capsys
+    stage, stop, stated, scene, tmp_path, built_run, monkeypatch, capsys
 ):
     out, (error, code) = tmp_path / "out", stop
     with monkeypatch.context() as patched:
         stopping_at(stage, error, patched)
         assert run(scene, out, *BOX) == code
-    assert said in the_error(capsys)
+    assert stated in the_error(capsys)
     assert events(out)[-1]["event"].startswith("the run stopped")
     done = ("box", "calibration", "glints", "sdf", "mesh")
     assert tuple(RunFolder.read(out).stages) == done[: done.index(stage)]
@@ -216,7 +216,7 @@ def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
     assert 0.2 < size[2] < 0.22  # top and bottom are not seen: as uncertain as the sides were off
 
 
-def test_no_glint_says_what_was_seen(scene, tmp_path, capsys):
+def test_no_glint_is_an_error_with_what_was_seen(scene, tmp_path, capsys):
     capture = load_capture(scene)
     rng = np.random.default_rng(0)
     noise = rng.normal(size=(2, *capture.poses[0].signal.shape)).astype(np.float32)
@@ -322,7 +322,7 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
 
 
 def test_evaluate_knows_the_planes_without_the_scene(finished_run, scene, tmp_path):
-    """The run folder says where its antennas were; of planes that it left out nothing counts."""
+    """The run folder holds where its antennas were; of planes that it left out nothing counts."""
     half, truth = tmp_path / "half", tmp_path / "gone" / "truth.ply"
     assert run(scene, half, *BOX, "--hold-out", "0", "40", "80", "120", "160") == 0
     scene.rename(tmp_path / "gone")

@@ -56,12 +56,12 @@ def test_planes_left_out_are_the_ones_rendered_with_and_without_a_residual_field
     alone = psnr(out)["psnr_db"]["0"]
     options = ["--residual", "--matter.n-points", "20", "--matter.n-targets", "100"]
     assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
-    said, stage = capsys.readouterr().out, RunFolder.read(out).stages["residual"]
+    stated, stage = capsys.readouterr().out, RunFolder.read(out).stages["residual"]
     if stage.numbers["n_voxels"]:
-        assert "without the matter beside the surface" in said
+        assert "without the matter beside the surface" in stated
         assert psnr(out)["surface_psnr_db"]["0"] == pytest.approx(alone, abs=1e-3)
     else:
-        assert "dropped" in said
+        assert "dropped" in stated
     made = (out / "residual.safetensors").stat().st_mtime_ns
     assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
     assert (out / "residual.safetensors").stat().st_mtime_ns == made

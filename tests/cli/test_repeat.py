@@ -1,4 +1,4 @@
-"""A run is repeated by its config.toml; what a wrong one says; a folder that another run holds."""
+"""A run is repeated by its config.toml; errors of wrong ones; a folder that another run holds."""
 
 import hashlib
 import subprocess
@@ -119,8 +119,8 @@ def strange_run(finished_run):
     photos = LosOptions(masks=Path("s3://bucket/masks"), to_radar=Path("gs://bucket/to.txt"))
     scene = Path("az://bucket/scene")
     replace(record, scene=scene, options=replace(record.options, photos=photos)).write(config)
-    places = "".join(f"{n} = 'mesh_box.ply'\n" for n in ("scene", "los", "masks", "to_radar"))
-    config.write_text(config.read_text().replace("[places]\n", "") + f"\n[places]\n{places}")
+    positions = "".join(f"{n} = 'mesh_box.ply'\n" for n in ("scene", "los", "masks", "to_radar"))
+    config.write_text(config.read_text().replace("[places]\n", "") + f"\n[places]\n{positions}")
     return finished_run
 
 

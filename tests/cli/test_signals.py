@@ -15,9 +15,9 @@ def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch
     monkeypatch.syspath_prepend(str(BENCH))
     from signals import Bench, run_trials  # noqa: PLC0415 - a script, found by its folder
 
-    said = []
+    stated = []
     bench = Bench(tmp_path, ["fast", "los"])
-    assert run_trials(bench, 2, 3, said.append) == 0, said
+    assert run_trials(bench, 2, 3, stated.append) == 0, stated
 
 
 @pytest.mark.slow
@@ -25,8 +25,8 @@ def test_of_two_runs_in_one_folder_one_wins(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(BENCH))
     from signals import run_pairs  # noqa: PLC0415 - as above
 
-    said = []
-    assert run_pairs(tmp_path, 1, 0, said.append) == 0, said
+    stated = []
+    assert run_pairs(tmp_path, 1, 0, stated.append) == 0, stated
 
 
 INTERRUPTED = """

@@ -1,4 +1,4 @@
-"""Pages of the documentation: what they show runs, and what the code says is explained."""
+"""Pages of the documentation: what they show runs, and the messages of the code are explained."""
 
 import doctest
 import importlib
@@ -29,10 +29,10 @@ def test_the_examples_of_a_tutorial_run(page, project_root, tmp_path, monkeypatc
     text = (project_root / "docs" / "tutorials" / f"{page}.md").read_text(encoding="utf-8")
     code = re.sub(r"^```.*$", "", text, flags=re.MULTILINE)  # a fence is no expected output
     tests = doctest.DocTestParser().get_doctest(code, {}, page, page, 0)
-    said: list[str] = []
-    results = doctest.DocTestRunner(verbose=False).run(tests, out=said.append)
+    stated: list[str] = []
+    results = doctest.DocTestRunner(verbose=False).run(tests, out=stated.append)
     assert results.attempted > 0
-    assert results.failed == 0, "".join(said)
+    assert results.failed == 0, "".join(stated)
 
 
 def test_every_warning_has_a_cause_and_a_remedy(site, project_root):
@@ -62,8 +62,8 @@ def test_each_input_of_the_audit_has_tests_and_the_limits_of_the_code(project_ro
 
 def test_errors_are_collected_with_what_to_do(site):
     messages = site("messages")
-    said = {message.text: message for message in messages.collect()}
-    lost = said["no such scene"]
+    stated = {message.text: message for message in messages.collect()}
+    lost = stated["no such scene"]
     assert lost.module == "io.container"
     assert lost.hint == "make one with 'geraf2 import'"
     assert lost.kind == "error"
@@ -75,14 +75,14 @@ def test_arguments_of_a_docstring_become_fields(site):
     lines = [
         "Image.",
         "",
-        "tx, rx: places [m].",
+        "tx, rx: positions [m].",
         "    As |x| is.",
         "rtol: error.",
         "",
         "Returns it.",
     ]
     assert docstrings.as_fields(docstrings.without_substitutions(lines), {"tx", "rx", "rtol"}) == [
-        *("Image.", "", ":param tx: places [m].", r"    As \|x\| is.", ":param rx: as `tx`"),
+        *("Image.", "", ":param tx: positions [m].", r"    As \|x\| is.", ":param rx: as `tx`"),
         *(":param rtol: error.", "", "Returns it.", ""),
     ]
 
@@ -125,7 +125,7 @@ def test_a_flow_chart_is_drawn_with_all_its_steps(site, project_root):
     charts = [chart for block in blocks for chart in flowchart.parse(block.splitlines()).values()]
     assert charts
     for chart in charts:
-        at = flowchart.places(chart)
+        at = flowchart.positions(chart)
         assert len(set(at.values())) == len(chart.texts)  # no box on another
         assert all(at[a][0] < at[b][0] for a, b, dotted in chart.steps if not dotted)
         assert flowchart.svg(chart).count('class="head"') == len(chart.steps) > 0
@@ -133,7 +133,7 @@ def test_a_flow_chart_is_drawn_with_all_its_steps(site, project_root):
         flowchart.parse(["a ==> b"])
 
 
-def test_the_pictures_of_the_physics_show_what_is_said(project_root, monkeypatch):
+def test_the_pictures_of_the_physics_show_what_their_text_states(project_root, monkeypatch):
     """Behind the surface by the whole aperture, on it by a sub-aperture; the page has both."""
     monkeypatch.syspath_prepend(project_root / "tools")
     draw = importlib.import_module("draw_physics")

@@ -83,12 +83,12 @@ def test_a_refused_word_is_reported_with_its_line(words, tree, capsys, sentence,
     assert any(re.fullmatch(rf"{DOCS}/bad\.md:3: {word} -> .+", line) for line in lines), lines
 
 
-def test_comments_docstrings_and_messages_are_read_and_names_are_not(words, tree, capsys):
+def test_comments_docstrings_messages_and_names_are_read(words, tree, capsys):
     _write(
         tree,
         "python/geraf2/ops/one.py",
         '"""Docstring.\n\nIt goes\non here.\n"""\n\n'
-        'way = places = "figure"  # a name\n'
+        'way = two_way_m = figure = "place"  # the last is no message\n'
         "# What stands\n# after the cut.\n"
         'MESSAGE = f"{way} is told"\n',
     )
@@ -105,6 +105,7 @@ def test_comments_docstrings_and_messages_are_read_and_names_are_not(words, tree
         "cpp/src/two.cpp:3: way",
         "cpp/src/two.cpp:4: place",
         "python/geraf2/ops/one.py:3: goes on",
+        "python/geraf2/ops/one.py:7: way",
         "python/geraf2/ops/one.py:8: What stands",
         "python/geraf2/ops/one.py:10: told",
     ]

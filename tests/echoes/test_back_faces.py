@@ -29,9 +29,9 @@ def crossings_by_loops(glints, reach_m=0.005, own_m=0.004, min_cosine=0.3):
 
 def ball(radius_m=RADIUS_M, index=INDEX, n=600):
     """Front faces of a ball seen from all sides, then its back faces: 2 n radii behind these."""
-    ways = fibonacci_sphere(n)
-    places = np.concatenate([radius_m * ways, (1.0 - 2.0 * index) * radius_m * ways])
-    return glints_at(places, np.concatenate([ways, ways]))
+    legs = fibonacci_sphere(n)
+    positions = np.concatenate([radius_m * legs, (1.0 - 2.0 * index) * radius_m * legs])
+    return glints_at(positions, np.concatenate([legs, legs]))
 
 
 def test_crossings_are_those_of_loops():
@@ -87,14 +87,14 @@ def test_no_glints_are_no_back_faces():
     assert seen_through_share(nothing) == 0.0
 
 
-def path_over_wall(places, image, radius_m):
-    """Place, ball at the origin, image of the place: shortest over the ball, (n,) [m]."""
-    one, two = (p / np.linalg.norm(p, axis=1, keepdims=True) for p in (places, image))
+def path_via_wall(positions, image, radius_m):
+    """Point, ball at the origin, image of the point: shortest path over the ball, (n,) [m]."""
+    one, two = (p / np.linalg.norm(p, axis=1, keepdims=True) for p in (positions, image))
     shares = np.linspace(0.0, 1.0, 201)[:, None, None]
-    points = (1.0 - shares) * one + shares * two  # in the plane of both ways
+    points = (1.0 - shares) * one + shares * two  # in the plane of both legs
     points *= radius_m / np.linalg.norm(points, axis=2, keepdims=True)
-    way = np.linalg.norm(points - places, axis=2) + np.linalg.norm(points - image, axis=2)
-    return way.min(axis=0)
+    leg = np.linalg.norm(points - positions, axis=2) + np.linalg.norm(points - image, axis=2)
+    return leg.min(axis=0)
 
 
 def test_images_in_a_wall_are_no_glints():
@@ -105,10 +105,10 @@ def test_images_in_a_wall_are_no_glints():
     def paths(positions, _):
         image = positions * [1.0, -1.0, 1.0] + [0.0, 2.0 * wall_m, 0.0]
         own, twice = (sphere_paths(p, [[0.0, 0.0, 0.0]], [radius_m]) for p in (positions, image))
-        return np.column_stack([own, path_over_wall(positions, image, radius_m), twice])
+        return np.column_stack([own, path_via_wall(positions, image, radius_m), twice])
 
     # On a raster of 3 mm the image's direction, a cosine of 0.45, wraps around to one inside.
-    capture = capture_of(paths, n_poses=1, places=raster(51, 0.002))
+    capture = capture_of(paths, n_poses=1, positions=raster(51, 0.002))
     found = find_glints(capture, LosPrior.from_box((BOX_M,) * 3))
     assert len(found) == 9  # one for each sub-aperture
     assert np.abs(np.linalg.norm(found.positions, axis=1) - radius_m).max() < 2e-3

@@ -57,9 +57,9 @@ def test_the_uncertainty_covers_the_error(glints):
 
 
 def test_irregular_positions_give_the_same_glints():
-    places = raster(41)
-    places = places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
-    capture = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=2, places=places)
+    positions = raster(41)
+    positions = positions + np.random.default_rng(0).uniform(-1e-3, 1e-3, positions.shape)
+    capture = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=2, positions=positions)
     config = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.15))
     found = find_glints(capture, BOX, config)
     distance, angle = errors(found, [[0.0, 0.0, 0.0]], [RADIUS_M])
@@ -142,7 +142,7 @@ def test_progress_rises_to_one():
 
 class TestNothingFound:
     def message(self, paths_of, **options):
-        capture = capture_of(paths_of, **{"n_poses": 4, "places": raster(27), **options})
+        capture = capture_of(paths_of, **{"n_poses": 4, "positions": raster(27), **options})
         with pytest.raises(UserError) as caught:
             find_glints(capture, BOX, NARROW)
         return str(caught.value)

@@ -13,7 +13,7 @@ from geraf2.imaging.peaks import join_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from helpers.glint_sets import glints_at
-from helpers.peak_sets import peaks_of_plane, places_of, sphere_peaks
+from helpers.peak_sets import peaks_of_plane, positions_of, sphere_peaks
 from helpers.specular import BOX_M, frame, pose_of, raster, sphere_paths
 
 BOX = LosPrior.from_box((BOX_M,) * 3)
@@ -42,11 +42,11 @@ def scattered(n, seed=0, period=np.inf, low=-0.08, high=0.08):
     parts = []
     for number in range(12):
         axes = frame(30.0 * number)
-        places = rng.uniform(-0.03, 0.03, (n // 12, 2))
-        way = rng.uniform(low, high, (n // 12, 3)) - (-0.4 * axes[0] + places @ axes[1:])
-        far = np.linalg.norm(way, axis=1)
-        cosines = (way / far[:, None]) @ axes[1:].T
-        parts.append(peaks_of_plane(number, places, cosines, far, period))
+        positions = rng.uniform(-0.03, 0.03, (n // 12, 2))
+        leg = rng.uniform(low, high, (n // 12, 3)) - (-0.4 * axes[0] + positions @ axes[1:])
+        far = np.linalg.norm(leg, axis=1)
+        cosines = (leg / far[:, None]) @ axes[1:].T
+        parts.append(peaks_of_plane(number, positions, cosines, far, period))
     return join_peaks(parts)
 
 
@@ -169,11 +169,11 @@ def test_grating_lobes_are_moved_to_their_true_direction(center):
 
 def test_a_grating_lobe_of_a_wall_is_the_wall():
     """A flash of the near wall, whose image shows a period beside, is no return of the content."""
-    places = places_of()
-    flash = np.tile([PERIOD, 0.0], (len(places), 1))
+    positions = positions_of()
+    flash = np.tile([PERIOD, 0.0], (len(positions), 1))
     walls = join_peaks(
         [
-            peaks_of_plane(number, places, flash, np.full(len(places), 0.3), PERIOD)
+            peaks_of_plane(number, positions, flash, np.full(len(positions), 0.3), PERIOD)
             for number in (0, 3, 6, 9)
         ]
     )

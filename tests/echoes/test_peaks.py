@@ -24,10 +24,10 @@ def noise_floor(magnitude):
     return aperture_images.noise_floor(image.magnitude, image_bins(image))
 
 
-def lobe(place, width=1.5, shape=SHAPE, periodic=False):
+def lobe(position, width=1.5, shape=SHAPE, periodic=False):
     """A Gaussian, whose logarithm is a parabola: the refinement is exact for it."""
     total = 0.0
-    for axis, (n, at) in enumerate(zip(shape, place, strict=True)):
+    for axis, (n, at) in enumerate(zip(shape, position, strict=True)):
         off = np.arange(n) - at
         if periodic and axis < 2:
             off = (off + n / 2) % n - n / 2
@@ -35,14 +35,14 @@ def lobe(place, width=1.5, shape=SHAPE, periodic=False):
     return np.exp(-total / (2.0 * width**2))
 
 
-@pytest.mark.parametrize("place", [(11.3, 9.8, 7.4), (5.0, 6.49, 8.51)])
-def test_the_parabola_finds_the_top_between_bins(place):
-    peaks = find_peaks(image_of(lobe(place)), 20.0, 0.0)
+@pytest.mark.parametrize("position", [(11.3, 9.8, 7.4), (5.0, 6.49, 8.51)])
+def test_the_parabola_finds_the_top_between_bins(position):
+    peaks = find_peaks(image_of(lobe(position)), 20.0, 0.0)
     assert len(peaks.ranges_m) == 1
-    expected = 0.02 * (np.array(place[:2]) - [12, 10])
+    expected = 0.02 * (np.array(position[:2]) - [12, 10])
     # 1e-4 of a bin: float32 logarithms
     np.testing.assert_allclose(peaks.cosines[0], expected, atol=2e-6)
-    assert peaks.ranges_m[0] == pytest.approx(0.3 + 0.02 * place[2], abs=2e-6)
+    assert peaks.ranges_m[0] == pytest.approx(0.3 + 0.02 * position[2], abs=2e-6)
 
 
 def complex_noise(shape, rms=1.0):

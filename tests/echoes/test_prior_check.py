@@ -30,17 +30,17 @@ def box(side_m, center_m=(0.0, 0.0, 0.0)):
 
 
 def test_all_echoes_are_inside_a_box_around_everything(capture):
-    places = found_in(capture, box(0.12))
-    assert places.n_echoes > 0
-    assert places.inside > 0.95
-    assert places.bounds_m[0, 0] == pytest.approx(-0.05, abs=0.01)
-    assert places.bounds_m[1, 1] == pytest.approx(0.05, abs=0.01)
-    assert places.inside + places.in_front + places.beside == pytest.approx(1.0)
+    positions = found_in(capture, box(0.12))
+    assert positions.n_echoes > 0
+    assert positions.inside > 0.95
+    assert positions.bounds_m[0, 0] == pytest.approx(-0.05, abs=0.01)
+    assert positions.bounds_m[1, 1] == pytest.approx(0.05, abs=0.01)
+    assert positions.inside + positions.in_front + positions.beside == pytest.approx(1.0)
 
 
 def test_a_small_box_has_echoes_in_front(capture):
-    places = found_in(capture, box(0.04))
-    assert places.in_front > 0.2
+    positions = found_in(capture, box(0.04))
+    assert positions.in_front > 0.2
     with pytest.raises(UserError, match="smaller than its content or lies elsewhere") as caught:
         require(capture, box(0.04), "the box of a file")
     assert str(caught.value).startswith("the box of a file: ")
@@ -77,8 +77,10 @@ def test_grating_lobes_of_a_wall_in_front_are_not_counted():
     targets = np.array([[0.31, 0.3, 0.0]])
     pose = point_pose(30.0, n_side=40, spacing_m=0.004, targets=targets, standoff_m=0.6)
     capture = Capture(waveform=WAVEFORM, poses=(pose,), provenance={"importer": "test"})
-    places = found_in(capture, box(0.62))
-    assert places.bounds_m[1, 0] > 0.325  # shown before the wall
-    assert places.in_front < 0.15  # of the outermost sub-aperture, which sees it 16 degrees aslant
-    assert places.inside > 0.85
+    positions = found_in(capture, box(0.62))
+    assert positions.bounds_m[1, 0] > 0.325  # shown before the wall
+    assert (
+        positions.in_front < 0.15
+    )  # of the outermost sub-aperture, which sees it 16 degrees aslant
+    assert positions.inside > 0.85
     assert found_in(capture, box(0.56)).in_front > 0.5

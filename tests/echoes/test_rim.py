@@ -49,9 +49,9 @@ def test_rim_glints_have_steeper_angles_than_whole_subapertures(glints, rim):
 
 
 def test_irregular_positions_have_a_rim_too(glints):
-    places = raster(41)
-    places = places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
-    uneven = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=3, places=places)
+    positions = raster(41)
+    positions = positions + np.random.default_rng(0).uniform(-1e-3, 1e-3, positions.shape)
+    uneven = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=3, positions=positions)
     known = find_glints(uneven, BOX, NARROW)
     rim = find_rim_glints(uneven, BOX, known, first=NARROW)
     assert len(rim) > 3 * 20

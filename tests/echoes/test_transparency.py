@@ -1,4 +1,4 @@
-"""A dielectric ball whose back face's apparent place is known, and metal, that stays as it is."""
+"""A dielectric ball with a back face of known apparent position, and metal, that stays as it is."""
 
 import numpy as np
 import pytest
@@ -61,9 +61,9 @@ def test_metal_stays_as_it_is():
 
 
 def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():
-    ways = fibonacci_sphere(400)
-    front = glints_at(RADIUS_M * ways, ways)
-    back = glints_at((1.0 - 2.0 * INDEX) * RADIUS_M * ways[::4], ways[::4])
+    legs = fibonacci_sphere(400)
+    front = glints_at(RADIUS_M * legs, legs)
+    back = glints_at((1.0 - 2.0 * INDEX) * RADIUS_M * legs[::4], legs[::4])
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
     pairs = face_pairs(back, front, MeshScene(mesh.vertices, mesh.faces))
     assert len(pairs.thickness_m) > 90
@@ -73,6 +73,6 @@ def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():
 
 def test_an_unknown_permittivity_is_reported():
     assert describe({"n_glints": 3}) == ""
-    said = describe({"n_back_faces": 5, "back_face_share": 0.25})
-    assert "25 %" in said
-    assert "permittivity is unknown" in said
+    stated = describe({"n_back_faces": 5, "back_face_share": 0.25})
+    assert "25 %" in stated
+    assert "permittivity is unknown" in stated

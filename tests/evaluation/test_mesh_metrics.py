@@ -105,7 +105,7 @@ def test_shifted_squares_have_the_shift_as_exact_distance_and_no_bias():
     assert not metrics.truth.is_watertight
 
 
-def test_precision_and_recall_tell_what_is_missing_from_what_is_false():
+def test_precision_and_recall_distinguish_missing_from_false():
     half = TriangleMesh(
         vertices=square(0.1, 0.0).vertices * [0.5, 1, 1], faces=square(0.1, 0.0).faces
     )
@@ -131,7 +131,7 @@ def test_a_surface_against_itself_reaches_the_floor_and_not_zero():
     metrics = evaluate_mesh(truth, truth)
     # P(d > tau) = exp(-pi density tau^2) = 1.2e-4 of the samples have no neighbour
     assert metrics.f1(0.003) == pytest.approx(1.0, abs=5e-4)
-    # E[d^2] = A / (pi n) each way
+    # E[d^2] = A / (pi n) in each direction
     assert metrics.chamfer_1e3_m2 == pytest.approx(1e3 * 2 * 4 * 0.05**2 / 10000, rel=0.05)
     assert metrics.floor_chamfer_1e3_m2 == pytest.approx(metrics.chamfer_1e3_m2, rel=0.05)
     # Rayleigh median: sqrt(ln 2 / (pi density))
@@ -163,8 +163,8 @@ def test_samples_are_uniform_by_area():
     assert (first[:, 0] + first[:, 1]).max() <= 1.0
 
 
-@pytest.mark.parametrize(("said_m", "one", "two"), [(6e-3, 1, 1), (3e-3, 0, 1), (2e-3, 0, 0)])
-def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
+@pytest.mark.parametrize(("stated_m", "one", "two"), [(6e-3, 1, 1), (3e-3, 0, 1), (2e-3, 0, 0)])
+def test_expected_errors_are_compared_with_true_ones(stated_m, one, two):
     ball = sphere(0.05)
     bumped = ball.vertices.copy()
     upper = bumped[:, 2] > 0
@@ -172,7 +172,7 @@ def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
     mesh = TriangleMesh(
         vertices=bumped,
         faces=ball.faces,
-        expected_error_m=np.where(upper, said_m, 1e-3),
+        expected_error_m=np.where(upper, stated_m, 1e-3),
         evidence=np.where(upper, Evidence.NOT_SEEN, Evidence.SEEN).astype(np.uint8),
     )
     held = evaluate_mesh(mesh, ball).expected_error
@@ -183,7 +183,7 @@ def test_expected_errors_are_compared_with_true_ones(said_m, one, two):
     seen, guessed = held.parts
     assert guessed.area_fraction == pytest.approx(1.21 / 2.21, abs=0.03)
     assert guessed.median_m == pytest.approx(0.005, abs=2e-4)
-    assert guessed.expected_m == pytest.approx(said_m, rel=1e-6)
+    assert guessed.expected_m == pytest.approx(stated_m, rel=1e-6)
     assert guessed.within_one == pytest.approx(one, abs=0.05)
     assert seen.median_m < 2e-4
     assert seen.within_one > 0.94

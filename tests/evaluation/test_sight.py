@@ -1,4 +1,4 @@
-"""What a scan sees of a surface: a ball in closed form, what stands in the way, scores of both."""
+"""What a scan sees of a surface: a ball in closed form, obstacles, scores of both."""
 
 import numpy as np
 import pytest
@@ -53,14 +53,14 @@ def test_a_ball_is_seen_where_its_centre_sees_the_antennas_in_that_direction(ang
     np.testing.assert_array_equal(seen, expected)
 
 
-def test_what_stands_in_the_way_hides_it_and_a_ball_behind_does_not():
+def test_an_obstacle_hides_it_and_a_ball_behind_does_not():
     point, normal = np.array([[-RADIUS, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
     for x, seen in ((-0.2, False), (0.2, True)):
         surface = TriangleMesh.joined([ball(), ball((x, 0.0, 0.0), 0.02)])
         assert in_sight(point, normal, [plane(0.0)], surface)[0] == seen
 
 
-def test_scores_of_both_parts_tell_where_the_error_is():
+def test_scores_of_both_parts_locate_the_error():
     truth, mesh = ball(), ball()
     moved = mesh.vertices.copy()
     moved[moved[:, 0] > 0.0] *= 1.2  # behind, which no antenna at x < 0 sees: 10 mm off

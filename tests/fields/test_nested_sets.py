@@ -38,14 +38,14 @@ def test_the_distance_is_the_minimum_over_the_two_boundaries_of_the_region():
         SphereSolid(radius_m=0.03),
     ]
     strong = [True, False, True, False]
-    field, places = NestedSets(solids, strong), points()
-    want = np.empty(len(places))
-    for number, place in enumerate(places):
-        own = [solid.signed_distance(place[None])[0] for solid in solids]
+    field, positions = NestedSets(solids, strong), points()
+    want = np.empty(len(positions))
+    for number, position in enumerate(positions):
+        own = [solid.signed_distance(position[None])[0] for solid in solids]
         region = sum(d <= 0 for d in own)
         bounds = [abs(own[i]) for i in (region - 1, region) if 0 <= i < len(solids)]
         want[number] = min(bounds) * (-1 if region and strong[region - 1] else 1)
-    np.testing.assert_allclose(field.signed_distance(places), want, atol=1e-14)
+    np.testing.assert_allclose(field.signed_distance(positions), want, atol=1e-14)
 
 
 def test_the_field_is_a_distance():
@@ -58,8 +58,8 @@ def test_the_field_is_a_distance():
 
 def test_fields_of_vision_and_radar_agree_outside_the_box():
     field, outer = NestedSets.from_walls([WALL, INNER]), BoxSolid(size_m=WALL.size_m)
-    places = points()
-    outside = places[outer.signed_distance(places) > 0]
+    positions = points()
+    outside = positions[outer.signed_distance(positions) > 0]
     np.testing.assert_allclose(field.signed_distance(outside), outer.signed_distance(outside))
 
 

@@ -1,6 +1,6 @@
 """Silhouettes against two kinds of shadow that the method does not compute: wave optics and rays.
 
-With waves the content blocks the way there and the way back, so that its edge lies where a quarter
+With waves the content blocks the path there and back, so that its edge lies where a quarter
 of the flash is left and not a half.
 """
 
@@ -47,15 +47,15 @@ def shadow_capture(shape, law, side=-1.0, tilt=0.0, noise=0.02, strength=1.0, bu
     """One plane before the wall at +-x; a screen through the middle of the box."""
     distances = (STANDOFF_M, STANDOFF_M + INNER_M, INNER_M, WAVEFORM.center_wavelength_m)
     along_z, along_y = SHAPES[shape]
-    nothing = lambda places: np.zeros(places.shape, dtype=bool)  # noqa: E731
+    nothing = lambda positions: np.zeros(positions.shape, dtype=bool)  # noqa: E731
     flash = getattr(wall_shadow, law)
     tall = along_z(np.array(1.0))
 
-    def bulge(places):
-        return bulge_m * np.cos(0.5 * np.pi * places / INNER_M)
+    def bulge(positions):
+        return bulge_m * np.cos(0.5 * np.pi * positions / INNER_M)
 
-    def along(places):
-        return bulge(places) - np.tan(tilt) * places
+    def along(positions):
+        return bulge(positions) - np.tan(tilt) * positions
 
     ry = flash(Y, along_y if tall else nothing, *distances, along)
     rz = flash(Z, nothing if tall else along_z, *distances, bulge)
@@ -156,7 +156,7 @@ def test_a_small_tilt_of_the_box_is_corrected():
 
 def test_the_delay_of_an_inner_box_is_subtracted():
     capture = shadow_capture("body", "geometric_flash")
-    # A quarter of a turn of phase on the way there and back, of what its walls cover.
+    # A quarter of a turn of phase on the path there and back, of what its walls cover.
     inner = Wall(size_m=(0.12, 0.09, 0.12), thickness_m=0.0009, permittivity=1.6)
     feet = capture.poses[0].phase_centers
     crossed = (np.abs(feet[:, 1]) < 0.045) & (np.abs(feet[:, 2]) < 0.06)
@@ -284,7 +284,7 @@ def test_a_field_is_cut_but_not_near_glints():
     expected = np.maximum(ball.values.ravel(), outline.free_distance(points))
     np.testing.assert_allclose(cut[far], expected[far], atol=1e-6)
     assert np.sum(cut[far] > 1e-3 + ball.values.ravel()[far]) > 100
-    # What they say of places near glints counts by so much less.
+    # Their evidence near glints counts by so much less.
     distance = np.linalg.norm(points[:, None] - low.positions, axis=2).min(axis=1)
     by = np.maximum(0.0, 0.005 - distance)
     expected = np.maximum(ball.values.ravel(), outline.free_distance(points) - by)

@@ -15,8 +15,8 @@ RADIUS_M = 0.04
 LIFT_M = 1e-3
 
 
-def pose(angle_deg, places):
-    tx, rx, axes = antennas(angle_deg, places, baseline_m=0.01)
+def pose(angle_deg, positions):
+    tx, rx, axes = antennas(angle_deg, positions, baseline_m=0.01)
     signal = np.zeros((len(tx), 2), dtype=np.complex64)
     return Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes)
 
@@ -24,8 +24,8 @@ def pose(angle_deg, places):
 @pytest.fixture(scope="module")
 def apertures():
     """Seven planes around, of 12 and 24 cm."""
-    places = raster(5, 0.03) * [1.0, 2.0]
-    return [Aperture.of_pose(pose(51.0 * number, places)) for number in range(7)]
+    positions = raster(5, 0.03) * [1.0, 2.0]
+    return [Aperture.of_pose(pose(51.0 * number, positions)) for number in range(7)]
 
 
 @pytest.fixture(scope="module")

@@ -47,12 +47,12 @@ def test_tangent_points_near_glints_or_in_free_space_are_left_out():
     gone = np.linalg.norm(every.positions - seen, axis=1) < 0.005
     assert gone.any()
     np.testing.assert_array_equal(clear.positions, every.positions[~gone])
-    # A field that falls along x: another outline tells where lines along x touch, or nothing does.
+    # A field that falls along x: another outline shows where lines along x touch, or nothing does.
     grid = ball(0.037).grid
     off_m = np.hypot(*grid.points()[:, 1:].T) - 0.030 - 0.1 * grid.points()[:, 0]
     falling = SdfGrid(grid=grid, values=off_m.reshape(grid.shape))
     both = outlines([0, 1], [0.02, RADIUS_M, RADIUS_M])
-    # There the field, 10 mm - 0.1 x at the edge, is as large as the way to what the other stops.
+    # There the field, 10 mm - 0.1 x at the edge, equals the distance to what the other stops.
     touch = tangent_points(falling, both, NOBODY, 0.005)
     assert touch.positions[:, 0].max() == pytest.approx(0.03 / 1.1, abs=0.003)
     alone = tangent_points(falling, both.select(np.array([0])), NOBODY, 0.005)
@@ -62,9 +62,9 @@ def test_tangent_points_near_glints_or_in_free_space_are_left_out():
 def test_an_outline_has_no_edge_at_the_border_of_known_cells():
     cells = CELL_M * np.arange(-40, 41)
     known = np.tile(cells < 0.02, (len(cells), 1))
-    places, _ = outlines([0], [RADIUS_M] * 3, known).edge(0)
-    assert len(places) > 20
-    assert places[:, 1].max() < 0.02
+    positions, _ = outlines([0], [RADIUS_M] * 3, known).edge(0)
+    assert len(positions) > 20
+    assert positions[:, 1].max() < 0.02
     nothing = replace(outlines([0], [RADIUS_M] * 3), transmission=np.ones((1, 81, 81)))
     assert nothing.edge(0)[0].shape == nothing.edge(0)[1].shape == (0, 2)
     found = tangent_points(ball(RADIUS_M), nothing, NOBODY, 0.005)

@@ -9,8 +9,8 @@ WALL_M = 0.506
 HALF_M = 0.106
 
 
-def bulge(places, height_m):
-    return height_m * np.cos(0.5 * np.pi * places / HALF_M)
+def bulge(positions, height_m):
+    return height_m * np.cos(0.5 * np.pi * positions / HALF_M)
 
 
 def searched(feet, height_m):

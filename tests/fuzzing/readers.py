@@ -1,7 +1,7 @@
 """Readers of files from strangers, each as a function of one file's bytes.
 
 A reader may return or raise UserError; whatever else it raises is a finding. Where a format has
-several files, the first byte of the data says which of them the rest stands for, and the others are
+several files, the first byte of the data selects which of them the rest is, and the others are
 good ones.
 """
 
@@ -85,7 +85,7 @@ def clean_up():
 
 
 def read(name, data):
-    """Read data as the file of the reader `name` that its first byte says."""
+    """Read data as the file of the reader `name` that its first byte selects."""
     parts = PARTS[name]
     part = parts[data[0] % len(parts)] if data else parts[0]
     folder = _good() / name

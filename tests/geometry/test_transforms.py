@@ -62,7 +62,7 @@ def test_a_rotation_with_four_digits_becomes_exact():
 
 
 @pytest.mark.parametrize(
-    ("matrix", "said"),
+    ("matrix", "stated"),
     [
         (np.eye(3), "4 x 4"),
         (rigid(1.1 * TURN, SHIFT), "no rigid transform"),
@@ -73,6 +73,6 @@ def test_a_rotation_with_four_digits_becomes_exact():
         (np.eye(4) + np.eye(4, k=-3), "last row"),
     ],
 )
-def test_a_matrix_that_is_not_rigid_is_refused(matrix, said):
-    with pytest.raises(UserError, match=rf"poses\.txt: .*{said}"):
+def test_a_matrix_that_is_not_rigid_is_refused(matrix, stated):
+    with pytest.raises(UserError, match=rf"poses\.txt: .*{stated}"):
         require_rigid(matrix, "poses.txt")

@@ -1,4 +1,4 @@
-"""Each function against the same thing said with plain loops, and on what has no extent."""
+"""Each function against the same with plain loops, and on what has no extent."""
 
 import math
 
@@ -171,7 +171,7 @@ def closed_slowly(faces):
         np.concatenate([FACES, [[3, 3, 3], [1, 1, 2]]]),
         NO_FACES,
     ],
-    ids=["closed", "hole", "flipped", "twice", "both ways", "flat", "none"],
+    ids=["closed", "hole", "flipped", "twice", "both directions", "flat", "none"],
 )
 def test_closed_edges_equals_a_plain_count(faces):
     want = closed_slowly(faces)

@@ -25,14 +25,14 @@ def blocks_of(tx, rx=None, *, offsets=None, **changes):
     return AntennaBlocks(**parts | changes)
 
 
-def members_of(places, **changes):
-    """A sub-aperture of all antennas, which lie at `places` in it, (n, 2) [m]."""
-    n = len(places)
+def members_of(positions, **changes):
+    """A sub-aperture of all antennas, which lie at `positions` in it, (n, 2) [m]."""
+    n = len(positions)
     parts = {
         "offsets": np.array([0, n]),
         "antennas": np.arange(n),
         "weights": np.full(n, 1.0 / n),
-        "places": places,
+        "positions": positions,
         "focus": np.zeros((1, 3)),
         "focus_range_m": np.full(1, 0.4),
         "lattice": None,

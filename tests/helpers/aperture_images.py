@@ -24,7 +24,7 @@ class SubapertureImage:
     vertical_cosines: np.ndarray
     """Direction cosine of each column, ascending, equally spaced, (n_vertical,)."""
     ranges_m: np.ndarray
-    """One-way distance from the centre, instrument delay taken off, (n_ranges,) [m]."""
+    """One-way distance from the centre, instrument delay subtracted, (n_ranges,) [m]."""
     wraps: tuple[bool, bool]
     """Whether the horizontal and the vertical direction axis is periodic."""
 

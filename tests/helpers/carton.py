@@ -24,15 +24,15 @@ def aligned(capture, prior, config=None):
     return problem.result(problem.fit(GROUPS))
 
 
-def flat(axis, side, place):
+def flat(axis, side, position):
     return 0.0
 
 
 def bulged(height_m):
     """All walls outward by this at their middles; an echo's range to first order."""
 
-    def shape(axis, side, place):
-        x, y = (place[:, [k for k in range(3) if k != axis]] / (0.5 * SIDE_M)).T
+    def shape(axis, side, position):
+        x, y = (position[:, [k for k in range(3) if k != axis]] / (0.5 * SIDE_M)).T
         return -height_m * np.clip(1.0 - x * x, 0.0, 1.0) * np.clip(1.0 - y * y, 0.0, 1.0)
 
     return shape
@@ -40,29 +40,29 @@ def bulged(height_m):
 
 def carton_signal(tx, rx, waveform=WAVEFORM, wall=1.0, far=0.5, bulge=flat, noise=0.01):
     """Echoes of the walls whose foot lies on them, and of both spheres, (n, n_samples)."""
-    place = 0.5 * (tx + rx)
+    position = 0.5 * (tx + rx)
     paths, weights = [], []
     for axis in range(2):
         for side in (-1.0, 1.0):
-            height = side * place[:, axis] - 0.5 * SIDE_M + bulge(axis, side, place)
+            height = side * position[:, axis] - 0.5 * SIDE_M + bulge(axis, side, position)
             others = [other for other in range(3) if other != axis]
-            meets = (np.abs(place[:, others]) < 0.5 * SIDE_M).all(axis=1)
+            meets = (np.abs(position[:, others]) < 0.5 * SIDE_M).all(axis=1)
             paths.append(2.0 * np.abs(height))
             # From outside, and from behind, through the box.
             weights.append(wall * meets * ((height > 0) + far * (height < -SIDE_M)))
     for center, radius in zip(*SPHERES, strict=True):
-        paths.append(2.0 * (np.linalg.norm(place - center, axis=1) - radius))
-        weights.append(np.full(len(place), 0.7))
+        paths.append(2.0 * (np.linalg.norm(position - center, axis=1) - radius))
+        weights.append(np.full(len(position), 0.7))
     total = np.stack(paths, axis=1) + waveform.path_bias_m
     phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * total[..., None] * waveform.frequencies_hz
     signal = (np.stack(weights, axis=1)[..., None] * np.exp(-1j * phase)).sum(axis=1)
-    rng = np.random.default_rng(len(place))
+    rng = np.random.default_rng(len(position))
     parts = rng.standard_normal((2, *signal.shape))
     return (signal + noise * (parts[0] + 1j * parts[1])).astype(np.complex64)
 
 
 def carton_capture(n_poses=12, errors=None, **options):
-    """`errors(number, axes, n)` -> true minus recorded place of each antenna, (n, 3) [m]."""
+    """`errors(number, axes, n)` -> true minus recorded position of each antenna, (n, 3) [m]."""
     poses = []
     for number in range(n_poses):
         tx, rx, axes = antennas(360.0 * number / n_poses, raster(37, 0.0035))

@@ -1,4 +1,4 @@
-"""What a command said on the terminal."""
+"""What a command printed on the terminal."""
 
 
 def the_error(capsys):

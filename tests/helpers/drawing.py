@@ -33,7 +33,7 @@ def drawn_coarsely():
 
 @pytest.fixture(scope="module", autouse=True)
 def not_drawn():
-    """For the conftest.py of a folder of tests: figures are made, their files are blank."""
+    """For the conftest.py of a folder of tests: pictures are made, their files are blank."""
     with pytest.MonkeyPatch.context() as patch:
         small_pictures(patch)
         patch.setattr(canvas, "save", blank)

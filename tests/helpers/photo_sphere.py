@@ -11,7 +11,7 @@ SIZE = (48, 36)
 
 
 def colour_of(normals):
-    """Smooth colours from the place on the ball."""
+    """Smooth colours from the position on the ball."""
     return 0.5 + 0.4 * np.sin(4.0 * normals + np.array([0.0, 1.0, 2.0]))
 
 
@@ -34,8 +34,8 @@ def photo(camera, background=(0.1, 0.2, 0.3)):
     middle = -(offset * directions).sum(axis=1)
     inside = RADIUS_M**2 - (offset**2).sum(axis=1) + middle**2
     hit = inside > 0.0
-    place = offset + (middle - np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions
-    colour = np.where(hit[:, None], colour_of(place / RADIUS_M), background)
+    position = offset + (middle - np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions
+    colour = np.where(hit[:, None], colour_of(position / RADIUS_M), background)
     shape = (camera.height, camera.width)
     return np.round(255.0 * colour).astype(np.uint8).reshape(*shape, 3), hit.reshape(shape)
 

@@ -52,8 +52,8 @@ def write_planar(folder, *, n_x=31, n_y=25, targets=TARGETS, flat=0.0, phase=Tru
     """Echoes of points, and of a flat sheet right before the antennas, 40 mm away."""
     x = (np.arange(n_x) - (n_x - 1) / 2) * STEP
     y = (np.arange(n_y) - (n_y - 1) / 2) * STEP
-    places = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((n_x, n_y))], axis=-1)
-    distance = 2 * np.linalg.norm(places[..., None, :] - targets, axis=-1)
+    positions = np.stack([*np.meshgrid(x, y, indexing="ij"), np.zeros((n_x, n_y))], axis=-1)
+    distance = 2 * np.linalg.norm(positions[..., None, :] - targets, axis=-1)
     k = 2 * np.pi * FREQUENCIES[:, None, None] / SPEED_OF_LIGHT_M_PER_S
     signal = np.exp(-1j * k[..., None] * distance).sum(axis=-1)
     signal = signal + flat * np.cos(40 * x)[:, None] * np.exp(-1j * k * 0.08)

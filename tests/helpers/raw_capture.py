@@ -107,20 +107,20 @@ def packets_of(data, payload=1456):
 
 
 def raster_positions(n_rows, n_columns, step_m, *, serpentine=False):
-    places = []
+    positions = []
     for row in range(n_rows):
         columns = range(n_columns)
         for column in reversed(columns) if serpentine and row % 2 else columns:
             y = (column - (n_columns - 1) / 2) * step_m
-            places.append([0.0, y, (row - (n_rows - 1) / 2) * step_m])
-    return np.array(places)
+            positions.append([0.0, y, (row - (n_rows - 1) / 2) * step_m])
+    return np.array(positions)
 
 
-def scan_signal(places, rx_offsets=BOARD_RX):
-    """One chirp a place, transmitter at the place, (n_places, n_rx, n_samples)."""
-    tx = np.repeat(places, len(rx_offsets), axis=0)
-    rx = (places[:, None] + rx_offsets).reshape(-1, 3)
-    return echo(tx, rx).reshape(len(places), len(rx_offsets), -1)
+def scan_signal(positions, rx_offsets=BOARD_RX):
+    """One chirp a position, transmitter at the position, (n_positions, n_rx, n_samples)."""
+    tx = np.repeat(positions, len(rx_offsets), axis=0)
+    rx = (positions[:, None] + rx_offsets).reshape(-1, 3)
+    return echo(tx, rx).reshape(len(positions), len(rx_offsets), -1)
 
 
 STUDIO = {

@@ -36,8 +36,8 @@ def scan_path(n_rows=10, n_planes=1, *, serpentine=True):
 
 def at_times(path, times):
     corners, positions, turns = path
-    place = np.stack([np.interp(times, corners, positions[:, k]) for k in range(3)], axis=1)
-    return place, np.interp(times, corners, turns)
+    position = np.stack([np.interp(times, corners, positions[:, k]) for k in range(3)], axis=1)
+    return position, np.interp(times, corners, turns)
 
 
 def frames_of(path, *, noise=100.0, targets=TARGETS, period_s=PERIOD_S, delays_s=(0.0,)):
@@ -45,8 +45,8 @@ def frames_of(path, *, noise=100.0, targets=TARGETS, period_s=PERIOD_S, delays_s
     times = np.arange(path[0][0] + 0.25, path[0][-1] - 0.25, period_s)
     rng, chirps = np.random.default_rng(0), []
     for delay_s in delays_s:
-        place, turns = at_times(path, times + delay_s)
-        turned = Rotation.from_euler("z", turns[:, None]).apply(place)
+        position, turns = at_times(path, times + delay_s)
+        turned = Rotation.from_euler("z", turns[:, None]).apply(position)
         signal = echo(turned, turned, targets, WAVEFORM, amplitude=400.0)
         noises = np.round(noise * rng.normal(size=(*signal.shape, 2))) @ [1, 1j]
         chirps.append(signal + noises)
@@ -90,16 +90,16 @@ def header(store, stamp, frame):
 def _write_poses(writer, store, path, poses):
     types = store.types
     times = np.arange(path[0][0], path[0][-1], 0.01)
-    place, turns = at_times(path, times)
+    position, turns = at_times(path, times)
     vector, point = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Point"]
 
     def quaternion(turn):
         x, y, z, w = Rotation.from_euler("z", turn).as_quat()
         return types["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
-    def link(parent, child, stamp, place, turn):
+    def link(parent, child, stamp, position, turn):
         move = types["geometry_msgs/msg/Transform"](
-            translation=vector(*map(float, place)), rotation=quaternion(turn)
+            translation=vector(*map(float, position)), rotation=quaternion(turn)
         )
         return types["geometry_msgs/msg/TransformStamped"](
             header=header(store, stamp, parent), child_frame_id=child, transform=move
@@ -110,7 +110,7 @@ def _write_poses(writer, store, path, poses):
     )
     topic = writer.add_connection("/tf" if poses == "tf" else "/radar/pose", kind, typestore=store)
     # room -> table turns, table -> radar moves; the chain is the product.
-    for time, where, turn in zip(times, place, turns, strict=True):
+    for time, where, turn in zip(times, position, turns, strict=True):
         stamp = EPOCH_NS + round(1e9 * time)
         if poses == "tf":
             links = [

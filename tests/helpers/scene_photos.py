@@ -128,7 +128,7 @@ def write_llff(folder, n_photos=5, scale=1):
     cameras, rows = [], []
     for camera in ring_of_cameras(n_photos):
         intrinsics = camera.intrinsics.copy()
-        intrinsics[:2, 2] = 0.5 * SIZE[0], 0.5 * SIZE[1]  # LLFF says no principal point
+        intrinsics[:2, 2] = 0.5 * SIZE[0], 0.5 * SIZE[1]  # LLFF has no principal point
         cameras.append(replace(camera, intrinsics=intrinsics))
         right, down, forward, eye = camera.camera_to_world[:3].T
         size = [scale * SIZE[1], scale * SIZE[0], scale * 60.0]

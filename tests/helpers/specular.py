@@ -11,7 +11,7 @@ BOX_M = 0.2
 
 
 def raster(n_lines=41, spacing_m=0.003):
-    """Sideways places of a square raster, (n_lines^2, 2) [m]."""
+    """Sideways positions of a square raster, (n_lines^2, 2) [m]."""
     steps = (np.arange(n_lines) - (n_lines - 1) / 2) * spacing_m
     return np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
 
@@ -23,10 +23,10 @@ def frame(angle_deg):
     return np.stack([-outward, [-np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
 
 
-def antennas(angle_deg, places, baseline_m=0.0):
+def antennas(angle_deg, positions, baseline_m=0.0):
     """Transmitters, receivers and axes of a pose that looks at the origin."""
     axes = frame(angle_deg)
-    center = -STANDOFF_M * axes[0] + places @ axes[1:]
+    center = -STANDOFF_M * axes[0] + positions @ axes[1:]
     half = 0.5 * baseline_m * axes[1]
     return center + half, center - half, axes
 
@@ -49,19 +49,19 @@ def sphere_paths(positions, centers, radii):
     return 2.0 * (np.linalg.norm(offset, axis=2) - np.asarray(radii))
 
 
-def pose_of(angle_deg, places, paths_of):
-    tx, rx, axes = antennas(angle_deg, places)
+def pose_of(angle_deg, positions, paths_of):
+    tx, rx, axes = antennas(angle_deg, positions)
     signal = signal_of_paths(paths_of(tx, axes))
     return Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes, name=f"{angle_deg:g}")
 
 
-def capture_of(paths_of, n_poses=12, places=None, noise=0.0, seed=0):
+def capture_of(paths_of, n_poses=12, positions=None, noise=0.0, seed=0):
     """`paths_of(positions, axes)` -> (n_antennas, n_echoes); noise power relative to one echo."""
-    places = raster() if places is None else places
+    positions = raster() if positions is None else positions
     rng = np.random.default_rng(seed)
     poses = []
     for number in range(n_poses):
-        pose = pose_of(360.0 * number / n_poses, places, paths_of)
+        pose = pose_of(360.0 * number / n_poses, positions, paths_of)
         parts = rng.standard_normal((2, *pose.signal.shape))
         added = np.sqrt(0.5 * noise) * (parts[0] + 1j * parts[1])
         signal = (pose.signal + added).astype(np.complex64)

@@ -42,11 +42,11 @@ def test_peaks_are_local_maxima_above_the_noise_of_their_range_bin(carton):
     span = box_spans(carton.poses, PRIOR)[1]
     focus = PRIOR.bounds.mean(axis=0)
     expected = [
-        (number, value, noise, image.ranges_m[place[2]])
+        (number, value, noise, image.ranges_m[position[2]])
         for number, image in enumerate(
             subaperture_images(pose, carton.waveform, focus, tuple(span), COARSE)
         )
-        for place, _, value, noise in twin.find_peaks(
+        for position, _, value, noise in twin.find_peaks(
             image.magnitude, image.wraps, 200.0, margin_db
         )
     ]

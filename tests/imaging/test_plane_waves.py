@@ -108,8 +108,8 @@ def propagated(pose, waveform, depth, n, step):
     shape = (n, n - 3)
     image = np.zeros(shape, dtype=complex)
     waves = [np.fft.fftfreq(2 * size, step) * 2 * np.pi for size in shape]
-    places = [step * np.arange(size) for size in shape]
-    to_h, to_v = (np.exp(-1j * np.outer(k, x)) for k, x in zip(waves, places, strict=True))
+    positions = [step * np.arange(size) for size in shape]
+    to_h, to_v = (np.exp(-1j * np.outer(k, x)) for k, x in zip(waves, positions, strict=True))
     for number, frequency in enumerate(waveform.frequencies_hz):
         k = 4 * np.pi * frequency / 299792458.0
         spectrum = to_h @ pose.signal[:, number].reshape(shape) @ to_v.T

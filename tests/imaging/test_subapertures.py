@@ -14,8 +14,8 @@ ONE = SubapertureConfig(size_m=0.08, max_cosine=0.2)
 SPAN = (0.3, 0.5)
 
 
-def pose_at(places, target, baseline_m=0.0, angle_deg=30.0):
-    tx, rx, axes = antennas(angle_deg, places, baseline_m)
+def pose_at(positions, target, baseline_m=0.0, angle_deg=30.0):
+    tx, rx, axes = antennas(angle_deg, positions, baseline_m)
     signal = point_signal(tx, rx, np.atleast_2d(target))
     return Pose(signal=signal, tx_positions=tx, rx_positions=rx, axes=axes)
 
@@ -76,13 +76,13 @@ def test_the_raster_image_is_the_direct_sum(baseline_m):
     np.testing.assert_allclose(image.magnitude, expected, atol=2e-5)
 
 
-def jittered(places):
-    return places + np.random.default_rng(0).uniform(-1e-3, 1e-3, places.shape)
+def jittered(positions):
+    return positions + np.random.default_rng(0).uniform(-1e-3, 1e-3, positions.shape)
 
 
-def with_missing(places):
+def with_missing(positions):
     rng = np.random.default_rng(1)
-    return places[rng.permutation(len(places))[: int(0.85 * len(places))]]
+    return positions[rng.permutation(len(positions))[: int(0.85 * len(positions))]]
 
 
 @pytest.mark.parametrize("change", [jittered, with_missing])
@@ -96,22 +96,22 @@ def test_irregular_positions_give_the_image_of_the_raster(change, baseline_m):
     _, expected = only_peak(regular)
     image, peaks = only_peak(irregular)
     assert image.wraps == (False, False)
-    places = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
-    assert np.linalg.norm(places[0] - places[1]) < 5e-4
+    positions = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
+    assert np.linalg.norm(positions[0] - positions[1]) < 5e-4
     assert peaks.magnitudes[0] == pytest.approx(expected.magnitudes[0], rel=0.1)
 
 
 def lines(along_m):
     """Lines about 4 mm apart, each uneven along itself."""
-    places = np.stack(
+    positions = np.stack(
         np.meshgrid(*(np.arange(-0.05, 0.05, step) for step in (0.004, along_m)), indexing="ij"),
         axis=-1,
     ).reshape(-1, 2)
-    return places + np.random.default_rng(2).normal(0.0, 3e-4, places.shape)
+    return positions + np.random.default_rng(2).normal(0.0, 3e-4, positions.shape)
 
 
 @pytest.mark.parametrize(
-    ("places", "limits"),
+    ("positions", "limits"),
     [
         (with_missing(raster(25, 0.004)), (0.237, 0.237)),
         (raster(25, 0.004) + np.random.default_rng(0).normal(0, 1e-3, (625, 2)), (0.237, 0.237)),
@@ -121,8 +121,8 @@ def lines(along_m):
     ],
     ids=["4 mm with gaps", "4 mm, 1 mm off", "3 mm", "lines", "at random"],
 )
-def test_irregular_positions_are_imaged_up_to_ambiguous_directions(places, limits):
-    pose = pose_at(places, ORIGIN)
+def test_irregular_positions_are_imaged_up_to_ambiguous_directions(positions, limits):
+    pose = pose_at(positions, ORIGIN)
     assert find_raster(pose, WAVELENGTH) is None
     config = SubapertureConfig(step_m=0.04, direction_oversampling=1.0)
     axes = pose_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), config).bins
@@ -132,7 +132,7 @@ def test_irregular_positions_are_imaged_up_to_ambiguous_directions(places, limit
     rng = np.random.default_rng(3)
     steps = rng.uniform(-found, found, (4000, 2)) - rng.uniform(-found, found, (4000, 2))
     steps = steps[(np.abs(steps) > 0.1).any(axis=1)]
-    near = places[(np.abs(places) < 0.04).all(axis=1)]
+    near = positions[(np.abs(positions) < 0.04).all(axis=1)]
     weight = np.prod(np.cos(np.pi * near / 0.08), axis=1) ** 2
     alike = np.abs(np.exp(4j * np.pi / WAVELENGTH * steps @ near.T) @ weight) / weight.sum()
     # A lobe that lies on the very limit reaches inside by its width.
@@ -146,15 +146,15 @@ def test_irregular_positions_are_imaged_up_to_ambiguous_directions(places, limit
 
 
 def test_too_few_irregular_antennas_make_no_image():
-    places = jittered(raster(27))[::60]
-    assert 4 < len(places) < 16
-    pose = pose_at(places, ORIGIN)
+    positions = jittered(raster(27))[::60]
+    assert 4 < len(positions) < 16
+    pose = pose_at(positions, ORIGIN)
     assert list(subaperture_images(pose, WAVEFORM, ORIGIN, SPAN, ONE)) == []
 
 
 def test_a_wide_baseline_focuses_at_the_range_of_its_midpoint():
     _, peaks = only_peak(pose_at(raster(27), ORIGIN, baseline_m=0.02))
-    # Unfocused, 2 cm of baseline make the path sqrt(d^2 + b^2 / 4) longer by 0.13 mm one way.
+    # Unfocused, 2 cm of baseline make the path sqrt(d^2 + b^2 / 4) longer by 0.13 mm one-way.
     assert peaks.ranges_m[0] == pytest.approx(STANDOFF_M, abs=2e-4)
     np.testing.assert_allclose(peaks.cosines[0], 0.0, atol=1e-4)
 
@@ -194,39 +194,39 @@ def test_a_small_aperture_is_one_sub_aperture():
 
 
 class TestFindRaster:
-    def pose(self, places):
-        return pose_at(places, ORIGIN)
+    def pose(self, positions):
+        return pose_at(positions, ORIGIN)
 
     def test_every_antenna_is_at_its_lattice_point(self):
-        places = np.random.default_rng(2).permutation(raster(12))
-        pose = self.pose(places)
+        positions = np.random.default_rng(2).permutation(raster(12))
+        pose = self.pose(positions)
         found = find_raster(pose, WAVELENGTH)
         assert found.index.shape == (12, 12)
         h, v = np.meshgrid(found.horizontal_m, found.vertical_m, indexing="ij")
-        np.testing.assert_allclose(places[found.index], np.stack([h, v], axis=-1), atol=1e-9)
+        np.testing.assert_allclose(positions[found.index], np.stack([h, v], axis=-1), atol=1e-9)
 
     def test_rounding_errors_of_a_file_are_tolerated(self):
-        places = np.round(raster(60, 0.0031234), 4)  # to 0.1 mm
-        found = find_raster(self.pose(places), WAVELENGTH)
+        positions = np.round(raster(60, 0.0031234), 4)  # to 0.1 mm
+        found = find_raster(self.pose(positions), WAVELENGTH)
         assert found.index.shape == (60, 60)
         spacing = np.diff(found.horizontal_m)
         np.testing.assert_allclose(spacing, 0.0031234, atol=2e-6)
 
     def test_a_few_holes_are_tolerated(self):
-        places = np.delete(raster(20), [3, 77, 205, 390], axis=0)
-        found = find_raster(self.pose(places), WAVELENGTH)
+        positions = np.delete(raster(20), [3, 77, 205, 390], axis=0)
+        found = find_raster(self.pose(positions), WAVELENGTH)
         assert int((found.index < 0).sum()) == 4
         assert found.index[0, 3] == -1
 
     @pytest.mark.parametrize(
-        "places",
+        "positions",
         [
             np.delete(raster(20), np.arange(0, 400, 10), axis=0),
             np.concatenate([raster(20), raster(20)[:1]]),
             jittered(raster(20)),
             raster(20)[:20],
         ],
-        ids=["too many holes", "two at one place", "jittered", "one line"],
+        ids=["too many holes", "two at one position", "jittered", "one line"],
     )
-    def test_irregular_positions_have_no_lattice(self, places):
-        assert find_raster(self.pose(places), WAVELENGTH) is None
+    def test_irregular_positions_have_no_lattice(self, positions):
+        assert find_raster(self.pose(positions), WAVELENGTH) is None

@@ -64,8 +64,8 @@ KILLED = """
 import os, sys
 from pathlib import Path
 from geraf2.io.atomic import atomic_folder, atomic_path
-place = Path(sys.argv[1])
-with atomic_path(place / "a.txt") as path, atomic_folder(place / "f") as folder:
+folder = Path(sys.argv[1])
+with atomic_path(folder / "a.txt") as path, atomic_folder(folder / "f") as part:
     path.write_text("half")
     (folder / "part").write_text("half")
     print("written", flush=True)

@@ -192,7 +192,7 @@ def test_integers_are_stored_as_they_are_and_read_as_complex_numbers(scene_of_in
     stored = zarr.open_group(str(path / "radar.zarr"), mode="r")["signal"]
     assert (stored.dtype, stored.shape, stored.chunks) == ("i2", (3, 36, 32, 2), (1, 5, 32, 2))
     assert stored.metadata.dimension_names == ("pose", "antenna", "sample", "part")
-    # Padding says that it is none.
+    # Padding is marked as such.
     assert (stored[1, 16:] == -0x8000).all()
     (path / "radar.zarr" / "signal" / "c" / "1" / "2" / "0" / "0").unlink()
     without_checksums(path)

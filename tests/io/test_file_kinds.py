@@ -106,7 +106,7 @@ def test_every_reader_names_the_kind(tmp_path, name, kind):
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "reported"),
     [
         (b"\x02\x01\x04\x03\x06\x05\x08\x07" + bytes(range(40)) * 90, "serial port"),
         (b"\x11" * 70 + b"\x02\x01\x04\x03\x06\x05\x08\x07" + BODY, "serial port"),
@@ -117,9 +117,9 @@ def test_every_reader_names_the_kind(tmp_path, name, kind):
         (b"\x89HDF\r\n\x1a\n" + BODY, "an HDF5 file"),
     ],
 )
-def test_raw_samples_are_no_text_and_no_container(tmp_path, content, told):
+def test_raw_samples_are_no_text_and_no_container(tmp_path, content, reported):
     (tmp_path / "capture.bin").write_bytes(content)
-    with pytest.raises(UserError, match=told):
+    with pytest.raises(UserError, match=reported):
         imported("dca1000")(tmp_path / "capture.bin")
 
 

@@ -73,7 +73,7 @@ def test_the_log_is_one_json_object_a_line(run):
         ("scene", "another scene of that name, or of this one before it changed"),
     ],
 )
-def test_the_run_of_another_scene_is_named_so_that_both_can_be_told_apart(name, text, tmp_path):
+def test_the_run_of_another_scene_is_named(name, text, tmp_path):
     RunFolder.open(tmp_path / "run", scene_digest="a", scene_name="scene")
     with pytest.raises(UserError, match=text):
         RunFolder.open(tmp_path / "run", scene_digest="b", scene_name=name)

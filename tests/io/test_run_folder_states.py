@@ -27,17 +27,17 @@ class Folders(RuleBasedStateMachine):
 
     def __init__(self):
         super().__init__()
-        self.place = Path(tempfile.mkdtemp())
-        self.path, self.held = self.place / "run", ExitStack()
+        self.position = Path(tempfile.mkdtemp())
+        self.path, self.held = self.position / "run", ExitStack()
         self.run = None
         self.records = {}  # stage: key and content when it was done
         self.files = {}  # stage: content on the disk
-        self.job = JobPaths(self.place / "batch", "k" * 16, "scene")
+        self.job = JobPaths(self.position / "batch", "k" * 16, "scene")
         self.begins, self.result = 0, None
 
     def teardown(self):
         self.held.close()
-        shutil.rmtree(self.place)
+        shutil.rmtree(self.position)
 
     def _file(self, stage):
         return self.path / f"{stage}.npz"
@@ -137,7 +137,7 @@ class Folders(RuleBasedStateMachine):
             assert verify(self.path).n_files == len(self.records)
 
     @invariant()
-    def a_job_is_what_its_last_whole_record_says(self):
+    def a_job_is_in_the_state_of_its_last_whole_record(self):
         assert self.job.read() == self.result
         assert len(self.job.begins()) == self.begins
 

@@ -27,9 +27,14 @@ LOOKS_Y = ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
 PERIOD_S = 0.01
 
 
-def line(start, end, start_s, n_places=9, **more):
+def line(start, end, start_s, n_positions=9, **more):
     return ScanLine(
-        start_m=start, end_m=end, n_places=n_places, start_s=start_s, speed_m_per_s=0.5, **more
+        start_m=start,
+        end_m=end,
+        n_positions=n_positions,
+        start_s=start_s,
+        speed_m_per_s=0.5,
+        **more,
     )
 
 
@@ -63,7 +68,7 @@ def test_a_scan_file_is_read_as_it_was_written(tmp_path):
     assert SCAN.n_antennas == 27 * 4
 
 
-def test_a_robot_reads_the_same_places_turns_and_times_in_csv(tmp_path):
+def test_a_robot_reads_the_same_positions_turns_and_times_in_csv(tmp_path):
     for name in ("scan.csv", "scan.json"):
         write_scan_file(tmp_path / name, SCAN)
     text, plan = (read_log(tmp_path / n, keep_good=False) for n in ("scan.csv", "scan.json"))
@@ -79,7 +84,7 @@ def test_transmitters_that_take_turns_send_from_where_the_arm_is_then():
     )
     scan = replace(SCAN, planes=SCAN.planes[:1], array=array)
     tx, rx = scan.antennas(scan.planes[0])
-    at = scan.planes[0].lines[0].places_m
+    at = scan.planes[0].lines[0].positions_m
     late_m = 0.5 * 0.5e-3  # half a chirp of 1 ms, at 0.5 m/s along +y
     assert tx[:2] == pytest.approx(at[0] + np.array([[0, -late_m, 0], [0, late_m, 0.01]]))
     assert rx[:2] == pytest.approx(at[0] + np.array([[0, -late_m, 0], [0, late_m, 0]]))
@@ -91,7 +96,7 @@ def test_transmitters_that_take_turns_send_from_where_the_arm_is_then():
         assert rx[:18] == pytest.approx(np.repeat(at, 2, axis=0))
 
 
-def test_a_recording_is_told_where_each_transmitter_sent(tmp_path):
+def test_a_recording_takes_the_position_of_each_transmitter(tmp_path):
     array = SweptArray(
         tx_offsets_m=((0.0, 0.0, 0.0), (0.0, 0.0, 0.01)), rx_offsets_m=SCAN.array.rx_offsets_m
     )
@@ -115,11 +120,11 @@ def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):
     frames = np.arange(n_frames)
     tx, rx = np.zeros((n_frames * 4, 3)), np.zeros((n_frames * 4, 3))
     for plane in SCAN.planes:
-        for way in plane.lines:
-            at = np.round(way.times_s / PERIOD_S).astype(int)
+        for track in plane.lines:
+            at = np.round(track.times_s / PERIOD_S).astype(int)
             assert np.isin(at, frames).all()
-            tx[4 * at[:, None] + np.arange(4)] = way.places_m[:, None]
-            rx[4 * at[:, None] + np.arange(4)] = way.places_m[:, None] + BOARD_RX @ np.array(
+            tx[4 * at[:, None] + np.arange(4)] = track.positions_m[:, None]
+            rx[4 * at[:, None] + np.arange(4)] = track.positions_m[:, None] + BOARD_RX @ np.array(
                 plane.axes
             )
     signal = echo(tx, rx).reshape(n_frames, 4, -1)

@@ -8,7 +8,7 @@ from geraf2.io.text import parse_json
 from geraf2.io.toml import parse_toml
 
 
-def test_json_and_toml_are_parsed_in_one_place_each(project_root):
+def test_json_and_toml_are_parsed_in_one_module_each(project_root):
     """Which bound the depth; a parser's own error for it is none that a reader catches."""
     found = {
         (path.name, word)

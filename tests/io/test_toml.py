@@ -62,8 +62,8 @@ def records(config: Any):
             yield from records(inner)
 
 
-def test_what_is_left_out_is_none_again():
-    """A field that may be None has to be None unless it is said: TOML has no word for it."""
+def test_an_omitted_value_is_none_again():
+    """A field that may be None has to be None unless it is given: TOML has no word for it."""
     for record in (r for config in CONFIGS if is_dataclass(config) for r in records(config)):
         hints = get_type_hints(type(record))
         for entry in fields(record):
@@ -90,7 +90,7 @@ class Fine:
     fine: Inner | None = None
     """Called as the preset is."""
     steps: tuple[Inner, ...] = ()
-    told: float | Literal["true"] = "true"
+    reported: float | Literal["true"] = "true"
     where: Path | None = None
     named: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
@@ -119,13 +119,13 @@ texts = st.text(st.characters(exclude_categories=["Cs"]))
         inner=inners,
         fine=st.none() | inners,
         steps=st.lists(inners, max_size=3).map(tuple),
-        told=st.just("true") | st.floats(0, 1),
+        reported=st.just("true") | st.floats(0, 1),
         where=st.none() | st.just(Path("a/b")),
         named=st.dictionaries(texts, st.lists(st.integers(-9, 9)).map(tuple), max_size=3),
     )
     | st.builds(Coarse, preset=st.sampled_from(["coarse", "coarser"]), text=texts)
 )
-def test_a_table_tells_of_which_type_it_is(record):
+def test_a_table_holds_its_type(record):
     assert from_table(to_table(record), (Fine, Coarse), "x") == record
 
 
@@ -149,7 +149,7 @@ def test_a_table_tells_of_which_type_it_is(record):
         ({"fine": {"n_step": 1}}, "unknown key 'fine.n_step', did you mean 'n_steps'?"),
         ({"steps": [{}, {"rat": 1}]}, "unknown key 'steps[1].rat', did you mean 'rate'?"),
         ({"steps": [{}, {"n_steps": -1}]}, "steps[1].n_steps must be at least 1, got -1"),
-        ({"told": "false"}, "key 'told': input should be 'true', got 'false'"),
+        ({"known": "false"}, "key 'known': input should be 'true', got 'false'"),
         ({"innr": {}}, "unknown key 'innr', did you mean 'inner'?"),
         ({"preset": "coarse"}, "key 'text' is missing"),
         (

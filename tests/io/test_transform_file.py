@@ -31,7 +31,7 @@ def test_files(tmp_path, name):
     assert scale == 1.0
 
 
-def test_a_scale_is_told_apart(tmp_path):
+def test_a_scale_is_recognised(tmp_path):
     matrix = RIGID.copy()
     matrix[:3, :3] *= 0.02
     np.savetxt(tmp_path / "move.txt", matrix)

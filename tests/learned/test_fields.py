@@ -77,18 +77,18 @@ def test_a_network_seen_through_voxels_is_the_grid_of_its_values():
     field.upsample(6)
     grid = LearnedSdfGrid(DOMAIN, n_per_side=6).double()
     with torch.no_grad():
-        places = torch.from_numpy(grid.grid.points())
-        grid.values.copy_(field.network.value(places).reshape(grid.grid.shape))
+        positions = torch.from_numpy(grid.grid.points())
+        grid.values.copy_(field.network.value(positions).reshape(grid.grid.shape))
     points = random_points(30)
     for found, wanted in zip(field(points), grid(points), strict=True):
         torch.testing.assert_close(found, wanted, rtol=0.0, atol=1e-12)
-    # What comes to the voxels goes on to the weights as autograd takes it there.
+    # Gradients of the voxels reach the weights as autograd takes it there.
     weights = list(field.network.parameters())
     field(points).gradient.square().sum().backward()
     taken = field.values.grad.clone()
     field.pull_back()
     assert field.values.grad is None
-    through = torch.autograd.grad(field.network.value(places), weights, taken.reshape(-1))
+    through = torch.autograd.grad(field.network.value(positions), weights, taken.reshape(-1))
     for parameter, wanted in zip(weights, through, strict=True):
         torch.testing.assert_close(parameter.grad, wanted, rtol=1e-9, atol=1e-12)
     with pytest.raises(ValueError, match="n_per_side must be at least 6, got 5"):
@@ -231,7 +231,7 @@ def test_octaves_open_one_after_another():
     torch.testing.assert_close(got, weights[:, None] * whole)
 
 
-def test_what_a_closed_octave_is_multiplied_with_says_nothing_and_learns_nothing():
+def test_weights_of_a_closed_octave_have_no_effect_and_no_gradient():
     points = random_points(8, dtype=torch.float32)
     shut, without = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
     shut.open_octaves(1.0)

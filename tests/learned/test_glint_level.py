@@ -39,7 +39,7 @@ def spot(at_m, width_m=0.012):
 
 
 @pytest.mark.parametrize("behind_m", [-0.0043, 0.0, 0.0017])
-def test_depths_of_two_spots_are_told_apart_to_a_part_of_a_millimetre(behind_m):
+def test_depths_of_two_spots_are_resolved_to_a_part_of_a_millimetre(behind_m):
     found = depth_difference(spot(0.002 + behind_m, 0.015), 3.0 * spot(0.002))
     assert found == pytest.approx(behind_m, abs=1e-4)
 
@@ -83,15 +83,15 @@ def radius_of(sdf):
     """From the value in the middle of a side of the grid: the slope is 1 there."""
     middle = sdf.grid.shape[0] // 2
     line = sdf.values[middle, middle, middle:]
-    places = np.arange(len(line)) * sdf.grid.spacing_m
-    return float(np.interp(0.0, line, places))
+    positions = np.arange(len(line)) * sdf.grid.spacing_m
+    return float(np.interp(0.0, line, positions))
 
 
 def shifted(sdf, inward_m):
     return moved(sdf, inward_m, part_depths(sdf))
 
 
-def test_a_thick_part_is_moved_all_the_way_and_a_thin_one_by_half_of_its_depth():
+def test_a_thick_part_is_moved_wholly_and_a_thin_one_by_half_of_its_depth():
     assert radius_of(shifted(ball(0.03), 0.002)) == pytest.approx(0.028, abs=1e-4)
     assert radius_of(shifted(ball(0.03), -0.002)) == pytest.approx(0.032, abs=1e-4)
     assert radius_of(shifted(ball(0.006), 0.005)) == pytest.approx(0.003, abs=3e-4)
@@ -113,7 +113,7 @@ def test_a_neck_between_thick_parts_stays_where_a_plain_shift_takes_it_away():
     assert ball_end == pytest.approx(0.0, abs=2e-4)
 
 
-def test_depths_of_parts_are_those_of_a_way_walked_step_by_step():
+def test_depths_of_parts_are_those_of_small_steps():
     """Against a loop over voxels, on a field of blobs; nothing inside has depth 0."""
     grid = Grid.cube((0.0, 0.0, 0.0), 0.02, 13)
     values = gaussian_filter(np.random.default_rng(3).normal(size=grid.shape), 1.0)
@@ -167,10 +167,10 @@ def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outs
     assert shift.inward_m == pytest.approx(outside_m, abs=0.001)
     assert torch.equal(
         trainer.draws.generator.get_state(), before
-    )  # the training goes on as it would
+    )  # the training continues as it would
 
 
-def test_the_distance_is_moved_where_the_setting_says_so(capture, maps):
+def test_the_distance_is_moved_if_the_setting_asks_for_it(capture, maps):
     moved_one = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
     kept = PaperTrainer(capture, PRIOR, replace(CONFIG, glint_level=False), maps=maps)
     for trainer in (moved_one, kept):

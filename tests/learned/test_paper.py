@@ -74,7 +74,7 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
     assert reports[-1].inv_s == pytest.approx(SMALL.inv_s_end)
 
 
-def test_stage_2_goes_on_with_what_adam_knows_of_the_distance(capture, maps):
+def test_stage_2_continues_with_the_state_of_adam(capture, maps):
     trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
     run_steps(trainer, max_steps=SMALL.stage1.n_steps)
     before = dict(trainer.optimiser.state[trainer.model.sdf.values])
@@ -166,7 +166,7 @@ def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatc
     np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
 
 
-def test_a_gpu_that_is_not_there_is_refused_and_a_run_of_one_goes_on(monkeypatch):
+def test_a_missing_gpu_is_refused_and_a_run_of_one_continues(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     anything = replace(SMALL, device="auto")
     assert training_device(anything).type == "cpu"
@@ -281,9 +281,9 @@ def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(captu
     changed = [n for n, v in parameters(voxels).items() if (v != before[n]).any()]
     assert any(name.startswith("sdf.network.layers.8") for name in changed)
     found = voxels.distance()
-    places = torch.from_numpy(network.grid.points()).float()
+    positions = torch.from_numpy(network.grid.points()).float()
     np.testing.assert_allclose(
-        network.values.detach().reshape(-1), network.network.value(places).detach(), atol=1e-6
+        network.values.detach().reshape(-1), network.network.value(positions).detach(), atol=1e-6
     )
     assert np.isfinite(found.values).all()
 
@@ -326,7 +326,7 @@ def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
     for plane in range(len(capture.poses)):
         draw = trainer.draws.draw(plane)
         assert inner.signed_distance(draw.rays.points.reshape(-1, 3).numpy()).max() < 1e-6
-        # A target is moved by up to half a voxel of the maps from a place inside.
+        # A target is moved by up to half a voxel of the maps from a point inside.
         reach_m = 0.5 * trainer.loss.maps.grid.spacing_m * 3**0.5
         assert inner.signed_distance(draw.targets.numpy()).max() < reach_m
     run_steps(trainer)
@@ -375,7 +375,7 @@ def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
     deep = field(content, ball(0.042, 0.01))
     kept = without_wall_pieces(deep, outside, crop_m, detail_m)
     np.testing.assert_array_equal(kept.values, deep.values)
-    # What hangs together with the content stays, however near the cut it lies.
+    # What is connected with the content stays, however near the cut it lies.
     joined = field(content, ball(0.026, 0.018))
     kept = without_wall_pieces(joined, outside, crop_m, detail_m)
     np.testing.assert_array_equal(kept.values, joined.values)
@@ -393,14 +393,14 @@ def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
     config = replace(SMALL, bank=1, window_m=0.04)
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     pose = capture.poses[0]
-    places = pose.phase_centers @ pose.axes[1:].T
+    positions = pose.phase_centers @ pose.axes[1:].T
     seen = [trainer.draws.draw_antennas(pose) for _ in range(200)]
     for antennas in seen:
         assert 0 < len(antennas) <= config.n_antennas
         assert (np.diff(antennas) > 0).all()
-        assert np.ptp(places[antennas], axis=0).max() <= 0.04 + 1e-5
-    reached = np.ptp(places[np.unique(np.concatenate(seen))], axis=0)
-    assert (reached > 0.9 * np.ptp(places, axis=0)).all()
+        assert np.ptp(positions[antennas], axis=0).max() <= 0.04 + 1e-5
+    reached = np.ptp(positions[np.unique(np.concatenate(seen))], axis=0)
+    assert (reached > 0.9 * np.ptp(positions, axis=0)).all()
 
 
 def test_targets_are_drawn_as_torch_draws_them(capture, maps):
@@ -410,27 +410,27 @@ def test_targets_are_drawn_as_torch_draws_them(capture, maps):
     got = chooser.choose(1, 100, ours)
     density = torch.from_numpy(maps.volumes[1][within]).double().square()
     drawn = torch.multinomial(density, 100, replacement=True, generator=theirs)
-    places = torch.from_numpy(maps.grid.points()[within.reshape(-1)])[drawn]
-    jitter = torch.rand(places.shape, generator=theirs, dtype=torch.float64) - 0.5
-    assert torch.equal(got, places + maps.grid.spacing_m * jitter)
+    positions = torch.from_numpy(maps.grid.points()[within.reshape(-1)])[drawn]
+    jitter = torch.rand(positions.shape, generator=theirs, dtype=torch.float64) - 0.5
+    assert torch.equal(got, positions + maps.grid.spacing_m * jitter)
 
 
 @pytest.mark.parametrize("n_fresh", [None, 9])
 def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fresh):
-    """One image a look, powers added; gradients to the fresh antennas alone."""
+    """One image for each draw, powers added; gradients to the fresh antennas alone."""
     pose, antennas = capture.poses[0], np.arange(0, 40, 3)
     generator = torch.Generator().manual_seed(0)
     looks = torch.randn(3, 14, 32, generator=generator, dtype=torch.complex128).requires_grad_()
     pose = replace(pose, signal=pose.signal.astype(np.complex128))
     targets = np.random.default_rng(1).uniform(-0.05, 0.05, (21, 3))
-    places = pose.tx_positions[antennas], pose.rx_positions[antennas], targets
+    positions = pose.tx_positions[antennas], pose.rx_positions[antennas], targets
     maps_of = heat_maps(
         pose, capture.waveform, antennas, looks, targets, floor=1e-9, n_fresh=n_fresh
     )
-    powers = [matched_filter(s, *places, capture.waveform, method="exact") for s in looks]
+    powers = [matched_filter(s, *positions, capture.waveform, method="exact") for s in looks]
     want = torch.sqrt(torch.stack(powers).abs().square().sum(dim=0) + 1e-18)
     torch.testing.assert_close(maps_of[0], want)
-    measured = matched_filter(pose.signal[antennas], *places, capture.waveform, method="exact")
+    measured = matched_filter(pose.signal[antennas], *positions, capture.waveform, method="exact")
     np.testing.assert_allclose(maps_of[1].numpy(), np.hypot(np.abs(measured), 1e-9))
     (slope,) = torch.autograd.grad(want.sum(), looks)
     (found,) = torch.autograd.grad(maps_of[0].sum(), looks)

@@ -12,7 +12,7 @@ from geraf2.surfaces.clusters import antenna_clusters
 from helpers.synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=4, spacing_m=0.02)
-PLACES = POSE.tx_positions, POSE.rx_positions
+POSITIONS = POSE.tx_positions, POSE.rx_positions
 GROUPS = antenna_clusters(POSE.phase_centers, 3)
 CENTERS = np.stack([POSE.phase_centers[g].mean(axis=0) for g in GROUPS])
 FORMS = [
@@ -32,7 +32,7 @@ def random(*shape, seed=0):
     return torch.randn(shape, generator=generator, dtype=torch.float64)
 
 
-def both_ways(monkeypatch, call, inputs, device):
+def both_directions(monkeypatch, call, inputs, device):
     """Results and gradients of `call` with the kernels, then without on a device."""
     found = []
     for kernels in (True, False):
@@ -52,7 +52,7 @@ def both_ways(monkeypatch, call, inputs, device):
 
 
 def agree(monkeypatch, call, inputs, device, rtol=1e-9):
-    for want, got in zip(*both_ways(monkeypatch, call, inputs, device), strict=True):
+    for want, got in zip(*both_directions(monkeypatch, call, inputs, device), strict=True):
         assert float(want.abs().max()) > 0.0
         torch.testing.assert_close(got, want, rtol=rtol, atol=rtol * float(want.abs().max()))
 
@@ -107,7 +107,7 @@ def test_pairs_amplitudes_and_signals(monkeypatch, form, device):
             alpha, transmittance, gradient, points, pairs, shift.to(alpha.device), form
         )
         signal = trace_pairs(
-            *(amplitude, points, normals, pairs, *PLACES, GROUPS, WAVEFORM), rtol=1e-12
+            *(amplitude, points, normals, pairs, *POSITIONS, GROUPS, WAVEFORM), rtol=1e-12
         )
         return amplitude, normals, signal
 
@@ -122,7 +122,9 @@ def test_images_and_lengths(monkeypatch, device):
 
     def call(parts, lengths):
         signals = torch.view_as_complex(parts)
-        images = point_images(signals, others.to(signals.device), *PLACES, points.numpy(), WAVEFORM)
+        images = point_images(
+            signals, others.to(signals.device), *POSITIONS, points.numpy(), WAVEFORM
+        )
         assert not images.of_others.requires_grad
         return *images, length_defect(lengths)
 
@@ -143,7 +145,7 @@ def test_single_precision_is_that_of_the_kernels(monkeypatch, device):
     )
 
     def call(amplitude, normals):
-        return [trace_pairs(amplitude, points, normals, pairs, *PLACES, GROUPS, WAVEFORM)]
+        return [trace_pairs(amplitude, points, normals, pairs, *POSITIONS, GROUPS, WAVEFORM)]
 
     agree(monkeypatch, call, [amplitude, normals], device, rtol=1e-3)
 
@@ -159,8 +161,8 @@ def test_nothing_is_made_on_another_device_than_the_inputs():
         for t in (alpha, transmittance, gradient, random(*GRID.shape), torch.tensor(90.0).double())
     ]
     amplitude, normals = echo_amplitudes(*leaves[:3], points, pairs, shift, form)
-    signal = trace_pairs(amplitude, points, normals, pairs, *PLACES, GROUPS, WAVEFORM)
-    images = point_images(signal, signal.detach(), *PLACES, points, WAVEFORM)
+    signal = trace_pairs(amplitude, points, normals, pairs, *POSITIONS, GROUPS, WAVEFORM)
+    images = point_images(signal, signal.detach(), *POSITIONS, points, WAVEFORM)
     value, slope = sdf_grid(leaves[3], GRID, points, interpolation="cubic")
     march = ray_march(value.reshape(7, 6), slope[:, 0].reshape(7, 6), leaves[0].detach(), leaves[4])
     out = [images.of_signals.abs().sum(), length_defect(slope), *(part.sum() for part in march)]

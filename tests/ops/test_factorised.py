@@ -41,17 +41,17 @@ def image_of(case, grid=GRID, **options):
 
 
 def direct_sum(case, grid, n_points=60):
-    """The twin at voxels drawn at random; returns their flat places too."""
-    places = np.random.default_rng(3).integers(0, grid.n_voxels, n_points)
+    """The twin at voxels drawn at random; returns their flat indices too."""
+    positions = np.random.default_rng(3).integers(0, grid.n_voxels, n_points)
     signal, tx, rx = (torch.from_numpy(np.asarray(a)) for a in case[:3])
-    points = torch.from_numpy(grid.points()[places])
+    points = torch.from_numpy(grid.points()[positions])
     signal = signal.to(torch.complex128)
-    return places, reference.matched_filter(signal, tx, rx, points, case[3]).numpy()
+    return positions, reference.matched_filter(signal, tx, rx, points, case[3]).numpy()
 
 
 def relative_error(image, case, grid=GRID):
-    places, want = direct_sum(case, grid)
-    return np.linalg.norm(image.ravel()[places] - want) / np.linalg.norm(want)
+    positions, want = direct_sum(case, grid)
+    return np.linalg.norm(image.ravel()[positions] - want) / np.linalg.norm(want)
 
 
 @pytest.mark.parametrize("n_antennas", [ONE_LEVEL, TWO_LEVELS])
@@ -271,7 +271,7 @@ CHOICES = {
 
 
 @pytest.mark.parametrize("name", CHOICES)
-def test_auto_takes_what_it_says(name):
+def test_auto_takes_the_form_that_it_reports(name):
     n_antennas, points_of, method, reason = CHOICES[name]
     signal, tx, rx, waveform = make_case(n_antennas)
     points = points_of(GRID)
@@ -282,7 +282,7 @@ def test_auto_takes_what_it_says(name):
     assert np.array_equal(got, matched_filter(signal, tx, rx, points, waveform, method=method))
 
 
-def test_auto_says_how_many_voxels_are_too_near():
+def test_auto_reports_the_number_of_voxels_that_are_too_near():
     _, tx, rx, waveform = make_case(20_000, n_samples=1)
     grid = Grid(origin_m=(-0.36, -0.05, -0.05), spacing_m=0.001, shape=(400, 40, 40))
     choice = explain_method(tx, rx, grid, waveform)

@@ -147,10 +147,10 @@ def subapertures(draw):
     n = draw(st.sampled_from((1, 2, 30)))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     pool = (0.0, 5e-324, 1e-9, 0.01, -0.04)
-    places = rng.choice(pool, (n, 2))
+    positions = rng.choice(pool, (n, 2))
     if draw(st.integers(0, 4)) == 0:
-        places[0, 0] = draw(st.sampled_from((1e3, -1e6, 1e300, np.nan)))
-    return places, {
+        positions[0, 0] = draw(st.sampled_from((1e3, -1e6, 1e300, np.nan)))
+    return positions, {
         "offsets": np.array([0, n, n]),
         "focus": draw(hostile.positions(2)),
         "focus_range_m": rng.choice((0.0, 0.4, 1e6), 2),
@@ -160,16 +160,16 @@ def subapertures(draw):
 @few
 @given(subapertures(), st.data(), COMPLEX, LEVELS)
 def test_subaperture_images_and_peaks(members, data, dtype, level):
-    places, rest = members
-    n = len(places)
+    positions, rest = members
+    n = len(positions)
     tx = data.draw(hostile.positions(n, near=rest["focus"]))
     signal = white_noise((n, WAVEFORM.n_samples), dtype)
 
     def images():
-        problem = (signal, tx, tx, WAVEFORM, members_of(places, **rest), bins_of())
+        problem = (signal, tx, tx, WAVEFORM, members_of(positions, **rest), bins_of())
         return kernel_images(*problem), subaperture_peaks(*problem, thresholds_db=(99.0, -99.0))
 
-    good = hostile.allowed(tx, rest["focus"], 1e4 * places)
+    good = hostile.allowed(tx, rest["focus"], 1e4 * positions)
     with hostile.forced(level):
         if not good:
             with pytest.raises(ValueError, match=r"must be finite|`places` must lie in"):
@@ -333,7 +333,7 @@ def test_mesh_scene(points, vertices, scale, threads):
 
 
 @pytest.mark.parametrize("value", hostile.REFUSED_M)
-def test_mesh_scene_refuses_what_is_no_place(value):
+def test_mesh_scene_refuses_coordinates_that_are_not_finite(value):
     bad = np.array([[0.0, 0.0, value]])
     with pytest.raises(ValueError, match="vertices must be finite and within"):
         MeshScene(np.repeat(bad, 3, axis=0), [[0, 1, 2]])

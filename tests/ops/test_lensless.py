@@ -49,7 +49,7 @@ def pairs_of(alpha, gradient, points, form, n_looks=2):
 
 
 @pytest.mark.parametrize(("dtype", "atol"), [(torch.float64, 1e-15), (torch.float32, 3e-8)])
-def test_rays_are_cut_where_the_jitter_says(dtype, atol):
+def test_rays_are_cut_at_the_jitter(dtype, atol):
     rng = np.random.default_rng(5)
     origins, near, jitter = rng.normal(size=(4, 3)), rng.uniform(size=4), rng.uniform(size=(4, 9))
     far, direction = near + rng.uniform(0.1, 0.3, 4), np.array([0.6, 0.0, -0.8])
@@ -73,12 +73,12 @@ def test_samples_that_face_a_group_are_found_look_by_look(lobe_power, n_looks):
     for center in CENTERS:
         for look in range(n_looks):
             for i in range(len(points)):
-                ray, place = divmod(i, alpha.shape[1])
-                way = points[i] - center
-                cosine = gradient[i].numpy() @ way / np.linalg.norm(way)
+                ray, position = divmod(i, alpha.shape[1])
+                leg = points[i] - center
+                cosine = gradient[i].numpy() @ leg / np.linalg.norm(leg)
                 cosine /= np.linalg.norm(gradient[i].numpy())
                 faces = lobe_power == 1.0 or 2.0 * cosine**2 > 1.0
-                if alpha.reshape(-1)[i] != 0.0 and faces and (place + 5 * ray) % n_looks == look:
+                if alpha.reshape(-1)[i] != 0.0 and faces and (position + 5 * ray) % n_looks == look:
                     want.append(i)
             offsets.append(len(want))
     assert pairs.sample.tolist() == want
@@ -163,14 +163,14 @@ def test_pairs_traced_in_one_call_are_those_traced_part_by_part(dtype, n_looks):
     pairs, amplitude = pairs_of(alpha, gradient, points, form, n_looks)
     normals = torch.nn.functional.normalize(gradient, dim=1)[torch.from_numpy(pairs.sample)]
     inputs = [amplitude.requires_grad_(), normals.requires_grad_()]
-    places = POSE.tx_positions, POSE.rx_positions
+    positions = POSE.tx_positions, POSE.rx_positions
 
     def part_by_part(amplitude, normals):
         signal = [[None] * len(POSE.signal) for _ in range(n_looks)]
         for part in range(len(pairs.offsets) - 1):
             of = slice(pairs.offsets[part], pairs.offsets[part + 1])
             group, look = divmod(part, n_looks)
-            tx, rx = (p[GROUPS[group]] for p in places)
+            tx, rx = (p[GROUPS[group]] for p in positions)
             at = points[pairs.sample[of]]
             rows = signal_tracer(amplitude[of], at, tx, rx, WAVEFORM, normals=normals[of])
             for antenna, row in zip(GROUPS[group], rows, strict=True):
@@ -179,7 +179,8 @@ def test_pairs_traced_in_one_call_are_those_traced_part_by_part(dtype, n_looks):
 
     def together(amplitude, normals, num_threads):
         return trace_pairs(
-            *(amplitude, points, normals, pairs, *places, GROUPS, WAVEFORM), num_threads=num_threads
+            *(amplitude, points, normals, pairs, *positions, GROUPS, WAVEFORM),
+            num_threads=num_threads,
         )
 
     want = part_by_part(*inputs)

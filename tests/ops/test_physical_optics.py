@@ -113,27 +113,30 @@ def test_a_wide_triangle_is_the_sum_of_its_parts():
         return physical_optics(elements, weights, antennas, replace(WAVEFORM, n_samples=1))
 
     side_1, side_2 = corners[1] - corners[0], corners[2] - corners[0]
-    places, shapes = [], []
+    positions, shapes = [], []
     for i in range(n):
         for j in range(n - i):
             for up in (True, False) if j < n - i - 1 else (True,):
                 at = (i + 1 / 3, j + 1 / 3) if up else (i + 2 / 3, j + 2 / 3)
-                places.append(corners[0] + (at[0] * side_1 + at[1] * side_2) / n)
+                positions.append(corners[0] + (at[0] * side_1 + at[1] * side_2) / n)
                 turn = 1.0 if up else -1.0
                 shapes.append(turn * corners[:2] / n)
-    assert len(places) == n * n
+    assert len(positions) == n * n
     whole = echo(np.zeros((1, 3)), [corners[:2]], 1.0)
     np.testing.assert_allclose(
-        whole, echo(np.array(places), shapes, 1.0 / n**2), rtol=0, atol=1e-3 * np.abs(whole).max()
+        whole,
+        echo(np.array(positions), shapes, 1.0 / n**2),
+        rtol=0,
+        atol=1e-3 * np.abs(whole).max(),
     )
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 35.0])
-def test_a_wall_delays_and_weakens_as_fresnel_says(angle_deg):
+def test_a_wall_delays_and_weakens_by_fresnel(angle_deg):
     angle = np.deg2rad(angle_deg)
     slab = Wall(size_m=(0.2, 5.0, 5.0), thickness_m=0.004, permittivity=1.6)
-    place = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
-    antennas = blocks_of(place, boresight=-place / 0.5)
+    position = 0.5 * np.array([np.cos(angle), np.sin(angle), 0.0])
+    antennas = blocks_of(position, boresight=-position / 0.5)
     point, one = SurfaceElements(points=np.zeros((1, 3))), np.ones((1, 1), np.complex128)
     free = physical_optics(point, one, antennas, WAVEFORM)[0]
     behind = physical_optics(point, one, antennas, WAVEFORM, walls=(slab,))[0]

@@ -9,7 +9,7 @@ from geraf2.ops.point_images import point_images
 from helpers.synthetic import WAVEFORM, point_pose
 
 POSE = point_pose(0.0, n_side=5, spacing_m=0.02)
-PLACES = POSE.tx_positions, POSE.rx_positions
+POSITIONS = POSE.tx_positions, POSE.rx_positions
 
 
 def case(dtype, n_points):
@@ -25,13 +25,13 @@ def test_images_and_gradients_are_those_of_the_exact_method(dtype, n_points):
     signals, points = case(dtype, n_points)
     signals.requires_grad_()
     want = torch.stack(
-        [matched_filter(s, *PLACES, points, WAVEFORM, method="exact") for s in signals]
+        [matched_filter(s, *POSITIONS, points, WAVEFORM, method="exact") for s in signals]
     )
     weight = torch.randn(want.shape, generator=torch.Generator().manual_seed(0), dtype=dtype)
     (slope,) = torch.autograd.grad((want[:3] * weight[:3]).real.sum(), signals)
     for num_threads in (1, 3):
         got = point_images(
-            *(signals[:3], signals[3:], *PLACES, points, WAVEFORM), num_threads=num_threads
+            *(signals[:3], signals[3:], *POSITIONS, points, WAVEFORM), num_threads=num_threads
         )
         torch.testing.assert_close(torch.cat(got), want, rtol=1e-5, atol=1e-5)
         (found,) = torch.autograd.grad((got.of_signals * weight[:3]).real.sum(), signals)
@@ -42,7 +42,7 @@ def test_images_and_gradients_are_those_of_the_exact_method(dtype, n_points):
 @pytest.mark.gradient
 def test_images_and_their_gradient_are_adjoint():
     signals, points = case(torch.complex128, 21)
-    images = point_images(signals.requires_grad_(), signals[:0], *PLACES, points, WAVEFORM)
+    images = point_images(signals.requires_grad_(), signals[:0], *POSITIONS, points, WAVEFORM)
     weight = torch.randn(images.of_signals.shape, dtype=torch.complex128)
     (back,) = torch.autograd.grad(images.of_signals, signals, weight)
     one = torch.vdot(weight.reshape(-1), images.of_signals.detach().reshape(-1))
@@ -53,7 +53,7 @@ def test_images_and_their_gradient_are_adjoint():
 def test_what_does_not_fit_is_refused():
     signals, points = case(torch.complex64, 3)
     with pytest.raises(ValueError, match="others must have shape"):
-        point_images(signals, signals[:, 1:], *PLACES, points, WAVEFORM)
+        point_images(signals, signals[:, 1:], *POSITIONS, points, WAVEFORM)
     points[1] = np.inf
     with pytest.raises(ValueError, match="points must be finite"):
-        point_images(signals, signals[:0], *PLACES, points, WAVEFORM)
+        point_images(signals, signals[:0], *POSITIONS, points, WAVEFORM)

@@ -40,8 +40,8 @@ def test_value_and_gradient_are_those_of_the_twin(interpolation, dtype, toleranc
 
 
 def test_cubic_reproduces_parabolas_and_has_a_continuous_gradient():
-    place = torch.from_numpy(GRID.points()).reshape(*GRID.shape, 3)
-    values = 2.0 * place[..., 0] ** 2 - place[..., 1] + 0.5 * place[..., 2] ** 2
+    position = torch.from_numpy(GRID.points()).reshape(*GRID.shape, 3)
+    values = 2.0 * position[..., 0] ** 2 - position[..., 1] + 0.5 * position[..., 2] ** 2
     x = torch.tensor([[0.21, -0.13, 0.41], [0.18, -0.12, 0.43]], dtype=torch.float64)
     value, gradient = sdf_grid(values, GRID, x, interpolation="cubic")
     want = 2.0 * x[:, 0] ** 2 - x[:, 1] + 0.5 * x[:, 2] ** 2
@@ -98,7 +98,7 @@ def test_eikonal_is_the_same_by_either_gradient(interpolation):
     torch.testing.assert_close(*found, rtol=1e-12, atol=1e-9)
 
 
-def test_a_derivative_that_is_missing_says_so():
+def test_a_missing_derivative_is_an_error():
     values, points = make_case(n_points=2)
     x = points.requires_grad_(True)
     gradient = sdf_grid(values, GRID, x).gradient

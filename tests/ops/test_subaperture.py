@@ -16,23 +16,23 @@ SPACING = (0.003, 0.0025)
 SHAPE = (7, 6)
 
 
-def problem(shape=SHAPE, n_samples=32, places=None, dtype=np.complex128, seed=0):
+def problem(shape=SHAPE, n_samples=32, positions=None, dtype=np.complex128, seed=0):
     """White noise on antennas about the origin, the lattice they lie on, and the twin's view."""
     rng = np.random.default_rng(seed)
     lattice = Lattice(shape=shape, spacing_m=SPACING)
-    if places is None:
+    if positions is None:
         index = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-        places = (index.reshape(-1, 2) - 0.5 * (np.array(shape) - 1)) * SPACING
+        positions = (index.reshape(-1, 2) - 0.5 * (np.array(shape) - 1)) * SPACING
     else:
         lattice = None
-    n = len(places)
-    centers = np.concatenate([np.zeros((n, 1)), places], axis=1)
+    n = len(positions)
+    centers = np.concatenate([np.zeros((n, 1)), positions], axis=1)
     baseline = 0.002 * rng.standard_normal((n, 3))
     signal = white_noise((n, n_samples), dtype)
     weights = rng.uniform(0.1, 1.0, n)
     waveform = replace(WAVEFORM, n_samples=n_samples)
     subapertures = members_of(
-        places, weights=weights / weights.sum(), focus=TARGET[None], lattice=lattice
+        positions, weights=weights / weights.sum(), focus=TARGET[None], lattice=lattice
     )
     return signal, centers + baseline, centers - baseline, waveform, subapertures
 
@@ -61,8 +61,8 @@ def test_images_on_a_lattice_are_the_direct_sum(shape, n_samples, n_cosines, wra
 @pytest.mark.parametrize(("dtype", "atol"), [(np.complex64, 2e-6), (np.complex128, 1e-6)])
 def test_images_of_antennas_anywhere_are_the_direct_sum(dtype, atol):
     # Phases that cancel nowhere: the error is relative to the sum of all magnitudes.
-    places = np.random.default_rng(3).uniform(-0.04, 0.04, (60, 2))
-    arguments = problem(places=places, dtype=dtype)
+    positions = np.random.default_rng(3).uniform(-0.04, 0.04, (60, 2))
+    arguments = problem(positions=positions, dtype=dtype)
     bins = bins_of((9, 0.15), (3, 0.31), n_ranges=3)
     (image,) = kernel_images(*arguments, bins)
     np.testing.assert_allclose(image, direct_sum(arguments, bins), atol=atol)
@@ -94,8 +94,8 @@ def test_peaks_are_those_of_the_twin(shape, wraps, dtype):
     if shape[0] > 5:
         assert len(expected) > 3
     np.testing.assert_allclose(noise_floor(magnitude, bins), peaks_twin.noise_floor(magnitude))
-    for n, (_, place, value, noise) in enumerate(expected):
-        scaled = place * (0.02, 0.03, 0.02) + (-0.2, -0.1, 0.3)
+    for n, (_, position, value, noise) in enumerate(expected):
+        scaled = position * (0.02, 0.03, 0.02) + (-0.2, -0.1, 0.3)
         measured = (*found.cosines[n], found.ranges_m[n])
         np.testing.assert_allclose(measured, scaled, atol=1e-9 if dtype is np.float64 else 1e-7)
         assert found.magnitudes[n] == value
@@ -104,8 +104,8 @@ def test_peaks_are_those_of_the_twin(shape, wraps, dtype):
 
 @pytest.mark.parametrize("scattered", [False, True])
 def test_peaks_are_those_of_the_images_with_any_threads(scattered):
-    places = np.random.default_rng(5).uniform(-0.03, 0.03, (80, 2)) if scattered else None
-    arguments = list(problem((9, 9), places=places, dtype=np.complex64))
+    positions = np.random.default_rng(5).uniform(-0.03, 0.03, (80, 2)) if scattered else None
+    arguments = list(problem((9, 9), positions=positions, dtype=np.complex64))
     one = arguments[4]
     n = len(one.antennas)
     half = replace(
@@ -113,7 +113,7 @@ def test_peaks_are_those_of_the_images_with_any_threads(scattered):
         offsets=np.array([0, n // 2, n, n + 5]),
         antennas=np.concatenate([one.antennas, one.antennas[:5]]),
         weights=np.concatenate([one.weights, one.weights[:5]]),
-        places=np.concatenate([one.places, one.places[:5]]),
+        positions=np.concatenate([one.positions, one.positions[:5]]),
         focus=np.tile(TARGET, (3, 1)),
         focus_range_m=np.full(3, 0.4),
     )
@@ -150,7 +150,7 @@ def test_no_subaperture_and_an_empty_one_are_no_error():
         offsets=np.array([0, 0]),
         antennas=members.antennas[:0],
         weights=members.weights[:0],
-        places=members.places[:0],
+        positions=members.positions[:0],
     )
     assert not kernel_images(signal, tx, rx, waveform, empty, bins).any()
     peaks = subaperture_peaks(signal, tx, rx, waveform, empty, bins, thresholds_db=(20.0, 0.0))
@@ -188,7 +188,7 @@ def test_wrong_arguments_are_named():
         CosineAxis.symmetric(4, 0.1, wraps=False)
     with pytest.raises(ValueError, match="offsets must ascend"):
         replace(members, offsets=np.array([1, len(members.antennas)]))
-    with pytest.raises(ValueError, match="places must be finite"):
-        replace(members, places=np.full_like(members.places, np.nan))
+    with pytest.raises(ValueError, match="positions must be finite"):
+        replace(members, positions=np.full_like(members.positions, np.nan))
     with pytest.raises(ValueError, match="n_ranges must be at least 1"):
         replace(bins, n_ranges=0)

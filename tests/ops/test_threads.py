@@ -137,8 +137,8 @@ def test_any_number_of_threads_and_each_repeat_give_the_same_bits(name):
     Each thread of the signal tracer sums gradients of its own: their sum depends on the number.
     """
     alone, first = (KERNELS[name](n) for n in (1, 3))
-    for place, (have, want) in enumerate(zip(first, alone, strict=True)):
-        if name == "signal tracer" and place > 0:
+    for position, (have, want) in enumerate(zip(first, alone, strict=True)):
+        if name == "signal tracer" and position > 0:
             np.testing.assert_allclose(have, want, atol=1e-6 * np.abs(want).max())
         else:
             np.testing.assert_array_equal(have, want)

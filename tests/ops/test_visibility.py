@@ -63,12 +63,12 @@ def test_spans_are_the_ends_of_all_stretches(torus, rays, inward):
 
 
 def test_segments_first_meet_the_mesh_where_the_closest_hit_is(torus, rays):
-    scene, (origins, ways) = MeshScene(*torus), rays
-    targets = origins + ways
+    scene, (origins, legs) = MeshScene(*torus), rays
+    targets = origins + legs
     targets[5] = origins[5]
-    distances, _ = scene.closest_hit(origins, np.where(ways == 0.0, 1.0, ways))
-    share = np.minimum(distances / np.linalg.norm(ways, axis=1), 1.0)[:, None]
-    want = origins + share * ways
+    distances, _ = scene.closest_hit(origins, np.where(legs == 0.0, 1.0, legs))
+    share = np.minimum(distances / np.linalg.norm(legs, axis=1), 1.0)[:, None]
+    want = origins + share * legs
     want[5] = origins[5]
     np.testing.assert_allclose(scene.first_meetings(origins, targets), want, atol=1e-12)
     assert 10 < np.count_nonzero(share == 1.0) < 190

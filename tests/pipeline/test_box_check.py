@@ -58,7 +58,7 @@ def test_a_correct_prior_is_kept(prior, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("prior", "said", "off_m"),
+    ("prior", "stated", "off_m"),
     [
         (given(SIZE + 0.008), "off by 8.0 mm of size and was", 0.008),
         (given(SIZE - 0.008), "off by 8.0 mm of size and was", 0.008),
@@ -66,9 +66,9 @@ def test_a_correct_prior_is_kept(prior, monkeypatch):
         (given(center=(0.02, 0.0, 0.0)), "off by 20.0 mm of position and was", 0.02),
     ],
 )
-def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, said, off_m, monkeypatch):
+def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, stated, off_m, monkeypatch):
     checked = check(prior, a_box(), monkeypatch)
-    assert said in checked.text
+    assert stated in checked.text
     axes, size, center = checked.prior.cuboid
     np.testing.assert_allclose(axes, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(size[:2], SIZE[:2])
@@ -81,14 +81,14 @@ def test_a_wrong_prior_gets_the_faces_that_were_seen(prior, said, off_m, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("seen", "said"),
+    ("seen", "stated"),
     [
         (((2, 2), (2, 2), (0, 0)), "the prior agrees: sides of 302 x 202 mm differ by at most 2.0"),
         (((0, 2), (2, 0), (0, 0)), "no two opposite faces are seen: the prior's sides were not"),
     ],
 )
-def test_what_was_compared_is_stated(seen, said, monkeypatch):
-    assert said in check(given(SIZE + 0.002), a_box(seen=seen), monkeypatch).text
+def test_what_was_compared_is_stated(seen, stated, monkeypatch):
+    assert stated in check(given(SIZE + 0.002), a_box(seen=seen), monkeypatch).text
 
 
 def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):

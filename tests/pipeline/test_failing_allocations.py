@@ -20,9 +20,9 @@ def _run(project_root, *flags):
 def test_a_failed_allocation_is_one_line_and_the_run_can_be_continued(project_root):
     done = _run(project_root, "--every", "24")
     assert done.returncode == 0, done.stdout + done.stderr
-    said = done.stdout.splitlines()[-1]
-    assert "0 wrong" in said
-    assert int(said.split("failed once: ")[1].split()[0]) > 3
+    stated = done.stdout.splitlines()[-1]
+    assert "0 wrong" in stated
+    assert int(stated.split("failed once: ")[1].split()[0]) > 3
 
 
 @pytest.mark.parametrize("flags", [["--every", "0"], ["--first", "-1"], ["--least-kb", "-2"]])

@@ -1,4 +1,4 @@
-"""Every write of a run fails once; the run says so in one line and goes on when asked again.
+"""Every write of a run fails once; the run reports it in one line and continues when asked again.
 
 As SQLite's tests of full disks: the n-th write fails, for all n up to the end. A run that is
 continued repeats only the stage that failed, so one folder takes all faults, one after the other.
@@ -89,12 +89,12 @@ def _until_done(disk, folder, command, after_fault, capsys):
         disk.attempt(folder)
         code = main([*map(str, command)])
         disk.folder = None
-        said = [line for line in capsys.readouterr().err.splitlines() if "geraf2: " in line]
+        stated = [line for line in capsys.readouterr().err.splitlines() if "geraf2: " in line]
         if not disk.is_full:
-            assert code == 0, said
+            assert code == 0, stated
             return number
-        assert (code, len(said)) == (2, 1), (said, disk.failed)
-        assert "internal error" not in said[0]
+        assert (code, len(stated)) == (2, 1), (stated, disk.failed)
+        assert "internal error" not in stated[0]
         assert not list(folder.rglob(".*.tmp*")), disk.failed
         after_fault()
     pytest.fail("faults without end")
@@ -138,8 +138,8 @@ def test_each_write_of_a_scene_fails_once_and_the_former_scene_stays(disk, tmp_p
         finally:
             disk.folder = None
 
-    while (said := fails()) is not None:
-        assert "No space left on device" in said
+    while (stated := fails()) is not None:
+        assert "No space left on device" in stated
         assert capture_digest(load_capture(folder / "scene")) == digest, disk.failed
         assert [path.name for path in folder.iterdir()] == ["scene"], disk.failed
     assert len(disk.failed) > 10

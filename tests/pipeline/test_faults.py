@@ -1,4 +1,4 @@
-"""Real faults of the machine: what is there stays whole, and one line says why."""
+"""Real faults of the machine: what is there stays whole, and one line names the cause."""
 
 import os
 import resource
@@ -62,10 +62,10 @@ def geraf2_with(*words, limits=(), env=None, cwd=None, before=""):
 
 
 def one_line(done):
-    said = [x for x in done.stderr.decode(errors="replace").splitlines() if "geraf2: " in x]
-    assert (done.returncode, len(said)) == (2, 1), done.stderr
-    assert "internal error" not in said[0]
-    return said[0]
+    stated = [x for x in done.stderr.decode(errors="replace").splitlines() if "geraf2: " in x]
+    assert (done.returncode, len(stated)) == (2, 1), done.stderr
+    assert "internal error" not in stated[0]
+    return stated[0]
 
 
 def reconstruct(scene, out, *more, **faults):
@@ -78,7 +78,7 @@ def assert_same(run, other):
         assert (run / name).read_bytes() == (other / name).read_bytes()
 
 
-def test_files_that_cannot_be_written_stop_a_run_which_then_goes_on(scene, whole, tmp_path):
+def test_files_that_cannot_be_written_stop_a_run_which_then_continues(scene, whole, tmp_path):
     out, limits = tmp_path / "out", [(resource.RLIMIT_FSIZE, 40_000)]
     error = one_line(reconstruct(scene, out, limits=limits))
     assert "cannot write the file: File too large" in error
@@ -101,8 +101,8 @@ def test_a_file_size_limit_of_zero_is_one_line(scene, tmp_path):
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)),
         cwd=tmp_path,
     )
-    said = b"UserError: there is no folder for temporary files"
-    assert done.stderr.splitlines()[-1].startswith(b"geraf2.errors." + said)
+    stated = b"UserError: there is no folder for temporary files"
+    assert done.stderr.splitlines()[-1].startswith(b"geraf2.errors." + stated)
 
 
 @pytest.mark.parametrize("most", [10, 24])

@@ -1,4 +1,4 @@
-"""Commands as functions: what they return and tell, and that they print nothing."""
+"""Commands as functions: what they return and report, and that they print nothing."""
 
 from contextlib import contextmanager
 

@@ -64,8 +64,8 @@ def test_the_lock_of_a_killed_process_is_taken_over(tmp_path, holder):
 def test_a_process_of_another_host_counts_as_alive(tmp_path):
     run = _open(tmp_path / "out")
     (run.path / LOCK_NAME).write_text("1\nanother-host\n")
-    said = f"process 1 on another-host.*remove {LOCK_NAME}"
-    with pytest.raises(UserError, match=said), run.locked():
+    stated = f"process 1 on another-host.*remove {LOCK_NAME}"
+    with pytest.raises(UserError, match=stated), run.locked():
         pass
 
 

@@ -41,9 +41,9 @@ def digests(result):
 
 def test_corrections_are_reported_stored_and_read_back(wrong, tmp_path):
     first = run(wrong, tmp_path / "out")
-    said = first.numbers["calibration"]
-    assert [text.split(":")[0] for text in said["applied"]] == ["channels"]
-    assert said["channels_n"] == 4
+    stated = first.numbers["calibration"]
+    assert [text.split(":")[0] for text in stated["applied"]] == ["channels"]
+    assert stated["channels_n"] == 4
     assert any("calibrated channels: 4 interleaved" in text for text in first.run.warnings)
     # planes that were left out, too
     seen = corrected(RunFolder.read(tmp_path / "out"), wrong)

@@ -45,11 +45,13 @@ def test_slabs_cover_each_voxel_once_and_follow_from_memory():
         slabs = Slabs.of(grid, max_bytes)
         assert (slabs.axis, slabs.n_layers) == (1, n_layers)
         count = np.zeros(grid.shape, dtype=int)
-        for place, part in slabs:
-            count[place] += 1
-            assert part.shape == count[place].shape
+        for position, part in slabs:
+            count[position] += 1
+            assert part.shape == count[position].shape
             for axis, coordinates in enumerate(part.axes_m):
-                np.testing.assert_allclose(coordinates, grid.axes_m[axis][place[axis]], atol=1e-15)
+                np.testing.assert_allclose(
+                    coordinates, grid.axes_m[axis][position[axis]], atol=1e-15
+                )
         assert (count == 1).all()
         assert slabs.n_voxels * SLAB_BYTES_PER_VOXEL <= max_bytes
     with pytest.raises(UserError, match=r"not even one layer .* raise slab_gib"):
@@ -81,10 +83,10 @@ def test_chunks_hold_the_bytes_of_the_whole_image(scene, tmp_path, monkeypatch):
     assert volume.chunks == (17, 4, 21)
     assert volume[:].tobytes() == whole.volume.tobytes()
     assert made.strongest_m == pytest.approx(whole.strongest_m)
-    # Two images of one look: the pictures are the same, too.
+    # Two images of one view: the pictures are the same, too.
     pictures = [tmp_path / name / "figures" / "projections.png" for name in ("whole", "tiles")]
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
-    # Each slab is that of the matched filter, to its rtol, whichever way it is cut.
+    # Each slab is that of the matched filter, to its rtol, however it is cut.
     one = image_volume(load_capture(scene), whole.grid)
     assert np.abs(one - whole.volume).max() <= 1e-3 * one.max()
 

@@ -1,4 +1,4 @@
-"""A folder says whether it still holds what was written, of what, and works where it is moved."""
+"""A folder knows whether it still holds what was written, of what, and works where it is moved."""
 
 import json
 import re
@@ -35,7 +35,7 @@ COARSE = FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A scene and its run, with a report's worth of files but no report."""
+    """A scene and its run, with the files of a report but no report."""
     folder = tmp_path_factory.mktemp("made")
     save_capture(examples.small_capture()[0], folder / "scene")
     main(["los", "x".join(map(str, examples.BOX_M)), str(folder / "los")])
@@ -228,8 +228,8 @@ def test_a_folder_that_is_moved_with_its_scene_works_from_anywhere(
     assert main(render) == 0
     (moved / "scene").rename(tmp_path / "far")  # the scene alone
     assert main(render) == 2
-    said = "the scene of the run is no longer there; name it with --scene; it was called 'scene'"
-    assert said in the_error(capsys)
+    stated = "the scene of the run is no longer there; name it with --scene; it was called 'scene'"
+    assert stated in the_error(capsys)
     assert main([*render, "--scene", str(tmp_path / "far")]) == 0
 
 

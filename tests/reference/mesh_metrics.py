@@ -9,7 +9,7 @@ def nearest_distances(points, others):
 
 
 def chamfer(first, second):
-    """Mean squared nearest distance, both ways, summed [m^2]."""
+    """Mean squared nearest distance, both directions, summed [m^2]."""
     there = nearest_distances(first, second)
     back = nearest_distances(second, first)
     return sum(d * d for d in there) / len(there) + sum(d * d for d in back) / len(back)

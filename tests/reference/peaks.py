@@ -12,7 +12,7 @@ def noise_floor(magnitude):
 
 
 def vertex(before, at, after):
-    """Place of the top of a parabola through three log magnitudes."""
+    """Position of the top of a parabola through three log magnitudes."""
     low, mid, high = np.log(before), np.log(at), np.log(after)
     if low == mid == high:  # an axis of one bin
         return 0.0
@@ -20,7 +20,7 @@ def vertex(before, at, after):
 
 
 def find_peaks(magnitude, wraps, dynamic_range_db, noise_margin_db):
-    """Bins (n, 3), places in bins (n, 3), magnitudes and noise of the peaks, bin by bin."""
+    """Bins (n, 3), positions in bins (n, 3), magnitudes and noise of the peaks, bin by bin."""
     floor = noise_floor(magnitude)
     threshold = np.maximum(
         magnitude.max() * 10.0 ** (-dynamic_range_db / 20.0),

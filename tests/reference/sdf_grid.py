@@ -4,7 +4,7 @@ import itertools
 
 
 def weights(r, interpolation):
-    """[(tap, weight)] for the place r between tap 0 and tap 1."""
+    """[(tap, weight)] for the position r between tap 0 and tap 1."""
     if interpolation == "linear":
         return [(0, 1 - r), (1, r)]
     return [
@@ -19,13 +19,13 @@ def sdf_grid(values, grid, points, interpolation):
     """Value at points (n, 3); its gradient is left to autograd."""
     taps = []
     for axis, length in enumerate(values.shape):
-        place = (points[:, axis] - grid.origin_m[axis]) / grid.spacing_m
-        place = place.clamp(0, length - 1)
-        cell = place.detach().floor().clamp(0, max(length - 2, 0))
+        position = (points[:, axis] - grid.origin_m[axis]) / grid.spacing_m
+        position = position.clamp(0, length - 1)
+        cell = position.detach().floor().clamp(0, max(length - 2, 0))
         taps.append(
             [
                 ((cell.long() + tap).clamp(0, length - 1), weight)
-                for tap, weight in weights(place - cell, interpolation)
+                for tap, weight in weights(position - cell, interpolation)
             ]
         )
     total = 0.0

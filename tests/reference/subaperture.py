@@ -6,7 +6,7 @@ SPEED_OF_LIGHT = 299792458.0
 
 
 def cosine_squared(n):
-    """Hann weights at n places, none of them zero."""
+    """Hann weights at n positions, none of them zero."""
     return np.sin(np.pi * (np.arange(n) + 1.0) / (n + 1.0)) ** 2
 
 
@@ -23,8 +23,8 @@ def image(signal, tx, rx, axes, weights, center, target, waveform, bins):
     ahead = (target - center) @ axes[0]
     focus = center + ahead * axes[0]
     result = np.zeros([len(axis) for axis in bins])
-    for place in np.ndindex(*result.shape):
-        u, v, r = (axis[index] for axis, index in zip(bins, place, strict=True))
+    for position in np.ndindex(*result.shape):
+        u, v, r = (axis[index] for axis, index in zip(bins, position, strict=True))
         total = 0.0
         for a in range(len(signal)):
             path = np.linalg.norm(tx[a] - focus) + np.linalg.norm(rx[a] - focus) - 2.0 * ahead
@@ -34,5 +34,5 @@ def image(signal, tx, rx, axes, weights, center, target, waveform, bins):
             phase = frequency * near - frequency.mean() * tilt
             turn = np.exp(2j * np.pi / SPEED_OF_LIGHT * phase)
             total += weights[a] * (time_weights * signal[a] * turn).sum()
-        result[place] = abs(total) / (weights.sum() * time_weights.sum())
+        result[position] = abs(total) / (weights.sum() * time_weights.sum())
     return result

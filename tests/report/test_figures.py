@@ -16,7 +16,7 @@ GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 
 @pytest.fixture
 def drawn(monkeypatch):
-    """Figures as they are when they are written."""
+    """Pictures as they are when they are written."""
     seen = []
     save = canvas.save
 

@@ -88,7 +88,7 @@ def test_attributes_are_what_is_known():
     assert set(by_label) == {"distance to the truth", "seen by the radar", "depth in the box"}
     assert by_label["distance to the truth"].limits == (-2.0, 2.0)
     depth = by_label["depth in the box"].values
-    # the nearest and the farthest place of the ball from the box around it
+    # the nearest and the farthest point of the ball from the box around it
     np.testing.assert_allclose([depth.min(), depth.max()], [40.0, 60.0], atol=0.8)
 
 

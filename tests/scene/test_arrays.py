@@ -6,11 +6,11 @@ from geraf2.scene.arrays import ARRAYS, column, find_array
 
 
 def phase_centers(array):
-    tx, rx = (np.array(places) for places in (array.tx_offsets_m, array.rx_offsets_m))
+    tx, rx = (np.array(positions) for positions in (array.tx_offsets_m, array.rx_offsets_m))
     return 0.5 * (tx[:, None] + rx).reshape(-1, 3)
 
 
-def test_the_cascade_has_86_places_in_azimuth_and_four_heights():
+def test_the_cascade_has_86_positions_in_azimuth_and_four_heights():
     array = ARRAYS["awr2243-cascade"]
     half = 0.5 * 299792458.0 / array.design_hz
     centers = phase_centers(array.swept())
@@ -23,12 +23,12 @@ def test_the_cascade_has_86_places_in_azimuth_and_four_heights():
     assert centers.mean(axis=0) == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
 
 
-def test_a_board_of_three_by_four_has_eight_places_in_line():
+def test_a_board_of_three_by_four_has_eight_positions_in_line():
     centers = phase_centers(find_array("iwr1843").swept())
     quarter = 0.25 * 299792458.0 / 79e9
     in_line = np.unique(np.round(centers[:, 2] / quarter - centers[:, 2].min() / quarter))
     assert in_line.tolist() == list(range(8))
-    tx, rx = ARRAYS["iwr1843"].places_m()
+    tx, rx = ARRAYS["iwr1843"].positions_m()
     assert tx[:, 0].min() - rx[:, 0].max() == pytest.approx(0.005)
 
 

@@ -26,7 +26,7 @@ def test_a_closed_mesh_is_taken_and_turned_outward():
         assert np.array_equal(LosPrior.from_mesh(given).faces, mesh.faces)
 
 
-def test_an_open_mesh_says_how_many_edges_and_what_to_do():
+def test_an_open_mesh_is_refused_with_its_open_edges_and_a_remedy():
     mesh = box_mesh()
     with pytest.raises(UserError, match=r"box.ply: the mesh is not closed: 3 open edges") as caught:
         LosPrior.from_mesh(replace(mesh, faces=mesh.faces[1:]), where="box.ply")
@@ -38,10 +38,10 @@ def test_corners_are_farthest_and_few():
     vertices = rng.uniform(-0.1, 0.1, (2000, 3))
     prior = LosPrior(vertices=vertices, faces=np.array([[0, 1, 2]]))
     assert len(prior.corners) < 300
-    for place in rng.normal(0.0, 0.5, (20, 3)):
-        farthest = np.linalg.norm(vertices - place, axis=1).max()
-        assert np.linalg.norm(prior.corners - place, axis=1).max() == farthest
-        assert (prior.corners @ place).min() == (vertices @ place).min()
+    for position in rng.normal(0.0, 0.5, (20, 3)):
+        farthest = np.linalg.norm(vertices - position, axis=1).max()
+        assert np.linalg.norm(prior.corners - position, axis=1).max() == farthest
+        assert (prior.corners @ position).min() == (vertices @ position).min()
     np.testing.assert_array_equal(
         np.sort(LosPrior.from_box((1, 1, 1)).corners),
         np.sort(LosPrior.from_box((1, 1, 1)).vertices),

@@ -135,8 +135,8 @@ def test_the_numbers_of_a_single_plane():
     assert plane.across_m == pytest.approx((wavelength, 2 * wavelength))
     assert plane.depth_of_focus_m == pytest.approx(8 * wavelength)
     # Two ends of a scene 0.2 m wide, seen from an end of the plane: phases of neighbours pi apart.
-    places = np.array([[0.1, 0.0], [0.1 - plane.nyquist_spacing_m, 0.0]])
-    far = np.linalg.norm(places - [-0.1, 0.4], axis=1)
+    positions = np.array([[0.1, 0.0], [0.1 - plane.nyquist_spacing_m, 0.0]])
+    far = np.linalg.norm(positions - [-0.1, 0.4], axis=1)
     assert 4 * np.pi * np.diff(far)[0] / wavelength == pytest.approx(-np.pi, rel=0.01)
     with pytest.raises(ValueError, match="aperture_m"):
         replace(plane, aperture_m=(0.2, 0.0))

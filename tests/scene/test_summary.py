@@ -56,7 +56,7 @@ def test_a_capture_in_parts_has_the_same_numbers(size):
         assert one.largest == other.largest
 
 
-def test_several_receivers_at_one_transmitter_count_as_places_of_their_own():
+def test_several_receivers_at_one_transmitter_count_as_positions_of_their_own():
     pose = point_pose(0.0)
     twice = replace(
         pose,
@@ -65,11 +65,11 @@ def test_several_receivers_at_one_transmitter_count_as_places_of_their_own():
         rx_positions=np.concatenate([pose.rx_positions, pose.rx_positions + 0.002]),
     )
     summary = summarize_pose(twice)
-    assert summary.n_repeated_places == 0
+    assert summary.n_repeated_positions == 0
     assert summary.spacing_m < 0.003
-    assert summarize_pose(pose).n_repeated_places == 0
+    assert summarize_pose(pose).n_repeated_positions == 0
     repeated = replace(twice, rx_positions=np.concatenate([pose.rx_positions, pose.rx_positions]))
-    assert summarize_pose(repeated).n_repeated_places == 36
+    assert summarize_pose(repeated).n_repeated_positions == 36
 
 
 def test_values_that_are_not_finite_are_counted_and_left_out():

@@ -21,11 +21,11 @@ WAVELENGTHS = C / FREQUENCIES
 LIMIT_M = 0.0012
 
 
-def monostatic(elements, areas, places):
+def monostatic(elements, areas, positions):
     """Signal at antennas that are alone in their block, so that form factors are their own."""
-    places = np.atleast_2d(places)
-    antennas = blocks_of(places, offsets=np.arange(len(places) + 1))
-    weights = np.broadcast_to(areas, (len(places), len(areas))).astype(np.complex128)
+    positions = np.atleast_2d(positions)
+    antennas = blocks_of(positions, offsets=np.arange(len(positions) + 1))
+    weights = np.broadcast_to(areas, (len(positions), len(areas))).astype(np.complex128)
     return physical_optics(elements, weights, antennas, WAVEFORM)
 
 
@@ -71,8 +71,8 @@ def test_flat_plate_peak_null_and_lobes_within_a_fifth_of_a_decibel():
     angles = np.concatenate(
         [np.linspace(0, 0.7, 8) * null, np.linspace(1.2, 1.8, 7) * null, [null]]
     )
-    places = range_m * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    got = cross_section(monostatic(elements, areas, places), range_m)[:, 0]
+    positions = range_m * np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
+    got = cross_section(monostatic(elements, areas, positions), range_m)[:, 0]
     peak = 4 * np.pi * side**4 / wavelength**2
     assert 10 * np.log10(got[0] / peak) == pytest.approx(0.0, abs=0.2)
     lobes = np.cos(angles) ** 2 * np.sinc(2 * side / wavelength * np.sin(angles)) ** 2
@@ -91,7 +91,7 @@ def range_gated(signal, path_m, half_width_m):
 def test_wall_reflects_like_an_infinite_slab_at_normal_incidence():
     wall = Wall(size_m=(0.3, 0.3, 0.3), thickness_m=0.004, permittivity=1.6)
     range_m = 0.25
-    place = np.array([0.15 + range_m, 0.0, 0.0])
+    position = np.array([0.15 + range_m, 0.0, 0.0])
     layers, areas = wall_elements(wall, 0.005, inside=False)
     front = layers[0].points[:, 0] > 0.15
     got = np.zeros(len(FREQUENCIES), complex)
@@ -104,7 +104,7 @@ def test_wall_reflects_like_an_infinite_slab_at_normal_incidence():
             reflector=layer.reflector,
             slab=wall,
         )
-        got += monostatic(face, areas[front], place)[0]
+        got += monostatic(face, areas[front], position)[0]
     # Image of the antenna 2 R away; both faces of the slab, no inner reflections.
     n = np.sqrt(1.6)
     r = (1 - n) / (1 + n)
@@ -119,18 +119,18 @@ def test_wall_reflects_like_an_infinite_slab_at_normal_incidence():
 
 def test_wall_patches_are_fine_enough():
     wall = Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
-    places = np.array([[0.4, 0.0, 0.0], [0.4, 0.07, 0.1], [0.38, -0.14, 0.05]])
+    positions = np.array([[0.4, 0.0, 0.0], [0.4, 0.07, 0.1], [0.38, -0.14, 0.05]])
     signals = []
     for patch_m in (0.005, 0.002):
         layers, areas = wall_elements(wall, patch_m, inside=False)
-        signals.append(monostatic(layers[0], areas, places))
+        signals.append(monostatic(layers[0], areas, positions))
     error = np.abs(signals[0] - signals[1]).max() / np.abs(signals[1]).max()
     assert error < 0.02  # 34 dB below the flash
 
 
 def test_halving_the_facets_changes_a_sphere_by_less_than_a_tenth_of_a_decibel():
     mesh = ball(0.03, 5)
-    place = np.array([[0.4, 0.0, 0.0], [0.38, 0.1, 0.1]])
-    coarse = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M), place)
-    fine = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M / 2), place)
+    position = np.array([[0.4, 0.0, 0.0], [0.38, 0.1, 0.1]])
+    coarse = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M), position)
+    fine = monostatic(*mesh_elements(mesh.vertices, mesh.faces, LIMIT_M / 2), position)
     assert np.abs(20 * np.log10(np.abs(coarse / fine))).max() < 0.1

@@ -144,7 +144,7 @@ def test_an_effect_changes_no_draw_of_another():
     assert together == pytest.approx(product)
 
 
-def test_a_capture_says_what_its_world_was():
+def test_a_capture_holds_its_world():
     spec = replace(FREE, world=WorldSpec(leakage_db=10.0, random_plane_phase=True))
     assert simulate(spec, seed=0)[0].provenance["world"] == "leakage_db 10, random_plane_phase 1"
     assert "world" not in simulate(FREE, seed=0)[0].provenance

@@ -9,7 +9,7 @@ from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.simulation import FigureSpec, build_solid
 from geraf2.simulation.figures import FIGURES
 
-# Holes through each figure of thin parts.
+# Holes through each object of thin parts.
 GENUS = {"slatted_chair": 2, "spectacles": 2, "key": 1, "mug": 1, "scissors": 2}
 
 

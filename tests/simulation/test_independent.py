@@ -1,4 +1,4 @@
-"""One plane against a capture by an independent simulator, on the same figure and antennas."""
+"""One plane against a capture by an independent simulator, on the same object and antennas."""
 
 from pathlib import Path
 

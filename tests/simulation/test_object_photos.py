@@ -42,7 +42,7 @@ def test_the_silhouette_is_that_of_the_object(scene):
         assert (picture.radiance >= 0.0).all()
 
 
-def test_paint_belongs_to_places_and_to_the_seed(scene):
+def test_paint_follows_positions_and_the_seed(scene):
     points = BALL.vertices[::7]
     albedo = scene.albedo(points)
     assert (albedo > 0.0).all()

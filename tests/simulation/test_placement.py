@@ -1,4 +1,4 @@
-"""True places of antennas against the recorded ones."""
+"""True positions of antennas against the recorded ones."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ def pairs(seed=0, **world):
     return [(p, true_plane(p, spec, seed, n)) for n, p in enumerate(planes)]
 
 
-def test_off_the_places_are_the_recorded_ones_but_for_the_scans_own_errors():
+def test_switched_off_positions_are_the_recorded_ones_but_for_the_scans_own_errors():
     scan = replace(SPEC.scan, position_jitter_rms_m=1e-4)
     plane = scan_planes(scan)[3]
     true = true_plane(plane, replace(SPEC, scan=scan), 5, 3)
@@ -36,7 +36,7 @@ def test_angles_turn_planes_about_the_axis_each_by_its_own():
             angle = np.arctan2(*true.axes[0, 1::-1]) - np.arctan2(*recorded.axes[0, 1::-1])
             off.append((angle + np.pi) % (2 * np.pi) - np.pi)
             assert true.tx[:, 2] == pytest.approx(recorded.tx[:, 2])
-            radii = [np.hypot(*places[:, :2].T) for places in (recorded.tx, true.tx)]
+            radii = [np.hypot(*positions[:, :2].T) for positions in (recorded.tx, true.tx)]
             assert radii[0] == pytest.approx(radii[1])
             assert np.linalg.norm(true.tx - true.rx, axis=1) == pytest.approx(0.005)
     assert np.rad2deg(np.std(off)) == pytest.approx(0.3, rel=0.1)

@@ -73,10 +73,10 @@ def test_derivatives_of_a_hit_are_those_between_neighbouring_rays():
     i, n = np.arange(len(ring) - 1), len(ring)
     faces = np.concatenate([np.c_[i, i + 1, i + n], np.c_[i + 1, i + 1 + n, i + n]])
     scene = tube_scene(trimesh.Trimesh(vertices, faces, process=False), 0.001)
-    eye, way = np.array([0.4, 0.0, 0.0]), np.array([-1.0, 0.05, 0.03])
+    eye, leg = np.array([0.4, 0.0, 0.0]), np.array([-1.0, 0.05, 0.03])
     turning = np.array([[[0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]])
-    directions = way + np.concatenate([np.zeros((1, 3)), turning[0]])
-    still, length = np.zeros((3, 2, 3)), np.linalg.norm(way)
+    directions = leg + np.concatenate([np.zeros((1, 3)), turning[0]])
+    still, length = np.zeros((3, 2, 3)), np.linalg.norm(leg)
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     own = turning / length - (turning @ directions[0])[..., None] * directions[0] / length
     hit = scene.mesh.meet(eye[None], directions[:1], still[:1], own)
@@ -87,7 +87,7 @@ def test_derivatives_of_a_hit_are_those_between_neighbouring_rays():
     assert np.abs(hit.turns[0] - turned).max() < 0.03 * np.abs(turned).max()
 
 
-def test_back_of_a_dielectric_sphere_is_focused_as_its_lens_matrix_says():
+def test_back_of_a_dielectric_sphere_is_focused_as_by_its_lens_matrix():
     # Refracted, reflected, refracted near the axis: rays at height y leave at the angle C y, and
     # the echo is that of a mirror of focal length 1 / C. Permittivity below 2: no glory ring.
     radius, permittivity, range_m = 0.03, 1.7, 20.0
@@ -100,13 +100,13 @@ def test_back_of_a_dielectric_sphere_is_focused_as_its_lens_matrix_says():
     got = tube_echo(tubes, eye[None], eye[None], WAVEFORM)[0]
     n = np.sqrt(permittivity)
     lens = np.array([[1.0, 0.0], [-(n - 1) / radius, 1.0]])
-    way = np.array([[1.0, 2 * radius / n], [0.0, 1.0]])
+    leg = np.array([[1.0, 2 * radius / n], [0.0, 1.0]])
     mirror = np.array([[1.0, 0.0], [-2 * n / radius, 1.0]])
-    c = (lens @ way @ mirror @ way @ lens)[1, 0]
+    c = (lens @ leg @ mirror @ leg @ lens)[1, 0]
     r = (n - 1) / (n + 1)
     path = 2 * (range_m - radius) + 4 * n * radius
     wanted = r * (1 - r**2) / (2 * K * c * range_m**2) * np.exp(-1j * K * path)
-    assert c < 0  # rays cross on the way: the sign tells that folds are counted
+    assert c < 0  # rays cross in between: the sign shows that folds are counted
     assert got / wanted == pytest.approx(np.ones(len(K)), abs=0.1)
 
 
@@ -123,16 +123,16 @@ def test_back_face_of_a_plate_echoes_at_its_apparent_depth():
     # Image of the antenna in the back face, seen through the front: r (1 - r^2) / 4 k (R + t / n).
     thickness, permittivity, loss = 0.02, 3.45, 0.01
     plate = trimesh.creation.box(bounds=[[-thickness, -0.15, -0.15], [0.0, 0.15, 0.15]])
-    places = np.array([[0.4, 0.0, 0.0], [0.4, 0.01, 0.0], [0.405, 0.0, 0.01]])
-    eye = places.mean(axis=0)
-    tubes = back_face(tube_scene(plate, 0.0025), eye, blocks_of(places), (permittivity, loss))
-    got = tube_echo(tubes, places, places, WAVEFORM)
+    positions = np.array([[0.4, 0.0, 0.0], [0.4, 0.01, 0.0], [0.405, 0.0, 0.01]])
+    eye = positions.mean(axis=0)
+    tubes = back_face(tube_scene(plate, 0.0025), eye, blocks_of(positions), (permittivity, loss))
+    got = tube_echo(tubes, positions, positions, WAVEFORM)
     n = np.sqrt(permittivity)
     r = (n - 1) / (n + 1)
-    depth = places[:, :1] + thickness / n
+    depth = positions[:, :1] + thickness / n
     k_middle = 2 * np.pi / WAVEFORM.center_wavelength_m
     lost = np.exp(-k_middle * n * loss * thickness)
-    path = 2 * (places[:, :1] + n * thickness)
+    path = 2 * (positions[:, :1] + n * thickness)
     wanted = lost * r * (1 - r**2) / (4 * K * depth) * np.exp(-1j * K * path)
     # The plate's edges echo, too: 8 % of it at single frequencies.
     ratio = (got / wanted).mean(axis=1)
@@ -161,15 +161,15 @@ def test_walls_crossed_agrees_with_a_face_by_face_sum():
         Wall(size_m=(0.1, 0.1, 0.1), thickness_m=0.002, permittivity=2.5),
     )
     points = np.array([[0.02, 0.01, 0.0], [-0.12, 0.03, 0.01], [0.1, -0.1, 0.1], [-0.2, 0.0, 0.0]])
-    place = np.array([0.5, 0.08, 0.03])
-    transmission, excess_m = walls_crossed(points, place, walls)
+    position = np.array([0.5, 0.08, 0.03])
+    transmission, excess_m = walls_crossed(points, position, walls)
     for point, t, e in zip(points, transmission, excess_m, strict=True):
-        both = [crossing(point, place, wall) for wall in walls]
+        both = [crossing(point, position, wall) for wall in walls]
         assert t == pytest.approx(np.prod([part[1] for part in both]), abs=1e-12)
         assert e == pytest.approx(sum(part[0] for part in both), abs=1e-12)
 
 
-def test_multipath_is_the_way_over_the_wall_by_hand():
+def test_multipath_is_the_path_via_the_wall_by_hand():
     box = Wall(size_m=(0.24, 0.22, 0.26), thickness_m=0.004, permittivity=1.6)
     point, normal = np.array([-0.05, 0.03, 0.01]), np.array([1.0, 0.9, 0.1])
     normal /= np.linalg.norm(normal)

@@ -94,7 +94,7 @@ def test_jitter_moves_the_echo_not_the_record():
 
 
 def range_profile(signal, waveform, ranges):
-    """Mean power over antennas against one-way range, instrument delay taken off."""
+    """Mean power over antennas against one-way range, instrument delay subtracted."""
     window = np.hanning(waveform.n_samples + 2)[1:-1]
     paths = 2 * ranges + waveform.path_bias_m
     bank = np.exp(2j * np.pi * np.outer(paths, waveform.frequencies_hz) / C) * window
@@ -119,7 +119,7 @@ def test_near_and_far_wall_arrive_when_they_should():
     excess = (np.sqrt(1.6) - 1) * 0.004
     expected_far = 0.4 + 0.15 - 0.004 + excess + slab
     assert ranges[far][profile[far].argmax()] == pytest.approx(expected_far, abs=0.004)
-    # Spreading to the image 2 R away, and four crossed faces on the way to the far wall.
+    # Spreading to the image 2 R away, and four crossed faces on the path to the far wall.
     r2 = ((1 - np.sqrt(1.6)) / (1 + np.sqrt(1.6))) ** 2
     drop_db = 20 * np.log10(0.25 / 0.546 * (1 - r2) ** 2)
     got_db = 10 * np.log10(profile[far].max() / profile[near].max())
@@ -181,9 +181,9 @@ def test_without_far_walls_nothing_echoes_over_them():
 
 
 def test_progress_counts_planes():
-    told = []
-    simulate(FREE, seed=0, progress=told.append)
-    assert told == [0.5, 1.0]
+    reported = []
+    simulate(FREE, seed=0, progress=reported.append)
+    assert reported == [0.5, 1.0]
 
 
 def test_channels_turn_the_phase_of_their_antennas():
@@ -227,12 +227,12 @@ def test_reflectivity_scales_the_object_against_the_walls():
 
 def test_roughness_displaces_by_its_rms_and_keeps_neighbours_joined():
     displace = rough_displacement(3e-4, 0.003, np.random.default_rng(0))
-    places = np.random.default_rng(1).uniform(-0.05, 0.05, (20000, 3))
-    moved = displace(places)
+    positions = np.random.default_rng(1).uniform(-0.05, 0.05, (20000, 3))
+    moved = displace(positions)
     assert np.sqrt(np.mean(moved**2, axis=0)) == pytest.approx([3e-4] * 3, rel=0.1)
-    near = displace(places + np.array([1e-5, 0.0, 0.0]))
+    near = displace(positions + np.array([1e-5, 0.0, 0.0]))
     assert np.abs(near - moved).max() < 2e-5
-    correlation = np.mean(displace(places + np.array([0.003, 0.0, 0.0])) * moved) / 9e-8
+    correlation = np.mean(displace(positions + np.array([0.003, 0.0, 0.0])) * moved) / 9e-8
     assert correlation == pytest.approx(np.exp(-0.5), abs=0.15)
 
 
@@ -269,7 +269,11 @@ def test_lines_of_a_scan_file_over_a_raster_give_what_the_raster_gives():
         first, last = centers[columns[0], row], centers[columns[-1], row]
         lines.append(
             ScanLine(
-                start_m=tuple(first), end_m=tuple(last), n_places=6, start_s=row, speed_m_per_s=0.1
+                start_m=tuple(first),
+                end_m=tuple(last),
+                n_positions=6,
+                start_s=row,
+                speed_m_per_s=0.1,
             )
         )
         columns = columns[::-1]

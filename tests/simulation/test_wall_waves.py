@@ -25,7 +25,7 @@ BOX = Wall(size_m=(0.12, 0.12, 0.12), thickness_m=0.004, permittivity=1.6)
 
 
 def shadow_on_wall(mesh, half_m, eye=(0.0, 0.0, EYE_M)):
-    """V on the wall z = 0 at 2.5 mm, eye and sheet above it; and the cells' places."""
+    """V on the wall z = 0 at 2.5 mm, eye and sheet above it; and the cells' positions."""
     frame = FaceFrame(origin=np.zeros(3), rows=np.eye(3))
     half = np.array([half_m, half_m])
     shadow = Shadow(
@@ -37,7 +37,7 @@ def shadow_on_wall(mesh, half_m, eye=(0.0, 0.0, EYE_M)):
         np.array([FREQUENCY]),
     )
     squared = 1.0 + shadow.change(np.asarray(eye))[:, 0].astype(np.complex128)
-    return squared, shadow.wall.places(0.0)[:, :2]
+    return squared, shadow.wall.positions(0.0)[:, :2]
 
 
 def fresnel_between(low, high):
@@ -49,14 +49,14 @@ def fresnel_between(low, high):
 def test_shadow_of_a_plates_edge_is_that_of_fresnel_integrals():
     # From y = 0 on, ends far away: near y = 0 a half plane.
     plate = trimesh.creation.box(bounds=[[-0.12, 0.0, 0.0999], [0.12, 0.12, 0.1001]])
-    squared, places = shadow_on_wall(plate, 0.12)
+    squared, positions = shadow_on_wall(plate, 0.12)
     length = SHEET_M * (EYE_M - SHEET_M) / EYE_M
     scale = np.sqrt(2.0 / (WAVELENGTH * length))
-    crossing = places * (EYE_M - SHEET_M) / EYE_M
+    crossing = positions * (EYE_M - SHEET_M) / EYE_M
     blocked = fresnel_between(
         scale * (-0.12 - crossing[:, 0]), scale * (0.12 - crossing[:, 0])
     ) * fresnel_between(scale * (0.0 - crossing[:, 1]), scale * (0.12 - crossing[:, 1]))
-    near = (np.abs(places) < 0.03).all(axis=1)
+    near = (np.abs(positions) < 0.03).all(axis=1)
     got, wanted = np.abs(np.sqrt(squared[near])), np.abs(1.0 - blocked[near])
     assert wanted.min() < 0.15
     assert wanted.max() > 1.15
@@ -73,10 +73,10 @@ def test_poissons_spot_behind_a_disc_is_lommels():
     radius = 0.02
     disc = trimesh.creation.cylinder(radius=radius, height=2e-4, sections=256)
     disc.apply_translation([0.0, 0.0, SHEET_M])
-    squared, places = shadow_on_wall(disc, 0.025)
+    squared, positions = shadow_on_wall(disc, 0.025)
     # abs(V)^2 = V0(u, v)^2 + V1(u, v)^2 in the shadow (Born and Wolf, section 8.8).
     k = 2 * np.pi / WAVELENGTH
-    off = np.linalg.norm(places, axis=1) * (EYE_M - SHEET_M) / EYE_M
+    off = np.linalg.norm(positions, axis=1) * (EYE_M - SHEET_M) / EYE_M
     near = off < 0.012
     length = SHEET_M * (EYE_M - SHEET_M) / EYE_M
     u, v = k * radius**2 / length, k * radius * off[near] / length
@@ -104,9 +104,9 @@ def far_face(box, cell_m=0.0025):
     return faces, areas[keep]
 
 
-def blocks(places, apart_m=0.0):
+def blocks(positions, apart_m=0.0):
     half = np.array([0.0, apart_m / 2, 0.0])
-    return blocks_of(places + half, places - half, offsets=np.arange(len(places) + 1))
+    return blocks_of(positions + half, positions - half, offsets=np.arange(len(positions) + 1))
 
 
 def bare_echo(faces, areas, antennas, waveform, walls):
@@ -118,8 +118,8 @@ def test_bare_wall_echoes_as_its_mirror_image_times_fresnel_integrals():
     waveform = replace(AWR1843, n_samples=1, path_bias_m=0.0)
     box = replace(BOX, size_m=(0.2, 0.2, 0.2))
     faces, areas = far_face(box)
-    places = np.stack([np.full(7, 0.4), np.linspace(-0.05, 0.05, 7), np.full(7, 0.01)], axis=1)
-    got = bare_echo(faces[:1], areas, blocks(places), waveform, ())[:, 0]
+    positions = np.stack([np.full(7, 0.4), np.linspace(-0.05, 0.05, 7), np.full(7, 0.01)], axis=1)
+    got = bare_echo(faces[:1], areas, blocks(positions), waveform, ())[:, 0]
     k = 2 * np.pi * waveform.frequencies_hz[0] / C
     distance, half = 0.4 + 0.096, 0.096
     r = (1 - np.sqrt(1.6)) / (1 + np.sqrt(1.6))
@@ -127,7 +127,7 @@ def test_bare_wall_echoes_as_its_mirror_image_times_fresnel_integrals():
     scale = 2.0 / np.sqrt(2 * np.pi / k * distance)
     for axis in (1, 2):
         wanted = wanted * fresnel_between(
-            scale * (-half - places[:, axis]), scale * (half - places[:, axis])
+            scale * (-half - positions[:, axis]), scale * (half - positions[:, axis])
         )
     assert np.abs(np.abs(got / wanted) - 1.0).max() < 0.05
 
@@ -145,7 +145,7 @@ def test_nothing_is_left_of_a_wall_behind_a_larger_plate():
 def direct_echo(antenna_pair, rim, points, normals, areas, slab, frequency):
     """(U0 + Us) of the transmitter times that of the receiver, summed over the wall; no near wall.
 
-    rim: places of the sheet, (n, 3), and their area each.
+    rim: points of the sheet, (n, 3), and their area each.
     """
     k = 2 * np.pi * frequency / C
     fields = []
@@ -181,8 +181,8 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
     disc = trimesh.creation.cylinder(radius=0.02, height=2e-4, sections=128)
     disc.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
     scene = BoxScene(blocker=MeshScene(disc.vertices, disc.faces), walls=(), waveform=waveform)
-    places = np.array([[0.3, -0.01, 0.0], [0.3, 0.01, 0.005]])
-    antennas = blocks(places, 0.005)
+    positions = np.array([[0.3, -0.01, 0.0], [0.3, 0.01, 0.005]])
+    antennas = blocks(positions, 0.005)
     change = shadow_echo(scene, face, areas, antennas)
     weights = areas.astype(np.complex64)
     sides = [face, replace(faces[1], points=points, normals=normals)]
@@ -208,7 +208,7 @@ def test_echo_is_the_direct_double_integral_over_a_bulged_wall():
 
 @pytest.mark.parametrize(("height_m", "wanted"), [(0.5, True), (0.08, False), (0.05, False)])
 def test_shadow_is_a_waves_only_from_well_above_the_figure(height_m, wanted):
-    # From the figure's own height its shadow has no end: the sheet once took 17 GB.
+    # From the object's own height its shadow has no end: the sheet once took 17 GB.
     face = far_face(BOX)[0][0]
     box = trimesh.creation.box(bounds=[[-0.06, -0.02, -0.02], [0.0, 0.02, 0.02]])
     normal = face.normals.mean(axis=0)

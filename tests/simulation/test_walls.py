@@ -62,11 +62,11 @@ def test_a_bulge_is_the_sum_of_its_modes_reaches_its_size_and_keeps_the_edges():
             assert np.abs(got[rim]).max() < 1e-12
             weights = bulged.weights_m[axis, int(side > 0)]
             for i in range(0, u.size, 97):
-                place = (u[i] / sides[0] + 1) / 2, (v[i] / sides[1] + 1) / 2
+                position = (u[i] / sides[0] + 1) / 2, (v[i] / sides[1] + 1) / 2
                 slow = sum(
                     weights[m - 1, n - 1]
-                    * np.sin(m * np.pi * place[0])
-                    * np.sin(n * np.pi * place[1])
+                    * np.sin(m * np.pi * position[0])
+                    * np.sin(n * np.pi * position[1])
                     for m in (1, 2, 3)
                     for n in (1, 2, 3)
                 )
@@ -115,8 +115,8 @@ def test_the_echo_of_a_bulged_wall_is_the_integral_over_it(inside):
     height = bulged.displacement(0, side, y, z)[0]
     points = np.stack([BOX.center_m[0] + side * (half[0] + height), y, z], axis=-1)
     normals = np.cross(*(np.gradient(points, 5e-4, axis=k) for k in (0, 1)))  # of length dA / dy dz
-    place = np.array([0.4, 0.01, -0.02])
-    ray = place - points
+    position = np.array([0.4, 0.01, -0.02])
+    ray = position - points
     distance = np.linalg.norm(ray, axis=-1)
     cos = (normals * ray).sum(axis=-1) / distance / np.linalg.norm(normals, axis=-1)
     within = np.sqrt(1.6 - 1 + cos**2)
@@ -131,7 +131,7 @@ def test_the_echo_of_a_bulged_wall_is_the_integral_over_it(inside):
     expected = 1j / (4 * np.pi) * 2.5e-7 * (weights[..., None] * turns).sum(axis=(0, 1))
     layer = wall_layers((BOX,), 0.005, (bulged,))[int(inside)]
     towards = layer.elements[0].normals[:, 0] > 0.5
-    antennas = blocks_of([place, place])
+    antennas = blocks_of([position, position])
     only = Layer(
         elements=layer.elements[:1],
         areas=layer.areas * towards,
@@ -143,7 +143,7 @@ def test_the_echo_of_a_bulged_wall_is_the_integral_over_it(inside):
     assert np.abs(got - expected).max() < 0.03 * np.abs(expected).max()
 
 
-def test_a_skewed_wall_echoes_as_that_of_a_box_turned_the_other_way():
+def test_a_skewed_wall_echoes_as_that_of_a_box_turned_oppositely():
     far = replace(SPEC.figure, center_m=(0.0, 0.0, 0.05), height_m=0.01)
     spec = replace(SPEC, figure=far, scan=replace(SPEC.scan, aperture_m=(0.03, 0.03)))
     skewed, turned = signals(spec, box_skew_deg=1.0), signals(spec, box_turn_deg=-1.0)
@@ -153,7 +153,7 @@ def test_a_skewed_wall_echoes_as_that_of_a_box_turned_the_other_way():
     assert np.abs(np.vdot(skewed, plain)) < 0.9 * np.linalg.norm(skewed) * np.linalg.norm(plain)
 
 
-def test_a_turned_box_is_a_scene_turned_the_other_way_in_a_straight_one(tmp_path):
+def test_a_turned_box_is_a_scene_turned_oppositely_in_a_straight_one(tmp_path):
     spec = replace(SPEC, walls=(replace(BOX, center_m=(0, 0, 0)),))
     mesh, angle = build_solid(spec.figure), np.deg2rad(-2.0)
     x, y, z = mesh.vertices.T
@@ -221,8 +221,8 @@ def test_lines_are_dense_all_there_and_as_strong_as_asked():
     length = sum(step.sum() + step[0] for step in steps)
     # Edges; two strips of tape over top and bottom, each 5 cm down both sides; two lines a strip.
     assert length == pytest.approx(4 * (0.22 + 0.2 + 0.18) + 4 * 0.2 + 8 * 0.05, abs=0.01)
-    places = np.abs(np.concatenate(lines) - BOX.center_m) / (0.5 * np.asarray(BOX.size_m))
-    assert places.max(axis=1) == pytest.approx(1.0, abs=0.003)
+    positions = np.abs(np.concatenate(lines) - BOX.center_m) / (0.5 * np.asarray(BOX.size_m))
+    assert positions.max(axis=1) == pytest.approx(1.0, abs=0.003)
     free = replace(SPEC, walls=())
     assert np.array_equal(signals(free, edge_energy_fraction=0.1), signals(free))
     plain = signals()
@@ -242,7 +242,7 @@ def test_patches_weaken_half_of_a_surface_in_pieces_of_their_length():
     assert 40.0 / changes == pytest.approx(np.pi * 0.02, rel=0.2)
 
 
-def test_a_wall_shape_says_how_far_it_reaches():
+def test_a_wall_shape_has_its_extent():
     bulged = shape(wall_bulge_m=0.002, box_skew_deg=1.0)
     plain = WallShape(half_m=bulged.half_m, weights_m=0 * bulged.weights_m, skew=bulged.skew)
     assert plain.reach_m == pytest.approx(np.tan(np.deg2rad(1.0)) * 0.1)

@@ -1,4 +1,4 @@
-"""Effects of waves, second bounce and dielectric figures on a whole small capture."""
+"""Effects of waves, second bounce and dielectric objects on a whole small capture."""
 
 from dataclasses import replace
 

@@ -138,7 +138,7 @@ def test_a_field_without_a_zero_level_is_a_user_error():
 
 
 def test_glints_that_enclose_nothing_are_a_user_error():
-    # All at one place, facing every way: the field is smallest there and positive.
+    # All at one point, facing every direction: the field is smallest there and positive.
     directions = fibonacci_sphere(60)
     point = glints_on(directions)
     point.positions[:] = CENTER

@@ -68,8 +68,8 @@ def data_term(grid, points):
         points.normal_weights,
         strict=True,
     )
-    for place, normal, position_weight, normal_weight in rows:
-        at = place / grid.spacing_m
+    for position, normal, position_weight, normal_weight in rows:
+        at = position / grid.spacing_m
         low = np.floor(at).astype(int)
         corners = low + np.array(list(itertools.product((0, 1), repeat=3)))
         index = np.ravel_multi_index(corners.T, grid.shape)

@@ -181,7 +181,7 @@ def test_the_expected_error_is_the_spread_of_the_samples():
     np.testing.assert_allclose(spread_m, found.mesh_content.expected_error_m, rtol=1e-4)
 
 
-def test_no_vertex_errs_by_more_than_the_way_to_a_sure_glint():
+def test_no_vertex_errs_by_more_than_its_distance_to_a_sure_glint():
     glints = ball_glints()
     half = glints.select(glints.normals[:, 2] < 0.2)
     error_m = {}
@@ -189,11 +189,11 @@ def test_no_vertex_errs_by_more_than_the_way_to_a_sure_glint():
         known = Evidence(glints=replace(half, probability=np.full(len(half), p)))
         mesh = extract_meshes(ball_field(), known, BOX).mesh_content
         error_m[p] = mesh.expected_error_m
-    way_m = np.linalg.norm(mesh.vertices[:, None] - half.positions, axis=2).min(axis=1)
+    length_m = np.linalg.norm(mesh.vertices[:, None] - half.positions, axis=2).min(axis=1)
     model = NoiseModel()
     off_m = np.hypot(model.common_sigma_m, 2.0 * model.point_sigma_m)
     # A uniform distribution within the bound has this deviation; a normal one there, a smaller.
-    assert (error_m[1.0] <= np.hypot(way_m, off_m) / np.sqrt(3.0)).all()
+    assert (error_m[1.0] <= np.hypot(length_m, off_m) / np.sqrt(3.0)).all()
     assert (error_m[0.5] >= error_m[1.0]).all()
     assert (error_m[0.5] > error_m[1.0]).mean() > 0.5
 

@@ -55,14 +55,14 @@ def planes(renderer, scatterers_of, strength=2.0):
             lit = renderer.lit_points(scatterers, pose.phase_centers[group].mean(axis=0))
             if lit.index.size:
                 amplitude = (strength * phases[lit.index]).astype(np.complex64)
-                places = lit.points, pose.tx_positions[group], pose.rx_positions[group]
-                signal[group] += signal_tracer(amplitude, *places, WAVEFORM)
+                positions = lit.points, pose.tx_positions[group], pose.rx_positions[group]
+                signal[group] += signal_tracer(amplitude, *positions, WAVEFORM)
         made.append(replace(pose, signal=signal.astype(np.complex64)))
     return made
 
 
-def traced_power(renderer, pose, point, places):
-    """Power of an echo of power 1 at a place, by its signal and the matched filter."""
+def traced_power(renderer, pose, point, positions):
+    """Power of an echo of power 1 at a point, by its signal and the matched filter."""
     signal = np.zeros((pose.n_antennas, WAVEFORM.n_samples), np.complex64)
     for group in renderer.groups(pose):
         lit = renderer.lit_points(point[None], pose.phase_centers[group].mean(axis=0))
@@ -70,7 +70,7 @@ def traced_power(renderer, pose, point, places):
             amplitude = (lit.spreading / WAVEFORM.n_samples).astype(np.complex64)
             antennas = pose.tx_positions[group], pose.rx_positions[group]
             signal[group] = signal_tracer(amplitude, lit.points, *antennas, WAVEFORM)
-    image = matched_filter(signal, pose.tx_positions, pose.rx_positions, places, WAVEFORM)
+    image = matched_filter(signal, pose.tx_positions, pose.rx_positions, positions, WAVEFORM)
     return np.abs(np.asarray(image).ravel()) ** 2
 
 
@@ -95,7 +95,7 @@ def test_the_content_hides_what_is_behind_it(renderer):
     assert field_power(renderer, field, pose, GRID).max() == 0.0
 
 
-def test_powers_of_the_field_add_as_the_matrix_says(renderer):
+def test_powers_of_the_field_add_as_in_the_matrix(renderer):
     pose = point_pose(30.0, n_side=14, spacing_m=0.006)
     field = ResidualField(
         points=SCATTERERS, power=np.array([1.0, 4.0, 2.0]), looks=np.array([0, 3, 3])
@@ -117,11 +117,11 @@ def test_the_gradient_is_that_of_the_loss():
     )  # fmt: skip
     shares = rng.random(7)
     _, gradient = loss_of_shares(shares, matrix, surface, measured, weights)
-    for place in range(7):
-        step = 1e-6 * np.eye(7)[place]
+    for position in range(7):
+        step = 1e-6 * np.eye(7)[position]
         both = [loss_of_shares(shares + s, matrix, surface, measured, weights)[0]
                 for s in (step, -step)]  # fmt: skip
-        assert gradient[place] == pytest.approx((both[0] - both[1]) / 2e-6, rel=1e-6)
+        assert gradient[position] == pytest.approx((both[0] - both[1]) / 2e-6, rel=1e-6)
 
 
 def test_only_echoes_beside_the_surface_are_found(renderer):
@@ -149,14 +149,14 @@ def test_no_field_where_the_surface_is_too_bright(renderer):
 
 @pytest.mark.parametrize(("is_own", "helps"), [(True, False), (False, True)])
 def test_echoes_at_other_points_in_each_plane_give_no_gain(is_own, helps):
-    """Place v is lit in every fourth plane, its own, or in all."""
-    n_planes, n_places = 8, 12
-    lit = np.arange(n_planes)[:, None] % 4 == np.arange(n_places) % 4
+    """Point v is lit in every fourth plane, its own, or in all."""
+    n_planes, n_positions = 8, 12
+    lit = np.arange(n_planes)[:, None] % 4 == np.arange(n_positions) % 4
     measured = np.where(lit | (not is_own), 1.0, 0.0)
-    matrix, ones = np.eye(n_places, dtype=np.float32), np.ones(n_places)
+    matrix, ones = np.eye(n_positions, dtype=np.float32), np.ones(n_positions)
     made = [PlaneAtTargets(matrix, 0.0 * ones, m, ones) for m in measured]
-    places = np.arange(n_places)
-    gain = left_out_gain(made, np.ones((n_planes, n_places)), places, CONFIG)
+    positions = np.arange(n_positions)
+    gain = left_out_gain(made, np.ones((n_planes, n_positions)), positions, CONFIG)
     assert (gain > 3.0) if helps else (gain < 0.0)
 
 

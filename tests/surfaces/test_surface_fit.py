@@ -109,11 +109,11 @@ def test_the_leave_one_out_error_equals_that_of_refits():
         return float(np.square(np.abs(factors @ plane.parts) - plane.measured).sum())
 
     whole = _MagnitudeFit(planes, 6)
-    told = whole.left_out_error(whole.solve(rows))
+    left_out = whole.left_out_error(whole.solve(rows))
     seen = sum(error(planes, plane) for plane in planes)
     refitted = sum(error(planes[:k] + planes[k + 1 :], plane) for k, plane in enumerate(planes))
     assert refitted > 1.005 * seen  # what was fitted to is explained better
-    assert told - seen == pytest.approx(refitted - seen, rel=0.05)
+    assert left_out - seen == pytest.approx(refitted - seen, rel=0.05)
 
 
 def test_departure_rows_whiten_the_covariance():
@@ -145,7 +145,7 @@ def test_shares_of_a_point_sum_to_one_and_a_node_has_its_own():
     np.testing.assert_allclose(shares[:, :4], np.eye(4), atol=1e-9)
     assert shares[3, 4] == 0.0
     np.testing.assert_allclose(node_shares(nodes[:1], points), 1.0)
-    assert len(spread_nodes(np.zeros((5, 3)), 3)) == 1  # all in one place
+    assert len(spread_nodes(np.zeros((5, 3)), 3)) == 1  # all at one point
 
 
 def test_an_impossible_fit_is_a_user_error(surface, poses):

@@ -7,16 +7,16 @@ from geraf2.surfaces.workers import Workers
 
 @pytest.mark.parametrize("num_threads", [1, 3])
 def test_results_and_their_reports_are_in_order(num_threads):
-    said, caller = [], threading.get_ident()
+    stated, caller = [], threading.get_ident()
 
     def say(number):
         assert threading.get_ident() == caller
-        said.append(number)
+        stated.append(number)
 
     with Workers(num_threads) as workers:
         assert workers.each(pow, range(5), [2] * 5, on_result=say) == [0, 1, 4, 9, 16]
         assert workers.start(lambda: 7)() == 7
-    assert said == [1, 2, 3, 4, 5]
+    assert stated == [1, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("num_threads", [1, 3])

@@ -81,17 +81,17 @@ def _peaks_in_depth(
     here = heat[tuple(index.T)].astype(np.float64)
 
     def beside(steps: float) -> Floats:
-        places = (index + steps * looking).T
-        return np.asarray(map_coordinates(heat, places, order=1, mode="nearest"), np.float64)
+        positions = (index + steps * looking).T
+        return np.asarray(map_coordinates(heat, positions, order=1, mode="nearest"), np.float64)
 
     near, far = beside(-1.0), beside(1.0)
     peak = (here > near) & (here >= far)
     bend = np.maximum(2.0 * here - near - far, 1e-30)[peak]  # 1e-30: a flat top stays where it is
     shift = np.clip(0.5 * (far - near)[peak] / bend, -0.5, 0.5)
-    places = index[peak] + shift[:, None] * looking
+    positions = index[peak] + shift[:, None] * looking
     return OrientedCloud(
-        positions=np.asarray(grid.origin_m) + grid.spacing_m * places,
-        normals=np.broadcast_to(-looking, places.shape),
+        positions=np.asarray(grid.origin_m) + grid.spacing_m * positions,
+        normals=np.broadcast_to(-looking, positions.shape),
         strengths=here[peak],
     )
 

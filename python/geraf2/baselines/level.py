@@ -21,7 +21,7 @@ Shown = Callable[[Floats, Ints], Ints]
 """Vertices, triangles -> triangles that are to be of the surface."""
 
 # Voxels at which simulated and measured heat maps are compared.
-_N_PLACES = 2000
+_N_POSITIONS = 2000
 
 
 LEVEL_VERSION = 2
@@ -67,9 +67,9 @@ def best_level(
     poses = [capture.poses[number] for number in dict.fromkeys(numbers.tolist())]
     rng = np.random.default_rng(0)
     inside = np.flatnonzero(counted.ravel())
-    chosen = rng.choice(inside, min(_N_PLACES, inside.size), replace=False)
-    places = relative.grid.points()[chosen]
-    measured = [_heat(pose.signal, pose, places, capture, num_threads) for pose in poses]
+    chosen = rng.choice(inside, min(_N_POSITIONS, inside.size), replace=False)
+    positions = relative.grid.points()[chosen]
+    measured = [_heat(pose.signal, pose, positions, capture, num_threads) for pose in poses]
     scores: list[float] = []
     for level in middle_m + steps:
         vertices, faces = isosurface(relative, counted, level)
@@ -89,7 +89,7 @@ def best_level(
                     normals=normals[facing],
                     num_threads=num_threads,
                 )
-                score += _likeness(heat, _heat(signal, pose, places, capture, num_threads))
+                score += _likeness(heat, _heat(signal, pose, positions, capture, num_threads))
         scores.append(score / len(poses))
     return float(middle_m + steps[int(np.argmax(scores))])
 
@@ -105,11 +105,11 @@ def isosurface(relative: SdfGrid, counted: Bools, level: float) -> tuple[Floats,
 def _heat(
     signal: NDArray[np.complex64],
     pose: Pose,
-    places: Floats,
+    positions: Floats,
     capture: Capture,
     num_threads: int | None,
 ) -> Floats:
-    image = pose_image(pose, places, capture.waveform, signal=signal, num_threads=num_threads)
+    image = pose_image(pose, positions, capture.waveform, signal=signal, num_threads=num_threads)
     return np.asarray(np.abs(image), dtype=np.float64)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from geraf2._bounds import Bounded, ChannelCount, PlaceM
+from geraf2._bounds import Bounded, ChannelCount, CoordinateM
 from geraf2._types import Ints, Progress
 from geraf2.calibration.acceptance import Judgement, judge, nothing_found
 from geraf2.calibration.autofocus import (
@@ -69,7 +69,7 @@ class CalibrationConfig(Bounded):
     """Subtract direct leakage between transmitter and receiver."""
     delay_from: DelaySource = "walls"
     """Source of the instrument delay; "kept" does not change it."""
-    reflector_m: tuple[PlaceM, PlaceM, PlaceM] | None = None
+    reflector_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
     """Position of the reflector for delay_from "reflector" [m]."""
     frame: bool = True
     """Move the prior, the turntable axis and the poses' angles to agree with the walls."""

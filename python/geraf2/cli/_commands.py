@@ -14,7 +14,7 @@ class Command:
     """State of its output when it is interrupted, or when the disk is full."""
 
 
-_GOES_ON = "every file is whole, the same command continues"
+_CONTINUES = "every file is whole, the same command continues"
 
 COMMANDS = {
     "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
@@ -33,7 +33,7 @@ COMMANDS = {
         "los",
         "outside of the box from photos, a mesh or its sides",
         "PHOTOS|MESH|XxYxZ OUT",
-        _GOES_ON,
+        _CONTINUES,
     ),
     "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
     "reconstruct": Command(
@@ -43,9 +43,9 @@ COMMANDS = {
         "finished stages are kept, --resume continues",
     ),
     "live": Command(
-        "live", "surface while the scan is made, plane by plane", "SOURCE [OUT]", _GOES_ON
+        "live", "surface while the scan is made, plane by plane", "SOURCE [OUT]", _CONTINUES
     ),
-    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _GOES_ON),
+    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _CONTINUES),
     "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
     "inspect": Command(
         "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
@@ -57,13 +57,13 @@ COMMANDS = {
     "view": Command("view", "a run or a scene in 3D in a browser", "OUT|SCENE"),
     "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
     "batch": Command(
-        "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _GOES_ON
+        "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _CONTINUES
     ),
     "belt": Command(
-        "belt", "parcels on a belt, each reconstructed on a worker", "STREAM OUT", _GOES_ON
+        "belt", "parcels on a belt, each reconstructed on a worker", "STREAM OUT", _CONTINUES
     ),
     "benchmark": Command(
-        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _GOES_ON
+        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _CONTINUES
     ),
     "completion": Command("completion", "completion of a shell: bash, zsh or fish", "SHELL"),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),

@@ -155,16 +155,16 @@ class _PlainProgress:
     """A line a minute: how much is done, and how long the rest takes at the pace so far."""
 
     def __init__(self, label: str) -> None:
-        self._label, self._told = label, time.monotonic()
+        self._label, self._reported_s = label, time.monotonic()
         self._first: tuple[float, float] | None = None
 
     def __call__(self, fraction: float) -> None:
         now = time.monotonic()
         if self._first is None:  # a resumed run does not begin at zero
             self._first = now, fraction
-        if now - self._told < PLAIN_PROGRESS_S:
+        if now - self._reported_s < PLAIN_PROGRESS_S:
             return
-        self._told = now
+        self._reported_s = now
         start, before = self._first
         rest = ""
         if fraction > before:

@@ -33,11 +33,11 @@ _METAVARS = {int: "INT", float: "FLOAT", str: "TEXT", Path: "PATH"}
 _WRONG = {int: "not a whole number", float: "not a number"}
 
 
-class _InPlace:
+class _InPosition:
     """Marks a positional argument."""
 
 
-Positional = Annotated[T, _InPlace()]
+Positional = Annotated[T, _InPosition()]
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def walk(
             )
             continue
         kinds, counts, metavar = _read_type(plain[name])
-        in_place = any(isinstance(note, _InPlace) for note in notes)
+        in_place = any(isinstance(note, _InPosition) for note in notes)
         if in_place:
             word = (arg.metavar or word.upper()).strip("[]")
         elif counts == (0, 0):

@@ -137,7 +137,7 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
     # The name of a preset among its constants is hidden by the flag that chooses the preset.
     fixed_first = sorted(flags, key=lambda flag: not flag.is_fixed)
     named = {flag.name: flag for flag in fixed_first if not flag.in_place}
-    places = [flag for flag in flags if flag.in_place]
+    positional = [flag for flag in flags if flag.in_place]
     given: dict[tuple[str, ...], Any] = {}
     rest, in_place = list(arguments), list[str]()
     while rest:
@@ -155,9 +155,9 @@ def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, .
         while not equals and rest and len(words) < flag.counts[1] and not _is_flag(rest[0]):
             words += flag.split(rest.pop(0))
         given[flag.path] = flag.read(flag.split(words[0]) if equals else words)
-    for index, flag in enumerate(places[: len(in_place)]):
+    for index, flag in enumerate(positional[: len(in_place)]):
         # A flag of several words leaves one word to each positional flag after it.
-        n = len(in_place) - (len(places) - index - 1) if flag.counts[1] > 1 else 1
+        n = len(in_place) - (len(positional) - index - 1) if flag.counts[1] > 1 else 1
         given[flag.path] = flag.read(in_place[:n])
         del in_place[: max(n, 1)]
     if in_place:

@@ -186,7 +186,7 @@ def _lacks_memory(error: BaseException) -> bool:
     """Also as torch states it, and NumPy, whose sums then fail without an error of their own."""
     return isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError | SystemError)
-        and any(said in str(error) for said in ("can't allocate memory", "without exception set"))
+        and any(text in str(error) for text in ("can't allocate memory", "without exception set"))
     )
 
 

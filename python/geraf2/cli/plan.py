@@ -139,7 +139,7 @@ def _show_timed(plan: TimedPlan, config: Config) -> int:
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
                 "lines",
-                f"{len(lines)} a plane, {lines[0].n_places} positions every "
+                f"{len(lines)} a plane, {lines[0].n_positions} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
             *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),

@@ -93,8 +93,8 @@ def rank_correlation(a: Floats, b: Floats) -> float:
 
 def _ranks(values: Floats) -> Floats:
     """Ranks, as by scipy.stats.rankdata, which takes half a second to import."""
-    _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
-    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[place])
+    _, rank, counts = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[rank])
 
 
 def _within(distances_m: Floats, limits_m: Floats) -> float:

@@ -56,7 +56,7 @@ def seen_from_midpoints(
 
 def _half_paths(centers: Floats, points: Floats, half_m: Floats) -> tuple[Floats, Floats]:
     """Half path via each point, (n,) [m], and the mean direction to it, (n, 3)."""
-    ways = [points - centers - half_m, points - centers + half_m]
-    lengths = [np.linalg.norm(way, axis=1) for way in ways]
-    mean = sum(way / length[:, None] for way, length in zip(ways, lengths, strict=True))
+    legs = [points - centers - half_m, points - centers + half_m]
+    lengths = [np.linalg.norm(leg, axis=1) for leg in legs]
+    mean = sum(leg / length[:, None] for leg, length in zip(legs, lengths, strict=True))
     return 0.5 * (lengths[0] + lengths[1]), np.asarray(0.5 * mean)

@@ -228,8 +228,10 @@ def _peaks_of(
     half_m = common_half_baseline(pose.tx_positions, pose.rx_positions)
     if half_m is not None:
         own = found.subapertures
-        places = centers[own], images.subapertures.focus[own]
-        ranges_m, directions = seen_from_midpoints(ranges_m, directions, *places, half_m, pose.axes)
+        positions = centers[own], images.subapertures.focus[own]
+        ranges_m, directions = seen_from_midpoints(
+            ranges_m, directions, *positions, half_m, pose.axes
+        )
     return PeakSet(
         subapertures=found.subapertures,
         directions=directions,

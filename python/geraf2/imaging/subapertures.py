@@ -162,7 +162,7 @@ def pose_images(
         offsets=np.concatenate([[0], np.cumsum([len(part) for part in cuts.antennas])]),
         antennas=_join(cuts.antennas, np.zeros(0, dtype=np.int64)),
         weights=_join(cuts.weights, np.zeros(0)),
-        places=_join(cuts.offsets, np.zeros((0, 2))),
+        positions=_join(cuts.offsets, np.zeros((0, 2))),
         focus=cuts.centers + focus_range[:, None] * normal,
         focus_range_m=focus_range,
         lattice=cuts.lattice,

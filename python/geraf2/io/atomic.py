@@ -104,7 +104,7 @@ def atomic_folder(path: AnyPath) -> Iterator[Path]:
         yield temporary
         temporary.chmod(0o777 & ~_umask())
         _count()
-        _take_place(temporary, target)
+        _take_position(temporary, target)
     except OSError as error:
         raise _cannot_write(target, error) from error
     finally:
@@ -117,7 +117,7 @@ def sweep_folder(folder: Path) -> None:
     _sweep(folder, "**/.*-????????.tmp*")
 
 
-def _take_place(new: Path, target: Path) -> None:
+def _take_position(new: Path, target: Path) -> None:
     """Exchange two folders, or rename the new one where that is not possible."""
     if not target.exists():
         new.replace(target)

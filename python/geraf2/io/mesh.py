@@ -33,7 +33,7 @@ WRITABLE_SUFFIXES = (".ply", ".glb", ".stl")
 """Mesh formats of `write_mesh`."""
 
 # Vertices beyond are refused: ray queries in single precision take no more.
-_MAX_PLACE_M = 1e6
+_MAX_COORDINATE_M = 1e6
 
 
 VERTEX_COLUMNS = {
@@ -150,11 +150,11 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
             where=source,
             got=f"{n_bad} of {len(vertices)} vertices with NaN or infinity",
         )
-    if np.abs(vertices).max(initial=0.0) > _MAX_PLACE_M:
+    if np.abs(vertices).max(initial=0.0) > _MAX_COORDINATE_M:
         raise UserError(
             what=f"vertex coordinates reach {np.abs(vertices).max():.3g} m",
             where=source,
-            expected=f"at most {_MAX_PLACE_M:g} m",
+            expected=f"at most {_MAX_COORDINATE_M:g} m",
         )
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise UserError(

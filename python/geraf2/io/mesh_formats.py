@@ -57,9 +57,9 @@ def parse_obj(data: bytes) -> RawMesh:
         except ValueError:
             msg = f"line {number} cannot be read: {line.strip()[:40]!r}"
             raise ValueError(msg) from None
-    places = np.array(vertices, dtype=np.float64).reshape(-1, 3)
-    faces = triangulated(places, np.array(corners, dtype=np.int64), np.array(counts, dtype=int))
-    return RawMesh(vertices=places, faces=faces)
+    positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
+    faces = triangulated(positions, np.array(corners, dtype=np.int64), np.array(counts, dtype=int))
+    return RawMesh(vertices=positions, faces=faces)
 
 
 def parse_stl(data: bytes) -> RawMesh:

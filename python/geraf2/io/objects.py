@@ -47,14 +47,14 @@ def read_bytes(path: Path, most: int | None = None) -> bytes:
     """Content of a file; OSError where it cannot be had, UserError as of `open_regular`."""
     if not is_remote(path):
         return read_regular(path, most)
-    store, key = _place(path)
+    store, key = _address(path)
     with _as_os_errors(path):
         return bytes(store.get(key).bytes())
 
 
 def write_bytes(path: Path, data: "bytes | memoryview") -> None:
     """Write an object, whole or not at all; OSError."""
-    store, key = _place(path)
+    store, key = _address(path)
     with _as_os_errors(path):
         store.put(key, bytes(data) if len(data) == 0 else data)
 
@@ -63,7 +63,7 @@ def is_file(path: Path) -> bool:
     """Whether there is such a file; OSError where the store does not answer."""
     if not is_remote(path):
         return path.is_file()
-    store, key = _place(path)
+    store, key = _address(path)
     if not key:
         return False
     try:
@@ -84,7 +84,7 @@ def remove(path: Path) -> None:
     if not is_remote(path):
         path.unlink(missing_ok=True)
         return
-    store, key = _place(path)
+    store, key = _address(path)
     try:
         with _as_os_errors(path):
             store.delete(key)
@@ -94,7 +94,7 @@ def remove(path: Path) -> None:
 
 def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
     """Size and version tag of each file below a remote folder, by its path."""
-    store, key = _place(folder)
+    store, key = _address(folder)
     found: dict[str, tuple[int, str]] = {}
     with _as_os_errors(folder):
         for some in store.list(f"{key}/" if key else None, chunk_size=most or 1000):
@@ -160,11 +160,11 @@ def zarr_store(path: Path) -> tuple[Any, str]:
         return str(path), ""
     from zarr.storage import ObjectStore  # noqa: PLC0415 - as in geraf2.io.container
 
-    store, key = _place(path)
+    store, key = _address(path)
     return ObjectStore(store, read_only=True), key
 
 
-def _place(path: Path) -> tuple[Any, str]:
+def _address(path: Path) -> tuple[Any, str]:
     """Store of a bucket, and the key of a path in it."""
     match = _ADDRESS.fullmatch(str(path))
     assert match is not None

@@ -40,15 +40,15 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     if path.is_dir():
         require_no_links(path)
     # A scene is replaced as a whole, in the folder above; into the others files are written.
-    places = path.absolute().parents if kind == "scene" else (path, *path.absolute().parents)
-    place = next(folder for folder in places if folder.exists())
+    folders = path.absolute().parents if kind == "scene" else (path, *path.absolute().parents)
+    nearest = next(folder for folder in folders if folder.exists())
     # Permissions are not enough: a file system may be read-only or full, a user all-powerful.
     try:
-        with TemporaryDirectory(prefix=PROBE_PREFIX, dir=place):
+        with TemporaryDirectory(prefix=PROBE_PREFIX, dir=nearest):
             pass
     except OSError as error:
         what = f"cannot be written to: {error.strerror}"
-        raise UserError(what=what, where=place, hint="choose another folder") from None
+        raise UserError(what=what, where=nearest, hint="choose another folder") from None
 
 
 def require_file(path: Path, kinds: tuple[str, ...]) -> None:

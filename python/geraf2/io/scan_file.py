@@ -35,7 +35,7 @@ class ScanLine(Bounded):
     """First position [m]."""
     end_m: Triple
     """Last position [m]."""
-    n_places: Annotated[int, Interval(ge=1, le=1_000_000)]
+    n_positions: Annotated[int, Interval(ge=1, le=1_000_000)]
     """Number of positions at which it records, both ends included."""
     start_s: _TimeS
     """Time of the first position: the middle of its chirps [s]."""
@@ -47,18 +47,18 @@ class ScanLine(Bounded):
     @property
     def end_s(self) -> float:
         """Time of the last place [s]."""
-        way_m = np.linalg.norm(np.subtract(self.end_m, self.start_m))
-        return self.start_s + float(way_m) / self.speed_m_per_s
+        length_m = np.linalg.norm(np.subtract(self.end_m, self.start_m))
+        return self.start_s + float(length_m) / self.speed_m_per_s
 
     @property
     def times_s(self) -> Floats:
-        """Times of the positions, (n_places,) [s]."""
-        return np.linspace(self.start_s, self.end_s, self.n_places)
+        """Times of the positions, (n_positions,) [s]."""
+        return np.linspace(self.start_s, self.end_s, self.n_positions)
 
     @property
-    def places_m(self) -> Floats:
-        """(n_places, 3) [m]."""
-        return np.linspace(self.start_m, self.end_m, self.n_places)
+    def positions_m(self) -> Floats:
+        """(n_positions, 3) [m]."""
+        return np.linspace(self.start_m, self.end_m, self.n_positions)
 
     @property
     def velocity_m_per_s(self) -> Floats:
@@ -150,8 +150,8 @@ class ScanFile:
     @property
     def n_antennas(self) -> int:
         """Of the whole scan."""
-        n_places = sum(line.n_places for plane in self.planes for line in plane.lines)
-        return n_places * self.array.n_channels
+        n_positions = sum(line.n_positions for plane in self.planes for line in plane.lines)
+        return n_positions * self.array.n_channels
 
     def antennas(self, plane: SweptPlane) -> tuple[Floats, Floats]:
         """Transmitter and receiver of each antenna of a plane, both (n_antennas, 3) [m].
@@ -164,23 +164,24 @@ class ScanFile:
         tx, rx = (np.asarray(o) @ axes for o in (self.array.tx_offsets_m, self.array.rx_offsets_m))
         late = self.array.tx_delays_s * (self.motion == "continuous")
         parts = [
-            line.places_m[:, None] + late[:, None] * line.velocity_m_per_s for line in plane.lines
+            line.positions_m[:, None] + late[:, None] * line.velocity_m_per_s
+            for line in plane.lines
         ]
-        places = np.concatenate(parts)[:, :, None]  # position, transmitter, receiver
-        shape = (*places.shape[:2], len(rx), 3)
+        positions = np.concatenate(parts)[:, :, None]  # position, transmitter, receiver
+        shape = (*positions.shape[:2], len(rx), 3)
         return (
-            np.broadcast_to(places + tx[:, None], shape).reshape(-1, 3).copy(),
-            np.broadcast_to(places + rx, shape).reshape(-1, 3).copy(),
+            np.broadcast_to(positions + tx[:, None], shape).reshape(-1, 3).copy(),
+            np.broadcast_to(positions + rx, shape).reshape(-1, 3).copy(),
         )
 
     def log_rows(self) -> Floats:
-        """Robot log: time, position, quaternion w x y z of each position, (n_places, 8)."""
+        """Robot log: time, position, quaternion w x y z of each position, (n_positions, 8)."""
         parts = []
         for plane in self.planes:
             x, y, z, w = Rotation.from_matrix(np.asarray(plane.axes).T).as_quat()
             for line in plane.lines:
-                turn = np.broadcast_to([w, x, y, z], (line.n_places, 4))
-                parts.append(np.column_stack([line.times_s, line.places_m, turn]))
+                turn = np.broadcast_to([w, x, y, z], (line.n_positions, 4))
+                parts.append(np.column_stack([line.times_s, line.positions_m, turn]))
         return np.concatenate(parts)
 
 

@@ -215,14 +215,14 @@ def scene_arrays(
     20 dB SNR.
     """
     n_poses, n_antennas, n_samples = shape
-    nan, places = float("nan"), ("<f8", "pose antenna xyz", (n_antennas, 3))
+    nan, positions = float("nan"), ("<f8", "pose antenna xyz", (n_antennas, 3))
     kind, fill = ("<i2", int(NO_SAMPLE)) if integers else ("<c8", COMPLEX_NAN)
     samples = (n_antennas, n_samples, 2) if integers else (n_antennas, n_samples)
     sampled = "pose antenna sample" + " part" * integers
     table: dict[str, tuple[str, str, tuple[int, ...], complex, str, str]] = {
         "signal": (kind, sampled, samples, fill, "1", "raw ADC samples" + ", I and Q" * integers),
-        "tx_positions": (*places, nan, "m", ""),
-        "rx_positions": (*places, nan, "m", ""),
+        "tx_positions": (*positions, nan, "m", ""),
+        "rx_positions": (*positions, nan, "m", ""),
         "axes": ("<f8", "pose axis xyz", (3, 3), nan, "1", _AXES),
         "antenna_count": ("<i8", "pose", (), 0, "1", ""),
         "angle": ("<f8", "pose", (), nan, "deg", ""),

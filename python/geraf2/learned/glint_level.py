@@ -42,7 +42,7 @@ BESIDE_M = 0.02
 """Largest distance of a glint from the surface [m]: half a range cell."""
 DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Depths along the line of sight from the glint; less than a range cell to either side."""
-PLACES_AT_ONCE = 4096
+POINTS_AT_ONCE = 4096
 _N_OF_PEAK = 3
 _LEAST_GLINTS = 3
 
@@ -193,7 +193,7 @@ class GlintDepths:
 
     def _powers(self, draw: PlaneDraw, signal: Tensor, points: Floats) -> tuple[Floats, Floats]:
         """Powers of the rendered and of the measured map at points (n, 3) [m], (n,) each."""
-        parts = np.array_split(points, -(-len(points) // PLACES_AT_ONCE))
+        parts = np.array_split(points, -(-len(points) // POINTS_AT_ONCE))
         maps = [
             self._loss.heat_maps(
                 draw._replace(targets=torch.from_numpy(part)), draw.antennas, signal

@@ -91,7 +91,7 @@ class TargetChooser:
         self._spacing = maps.grid.spacing_m
         points = torch.from_numpy(maps.grid.points())
         chosen = torch.from_numpy(np.flatnonzero(within.reshape(-1)))
-        self._places = points[chosen]
+        self._positions = points[chosen]
         volumes = torch.from_numpy(maps.volumes.reshape(len(maps.volumes), -1))
         # Drawn by power: with magnitudes half of the targets would lie on side lobes.
         power = torch.cumsum(volumes[:, chosen].double().square(), dim=1)
@@ -101,7 +101,7 @@ class TargetChooser:
     def choose(self, plane: int, n_targets: int, generator: torch.Generator) -> Tensor:
         """Targets of a plane, (n_targets, 3) [m], float64."""
         n_bright = round(self._bright_share * n_targets)
-        n_voxels = self._places.shape[0]
+        n_voxels = self._positions.shape[0]
         picks = []
         if n_bright:
             # Bit-identical to torch.multinomial with replacement, without its sum over all voxels.
@@ -109,9 +109,9 @@ class TargetChooser:
             picks.append(torch.searchsorted(self._reached[plane], drawn).clamp(max=n_voxels - 1))
         if n_targets > n_bright:
             picks.append(torch.randint(n_voxels, (n_targets - n_bright,), generator=generator))
-        places = self._places[torch.cat(picks)]
-        jitter = torch.rand(places.shape, generator=generator, dtype=torch.float64) - 0.5
-        return places + self._spacing * jitter
+        positions = self._positions[torch.cat(picks)]
+        jitter = torch.rand(positions.shape, generator=generator, dtype=torch.float64) - 0.5
+        return positions + self._spacing * jitter
 
 
 def heat_maps(

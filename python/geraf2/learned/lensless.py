@@ -116,8 +116,8 @@ class LenslessRenderer:
             references=np.linalg.norm(centers - self.sampler.center, axis=1) if spreads else None,
         )
         # Samples where the distance does not fall along the ray have no opacity.
-        places = points.detach().cpu().numpy().astype(np.float64)
-        pairs = facing_samples(alpha, gradient, places, form, n_looks=self.config.n_looks)
+        positions = points.detach().cpu().numpy().astype(np.float64)
+        pairs = facing_samples(alpha, gradient, positions, form, n_looks=self.config.n_looks)
         origins = np.take(form.centers, pairs.group(), axis=0)
         shift = self._boundary_shift(field, inv_s, rays, pairs.sample, origins)
         # An amplitude clamped to zero has no gradient.
@@ -127,7 +127,7 @@ class LenslessRenderer:
         pairs = pairs.keep(lit.cpu().numpy())
         turned = gradient if self.config.normal_gradient else gradient.detach()
         amplitude, normals = echo_amplitudes(
-            alpha, transmittance, turned, places, pairs, shift[lit], form
+            alpha, transmittance, turned, positions, pairs, shift[lit], form
         )
         amplitude = amplitude * (power / (4.0 * math.pi) ** 2)
         if reflectivity is not None:
@@ -135,7 +135,7 @@ class LenslessRenderer:
             rho = reflectivity(points[torch.from_numpy(used).to(points.device)])
             of_pair = torch.from_numpy(which).to(points.device)
             amplitude = amplitude * rho.index_select(0, of_pair)
-        signal = trace_pairs(amplitude, places, normals, pairs, tx, rx, groups, self._delayed)
+        signal = trace_pairs(amplitude, positions, normals, pairs, tx, rx, groups, self._delayed)
         return RenderedSignal(signal, gradient, depth, weight)
 
     @torch.no_grad()
@@ -143,8 +143,8 @@ class LenslessRenderer:
         self, field: SdfField, inv_s: Tensor, rays: PrimaryRays, samples: Ints, origins: Floats
     ) -> Tensor:
         """Phi(f(x(u'_s))) - Phi(f(x(u_s))) of samples seen from origins (n, 3) [m], (n,)."""
-        places = rays.points.reshape(-1, 3).cpu().numpy()
-        ends = np.take(places, samples, axis=0).astype(np.float64)
+        positions = rays.points.reshape(-1, 3).cpu().numpy()
+        ends = np.take(positions, samples, axis=0).astype(np.float64)
         # Where the straight paths from the antennas enter the scene.
         secondary = torch.from_numpy(self.sampler.boundary.first_meetings(origins, ends))
         starts = torch.cat([rays.starts, secondary.to(rays.starts)])

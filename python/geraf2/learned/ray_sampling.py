@@ -109,8 +109,8 @@ class LenslessSampler:
         n_rays, n_ends = self.n_rays, self.n_samples + 1
         jitter = torch.rand((n_rays, 2), generator=generator, dtype=torch.float64)
         ends = torch.rand((n_rays, n_ends), generator=generator, dtype=torch.float64)
-        places = self.cells + (2.0 * jitter.numpy() - 1.0) / self.n_cells
-        origins, directions = self.cell_rays(axes, places)
+        positions = self.cells + (2.0 * jitter.numpy() - 1.0) / self.n_cells
+        origins, directions = self.cell_rays(axes, positions)
         # A convex box has one interval a ray; of several, their hull is used.
         enters, leaves = self.boundary.spans(origins, directions)
         near, far = enters, leaves

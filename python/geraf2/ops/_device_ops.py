@@ -36,11 +36,11 @@ def sdf_grid(values: Any, grid: Grid, points: Any, cubic: bool) -> tuple[Tensor,
     taps = torch.arange(-1, 3) if cubic else torch.arange(2)
     index, weight, slope = [], [], []
     for axis, length in enumerate(grid.shape):
-        place = (points[:, axis].double() - grid.origin_m[axis]) / grid.spacing_m
-        inside = ((place >= 0.0) & (place <= length - 1)).to(values.dtype)
-        place = place.clamp(0, length - 1)
-        cell = place.detach().floor().clamp(0, max(length - 2, 0))
-        weights, slopes = _tap_weights((place - cell).to(values.dtype), cubic)
+        position = (points[:, axis].double() - grid.origin_m[axis]) / grid.spacing_m
+        inside = ((position >= 0.0) & (position <= length - 1)).to(values.dtype)
+        position = position.clamp(0, length - 1)
+        cell = position.detach().floor().clamp(0, max(length - 2, 0))
+        weights, slopes = _tap_weights((position - cell).to(values.dtype), cubic)
         index.append((cell.long()[:, None] + taps.to(cell.device)).clamp(0, length - 1))
         weight.append(weights)
         slope.append(slopes * (inside / grid.spacing_m)[:, None])
@@ -93,8 +93,8 @@ def facing_samples(
     alpha: Tensor, gradient: Tensor, points: Floats, form: EchoForm, n_looks: int
 ) -> tuple[Ints, Ints]:
     """Find samples that may echo to groups, and where each part begins; arrays, not tensors."""
-    places, centers = _double(points, alpha), _double(form.centers, alpha)
-    leg, slope = places - centers[:, None], gradient.detach().double()
+    positions, centers = _double(points, alpha), _double(form.centers, alpha)
+    leg, slope = positions - centers[:, None], gradient.detach().double()
     square = slope.square().sum(dim=1).clamp(min=_LEAST_LENGTH**2)
     along = (leg * slope).sum(dim=2)
     lit = alpha.detach().reshape(-1).expand_as(along) != 0.0
@@ -153,7 +153,7 @@ def trace_pairs(
     """Signals, complex (n_looks, n_antennas, n_samples)."""
     n_looks, parts = pairs.n_looks, np.arange(len(pairs.offsets) - 1)
     draw = _index(np.repeat(parts % pairs.n_looks, np.diff(pairs.offsets)), amplitude)
-    places = _double(np.take(points, pairs.sample, axis=0), amplitude)
+    positions = _double(np.take(points, pairs.sample, axis=0), amplitude)
     of_groups = []
     for number, antennas in enumerate(groups):
         ends = [_double(p[antennas], amplitude) for p in (tx, rx)]
@@ -171,17 +171,19 @@ def trace_pairs(
         n_at_once = max(_PHASORS // (len(antennas) * waveform.n_samples), 1)
         for first in range(begin, end, n_at_once):
             now = slice(first, min(first + n_at_once, end))
-            total = total + _recomputed(part, amplitude[now], normals[now], places[now], draw[now])
+            total = total + _recomputed(
+                part, amplitude[now], normals[now], positions[now], draw[now]
+            )
         of_groups.append(total)
     signal = of_groups[0].new_zeros((n_looks, len(tx), waveform.n_samples))
     return signal.index_copy(1, _index(np.concatenate(groups), amplitude), torch.cat(of_groups, 1))
 
 
 def _echoes(
-    strength: Tensor, normals: Tensor, places: Tensor, ends: list[Tensor], waveform: Waveform
+    strength: Tensor, normals: Tensor, positions: Tensor, ends: list[Tensor], waveform: Waveform
 ) -> Tensor:
     """Echo of each point alone, complex (n_points, n_antennas, n_samples)."""
-    there, back = (places[:, None] - end for end in ends)
+    there, back = (positions[:, None] - end for end in ends)
     lengths = [torch.linalg.vector_norm(leg, dim=2) for leg in (there, back)]
     # A point on an antenna has no direction: its leg is zero, and stays so.
     incoming, outgoing = (
@@ -212,8 +214,8 @@ def point_images(
         return rows @ phasors.T / len(tx)
 
     n_at_once = max(_PHASORS // max(rows.shape[1], 1), 1)
-    places = torch.split(_double(points, signals), n_at_once)
-    return torch.cat([_recomputed(part, rows, at) for at in places], dim=1)
+    positions = torch.split(_double(points, signals), n_at_once)
+    return torch.cat([_recomputed(part, rows, at) for at in positions], dim=1)
 
 
 def length_defect(gradients: Tensor) -> Tensor:

@@ -129,7 +129,7 @@ class Problem:
 def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Settings) -> Problem:
     """Check the geometry and hand it to the kernels in double precision."""
     native = native_waveform(waveform)
-    places: Floats | _core.VoxelGrid
+    positions: Floats | _core.VoxelGrid
     shape: tuple[int, ...]
     if settings.method == "factorised" and not isinstance(points, Grid):
         msg = (
@@ -139,14 +139,14 @@ def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Setting
     threads = resolve_num_threads(settings.num_threads)
     tx_rows, rx_rows = require_antennas(tx, rx)
     if isinstance(points, Grid):
-        places, shape = native_grid(points), tuple(points.shape)
+        positions, shape = native_grid(points), tuple(points.shape)
     else:
-        places = require_positions("points", points)
-        shape = (places.shape[0],)
+        positions = require_positions("points", points)
+        shape = (positions.shape[0],)
     return Problem(
         tx=tx_rows,
         rx=rx_rows,
-        points=places,
+        points=positions,
         shape=shape,
         waveform=native,
         n_samples=waveform.n_samples,

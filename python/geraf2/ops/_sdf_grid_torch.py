@@ -15,7 +15,7 @@ from geraf2.scene.grid import Grid
 
 class _Setting(NamedTuple):
     grid: _core.VoxelGrid
-    places: Floats
+    positions: Floats
     cubic: bool
     num_threads: int
 
@@ -28,8 +28,8 @@ def sdf_grid_tensor(
         return _device_ops.sdf_grid(values, grid, points, cubic)
     values, points = to_tensor("values", values), to_tensor("points", points)
     require_grid_values(to_numpy(values), grid)
-    places = require_positions("points", to_numpy(points))
-    setting = _Setting(native_grid(grid), places, cubic, num_threads)
+    positions = require_positions("points", to_numpy(points))
+    setting = _Setting(native_grid(grid), positions, cubic, num_threads)
     out: tuple[torch.Tensor, torch.Tensor] = _Sample.apply(  # type: ignore[no-untyped-call]
         values, points, setting
     )
@@ -38,8 +38,8 @@ def sdf_grid_tensor(
 
 def _sample(values: torch.Tensor, setting: _Setting, hessian: bool) -> list[torch.Tensor]:
     array = to_numpy(values.contiguous())
-    grid, places, cubic, num_threads = setting
-    out = _core.sdf_grid_fwd(array, grid, places, cubic, hessian, num_threads)
+    grid, positions, cubic, num_threads = setting
+    out = _core.sdf_grid_fwd(array, grid, positions, cubic, hessian, num_threads)
     return [torch.from_numpy(a) for a in out]
 
 
@@ -106,13 +106,13 @@ class _Spread(torch.autograd.Function):
     ) -> torch.Tensor:
         ctx.setting = setting
         ctx.save_for_backward(points, value_grad, gradient_grad)
-        grid, places, cubic, num_threads = setting
+        grid, positions, cubic, num_threads = setting
         return torch.from_numpy(
             _core.sdf_grid_bwd(
                 to_numpy(value_grad.contiguous()),
                 to_numpy(gradient_grad.contiguous()),
                 grid,
-                places,
+                positions,
                 cubic,
                 num_threads,
             )

@@ -76,17 +76,17 @@ def facing_samples(
     points: the samples, (n_rays n_samples, 3) [m].
     n_looks: independent draws (signals) among which the samples are divided; neighbours differ.
     """
-    places = require_positions("points", points)
+    positions = require_positions("points", points)
     if not 1 <= n_looks <= _MAX_LOOKS:
         msg = f"n_looks must be 1 to {_MAX_LOOKS}, got {n_looks}"
         raise ValueError(msg)
     if not _tensors.has_kernels(alpha, gradient):
-        found = _device_ops.facing_samples(alpha, gradient, places, form, n_looks)
+        found = _device_ops.facing_samples(alpha, gradient, positions, form, n_looks)
         return SamplePairs(*found, n_looks)
     sample, offsets = _core.facing_samples(
         to_numpy(alpha.reshape(-1).contiguous()),
         to_numpy(gradient.contiguous()),
-        places,
+        positions,
         form.centers,
         form.lobe_power != 1.0,
         alpha.shape[1],
@@ -131,9 +131,12 @@ def echo_amplitudes(
             alpha, transmittance, gradient, points, pairs, shift, form
         )
     threads = resolve_num_threads(num_threads)
-    places = np.ascontiguousarray(points, dtype=np.float64)
+    positions = np.ascontiguousarray(points, dtype=np.float64)
     out: tuple[torch.Tensor, torch.Tensor] = _EchoAmplitudes.apply(  # type: ignore[no-untyped-call]
-        alpha, transmittance, gradient, _Amplitudes(places, pairs, to_numpy(shift), form, threads)
+        alpha,
+        transmittance,
+        gradient,
+        _Amplitudes(positions, pairs, to_numpy(shift), form, threads),
     )
     return out
 
@@ -229,9 +232,9 @@ def trace_pairs(
         float(rtol),
         resolve_num_threads(num_threads),
     )
-    places = require_positions("points", np.take(points, pairs.sample, axis=0))
+    positions = require_positions("points", np.take(points, pairs.sample, axis=0))
     signal: torch.Tensor = _TracePairs.apply(  # type: ignore[no-untyped-call]
-        amplitude, normals, places, setting
+        amplitude, normals, positions, setting
     )
     return signal
 

@@ -48,13 +48,13 @@ def point_images(
     tx_rows, rx_rows = require_antennas(tx, rx)
     for name, value in (("signals", signals), ("others", others)):
         require_shape(name, value, (None, len(tx_rows), waveform.n_samples))
-    places = require_positions("points", points)
+    positions = require_positions("points", points)
     if not _tensors.has_kernels(signals, others):
         both = torch.cat([signals, others.detach()])
-        images = _device_ops.point_images(both, tx_rows, rx_rows, places, waveform)
+        images = _device_ops.point_images(both, tx_rows, rx_rows, positions, waveform)
         return PointImages(images[: len(signals)], images[len(signals) :].detach())
     setting = (
-        *(tx_rows, rx_rows, places, native_waveform(waveform)),
+        *(tx_rows, rx_rows, positions, native_waveform(waveform)),
         resolve_num_threads(num_threads),
     )
     return PointImages(*_PointImages.apply(signals, others, setting))  # type: ignore[no-untyped-call]

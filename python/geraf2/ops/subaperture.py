@@ -17,7 +17,7 @@ from geraf2.records import Waveform
 # Fourier transform library based on an "exponential of semicircle" kernel, 2019.
 _SPREAD_WIDTH = 8
 _SPREAD_OVERSAMPLING = 1.5
-_MAX_LATTICE_PLACES = 2**20
+_MAX_LATTICE_POINTS = 2**20
 """A sub-aperture of 8 cm needs some 2^14; far more is a position in the wrong unit."""
 _SPREAD_EXPONENT = 0.976 * np.pi * _SPREAD_WIDTH * (1.0 - 0.5 / _SPREAD_OVERSAMPLING)
 
@@ -118,7 +118,7 @@ class Subapertures:
     """(n_members,)."""
     weights: Floats
     """(n_members,); of each sub-aperture with sum 1."""
-    places: Floats
+    positions: Floats
     """Along the horizontal and vertical axis, from the middle, (n_members, 2) [m]."""
     focus: Floats
     """Point on which each is focused, (n_subapertures, 3) [m]."""
@@ -131,14 +131,14 @@ class Subapertures:
         n_subapertures, n_members = len(self.focus_range_m), len(self.antennas)
         require_shape("offsets", self.offsets, (n_subapertures + 1,))
         require_shape("weights", self.weights, (n_members,))
-        require_shape("places", self.places, (n_members, 2))
+        require_shape("positions", self.positions, (n_members, 2))
         require_shape("focus", self.focus, (n_subapertures, 3))
         ends = (self.offsets[0], self.offsets[-1])
         if ends != (0, n_members) or (np.diff(self.offsets) < 0).any():
             msg = f"offsets must ascend from 0 to {n_members}, got {self.offsets}"
             raise ValueError(msg)
         require_positions("focus", self.focus)
-        for name in ("weights", "places", "focus_range_m"):
+        for name in ("weights", "positions", "focus_range_m"):
             if not np.isfinite(getattr(self, name)).all():
                 msg = f"{name} must be finite"
                 raise ValueError(msg)
@@ -149,7 +149,7 @@ class Subapertures:
             offsets=np.ascontiguousarray(self.offsets, dtype=np.int64),
             antennas=np.ascontiguousarray(self.antennas, dtype=np.int64),
             weights=np.ascontiguousarray(self.weights, dtype=np.float64),
-            places=np.ascontiguousarray(self.places, dtype=np.float64),
+            positions=np.ascontiguousarray(self.positions, dtype=np.float64),
             focus=np.ascontiguousarray(self.focus, dtype=np.float64),
             focus_range_m=np.ascontiguousarray(self.focus_range_m, dtype=np.float64),
         )
@@ -248,25 +248,25 @@ def _native_lattice(
     lattice = subapertures.lattice
     if lattice is not None:
         (n_h, n_v), (h_spacing, v_spacing) = lattice.shape, lattice.spacing_m
-        is_small = min(n_h, n_v) >= 1 and n_h * n_v <= _MAX_LATTICE_PLACES
+        is_small = min(n_h, n_v) >= 1 and n_h * n_v <= _MAX_LATTICE_POINTS
         if not (is_small and min(h_spacing, v_spacing) > 0.0):
-            msg = f"lattice needs 1 to {_MAX_LATTICE_PLACES} positions and spacings, got {lattice}"
+            msg = f"lattice needs 1 to {_MAX_LATTICE_POINTS} positions and spacings, got {lattice}"
             raise ValueError(msg)
         return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, 1, 0.0)
-    places = []
+    positions = []
     for k, axis in enumerate((bins.horizontal, bins.vertical)):
         largest = max(abs(axis.first), axis.pitch)
         # The lattice repeats directions after wavelength / (2 spacing).
         spacing = wavelength_m / (4.0 * largest * _SPREAD_OVERSAMPLING)
-        reach = float(np.abs(subapertures.places[:, k]).max(initial=0.0))
-        if reach > spacing * _MAX_LATTICE_PLACES:
+        reach = float(np.abs(subapertures.positions[:, k]).max(initial=0.0))
+        if reach > spacing * _MAX_LATTICE_POINTS:
             msg = f"`places` must lie in a sub-aperture [m], got one {reach:g} m from its middle"
             raise ValueError(msg)
         count = 2 * (int(np.ceil(reach / spacing)) + _SPREAD_WIDTH // 2) + 1
-        places.append((count, spacing))
-    (n_h, h_spacing), (n_v, v_spacing) = places
-    if n_h * n_v > _MAX_LATTICE_PLACES:
-        reaches = np.abs(subapertures.places).max(axis=0, initial=0.0).tolist()
+        positions.append((count, spacing))
+    (n_h, h_spacing), (n_v, v_spacing) = positions
+    if n_h * n_v > _MAX_LATTICE_POINTS:
+        reaches = np.abs(subapertures.positions).max(axis=0, initial=0.0).tolist()
         msg = f"`places` must lie in a sub-aperture [m], got up to {reaches} from its middle"
         raise ValueError(msg)
     return _core.SubapertureLattice(n_h, n_v, h_spacing, v_spacing, _SPREAD_WIDTH, _SPREAD_EXPONENT)

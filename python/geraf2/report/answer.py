@@ -148,11 +148,11 @@ def _percent(share: float) -> str:
 def _found(content: TriangleMesh, report: SurfaceReport) -> str:
     n, lengths = report.n_components, _sides(content)
     center = 1e3 * volume_centroid_m(content.vertices, content.faces)
-    place = ", ".join(f"{value:z.0f}" for value in center)
+    position = ", ".join(f"{value:z.0f}" for value in center)
     closed = "" if report.is_watertight else " The surface is open."
     if n == 1:
-        return f"One body, {lengths}, its centre at ({place}) mm.{closed}"
-    return f"{n} separate pieces, {lengths} over all, their centre at ({place}) mm.{closed}"
+        return f"One body, {lengths}, its centre at ({position}) mm.{closed}"
+    return f"{n} separate pieces, {lengths} over all, their centre at ({position}) mm.{closed}"
 
 
 def _ghosts(numbers: Mapping[str, Any]) -> str:

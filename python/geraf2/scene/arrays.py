@@ -36,7 +36,7 @@ class AntennaArray:
     in_line: bool = True
     """Whether transmitters lie beyond the last receiver, rather than beside the receivers' line."""
 
-    def places_m(self) -> tuple[Floats, Floats]:
+    def positions_m(self) -> tuple[Floats, Floats]:
         """Transmitters (n_tx, 2) and receivers (n_rx, 2), along and across, about the middle [m].
 
         The middle is that of all phase centres, each halfway from a transmitter to a receiver.
@@ -58,7 +58,7 @@ class AntennaArray:
         Returns positions of transmitters and receivers, along and across, (n, 2) [m] each, and the
         number of each transmitter, (n,).
         """
-        tx, rx = self.places_m()
+        tx, rx = self.positions_m()
         t, r = (grid.ravel() for grid in np.meshgrid(range(len(tx)), range(len(rx)), indexing="ij"))
         across = 0.5 * (tx[t, 1] + rx[r, 1])
         levels, counts = np.unique(np.round(across, 6), return_counts=True)
@@ -79,8 +79,8 @@ class AntennaArray:
         order: "tdm" or "ddm". chirp_s: from one chirp to the next [s].
         """
         tx, rx = (
-            tuple((0.0, float(across), float(along)) for along, across in places)
-            for places in self.places_m()
+            tuple((0.0, float(across), float(along)) for along, across in positions)
+            for positions in self.positions_m()
         )
         return SweptArray(
             tx_offsets_m=tx,

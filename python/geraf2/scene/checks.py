@@ -23,7 +23,7 @@ _MAX_DC = 0.01
 # Interference in a thousandth of the recordings does no harm.
 _MAX_NOISY = 1e-3
 # Beyond this an antenna is nowhere; the kernels take places up to 1e6 m.
-_MAX_PLACE_M = 1e5
+_MAX_COORDINATE_M = 1e5
 # Transmitter and receiver of a near-field scan are centimetres apart, rarely metres.
 _MAX_APART_M = 5.0
 # A pose this many times farther from the middle of all than half of them are, and metres off.
@@ -57,7 +57,7 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
         *_check_samples(summary),
         *_check_axes(summary),
         *_check_unit(summary),
-        *_check_places(summary),
+        *_check_positions(summary),
         *_check_geometry(summary),
         *_check_repeats(summary),
         *_check_sampling(summary),
@@ -153,16 +153,16 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
     if odd:
         yield error(f"the axes of {len(odd)} planes are not orthonormal: {_list(odd)}")
-    far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
+    far = [pose for pose in full if pose.farthest_m > _MAX_COORDINATE_M]
     if far:
         largest = max(pose.farthest_m for pose in far)
         yield error(f"antenna coordinates reach {largest:.3g} m, in {_list(far)}")
 
 
-def _check_places(summary: CaptureSummary) -> Iterator[Finding]:
+def _check_positions(summary: CaptureSummary) -> Iterator[Finding]:
     """Yield findings about antennas far from partner or planes, or inside the box."""
     full = [pose for pose in summary.poses if pose.n_antennas]
-    far = [pose for pose in full if pose.farthest_m > _MAX_PLACE_M]
+    far = [pose for pose in full if pose.farthest_m > _MAX_COORDINATE_M]
     hint = "are some positions in millimetres? all must be in metres"
     apart = [pose for pose in full if pose.apart_m > _MAX_APART_M and pose not in far]
     if apart:
@@ -299,9 +299,9 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
     for same in by_signal.values():
         if len(same) > 1:
             yield warning(f"{len(same)} planes hold the same samples: {_list(same)}")
-    repeated = [pose for pose in summary.poses if pose.n_repeated_places]
+    repeated = [pose for pose in summary.poses if pose.n_repeated_positions]
     if repeated:
-        total = sum(pose.n_repeated_places for pose in repeated)
+        total = sum(pose.n_repeated_positions for pose in repeated)
         yield warning(
             f"{total} antennas stand where another one of their plane does: {_list(repeated)}"
         )

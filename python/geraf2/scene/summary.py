@@ -18,7 +18,7 @@ from geraf2.scene.capture import Capture
 from geraf2.scene.plan import nyquist_spacing_m
 
 # Antennas nearer to each other than this share one position: a fortieth of a wavelength at 77 GHz.
-_SAME_PLACE_M = 1e-4
+_SAME_POSITION_M = 1e-4
 # Looking directions that differ by less than about 6 degrees do not fix a common point.
 _MIN_SPREAD = 0.01
 # A plane this wide focuses from two to four wavelengths before it, a narrower one nowhere.
@@ -46,7 +46,7 @@ class PoseSummary:
     """Smallest and largest coordinate of the phase centres along the three axes, (2, 3) [m]."""
     spacing_m: float
     """Median distance of an antenna's phase centre to the nearest other one [m]."""
-    n_repeated_places: int
+    n_repeated_positions: int
     """Antennas at the positions of another antenna."""
     n_bad_positions: int
     """Position coordinates that are not finite."""
@@ -241,7 +241,7 @@ def summarize_in_parts(
     """
     poses: list[PoseSummary] = []
     looked_at: list[PoseSummary] = []
-    placed: list[_Placed] = []
+    placed: list[_Extent] = []
     n_placed = 0
     for part in parts:
         total = n_antennas[len(poses)]
@@ -249,7 +249,7 @@ def summarize_in_parts(
         every = max(1, total // max(1, part_size) // _N_CHECKED_PARTS)
         if len(placed) % every == 0:
             looked_at.append(summarize_pose(complex_pose(part)))
-        placed.append(_place(part))
+        placed.append(_extent_of(part))
         n_placed += part.n_antennas
         if n_placed >= total:
             poses.append(looked_at[0] if len(placed) == 1 else _merge(looked_at, placed))
@@ -260,7 +260,7 @@ def summarize_in_parts(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Placed:
+class _Extent:
     """Positions of the antennas of a part of a pose."""
 
     n_antennas: int
@@ -268,20 +268,20 @@ class _Placed:
     bounds_m: Floats
 
 
-def _place(part: RawPose) -> _Placed:
+def _extent_of(part: RawPose) -> _Extent:
     if not part.n_antennas:
-        return _Placed(n_antennas=0, center=np.full(3, np.nan), bounds_m=np.full((2, 3), np.nan))
+        return _Extent(n_antennas=0, center=np.full(3, np.nan), bounds_m=np.full((2, 3), np.nan))
     # Coordinates first: sums and extremes along the long axis take a quarter of the time.
     centers = 0.5 * (part.tx_positions.T + part.rx_positions.T).copy()
     along = part.axes @ centers
-    return _Placed(
+    return _Extent(
         n_antennas=part.n_antennas,
         center=centers.mean(axis=1),
         bounds_m=np.stack([along.min(axis=1), along.max(axis=1)]),
     )
 
 
-def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseSummary:
+def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseSummary:
     """Numbers of a pose from those of its parts, of which only some were read."""
     usable = [part for part in placed if np.isfinite(part.center).all()]
     n_usable = [part.n_antennas for part in usable]
@@ -304,7 +304,7 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Placed]) -> PoseS
         if usable
         else np.full((2, 3), np.nan),
         spacing_m=float(np.median(spacings)) if spacings else float("nan"),
-        n_repeated_places=sum(part.n_repeated_places for part in looked_at),
+        n_repeated_positions=sum(part.n_repeated_positions for part in looked_at),
         n_bad_positions=sum(part.n_bad_positions for part in looked_at),
         farthest_m=max(part.farthest_m for part in looked_at),
         apart_m=max(part.apart_m for part in looked_at),
@@ -340,7 +340,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         if len(along)
         else np.full((2, 3), np.nan),
         spacing_m=_median_spacing(centers),
-        n_repeated_places=int(good.sum()) - len(_distinct_places(positions[good])),
+        n_repeated_positions=int(good.sum()) - len(_distinct_positions(positions[good])),
         n_bad_positions=int((~np.isfinite(positions)).sum()),
         farthest_m=float(np.abs(positions[good]).max(initial=0.0)),
         apart_m=float(
@@ -407,7 +407,7 @@ def _mean_profile(signal: NDArray[np.complex64]) -> Floats:
 
 
 def _median_spacing(centers: Floats) -> float:
-    first = _distinct_places(centers)
+    first = _distinct_positions(centers)
     if len(first) < 2:
         return float("nan")
     # Neighbours of a thousand positions: the search takes a third of the time of reading a capture.
@@ -416,11 +416,11 @@ def _median_spacing(centers: Floats) -> float:
     return float(np.median(distances[:, 1]))
 
 
-def _distinct_places(positions: Floats) -> Ints:
+def _distinct_positions(positions: Floats) -> Ints:
     """First row of each position; np.unique over rows takes four times as long."""
     if len(positions) == 0:
         return np.zeros(0, dtype=np.int64)
-    places = np.round(positions / _SAME_PLACE_M)
-    order = np.lexsort(places.T)
-    differs = (np.diff(places[order], axis=0) != 0.0).any(axis=1)
+    rounded = np.round(positions / _SAME_POSITION_M)
+    order = np.lexsort(rounded.T)
+    differs = (np.diff(rounded[order], axis=0) != 0.0).any(axis=1)
     return np.asarray(order[np.concatenate([[True], differs])], dtype=np.int64)

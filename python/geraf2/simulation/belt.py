@@ -36,7 +36,7 @@ def _station(array: BeltArraySpec, chirp_s: float) -> BeltStation:
     outward, axes = plane_frame(*_SIDES[array.side], 0.0)
     middle = array.standoff_m * outward + array.offset_m * axes[2] + [array.station_m, 0.0, 0.0]
     tx, rx, turn = array.channels()
-    positions = [middle + places[:, :1] * axes[2] + places[:, 1:] * axes[1] for places in (tx, rx)]
+    positions = [middle + arrays[:, :1] * axes[2] + arrays[:, 1:] * axes[1] for arrays in (tx, rx)]
     tx_m, rx_m = (tuple(map(tuple, rows.tolist())) for rows in positions)
     return BeltStation(
         name=array.name or array.side,

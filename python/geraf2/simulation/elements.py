@@ -60,12 +60,12 @@ def rough_displacement(
     phases = rng.uniform(0.0, 2.0 * np.pi, (3, _N_ROUGH_WAVES))
     scale = rms_m * np.sqrt(2.0 / _N_ROUGH_WAVES)
 
-    def displace(places: Floats) -> Floats:
-        flat = places.reshape(-1, 3)
+    def displace(positions: Floats) -> Floats:
+        flat = positions.reshape(-1, 3)
         parts = [
             scale * np.cos(flat @ waves[axis].T + phases[axis]).sum(axis=1) for axis in range(3)
         ]
-        return np.stack(parts, axis=1).reshape(places.shape)
+        return np.stack(parts, axis=1).reshape(positions.shape)
 
     return displace
 

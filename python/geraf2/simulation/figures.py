@@ -92,11 +92,11 @@ def _boat() -> Figure:
 
 def _hung_ball() -> Figure:
     """Christmas ball with a ribbed cap and a ring on top."""
-    places = [
+    positions = [
         (0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)) for a in np.linspace(0.0, 2.0 * np.pi, 25)
     ]
     parts = [ball((0.0, 0.0, 4.8), (4.8, 4.8, 4.8)), turned(np.array([[9.0, 1.5], [10.2, 1.3]]))]
-    parts += [limb(start, end, 0.28, 0.28) for start, end in itertools.pairwise(places)]
+    parts += [limb(start, end, 0.28, 0.28) for start, end in itertools.pairwise(positions)]
     return Figure(blend(parts, 0.25), (-5.4, -5.4, -0.6), (5.4, 5.4, 13.0))
 
 

@@ -33,16 +33,16 @@ class Mirror:
     side: float
     """-1 or 1."""
 
-    def place_m(self, walls: Sequence[Wall]) -> float:
+    def position_m(self, walls: Sequence[Wall]) -> float:
         """Coordinate of its plane on the axis [m]."""
         wall = walls[self.wall]
         half = 0.5 * wall.size_m[self.axis] - wall.thickness_m
         return float(wall.center_m[self.axis] + self.side * half)
 
-    def image(self, places: Floats, walls: Sequence[Wall]) -> Floats:
+    def image(self, positions: Floats, walls: Sequence[Wall]) -> Floats:
         """Mirror images of positions, (n, 3) [m]."""
-        found = places.copy()
-        found[..., self.axis] = 2.0 * self.place_m(walls) - found[..., self.axis]
+        found = positions.copy()
+        found[..., self.axis] = 2.0 * self.position_m(walls) - found[..., self.axis]
         return found
 
 
@@ -54,13 +54,13 @@ def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
 
     walls: the boxes, outermost first.
     """
-    place_m, found = mirror.place_m(walls), []
+    position_m, found = mirror.position_m(walls), []
     for number, wall in enumerate(walls):
         center, size = np.array(wall.center_m), np.array(wall.size_m)
         if number <= mirror.wall:
             open_end = center[mirror.axis] - mirror.side * 0.5 * size[mirror.axis]
-            center[mirror.axis] = place_m
-            size[mirror.axis] = 2.0 * abs(place_m - open_end)
+            center[mirror.axis] = position_m
+            size[mirror.axis] = 2.0 * abs(position_m - open_end)
             found.append(replace(wall, center_m=triple(center), size_m=triple(size)))
         else:
             image = mirror.image(center, walls)
@@ -85,7 +85,7 @@ def multipath_echo(
     signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
     for wall, axis, side in product(range(len(scene.walls)), range(3), (-1.0, 1.0)):
         mirror = Mirror(wall=wall, axis=axis, side=side)
-        height = mirror.side * (mirror.place_m(scene.walls) - antennas.tx[:, mirror.axis])
+        height = mirror.side * (mirror.position_m(scene.walls) - antennas.tx[:, mirror.axis])
         if height.min() <= 0.0:  # the antennas lie behind this wall
             continue
         seen = _seen(facets, antennas, mirror, scene)
@@ -114,7 +114,7 @@ def _seen(
             np.einsum("pi,pi->p", image - points, normals) > 0.0
         )
         at = starts[lit]
-        share = (mirror.place_m(walls) - at[:, mirror.axis]) / (image - at)[:, mirror.axis]
+        share = (mirror.position_m(walls) - at[:, mirror.axis]) / (image - at)[:, mirror.axis]
         met = at + share[:, None] * (image - at)
         off = np.abs(met - np.asarray(wall.center_m))[:, across]
         rows = np.flatnonzero(lit)[(off < half).all(axis=1)]

@@ -47,8 +47,8 @@ class ObjectScene:
     def albedo(self, points: Floats) -> _Array:
         """Albedo of the paint at points (n, 3) [m], (n, 3) colours."""
         vectors, phases = self._waves
-        places = (points - self.center) / self.size_m
-        height = np.cos(np.einsum("nk,cwk->ncw", places, vectors) + phases).sum(axis=2)
+        positions = (points - self.center) / self.size_m
+        height = np.cos(np.einsum("nk,cwk->ncw", positions, vectors) + phases).sum(axis=2)
         share = 0.5 + 0.5 * np.tanh(_CONTRAST * height / np.sqrt(0.5 * _N_WAVES))
         return np.asarray(_DARK + (_LIGHT - _DARK) * share, dtype=np.float32)
 

@@ -68,7 +68,7 @@ class _Rectangle:
         c = self.center
         return np.stack([c - a - b, c + a - b, c + a + b, c - a + b])
 
-    def places(self) -> Floats:
+    def positions(self) -> Floats:
         """Raster of points, row by row from the upper left, (raster^2, 3)."""
         steps = (np.arange(self.raster) + 0.5) / self.raster * 2.0 - 1.0
         across, down = np.meshgrid(steps, -steps)
@@ -260,8 +260,8 @@ def _lit(
 
 def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: float) -> _Array:
     """Light of the lamp on the raster, (raster, raster, 3); cosine times the part not hidden."""
-    places = rectangle.places()
-    start = places + _OFFSET * size_m * rectangle.normal
+    positions = rectangle.positions()
+    start = positions + _OFFSET * size_m * rectangle.normal
     toward = lamp - rectangle.center
     toward /= np.linalg.norm(toward)
     # Sunflower points on the disc that faces the rectangle.
@@ -271,7 +271,7 @@ def _lamp_light(rectangle: _Rectangle, scene: MeshScene, lamp: Floats, size_m: f
     disc = (radius * np.cos(angle))[:, None] * side
     disc += (radius * np.sin(angle))[:, None] * third
     # One query for all pairs of a position and a point of the lamp.
-    to_lamp = (lamp + disc)[None, :, :] - places[:, None, :]
+    to_lamp = (lamp + disc)[None, :, :] - positions[:, None, :]
     distance = np.linalg.norm(to_lamp, axis=2)
     cosine = np.maximum(to_lamp @ rectangle.normal / distance, 0.0)
     ends = np.broadcast_to(lamp + disc, to_lamp.shape).reshape(-1, 3)
@@ -291,15 +291,15 @@ def _sky_light(
     size_m: float,
 ) -> _Array:
     """Light of room and lit surfaces on the raster, over cosine-weighted directions."""
-    places = rectangle.places() + _OFFSET * size_m * rectangle.normal
+    positions = rectangle.positions() + _OFFSET * size_m * rectangle.normal
     share, angle = sunflower(_N_SKY_SAMPLES)
     sine = np.sqrt(share)
     local = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.sqrt(1.0 - sine**2)], axis=1)
     sky = local @ np.stack([rectangle.right, rectangle.up, rectangle.normal])
-    origins = np.repeat(places, _N_SKY_SAMPLES, axis=0)
-    rays = np.tile(sky, (places.shape[0], 1))
+    origins = np.repeat(positions, _N_SKY_SAMPLES, axis=0)
+    rays = np.tile(sky, (positions.shape[0], 1))
     distance, face = scene.closest_hit(origins, rays)
-    seen = np.tile(room_light(sky), (places.shape[0], 1))
+    seen = np.tile(room_light(sky), (positions.shape[0], 1))
     for index in np.unique(face[face >= 0] // 2):
         hit = np.flatnonzero(face // 2 == index)
         u, v = rectangles[index].inside(origins[hit] + distance[hit, None] * rays[hit])

@@ -17,7 +17,7 @@ from geraf2.simulation.photo_scene import CartonScene, photograph
 from geraf2.simulation.photo_spec import PhotosSpec
 
 # Independent random streams of one seed.
-_PLACES, _POSES, _SENSOR = range(5, 8)
+_POSITIONS, _POSES, _SENSOR = range(5, 8)
 
 _FILL = 0.92
 """Diameter of the box's bounding sphere over the shorter side of the picture."""
@@ -107,7 +107,7 @@ def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
             expected=f"more than {radius:.3f} m",
             got=f"{distance} m",
         )
-    rng = np.random.default_rng([seed, _PLACES])
+    rng = np.random.default_rng([seed, _POSITIONS])
     floor = center[2] - 0.5 * wall.size_m[2]
     counts = np.diff(np.linspace(0, spec.n_photos, len(spec.ring_elevations_deg) + 1).astype(int))
     cameras = []

@@ -142,22 +142,22 @@ def _body(
     solids = [_moved(_PARTS[kinds[0]](rng, population, first_m), turn, np.zeros(3))]
     low, high = np.full(3, -1.1 * first_m), np.full(3, 1.1 * first_m)
     for _ in range(int(rng.integers(*population.n_further_parts, endpoint=True))):
-        place, normal = _surface_point(rng, blend(solids, fillet_m), low, high)
+        position, normal = _surface_point(rng, blend(solids, fillet_m), low, high)
         part_m = first_m * rng.uniform(*population.further_share)
         turn = Rotation.random(rng=rng)
         if turn.apply([0.0, 0.0, 1.0]) @ normal < 0.0:  # most parts extend along +z
             turn = turn * Rotation.from_euler("x", np.pi)
         kinds.append(choose(rng, population.further_part))
-        solids.append(_moved(_PARTS[kinds[-1]](rng, population, part_m), turn, place))
-        low = np.minimum(low, place - 1.1 * part_m)
-        high = np.maximum(high, place + 1.1 * part_m)
+        solids.append(_moved(_PARTS[kinds[-1]](rng, population, part_m), turn, position))
+        low = np.minimum(low, position - 1.1 * part_m)
+        high = np.maximum(high, position + 1.1 * part_m)
     return _Body(solid=blend(solids, fillet_m), low=low, high=high, kinds=tuple(kinds))
 
 
-def _moved(solid: Solid, turn: Rotation, place: Floats) -> Solid:
+def _moved(solid: Solid, turn: Rotation, position: Floats) -> Solid:
     """Solid that is turned about its origin and then moved."""
     matrix = turn.as_matrix()
-    return lambda points: solid((points - place) @ matrix)
+    return lambda points: solid((points - position) @ matrix)
 
 
 def _surface_point(

@@ -244,8 +244,8 @@ def _folds(beam: _Beam, path_m: Floats) -> Ints:
     root = np.sqrt(np.maximum(once**2 - 4.0 * none * both, 0.0))
     half = -0.5 * (once + np.where(once < 0.0, -root, root))
     with np.errstate(divide="ignore", invalid="ignore"):
-        places = np.stack([half / both, none / half])
-    return np.asarray(((places > 0.0) & (places < path_m)).sum(axis=0))
+        positions = np.stack([half / both, none / half])
+    return np.asarray(((positions > 0.0) & (positions < path_m)).sum(axis=0))
 
 
 def _reflected(beam: _Beam, hits: Hits) -> _Beam:

@@ -31,9 +31,9 @@ class FaceFrame:
     rows: Floats
     """Unit vectors: two along the wall and the normal that points into the box, (3, 3)."""
 
-    def local(self, places: Floats) -> Floats:
+    def local(self, positions: Floats) -> Floats:
         """Coordinates along the wall and the height over it, (n, 3) [m] -> (n, 3) [m]."""
-        return np.asarray((places - self.origin) @ self.rows.T)
+        return np.asarray((positions - self.origin) @ self.rows.T)
 
     def world(self, local: Floats) -> Floats:
         """World coordinates of local ones, (n, 3) [m] -> (n, 3) [m]."""
@@ -50,7 +50,7 @@ class Lattice(NamedTuple):
     cell_m: float
     """Side of a cell [m]."""
 
-    def places(self, height_m: float) -> Floats:
+    def positions(self, height_m: float) -> Floats:
         """Centres of the cells at a height over the wall, (n_cells, 3) [m]."""
         lines = [
             f + self.cell_m * np.arange(n) for f, n in zip(self.first, self.shape, strict=True)
@@ -91,13 +91,13 @@ def shadow_mask(
     eye: (3,) [m].
     height_m: of the sheet over the wall [m].
     """
-    places = sheet.places(height_m)
-    hidden = _hits(blocker, eye, frame.world(places)).reshape(sheet.shape)
+    positions = sheet.positions(height_m)
+    hidden = _hits(blocker, eye, frame.world(positions)).reshape(sheet.shape)
     mask = hidden.astype(np.float64)
     edge = np.flatnonzero((binary_dilation(hidden, iterations=1) & ~binary_erosion(hidden)).ravel())
     steps = ((np.arange(_SUBCELLS) + 0.5) / _SUBCELLS - 0.5) * sheet.cell_m
     du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    fine = places[edge, None] + np.stack([du, dv, np.zeros_like(du)], axis=1)
+    fine = positions[edge, None] + np.stack([du, dv, np.zeros_like(du)], axis=1)
     seen = _hits(blocker, eye, frame.world(fine.reshape(-1, 3))).reshape(len(edge), len(du))
     mask.ravel()[edge] = seen.mean(axis=1)
     return mask
@@ -172,29 +172,29 @@ class Shadow:
     ) -> None:
         self._blocker, self._frame, self._sheet, self.wall = blocker, frame, sheet, wall
         self.height_m, self.frequencies_hz = height_m, frequencies_hz
-        self.center = sheet.places(height_m).mean(axis=0)
+        self.center = sheet.positions(height_m).mean(axis=0)
         self._propagator = Propagator(sheet, wall, height_m, frequencies_hz)
 
     def change(self, eye: Floats) -> NDArray[np.complex64]:
         """V^2 - 1 for a block's middle (3,) [m], (n_cells, n_nodes)."""
         mask = shadow_mask(self._blocker, self._frame, eye, self._sheet, self.height_m)
         there = self._frame.local(eye[None])[0]
-        out = np.linalg.norm(self._sheet.places(self.height_m) - there, axis=1)
+        out = np.linalg.norm(self._sheet.positions(self.height_m) - there, axis=1)
         sheet = phasors(out.reshape(mask.shape), self.frequencies_hz)
         sheet *= (-mask / out.reshape(mask.shape)).astype(np.float32)
-        back = np.linalg.norm(self.wall.places(0.0) - there, axis=1).reshape(self.wall.shape)
+        back = np.linalg.norm(self.wall.positions(0.0) - there, axis=1).reshape(self.wall.shape)
         ratio = self._propagator(sheet)
         ratio *= phasors(-back, self.frequencies_hz) * back.astype(np.float32)
         squared = ratio * (2.0 + ratio)  # (1 + ratio)^2 - 1
         return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
 
-    def moved(self, places: Floats, eye: Floats) -> Floats:
+    def moved(self, positions: Floats, eye: Floats) -> Floats:
         """Displacement of the shadow on the wall for other eyes, (n, 3) -> (n, 2) [m].
 
         All in the wall's frame; for the middle of the sheet. A point of the wall at a moved eye
         corresponds to the oppositely moved point at the original eye.
         """
-        share = places[:, 2:] / (places[:, 2:] - self.height_m)
-        cast = places[:, :2] + share * (self.center[:2] - places[:, :2])
+        share = positions[:, 2:] / (positions[:, 2:] - self.height_m)
+        cast = positions[:, :2] + share * (self.center[:2] - positions[:, :2])
         own = eye[:2] + eye[2] / (eye[2] - self.height_m) * (self.center[:2] - eye[:2])
         return np.asarray(cast - own)

@@ -143,9 +143,9 @@ def table(side_m: float, seed: int) -> Texture:
 
 def _stretched(image: _Image, n_rows: int) -> _Image:
     """Rows of an image by linear interpolation, periodic."""
-    place = (np.arange(n_rows) + 0.5) * image.shape[0] / n_rows - 0.5
-    first = np.floor(place).astype(int)
-    share = (place - first).astype(np.float32)[:, None]
+    position = (np.arange(n_rows) + 0.5) * image.shape[0] / n_rows - 0.5
+    first = np.floor(position).astype(int)
+    share = (position - first).astype(np.float32)[:, None]
     near, next_one = image[first % image.shape[0]], image[(first + 1) % image.shape[0]]
     return np.asarray(near * (1.0 - share) + next_one * share, dtype=np.float32)
 

@@ -233,7 +233,7 @@ def _block_echo(
     n_step = max(1, _PAIRS_PER_STEP // max(1, len(points)))
     for start in range(0, len(rows), n_step):
         part = slice(start, start + n_step)
-        ranges = [_distances(places[part], points) for places in (tx, rx)]
+        ranges = [_distances(positions[part], points) for positions in (tx, rx)]
         wave = phasors(ranges[0] + ranges[1] + scene.waveform.path_bias_m, shadow.frequencies_hz)
         wave *= (1.0 / (ranges[0] * ranges[1])).astype(np.float32)
         found[part] = np.einsum("fak,ka->af", wave @ by_node, shares[:, part])
@@ -252,13 +252,13 @@ _STENCIL = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
 
 
 def _sampled(
-    values: NDArray[np.complex64], lattice: Lattice, places: Floats, reach: int
+    values: NDArray[np.complex64], lattice: Lattice, positions: Floats, reach: int
 ) -> NDArray[np.complex64]:
     """Rows (n_cells, n_nodes) about positions (n, 2) [m], bilinear -> (n_stencil, n, n_nodes)."""
-    cells = (places - lattice.first) / lattice.cell_m
+    cells = (positions - lattice.first) / lattice.cell_m
     low = np.floor(cells).astype(np.int64)
     part = (cells - low).astype(np.float32)
-    found = np.zeros((len(_STENCIL), len(places), values.shape[1]), dtype=np.complex64)
+    found = np.zeros((len(_STENCIL), len(positions), values.shape[1]), dtype=np.complex64)
     for number, step in enumerate(_STENCIL):
         for corner in itertools.product(range(2), range(2)):
             weight = np.abs(1.0 - np.array(corner, np.float32) - part).prod(axis=1)

@@ -67,8 +67,8 @@ class WallShape:
         number = np.arange(1, _N_MODES + 1)
         rates = [0.5 * np.pi * number / self.half_m[(axis + k) % 3] for k in (1, 2)]
         angles = [
-            (place + self.half_m[(axis + k) % 3])[..., None] * rate
-            for k, place, rate in zip((1, 2), (u, v), rates, strict=True)
+            (position + self.half_m[(axis + k) % 3])[..., None] * rate
+            for k, position, rate in zip((1, 2), (u, v), rates, strict=True)
         ]
         (sin_u, sin_v), (cos_u, cos_v) = (
             [np.asarray(f(angle)) for angle in angles] for f in (np.sin, np.cos)

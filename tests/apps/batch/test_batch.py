@@ -144,7 +144,7 @@ def test_a_batch_gives_what_single_runs_give_and_continues_where_it_stopped(
 
 
 def test_faults_of_one_job_are_its_own(client, named, tmp_path):
-    """Lost files and killed workers are tried again, bad input never; the others go on."""
+    """Lost files and killed workers are tried again, bad input never; the others continue."""
     jobs = named("good-1", "killer", "bad", "lost", "once", "slow", "busy", "raises", "good-2")
     out = tmp_path / "out"
     results = {r.scene: r for r in run(jobs, out, client, options=BatchOptions(retries=1))}
@@ -314,8 +314,8 @@ def test_a_full_disk_is_lost_files_in_one_line(small_scan, tmp_path, monkeypatch
     geraf2.save_capture(small_scan[0], tmp_path / "scene")
     (job,) = read_jobs([tmp_path / "scene"], box=BOX, config=COARSE, options=QUIET)
     monkeypatch.setattr(atomic, "_flush", full)
-    places = str(tmp_path / "run"), str(tmp_path / "picture.png")
-    answer = work.reconstruct_job(to_table(job), *places, 1, False)
+    positions = str(tmp_path / "run"), str(tmp_path / "picture.png")
+    answer = work.reconstruct_job(to_table(job), *positions, 1, False)
     assert (answer["state"], "scores" in answer) == ("lost files", False)
     assert "No space left on device" in answer["error"]
     assert "\n" not in answer["error"]

@@ -33,7 +33,7 @@ exit $status""",
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch, small_scan):
+def position(tmp_path, monkeypatch, small_scan):
     """Folder with a scene, and the commands of a cluster."""
     geraf2.save_capture(small_scan[0], tmp_path / "scans" / "one")
     (tmp_path / "bin").mkdir()
@@ -51,9 +51,9 @@ BATCH += ["--fit.spacing-m", "0.012"]
 BATCH += ["--fit.distance-rounds", "1"]
 
 
-def _require_done(command, place, **environment):
+def _require_done(command, position, **environment):
     # To a file: a process that were left behind would hold a pipe open.
-    with (place / "output.txt").open("w") as output:
+    with (position / "output.txt").open("w") as output:
         done = subprocess.run(
             command,
             env={**os.environ, **environment},
@@ -62,8 +62,8 @@ def _require_done(command, place, **environment):
             check=False,
             timeout=900,
         )
-    assert done.returncode == 0, (place / "output.txt").read_text()
-    with (place / "out" / "batch.csv").open() as handle:
+    assert done.returncode == 0, (position / "output.txt").read_text()
+    with (position / "out" / "batch.csv").open() as handle:
         (row,) = csv.DictReader(handle)
     assert (row["state"], row["worker"][:6]) == ("done", "tcp://")
 
@@ -75,16 +75,16 @@ def _free_port():
 
 
 @pytest.mark.slow
-def test_an_array_of_slurm_does_a_batch_and_ends(project_root, place):
-    _require_done(["sbatch", str(project_root / "examples" / "batch.slurm"), *BATCH], place)
-    assert not list(place.glob("scheduler-*.json"))
+def test_an_array_of_slurm_does_a_batch_and_ends(project_root, position):
+    _require_done(["sbatch", str(project_root / "examples" / "batch.slurm"), *BATCH], position)
+    assert not list(position.glob("scheduler-*.json"))
 
 
 @pytest.mark.slow
-def test_machines_by_ssh_do_a_batch(project_root, place):
+def test_machines_by_ssh_do_a_batch(project_root, position):
     script = str(project_root / "examples" / "batch_ssh.sh")
     where = {"SCHEDULER_HOST": "127.0.0.1", "SCHEDULER_PORT": _free_port()}
-    _require_done([script, *BATCH], place, HOSTS="a", WORKERS="1", **where)
+    _require_done([script, *BATCH], position, HOSTS="a", WORKERS="1", **where)
 
 
 def test_the_manifest_of_kubernetes_runs_the_same_three_commands(project_root):

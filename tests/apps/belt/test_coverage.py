@@ -29,8 +29,8 @@ rx_m = [[0.0, 0.0], [0.3, 0.0]]
 
 def described(rows_m, **changes):
     """Array of antennas at these positions across the travel."""
-    places = tuple((float(row), 0.0) for row in rows_m)
-    return BeltArraySpec(side="left", tx_m=places, rx_m=places, standoff_m=0.35, **changes)
+    positions = tuple((float(row), 0.0) for row in rows_m)
+    return BeltArraySpec(side="left", tx_m=positions, rx_m=positions, standoff_m=0.35, **changes)
 
 
 def test_a_point_is_seen_within_the_solid_angle_of_the_array():

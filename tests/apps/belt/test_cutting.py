@@ -29,12 +29,12 @@ def plane(array, x, parcels, name=0):
     inside = np.any([(x > start) & (x < end) for start, end in parcels], axis=0)
     level = np.where(inside, 1.0, 0.1)
     shift = np.stack([x - array.station_m, 0.0 * x, 0.0 * x], axis=1)
-    places = (np.array(array.tx_m) + shift[:, None]).reshape(-1, 3)
+    positions = (np.array(array.tx_m) + shift[:, None]).reshape(-1, 3)
     signal = np.repeat(level, 3)[:, None] * np.ones(8, np.complex64)
     return Pose(
         signal=signal.astype(np.complex64),
-        tx_positions=places,
-        rx_positions=places,
+        tx_positions=positions,
+        rx_positions=positions,
         axes=np.eye(3),
         name=f"{array.name}/{name}",
     )

@@ -51,7 +51,7 @@ def test_the_error_of_another_direction_is_the_second_order_term():
     _, after, _ = phase_errors(array, point)
     middles = array.phase_centers_m
     half = 0.5 * (np.array(array.tx_m) - np.array(array.rx_m))
-    towards = [place - middles for place in (point, np.array([0.0, 0.0, 0.0]))]
+    towards = [position - middles for position in (point, np.array([0.0, 0.0, 0.0]))]
     ranges = [np.linalg.norm(d, axis=1) for d in towards]
     along = [np.einsum("ni,ni->n", half, d) / r for d, r in zip(towards, ranges, strict=True)]
     excess = (along[1] ** 2 - along[0] ** 2) / (2.0 * ranges[0])

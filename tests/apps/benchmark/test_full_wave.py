@@ -72,7 +72,7 @@ def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path):
     assert np.linalg.norm(np.array(heat.at_m) - beside) < 0.004
 
 
-def test_without_captures_one_line_says_how_to_make_them(tmp_path, capsys):
+def test_without_captures_one_line_names_how_to_make_them(tmp_path, capsys):
     assert main(["benchmark", str(tmp_path / "out"), "--only", "full_wave"]) == 2
     error = capsys.readouterr().err
     assert "no full-wave captures" in error

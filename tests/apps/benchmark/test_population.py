@@ -45,7 +45,7 @@ def test_other_seeds_are_refused_in_one_line(text):
 def test_flags_of_the_population_are_refused_elsewhere(tmp_path, capsys):
     out = str(tmp_path / "out")
     alone = ["benchmark", out, "--only", "population"]
-    for flags, said in (
+    for flags, stated in (
         (["benchmark", out, "--seeds", "1:2"], "--seeds is for --only population"),
         (alone, "needs --seeds A:B"),
         ([*alone, "--seeds", "1:2", "--quick"], "--quick does not go with"),
@@ -54,7 +54,7 @@ def test_flags_of_the_population_are_refused_elsewhere(tmp_path, capsys):
         ([*alone, "--seeds", "1:2", "--against", str(tmp_path)], "no results of the population"),
     ):
         assert main(flags) == 2
-        assert said in capsys.readouterr().err
+        assert stated in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
@@ -63,7 +63,7 @@ def test_the_interval_of_a_mean_is_that_of_the_central_limit_theorem():
     mean = mean_interval(values)
     half = 1.96 * values.std() / np.sqrt(len(values))
     assert mean.value == pytest.approx(values.mean())
-    # 2000 resamples place each bound to 3 % of the half width, one standard deviation.
+    # 2000 resamples estimate each bound to 3 % of the half width, one standard deviation.
     assert [mean.low, mean.high] == pytest.approx(
         [values.mean() - half, values.mean() + half], abs=0.12 * half
     )
@@ -176,13 +176,13 @@ def test_scores_of_a_cube_that_is_too_large():
 class StandIn(Runner):
     """Makes no scene; its rows have the F1 that a test gives."""
 
-    def run_all(self, rows, told, *, jobs=1, scheduler=None):
+    def run_all(self, rows, reported, *, jobs=1, scheduler=None):
         made = []
         for row in rows:
             f1 = self.values[row.seed]
             scores = None if f1 is None else {"f1_5mm": f1}
             found = RowResult(f1_5mm=f1, scores=scores, error=None if f1 else "it broke")
-            told(row, found)
+            reported(row, found)
             made.append((row, found))
         return made
 
@@ -197,19 +197,19 @@ def task(tmp_path, monkeypatch):
 
 
 def test_a_second_run_makes_only_what_is_missing_or_failed(task):
-    told = []
+    reported = []
 
     def note(row, _):
-        told.append(row.seed)
+        reported.append(row.seed)
 
     first = task.run([1, 2], note)
     assert [r.score("f1_5mm") for r in first] == [0.5, 0.0]
     task.runner.values = {1: 0.1, 2: 0.6, 3: 0.7}
     second = task.run([1, 2, 3], note)
-    assert told == [1, 2, 2, 3]
+    assert reported == [1, 2, 2, 3]
     assert [r.score("f1_5mm") for r in second] == [0.5, 0.6, 0.7]
     task.run([1, 2, 3], note)
-    assert told == [1, 2, 2, 3]
+    assert reported == [1, 2, 2, 3]
 
 
 def test_a_line_that_was_cut_short_is_made_again(task):
@@ -219,9 +219,9 @@ def test_a_line_that_was_cut_short_is_made_again(task):
     assert [r.seed for r in read_results(path)] == [1]
     append_result(path, result(7, 0.3))
     assert [r.seed for r in read_results(path)] == [1, 7]
-    told = []
-    task.run([1, 3], lambda row, _: told.append(row.seed))
-    assert told == [3]
+    reported = []
+    task.run([1, 3], lambda row, _: reported.append(row.seed))
+    assert reported == [3]
 
 
 def test_results_of_another_version_are_not_taken(task):
@@ -230,8 +230,8 @@ def test_results_of_another_version_are_not_taken(task):
     old = [replace(r, version="old") for r in read_results(path)]
     path.unlink()
     append_result(path, old[0])
-    told = []
-    task.run([1], lambda row, _: told.append(row.seed))
-    assert told == [1]
+    reported = []
+    task.run([1], lambda row, _: reported.append(row.seed))
+    assert reported == [1]
     # Against another folder its last results count, whatever their version.
     assert [r.seed for r in population.results_against(task.runner.out)] == [1]

@@ -257,7 +257,7 @@ class TestConfigurations:
             opened(tmp_path)
 
 
-class TestPlaces:
+class TestPositions:
     raster = RasterManifest(n_rows=4, n_columns=6, row_step_m=0.01, column_step_m=0.01)
 
     def scan(self, path, options=None, **radar):
@@ -269,15 +269,15 @@ class TestPlaces:
     )
     def test_a_raster_is_filled_row_by_row(self, tmp_path, monkeypatch, serpentine, block):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", block)
-        places = raster_positions(4, 6, 0.01, serpentine=serpentine)
-        signal = scan_signal(places)
+        positions = raster_positions(4, 6, 0.01, serpentine=serpentine)
+        signal = scan_signal(positions)
         path = write_words(tmp_path / "a.bin", np.repeat(signal, 3, axis=0))
         raster = self.raster.model_copy(update={"serpentine": serpentine})
         antennas = {"rx_offsets_m": BOARD_RX.tolist()}
         scan = self.scan(path, raster=raster, antennas=antennas)
         got, tx, rx = whole_pose(scan)
-        assert np.allclose(tx, np.repeat(places, 4, axis=0), atol=1e-12)
-        assert np.allclose(rx, (places[:, None] + BOARD_RX).reshape(-1, 3), atol=1e-12)
+        assert np.allclose(tx, np.repeat(positions, 4, axis=0), atol=1e-12)
+        assert np.allclose(rx, (positions[:, None] + BOARD_RX).reshape(-1, 3), atol=1e-12)
         assert np.allclose(got, signal.reshape(-1, 64), rtol=1e-6)
         assert scan.phase_sign == 1
         assert scan.manifest.waveform.start_frequency_hz == pytest.approx(
@@ -311,7 +311,7 @@ class TestPlaces:
         scan = self.scan(path, ImportOptions(keep_good=True), raster=self.raster)
         assert scan.n_antennas == (22 * 4,)
 
-    def test_a_radar_that_stood_still_becomes_one_place(self, tmp_path, monkeypatch):
+    def test_a_radar_that_stood_still_becomes_one_position(self, tmp_path, monkeypatch):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", 5000)
         signal = beat()
         scan = self.scan(write_words(tmp_path / "a.bin", signal), ImportOptions(static=True))
@@ -335,7 +335,7 @@ class TestPlaces:
         assert np.allclose(got_tx, np.repeat(tx, 4, axis=0))
         assert np.allclose(got_rx, np.tile(BOARD_RX, (3, 1)))
 
-    def test_without_places_the_choices_are_named(self, tmp_path):
+    def test_without_positions_the_choices_are_named(self, tmp_path):
         path = write_words(tmp_path / "a.bin", beat())
         with pytest.raises(UserError, match=r"positions .* raster .* static; 'geraf2 info"):
             self.scan(path)

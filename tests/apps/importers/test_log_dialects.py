@@ -129,7 +129,7 @@ def test_columns_that_are_not_read_are_named_and_may_hold_text(tmp_path):
     assert log.notes == ("columns of log.csv that are not read: state, vx",)
 
 
-def test_quaternions_without_names_are_said_to_be_assumed(tmp_path):
+def test_quaternions_without_names_are_reported_as_assumed(tmp_path):
     table = np.column_stack([PLAIN, np.tile(w_first, (20, 1))])
     log = read(tmp_path, text_of(table, ""))
     assert np.allclose(log.rotations.as_matrix(), TURN.as_matrix(), atol=1e-6)
@@ -137,7 +137,7 @@ def test_quaternions_without_names_are_said_to_be_assumed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "reported"),
     [
         ("time_s,x_m,y_m,z_m\n0,1,a,0\n", "row 1, column 'y_m'"),
         ("time_s,x_m,y_m,z_m\n0,1,0\n", "rows and names differ in number, expected 4, got 3"),
@@ -146,8 +146,8 @@ def test_quaternions_without_names_are_said_to_be_assumed(tmp_path):
         ("time_s,x_m,y_m,z_m\n0,,0,0\n", "1 of 1 rows hold NaN"),
     ],
 )
-def test_what_cannot_be_read_names_row_and_column(tmp_path, text, told):
-    with pytest.raises(UserError, match=told):
+def test_what_cannot_be_read_names_row_and_column(tmp_path, text, reported):
+    with pytest.raises(UserError, match=reported):
         read(tmp_path, text)
 
 

@@ -26,10 +26,10 @@ def receivers(axis):
     return -(0.005 + (3 - np.arange(4)) * half_wave)[:, None] * axis
 
 
-def samples(places, axis):
-    tx = np.repeat(places, 4, axis=0)
-    rx = (places[:, None] + receivers(axis)).reshape(-1, 3)
-    return echo(tx, rx, TARGET[None], WAVEFORM).reshape(len(places), 4, N_SAMPLES)
+def samples(positions, axis):
+    tx = np.repeat(positions, 4, axis=0)
+    rx = (positions[:, None] + receivers(axis)).reshape(-1, 3)
+    return echo(tx, rx, TARGET[None], WAVEFORM).reshape(len(positions), 4, N_SAMPLES)
 
 
 def opened(source, options=None, **radar):
@@ -45,7 +45,7 @@ class TestFolder:
         monkeypatch.setattr(mmnorm, "N_SAMPLES", N_SAMPLES)
 
     @staticmethod
-    def places(times):
+    def positions(times):
         return np.stack([0.02 * (times > 0.2), 0.05 * times, 0 * times], axis=1)
 
     @pytest.fixture
@@ -55,14 +55,14 @@ class TestFolder:
         folder.mkdir(parents=True)
         for begin in (0.0, 0.3):
             times = begin + 3e-3 * np.arange(N_FRAMES)
-            words = words_of(samples(self.places(times), np.array([0.0, 1.0, 0.0])))
+            words = words_of(samples(self.positions(times), np.array([0.0, 1.0, 0.0])))
             name = f"adc_data{START + begin:.2f}.bin"
             (folder / name).write_bytes(words.tobytes())
         times = np.arange(-0.01, 0.5, 0.01)
         np.savez(
             source / "antenna_locs.npz",
             times_77=START + times,
-            tx_77_locs=np.column_stack([self.places(times), np.ones(len(times))]),
+            tx_77_locs=np.column_stack([self.positions(times), np.ones(len(times))]),
         )
         (source.parent / "experiment_info.json").write_text(json.dumps({"rx offset": "y"}))
         return source
@@ -72,11 +72,11 @@ class TestFolder:
         signal, tx, rx = whole_pose(scan)
         assert scan.n_antennas == (2 * N_FRAMES * 4,)
         times = np.concatenate([3e-3 * np.arange(N_FRAMES), 0.3 + 3e-3 * np.arange(N_FRAMES)])
-        places = self.places(times)
+        positions = self.positions(times)
         # A float64 of seconds since 1970 holds 0.2 microseconds.
-        assert np.allclose(tx, np.repeat(places, 4, axis=0), atol=1e-6)
+        assert np.allclose(tx, np.repeat(positions, 4, axis=0), atol=1e-6)
         assert np.allclose(rx - tx, np.tile(receivers(np.array([0.0, 1.0, 0.0])), (60, 1)))
-        assert np.array_equal(signal, samples(places, np.array([0.0, 1.0, 0.0])).reshape(-1, 64))
+        assert np.array_equal(signal, samples(positions, np.array([0.0, 1.0, 0.0])).reshape(-1, 64))
         assert scan.phase_sign == 1
         waveform = scan.manifest.waveform
         assert waveform.start_frequency_hz == 77.5001e9
@@ -120,8 +120,8 @@ class TestFolder:
     )
     def test_a_robot_log_that_does_not_fit_is_named(self, source, change, text):
         with np.load(source / "antenna_locs.npz") as stored:
-            times, places = change(stored["times_77"], stored["tx_77_locs"])
-        np.savez(source / "antenna_locs.npz", times_77=times, tx_77_locs=places)
+            times, positions = change(stored["times_77"], stored["tx_77_locs"])
+        np.savez(source / "antenna_locs.npz", times_77=times, tx_77_locs=positions)
         with pytest.raises(UserError, match=text):
             opened(source)
 
@@ -151,9 +151,9 @@ class TestNpz:
     @pytest.fixture
     def arrays(self):
         y, z = np.meshgrid(0.004 * np.arange(6), 0.004 * np.arange(5))
-        places = np.column_stack([y.ravel(), z.ravel(), np.zeros(30)])
-        signals = samples(places, np.array([1.0, 0.0, 0.0])).transpose(0, 2, 1)
-        return {"received_signals": signals, "antenna_locations": places}
+        positions = np.column_stack([y.ravel(), z.ravel(), np.zeros(30)])
+        signals = samples(positions, np.array([1.0, 0.0, 0.0])).transpose(0, 2, 1)
+        return {"received_signals": signals, "antenna_locations": positions}
 
     def save(self, path, arrays, compressed=False):
         (np.savez_compressed if compressed else np.savez)(path, **arrays)
@@ -161,7 +161,7 @@ class TestNpz:
 
     @pytest.mark.parametrize("compressed", [False, True])
     @pytest.mark.parametrize("block", [1 << 24, 10_000])
-    def test_signals_and_places_are_kept(self, tmp_path, arrays, compressed, block, monkeypatch):
+    def test_signals_and_positions_are_kept(self, tmp_path, arrays, compressed, block, monkeypatch):
         monkeypatch.setattr(_rows, "BLOCK_BYTES", block)
         scan = opened(self.save(tmp_path / "a.npz", arrays, compressed))
         for _ in range(2):  # more than once, as the command line does
@@ -193,12 +193,12 @@ class TestNpz:
         assert np.isfinite(tx).all()
 
     @pytest.mark.parametrize(
-        ("places", "text"),
+        ("positions", "text"),
         [
             (np.zeros((30, 2)), "antenna_locations has the wrong shape"),
             (np.zeros((30, 3)), "the viewing direction is not known"),
         ],
     )
-    def test_places_that_do_not_fit_are_named(self, tmp_path, arrays, places, text):
+    def test_positions_that_do_not_fit_are_named(self, tmp_path, arrays, positions, text):
         with pytest.raises(UserError, match=text):
-            opened(self.save(tmp_path / "a.npz", {**arrays, "antenna_locations": places}))
+            opened(self.save(tmp_path / "a.npz", {**arrays, "antenna_locations": positions}))

@@ -19,7 +19,7 @@ def opened(source, options=None, **radar):
     return load_importer("planar").open(source, RadarManifest(**radar), options or ImportOptions())
 
 
-def test_places_frequencies_and_samples_are_those_of_the_scan(tmp_path):
+def test_positions_frequencies_and_samples_are_those_of_the_scan(tmp_path):
     scan = opened(write_planar(tmp_path / "scan"))
     waveform = scan.manifest.waveform
     step_hz = waveform.chirp_slope_hz_per_s / waveform.sample_rate_hz

@@ -70,7 +70,7 @@ def test_npy_tables_and_records_are_read(tmp_path):
 def test_one_row_a_frame_needs_no_times(tmp_path):
     path = write_csv(tmp_path / "l.csv", POSITIONS, "x,y,z")
     found = track(path, n_frames=20, period=None)
-    assert found.frames_per_place == 2
+    assert found.frames_per_position == 2
     assert np.allclose(found.at(2, 5)[0], POSITIONS[2:5])
     with pytest.raises(UserError, match="10 positions without time stamps do not match 21 frames"):
         track(path, n_frames=21, period=None)
@@ -104,8 +104,8 @@ def test_offsets_turn_with_the_end_effector(tmp_path):
     )
     board = board_of(offsets, n_tx=2, n_rx=1, center_hz=78e9)
     tx, rx = board.antennas(*found.at(9, 10))  # half a step of the log: 45 degrees
-    place, half = 0.3 + 0.2 * 0.45, np.sqrt(0.5)
-    base = np.array([place, -0.045, 0.05])
+    position, half = 0.3 + 0.2 * 0.45, np.sqrt(0.5)
+    base = np.array([position, -0.045, 0.05])
     turned = np.array([[0.01 * half, 0.01 * half, 0], [-0.02 * half, 0.02 * half, 0]])
     assert np.allclose(tx - base, turned)
     assert np.allclose(rx - base, [[0, 0, 0.03]])

@@ -20,7 +20,7 @@ from helpers.raw_capture import (
 
 BOARD = {**RADAR, "antennas": {"rx_offsets_m": BOARD_RX.tolist()}}
 RASTER = RasterManifest(n_rows=4, n_columns=4, row_step_m=0.01, column_step_m=0.01)
-PLACES = raster_positions(4, 4, 0.01)
+POSITIONS = raster_positions(4, 4, 0.01)
 DATA = words_of(beat()).tobytes()
 
 
@@ -32,8 +32,8 @@ def write(folder, pieces, name="scan_{}.bin"):
 
 
 def recorded(n_chirps=2):
-    """File of each place of the raster: chirps of it that differ by nothing."""
-    return [words_of(np.repeat(one[None], n_chirps, 0)).tobytes() for one in scan_signal(PLACES)]
+    """File of each position of the raster: chirps of it that differ by nothing."""
+    return [words_of(np.repeat(one[None], n_chirps, 0)).tobytes() for one in scan_signal(POSITIONS)]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_files_of_any_name_are_joined_with_a_word(tmp_path):
     assert note == ("2 files were joined as the parts of one recording: scan_0.bin, scan_1.bin")
 
 
-def test_packets_that_go_on_in_the_next_file_are_one_recording(tmp_path):
+def test_packets_that_continue_in_the_next_file_are_one_recording(tmp_path):
     packets = packets_of(DATA)
     pieces = [b"".join(packets[:20]), b"".join(packets[20:])]
     recording = open_recording(write(tmp_path, pieces, "a_Raw_{}.bin"), RadarManifest())
@@ -78,23 +78,23 @@ def opened(folder, positions=None, *, keep_good=False, **radar):
 
 
 @pytest.mark.parametrize("n_chirps", [1, 2, 5])
-def test_each_file_is_a_place_of_the_raster(tmp_path, n_chirps):
-    scan = opened(write(tmp_path / "scan", recorded(n_chirps), "place {}.bin"))
+def test_each_file_is_a_position_of_the_raster(tmp_path, n_chirps):
+    scan = opened(write(tmp_path / "scan", recorded(n_chirps), "position {}.bin"))
     signal, tx, _ = whole_pose(scan)
-    assert np.allclose(tx, np.repeat(PLACES, 4, axis=0), atol=1e-12)
-    assert np.allclose(signal, scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
+    assert np.allclose(tx, np.repeat(POSITIONS, 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(POSITIONS).reshape(-1, 64), rtol=1e-6)
     assert scan.integers == (n_chirps == 1)
     assert dict(scan.facts)["files"] == "16, one for each position"
 
 
-def test_packet_headers_of_each_file_are_taken_off(tmp_path):
+def test_packet_headers_of_each_file_are_removed(tmp_path):
     scan = opened(write(tmp_path / "scan", [b"".join(packets_of(x)) for x in recorded(3)]))
-    assert np.allclose(whole_pose(scan)[0], scan_signal(PLACES).reshape(-1, 64), rtol=1e-6)
+    assert np.allclose(whole_pose(scan)[0], scan_signal(POSITIONS).reshape(-1, 64), rtol=1e-6)
 
 
-def rows(folder, names, places=PLACES):
+def rows(folder, names, positions=POSITIONS):
     path = folder.parent / "log.csv"
-    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(names, places, strict=True)]
+    lines = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(names, positions, strict=True)]
     path.write_text("\n".join(["file,x_m,y_m,z_m", *lines]))
     return path
 
@@ -103,13 +103,13 @@ def test_positions_name_their_files(tmp_path):
     folder = write(tmp_path / "scan", recorded())
     (folder / "notes_of_another.bin").write_bytes(b"12")
     order = np.random.default_rng(0).permutation(16)
-    log = rows(folder, [f"scan_{k}.bin" for k in order], PLACES[order])
+    log = rows(folder, [f"scan_{k}.bin" for k in order], POSITIONS[order])
     signal, tx, _ = whole_pose(opened(folder, log))
-    assert np.allclose(tx, np.repeat(PLACES[order], 4, axis=0), atol=1e-12)
-    assert np.allclose(signal, scan_signal(PLACES[order]).reshape(-1, 64), rtol=1e-6)
+    assert np.allclose(tx, np.repeat(POSITIONS[order], 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(POSITIONS[order]).reshape(-1, 64), rtol=1e-6)
 
 
-def test_a_place_with_too_few_frames_is_refused_or_left_out(tmp_path):
+def test_a_position_with_too_few_frames_is_refused_or_left_out(tmp_path):
     pieces = recorded(3)
     pieces[5] = pieces[5][:2048]
     folder = write(tmp_path / "scan", pieces)
@@ -118,8 +118,8 @@ def test_a_place_with_too_few_frames_is_refused_or_left_out(tmp_path):
     scan = opened(folder, keep_good=True)
     signal, tx, _ = whole_pose(scan)
     kept = np.delete(np.arange(16), 5)
-    assert np.allclose(tx, np.repeat(PLACES[kept], 4, axis=0), atol=1e-12)
-    assert np.allclose(signal, scan_signal(PLACES[kept]).reshape(-1, 64), rtol=1e-6)
+    assert np.allclose(tx, np.repeat(POSITIONS[kept], 4, axis=0), atol=1e-12)
+    assert np.allclose(signal, scan_signal(POSITIONS[kept]).reshape(-1, 64), rtol=1e-6)
     assert any("scan_5.bin (2); left out" in note for note in scan.notes)
 
 
@@ -140,7 +140,7 @@ def test_names_of_files_are_names_in_the_folder(tmp_path, names, text):
         opened(folder, log)
 
 
-def test_an_empty_place_is_refused_or_left_out(tmp_path):
+def test_an_empty_position_is_refused_or_left_out(tmp_path):
     folder = write(tmp_path / "scan", [*recorded()[:-1], b""])
     with pytest.raises(UserError, match=r"scan_15\.bin: is empty"):
         opened(folder)
@@ -151,13 +151,13 @@ def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
     folder = write(tmp_path / "scan", recorded()[:-1])
     with pytest.raises(UserError, match="files and positions of the raster differ in number, exp"):
         opened(folder)
-    log = rows(folder, [f"scan_{k}.bin" for k in range(15)], PLACES[:15])
+    log = rows(folder, [f"scan_{k}.bin" for k in range(15)], POSITIONS[:15])
     log.write_text(log.read_text() + "\nscan_0.bin")
     with pytest.raises(UserError, match="rows and names differ in number"):
         opened(folder, log)
 
 
-def test_one_place_and_many_exclude_each_other(tmp_path):
+def test_one_position_and_many_exclude_each_other(tmp_path):
     folder = write(tmp_path / "scan", recorded())
     options = ImportOptions(file_per_position=True, static=True)
     with pytest.raises(UserError, match="static has one position"):
@@ -168,10 +168,10 @@ def test_one_place_and_many_exclude_each_other(tmp_path):
 
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["iwr1443_2lane", "awr1243_offset_binary"])
-def test_a_real_recording_cut_into_places_is_the_same(tmp_path, shared_data, name):
+def test_a_real_recording_cut_into_positions_is_the_same(tmp_path, shared_data, name):
     data = (shared_data / "dca1000" / f"{name}.bin").read_bytes()
-    place = len(data) // 16
-    folder = write(tmp_path / "scan", [data[k * place : (k + 1) * place] for k in range(16)])
+    position = len(data) // 16
+    folder = write(tmp_path / "scan", [data[k * position : (k + 1) * position] for k in range(16)])
     radar = {key: value for key, value in BOARD.items() if key != "sample_rate_hz"}
     manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
     whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)

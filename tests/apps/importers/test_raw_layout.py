@@ -19,7 +19,7 @@ def coupled(n_chirps=64, n_samples=256):
 
 
 @pytest.mark.parametrize("layout", ["2-lane-sequential", "iq"])
-def test_whole_chirps_tell_the_layout_where_coupling_leaks(tmp_path, layout):
+def test_whole_chirps_show_the_layout_where_coupling_leaks(tmp_path, layout):
     signal = coupled()
     recording = opened(write_words(tmp_path / "a.bin", signal, layout))
     order = recording.evidence.order

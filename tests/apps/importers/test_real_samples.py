@@ -1,4 +1,4 @@
-"""Real samples: told from complex ones, and read as the analytic signal at half the rate."""
+"""Real samples: recognised, and read as the analytic signal at half the rate."""
 
 import json
 
@@ -45,7 +45,7 @@ def real_echoes(frequencies, *, n_samples=128, noise=3, seed=0):
     return 900 * np.repeat(signal, 48, axis=0) + noise * rng.normal(size=(48, 4, n_samples))
 
 
-# Shares of the sample rate at which chirps go on nearly without jumps, so that the layout is asked.
+# Shares of the sample rate at which chirps continue without jumps, so that the layout is asked.
 UNCLEAR = (0.01, 0.07, 0.16, 0.25)
 
 
@@ -155,18 +155,18 @@ def test_odd_numbers_and_configurations_of_the_other_kind_are_refused(tmp_path):
         opened(path, options)
 
 
-def real_scan(places):
+def real_scan(positions):
     """The recording that `scan_signal` would be with real samples, twice as many at twice the rate.
 
     A receiver without Q gives the cosine of the beat's phase 2 pi f(t) path / c.
     """
-    tx, rx = np.repeat(places, 4, axis=0), (places[:, None] + BOARD_RX).reshape(-1, 3)
+    tx, rx = np.repeat(positions, 4, axis=0), (positions[:, None] + BOARD_RX).reshape(-1, 3)
     path = np.linalg.norm(TARGET - tx, axis=1) + np.linalg.norm(TARGET - rx, axis=1)
     times = np.arange(2 * WAVEFORM.n_samples) / (2 * WAVEFORM.sample_rate_hz)
     frequency = WAVEFORM.start_frequency_hz + WAVEFORM.chirp_slope_hz_per_s * times
     path = path[:, None] + WAVEFORM.path_bias_m
     phase = 2 * np.pi * frequency * path / SPEED_OF_LIGHT_M_PER_S
-    return (800 * np.cos(phase)).reshape(len(places), 4, -1)
+    return (800 * np.cos(phase)).reshape(len(positions), 4, -1)
 
 
 def focus_m(capture):
@@ -187,7 +187,7 @@ def focus_m(capture):
     return x[np.abs(image).argmax()], np.abs(image).max() / pose.signal.size
 
 
-PLACES = raster_positions(8, 8, 0.002)
+POSITIONS = raster_positions(8, 8, 0.002)
 BOARD = {
     "raster": RasterManifest(n_rows=8, n_columns=8, row_step_m=0.002, column_step_m=0.002),
     "antennas": AntennaManifest(tx_offsets_m=[[0, 0, 0]], rx_offsets_m=BOARD_RX.tolist()),
@@ -198,7 +198,7 @@ BOARD = {
 def complex_capture(tmp_path_factory):
     """Capture with complex samples, and where it focuses."""
     folder = tmp_path_factory.mktemp("complex")
-    write_words(folder / "complex.bin", scan_signal(PLACES))
+    write_words(folder / "complex.bin", scan_signal(POSITIONS))
     radar = RadarManifest(**RADAR, **BOARD)
     import_capture("dca1000", folder / "complex.bin", folder / "a", radar=radar)
     capture = load_capture(folder / "a")
@@ -219,7 +219,7 @@ def complex_capture(tmp_path_factory):
 def test_real_samples_focus_where_complex_ones_do(tmp_path, complex_capture, given, layout):
     expected, at, sharp = complex_capture
     path = tmp_path / "real.bin"
-    path.write_bytes(real_words(real_scan(PLACES), layout))
+    path.write_bytes(real_words(real_scan(POSITIONS), layout))
     radar, options = {**BOARD, "path_bias_m": WAVEFORM.path_bias_m}, ImportOptions()
     if given == "toml":
         numbers = {**RADAR, "sample_rate_hz": 2e6, "n_samples": 128, "raw": RawManifest(n_rx=4)}

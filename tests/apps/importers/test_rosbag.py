@@ -57,9 +57,9 @@ def test_an_offset_of_the_clocks_is_found_and_applied(bag, path, frames):
     assert abs(found - 1e3 * LATE_S) < 0.3
     assert 0.0 < sigma < 0.3
     assert scan.manifest.provenance["clock offset"] == dict(scan.facts)["clock offset"]
-    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    positions = np.concatenate([pose.tx_positions for pose in scan.poses()])
     expected, _ = at_times(path, frames[0])
-    assert np.abs(places - expected).max() < 1e-4
+    assert np.abs(positions - expected).max() < 1e-4
     signal = np.concatenate([pose.signal for pose in scan.poses()])
     assert signal.dtype == np.int16
     assert np.array_equal(signal[7].reshape(-1), frames[1][7])
@@ -104,8 +104,8 @@ def test_info_lists_the_topics_of_a_bag(tmp_path, bag, path, frames, capsys):
 def test_a_given_offset_goes_before_the_estimate(bag, path, frames):
     scan = opened(bag, clock_offset_ms=30.0)
     assert dict(scan.facts)["clock offset"] == "radar 30 ms late, given"
-    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
-    assert np.allclose(places, at_times(path, frames[0] + 0.003)[0], atol=1e-5)
+    positions = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    assert np.allclose(positions, at_times(path, frames[0] + 0.003)[0], atol=1e-5)
 
 
 def test_lines_in_one_direction_do_not_determine_the_offset(tmp_path):
@@ -136,8 +136,8 @@ def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, f
     bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses=poses, storage="SQLITE3")
     scan = opened(bag, clock_offset_ms=0.0)
     assert dict(scan.facts)["positions from"].startswith("/radar/pose")
-    places = np.concatenate([pose.tx_positions for pose in scan.poses()])
-    assert np.abs(places - at_times(path, frames[0])[0]).max() < 1e-5
+    positions = np.concatenate([pose.tx_positions for pose in scan.poses()])
+    assert np.abs(positions - at_times(path, frames[0])[0]).max() < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -176,9 +176,9 @@ def test_transmitters_that_take_turns_have_positions_of_their_own_times(tmp_path
     radar = RADAR_MANIFEST.model_copy(update={"raw": raw, "antennas": antennas})
     scan = load_importer("rosbag").open(bag, radar, ImportOptions())
     assert abs(offset_ms(scan)[0] - 1e3 * LATE_S) < 0.3
-    places = np.concatenate([pose.tx_positions for pose in scan.poses()]).reshape(-1, 2, 3)
+    positions = np.concatenate([pose.tx_positions for pose in scan.poses()]).reshape(-1, 2, 3)
     for k, delay in enumerate(delays):
-        assert np.abs(places[:, k] - at_times(path, both[0] + delay)[0]).max() < 1e-4
+        assert np.abs(positions[:, k] - at_times(path, both[0] + delay)[0]).max() < 1e-4
 
 
 def test_stretches_between_turns_are_planes(tmp_path):

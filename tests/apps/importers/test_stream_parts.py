@@ -104,7 +104,7 @@ def test_zeros_at_the_start_are_left_out(tmp_path, layout, n_zeros):
     assert f"the first {n_zeros} bytes of a.bin are zero and were left out" in recording.notes
 
 
-def test_zeros_of_whole_frames_stay_since_time_goes_on(tmp_path):
+def test_zeros_of_whole_frames_stay_since_time_continues(tmp_path):
     path = tmp_path / "a.bin"
     path.write_bytes(bytes(5 * 1024) + words_of(beat()).tobytes())
     recording = opened(path)

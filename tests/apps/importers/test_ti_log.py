@@ -153,7 +153,7 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("name", "text", "told"),
+    ("name", "text", "reported"),
     [
         ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
         ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0 0\n", "frameCfg has too many values.*got 9"),
@@ -180,8 +180,8 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
         ("a.json", "{}", "is no configuration of a TI radar"),
     ],
 )
-def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, told):
-    with pytest.raises(UserError, match=told):
+def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, reported):
+    with pytest.raises(UserError, match=reported):
         read(tmp_path, text, name)
 
 

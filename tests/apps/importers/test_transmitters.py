@@ -92,9 +92,9 @@ def script(folder, masks, turned):
     return folder / "a.lua"
 
 
-def scan(folder, config, n_places, **raw):
+def scan(folder, config, n_positions, **raw):
     antennas = AntennaManifest(
-        tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(n_places)],
+        tx_offsets_m=[[0.0, 0.002 * k, 0.0] for k in range(n_positions)],
         rx_offsets_m=[[0.0, -0.005 - 0.002 * k, 0.0] for k in range(4)],
     )
     radar = RadarManifest(**RADAR, antennas=antennas, raw=RawManifest(**raw))

@@ -134,22 +134,22 @@ def test_large_flats_are_in_sight_of_whole_subapertures_only():
     assert found == [False, True]
 
 
-def test_echoes_from_a_place_of_the_model_confirm_it():
+def test_echoes_from_a_part_of_the_model_confirm_it():
     """Glints where the model is say that there is no bump; glints on the bump say that there is."""
     model = block(SIDES, edge_m=0.003)
     body = measured(with_bump(model, 0.005), np.eye(4), sigma_m=2e-4)
     at = np.linspace(-0.006, 0.006, 6)
     spots = np.array([(x, y, 0.01) for x in at for y in at])
     on_bump = spots + np.array([0, 0, 0.005])
-    assert [len(faults(body, model, places)) for places in (spots, on_bump)] == [0, 1]
+    assert [len(faults(body, model, positions)) for positions in (spots, on_bump)] == [0, 1]
 
 
-def faults(body, model, places):
-    glints = glints_at(places, np.tile([0.0, 0.0, 1.0], (len(places), 1)))
+def faults(body, model, positions):
+    glints = glints_at(positions, np.tile([0.0, 0.0, 1.0], (len(positions), 1)))
     return deviation_of(body, model, placed(np.eye(4)), 0.002, glints=glints).regions
 
 
-def test_the_uncertainty_of_a_pose_at_a_place_is_that_of_a_lever():
+def test_the_uncertainty_of_a_pose_at_a_point_is_that_of_a_lever():
     """Turns about z alone, 0.1 rad: a point 20 mm out moves by 2 mm in one of three directions."""
     placement = replace(placed(np.eye(4)), covariance=np.diag([0, 0, 0.01, 0, 0, 0.0]))
     points = np.array([[0.02, 0, 0], [0, 0, 0.05]])

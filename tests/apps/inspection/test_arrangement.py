@@ -21,10 +21,12 @@ def grown_together():
     """Surface of both blocks and of what the fit put between them, connected."""
     step = 0.0015
     at = [np.arange(-half, half, step) for half in (0.04, 0.045, 0.025)]
-    places = np.stack(np.meshgrid(*at, indexing="ij"), -1)
+    positions = np.stack(np.meshgrid(*at, indexing="ij"), -1)
     boxes = [(sides, (0.0, y, 0.0)) for sides, y in BLOCKS.values()]
     boxes.append(((0.012, 0.03, 0.012), (0.0, 0.0, 0.0)))
-    field = np.min([(np.abs(places - c) - np.divide(s, 2)).max(axis=-1) for s, c in boxes], axis=0)
+    field = np.min(
+        [(np.abs(positions - c) - np.divide(s, 2)).max(axis=-1) for s, c in boxes], axis=0
+    )
     vertices, faces, _, _ = marching_cubes(field, 1e-6, gradient_direction="descent")
     low = np.array([a[0] for a in at])
     return TriangleMesh(vertices=vertices * step + low, faces=faces.astype(np.int64))

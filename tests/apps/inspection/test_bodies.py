@@ -23,7 +23,7 @@ def test_a_block_that_lies_askew_has_its_own_lengths():
 
 
 def test_uncertainties_are_those_of_the_samples():
-    """A displacement that all places share, on a sphere: dV = A d, dA = 8 pi r d, dc = 0."""
+    """A displacement that all points share, on a sphere: dV = A d, dA = 8 pi r d, dc = 0."""
     r, moved = 0.03, 1e-5 * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     mesh = ball(r, 4)
     n = len(mesh.vertices)
@@ -38,7 +38,7 @@ def test_uncertainties_are_those_of_the_samples():
 
 
 def test_samples_without_a_posterior_have_the_errors_of_the_surface():
-    """In part common: two places far apart correlate by the common share, 0.3."""
+    """In part common: two points far apart correlate by the common share, 0.3."""
     mesh = block((0.08, 0.06, 0.05), edge_m=0.005)
     sigma = np.linspace(1e-4, 4e-4, len(mesh.vertices))
     moved = body_of(replace(mesh, expected_error_m=sigma)).moved_m / sigma

@@ -1,4 +1,4 @@
-"""Poses and absent places by the echoes that a placed model should send."""
+"""Poses and absent parts by the echoes that a placed model should send."""
 
 from types import SimpleNamespace
 
@@ -82,7 +82,7 @@ def test_what_sends_no_echo_is_absent(expected):
     absent = [region for region in deviation.regions if region.what == "absent"]
     assert len(absent) == 1
     assert absent[0].center_m == pytest.approx((-0.032, 0.0, 0.0), abs=4e-3)
-    # Where the surface is there within the tolerance, an echo that lacks tells nothing.
+    # Where the surface is there within the tolerance, a missing echo proves nothing.
     whole = measured(model, np.eye(4))
     there = deviation_of(whole, model, found.placement, 0.002, echoes=found.patches)
     assert [region for region in there.regions if region.what == "absent"] == []

@@ -101,11 +101,11 @@ def test_many_echoes_set_the_pose_and_few_do_not():
     x = model.vertices[:, 0]
     thick = model.vertices + np.outer(0.0015 * (x > 0.0299), [1.0, 0, 0])
     body = replace(body, mesh=TriangleMesh(vertices=thick, faces=model.faces))
-    places, normals = model.corners.mean(axis=1), unit_normals(model.corners)
+    positions, normals = model.corners.mean(axis=1), unit_normals(model.corners)
     found = []
     for n in (LEAST_ECHOES - 1, 3000):
-        some = np.random.default_rng(1).permutation(len(places))[:n]
-        glints = glints_at(places[some], normals[some])
+        some = np.random.default_rng(1).permutation(len(positions))[:n]
+        glints = glints_at(positions[some], normals[some])
         joined, echoes = surface_evidence_of(body, glints), echoes_of(body, glints)
         placement = register(joined, model, echoes=echoes, start=np.eye(4))
         assert placement.by_echoes == (n >= LEAST_ECHOES)

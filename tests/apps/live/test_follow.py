@@ -150,7 +150,7 @@ def test_sub_scans_of_an_angle_are_a_plane(capture, tmp_path):
     assert geraf2.load_capture(tmp_path / "out/scene").n_antennas == pose.n_antennas
 
 
-def test_what_is_wrong_is_one_line_and_the_session_goes_on(capture, tmp_path):
+def test_an_error_is_one_line_and_the_session_continues(capture, tmp_path):
     folder, poses = tmp_path / "scan", capture.poses
     _write_capture_json(folder)
     write_frame(folder / "mf/0_0_0", poses[0])

@@ -117,7 +117,7 @@ class _Heard(Listener):
         self.warnings.append(text)
 
 
-def test_a_plane_that_is_wrong_is_refused_and_the_session_goes_on(capture, tmp_path):
+def test_a_wrong_plane_is_refused_and_the_session_continues(capture, tmp_path):
     heard = _Heard()
     first, second = capture.poses[:2]
     with _session(capture, tmp_path / "out", listener=heard) as session:
@@ -181,7 +181,7 @@ for pose in capture.poses:
 """
 
 
-def test_a_killed_session_goes_on_from_its_last_plane(capture, whole, tmp_path):
+def test_a_killed_session_continues_from_its_last_plane(capture, whole, tmp_path):
     save_capture(capture, tmp_path / "scene")
     command = [sys.executable, "-c", textwrap.dedent(KILLED), tmp_path / "scene", tmp_path / "out"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:

@@ -241,12 +241,12 @@ def test_a_file_of_a_dca1000_grows_with_its_positions(tmp_path, path, frames):
     _, words = frames
     data = np.concatenate([part.reshape(-1) for part in words]).astype("<i2").tobytes()
     stamps = np.arange(path[0][0], path[0][-1], 0.01)
-    place, turns = at_times(path, stamps)
+    position, turns = at_times(path, stamps)
     cos, sin = np.cos(turns), np.sin(turns)
-    x, y = cos * place[:, 0] - sin * place[:, 1], sin * place[:, 0] + cos * place[:, 1]
+    x, y = cos * position[:, 0] - sin * position[:, 1], sin * position[:, 0] + cos * position[:, 1]
     zero = np.zeros_like(x)
     rows = np.stack(
-        [stamps, x, y, place[:, 2], np.cos(turns / 2), zero, zero, np.sin(turns / 2)], axis=1
+        [stamps, x, y, position[:, 2], np.cos(turns / 2), zero, zero, np.sin(turns / 2)], axis=1
     )
     log, recording = tmp_path / "log.csv", tmp_path / "adc_data.bin"
     head = "time_s,x_m,y_m,z_m,qw,qx,qy,qz\n"

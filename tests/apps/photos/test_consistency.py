@@ -19,10 +19,10 @@ ROUNDS = (
 )
 
 
-def printed(places):
+def printed(positions):
     """Grey print of waves shorter than the squares that are compared."""
     waves = np.random.default_rng(3).normal(0.0, 220.0, (24, 3))
-    return 0.5 + 0.4 * np.tanh(np.cos(places @ waves.T + np.arange(24)).sum(axis=1) / 4.0)
+    return 0.5 + 0.4 * np.tanh(np.cos(positions @ waves.T + np.arange(24)).sum(axis=1) / 4.0)
 
 
 def printed_ball(*, distortion=(0.0,) * 5, print_on=True, masks=True, n_photos=10):
@@ -33,8 +33,8 @@ def printed_ball(*, distortion=(0.0,) * 5, print_on=True, masks=True, n_photos=1
         offset = origins - photo_sphere.CENTER
         middle = -(offset * directions).sum(axis=1)
         inside = photo_sphere.RADIUS_M**2 - (offset**2).sum(axis=1) + middle**2
-        place = offset + (middle - np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions
-        grey = np.where(inside > 0.0, printed(place) if print_on else 0.5, 0.1)
+        position = offset + (middle - np.sqrt(np.maximum(inside, 0.0)))[:, None] * directions
+        grey = np.where(inside > 0.0, printed(position) if print_on else 0.5, 0.1)
         image = np.repeat(np.round(255.0 * grey).astype(np.uint8)[:, None], 3, axis=1)
         cameras.append(camera)
         images.append(image.reshape(144, 192, 3))
@@ -56,13 +56,13 @@ def dented(towards):
 def errors(values):
     """Distance of the zero level from the ball beside +x, over the grid lines that cross it."""
     crossings = []
-    places = POINTS.reshape(*GRID.shape, 3)
+    positions = POINTS.reshape(*GRID.shape, 3)
     for j in range(12, 21):
         for k in range(12, 21):
-            line, x = values[:, j, k], places[:, j, k, 0]
+            line, x = values[:, j, k], positions[:, j, k, 0]
             i = np.nonzero((line[:-1] < 0.0) & (line[1:] >= 0.0))[0][-1]
             share = line[i] / (line[i] - line[i + 1])
-            y, z = places[0, j, k, 1:]
+            y, z = positions[0, j, k, 1:]
             crossings.append(np.hypot(x[i] + share * (x[i + 1] - x[i]), np.hypot(y, z)))
     return np.abs(np.array(crossings) - photo_sphere.RADIUS_M)
 

@@ -1,4 +1,4 @@
-"""What is implausible about photos is said in one line, and nothing else is."""
+"""Only what is implausible about photos is reported, in one line."""
 
 import re
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_good_photos_have_no_finding():
 TURN = np.array([[0.0, 0, 1, 0], [0, 1, 0, 0], [-1, 0, 0, 0], [0, 0, 0, 1]])
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 MIRROR = np.array([1.0, -1.0, 1.0, 1.0])[:, None] ** [0, 0, 0, 1]  # of the positions alone
-ONE_PLACE = posed(lambda pose: pose).cameras[0].camera_to_world
+ONE_POSITION = posed(lambda pose: pose).cameras[0].camera_to_world
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ ONE_PLACE = posed(lambda pose: pose).cameras[0].camera_to_world
         (posed(lambda p: p * MIRROR), "error", ""),
         (posed(lambda p: p * [1.0, 1.0, 1.0, 1e3]), "error", "--unit"),
         (posed(lambda p: p * [1.0, 1.0, 1.0, 1e-2]), "error", "--unit"),
-        (posed(lambda _: ONE_PLACE), "error", "one position"),
+        (posed(lambda _: ONE_POSITION), "error", "one position"),
         (posed(lambda p: p @ TURN, only=[3]), "warning", r"photo3\.png"),
         (photo_set(arc=np.radians(120.0)), "warning", "one side: 2"),
         (photo_set(8), "warning", "only 8 photos"),

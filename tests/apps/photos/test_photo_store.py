@@ -1,4 +1,4 @@
-"""Photo sets from files: what is read, what is left out and said."""
+"""Photo sets from files: what is read, what is omitted and reported."""
 
 import numpy as np
 import pytest

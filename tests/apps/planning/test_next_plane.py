@@ -21,26 +21,26 @@ def ball():
     trimesh = pytest.importorskip("trimesh")
     made = trimesh.creation.icosphere(subdivisions=4, radius=0.04)
     vertices = np.asarray(made.vertices)
-    said = np.full(len(vertices), 2.4e-3)
-    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), expected_error_m=said)
+    stated = np.full(len(vertices), 2.4e-3)
+    return TriangleMesh(vertices=vertices, faces=np.asarray(made.faces), expected_error_m=stated)
 
 
-def squared_angles(ways):
-    """Mean over the sphere of the squared angle to the nearest of some ways, by sampling."""
+def squared_angles(directions):
+    """Mean over the sphere of the squared angle to the nearest of some directions, by sampling."""
     normals = np.random.default_rng(1).standard_normal((100_000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    cosine = (normals @ np.asarray(ways, dtype=float).T).max(axis=1)
+    cosine = (normals @ np.asarray(directions, dtype=float).T).max(axis=1)
     return float(np.mean(np.arccos(np.clip(cosine, -1.0, 1.0)) ** 2))
 
 
 def test_the_error_falls_with_the_square_of_the_angle_to_what_is_seen(ball):
     before, after = expected_errors(ball, [BESIDE], [ABOVE, RAISED, BESIDE], CENTER)
     assert before == pytest.approx(2.4e-3)
-    # Of one way: mean square of the angle between any two directions, (pi^2 - 4) / 2.
+    # Of one direction: mean square of the angle between any two directions, (pi^2 - 4) / 2.
     alone = 0.5 * (np.pi**2 - 4.0)
     assert squared_angles([[1, 0, 0]]) == pytest.approx(alone, rel=0.01)
-    for error, way in zip(after, ([0, 0, 1], [1, 0, 1] / np.sqrt(2), [1, 0, 0]), strict=True):
-        left = squared_angles([[1, 0, 0], way]) / alone
+    for error, direction in zip(after, ([0, 0, 1], [1, 0, 1] / np.sqrt(2), [1, 0, 0]), strict=True):
+        left = squared_angles([[1, 0, 0], direction]) / alone
         assert error == pytest.approx(0.4e-3 + 2e-3 * left, rel=0.04)
     assert after[2] == pytest.approx(before)
 
@@ -52,7 +52,7 @@ def test_a_larger_plane_gains_more_and_one_that_was_there_nothing(ball):
     assert after[1] < 0.99 * before
 
 
-def test_a_surface_that_says_less_than_seen_surface_gains_nothing(ball):
+def test_a_surface_smaller_than_the_seen_one_gains_nothing(ball):
     sure = replace(ball, expected_error_m=np.full(len(ball.vertices), 0.3e-3))
     before, after = expected_errors(sure, [BESIDE], [ABOVE], CENTER)
     assert after[0] == pytest.approx(before)

@@ -93,7 +93,7 @@ def test_poses_are_those_of_the_plan(written):
         np.testing.assert_allclose(turn.T, plane.axes, atol=1e-5)
     with ros.open() as handle:
         poses = list(csv.DictReader(handle))
-    assert len(poses) == sum(line.n_places for _, line in lines)
+    assert len(poses) == sum(line.n_positions for _, line in lines)
     last = Rotation.from_quat([float(poses[-1][f"orientation.{axis}"]) for axis in "xyzw"])
     np.testing.assert_allclose(last.as_matrix().T, lines[-1][0].axes, atol=1e-5)
     assert float(poses[-1]["stamp"]) == pytest.approx(lines[-1][1].end_s, abs=1e-5)

@@ -34,7 +34,7 @@ def test_lines_of_a_plane_and_their_time():
     scan, seconds = swept_planes(planes, 0.004, EIGHT)
     lines = scan.planes[0].lines
     # 8 rows of 4 mm a line: 63 rows take 8 lines of 0.14 m, each 32 mm above the one before.
-    assert (len(lines), lines[0].n_places) == (8, 36)
+    assert (len(lines), lines[0].n_positions) == (8, 36)
     assert [line.start_m[2] for line in lines] == pytest.approx(0.032 * (np.arange(8) - 3.5))
     assert seconds == pytest.approx(2 * (8 * (0.14 + 0.032) / 0.1 + 3.0))
     assert lines[1].start_s - lines[0].end_s == pytest.approx(0.32)

@@ -191,13 +191,13 @@ def test_only_a_page_of_the_server_itself_may_ask(asked, origin, host, same):
 
 
 @pytest.mark.parametrize(
-    ("number", "code", "said"),
+    ("number", "code", "stated"),
     [
         (signal.SIGINT, 0, ""),
         (signal.SIGTERM, 143, "geraf2: interrupted; nothing was written\n"),
     ],
 )
-def test_ctrl_c_is_the_normal_end_of_view(number, code, said, small_capture_folder):
+def test_ctrl_c_is_the_normal_end_of_view(number, code, stated, small_capture_folder):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -213,7 +213,7 @@ def test_ctrl_c_is_the_normal_end_of_view(number, code, said, small_capture_fold
         assert any("Ctrl-C ends it" in line for line in process.stdout)
         process.send_signal(number)
         error = process.communicate(timeout=60)[1]
-    assert (process.returncode, error) == (code, said)
+    assert (process.returncode, error) == (code, stated)
 
 
 @pytest.mark.browser

@@ -51,8 +51,10 @@ def coverage(belt: BeltSpec, box_m: tuple[float, float, float]) -> Iterator[Cove
     seen = np.zeros((len(points), len(normals)), dtype=bool)
     n_boards, n_chips = 0, 0
     for spec, station, (plane, _) in zip(belt.arrays, record.arrays, whole, strict=True):
-        places = 0.5 * (plane.tx + plane.rx) @ plane.axes.T
-        aperture = Aperture(axes=plane.axes, low_m=places.min(axis=0), high_m=places.max(axis=0))
+        positions = 0.5 * (plane.tx + plane.rx) @ plane.axes.T
+        aperture = Aperture(
+            axes=plane.axes, low_m=positions.min(axis=0), high_m=positions.max(axis=0)
+        )
         seen |= [received_normals([aperture], normals, point)[:, 0] for point in points]
         n_tx, n_rx = spec.n_antennas_of_board()
         n_boards += spec.n_boards

@@ -25,7 +25,7 @@ _MEDIAN_M = 0.05
 # Gaps that are closed, and shortest parcel [m].
 _GAP_M, _SHORTEST_M = 0.03, 0.04
 # Largest deviation of a channel from its position in the record [m].
-_SAME_PLACE_M = 1e-3
+_SAME_POSITION_M = 1e-3
 # Smallest step that counts as motion, share of the nominal one; largest gap, steps; largest step
 # back, steps: an encoder's error is far smaller.
 _LEAST_STEP, _MOST_GAP, _MOST_BACK = 0.25, 8.0, 1.0
@@ -61,18 +61,18 @@ def travel_of(
             expected=f"a multiple of the {n} channels of array {array.name}",
             got=pose.n_antennas,
         )
-    places = pose.phase_centers.reshape(-1, n, 3)
+    positions = pose.phase_centers.reshape(-1, n, 3)
     nominal = array.phase_centers_m
-    off = np.abs(places[..., 1:] - nominal[:, 1:]).max()
-    x = places[..., 0].mean(axis=1) - (nominal[:, 0].mean() - array.station_m)
+    off = np.abs(positions[..., 1:] - nominal[:, 1:]).max()
+    x = positions[..., 0].mean(axis=1) - (nominal[:, 0].mean() - array.station_m)
     late = np.array(array.delays_s) * record.speed_m_per_s
-    rows = places[..., 0] - x[:, None] - (nominal[:, 0] - array.station_m) + (late - late.mean())
+    rows = positions[..., 0] - x[:, None] - (nominal[:, 0] - array.station_m) + (late - late.mean())
     off = max(float(off), float(np.abs(rows).max()))
-    if off > _SAME_PLACE_M:
+    if off > _SAME_POSITION_M:
         raise UserError(
             what=f"antennas lie elsewhere than those of array {array.name}",
             where=f"plane {pose.name}",
-            expected=f"at most {1e3 * _SAME_PLACE_M:g} mm from belt.json",
+            expected=f"at most {1e3 * _SAME_POSITION_M:g} mm from belt.json",
             got=f"{1e3 * off:.1f} mm",
             hint="correct the positions in belt.json, or record the plane with its array's name",
         )

@@ -131,8 +131,8 @@ def on_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
     raster[..., 0] = local[..., 0].mean()
     raster[..., 1] = (along.mean() + step * frames)[:, None]
     raster[..., 2] = local[..., 2].mean(axis=0)
-    places = (raster.reshape(-1, 3)) @ pose.axes
-    moved = places - pose.phase_centers
+    positions = (raster.reshape(-1, 3)) @ pose.axes
+    moved = positions - pose.phase_centers
     if np.abs(moved).max() > _MOST_MOVED_M:
         return pose
     ends = [pose.tx_positions, pose.rx_positions]

@@ -45,8 +45,8 @@ def costs(runner: Runner, rows: Sequence[Row]) -> dict[str, Cost]:
     """Cost of each experiment, in the order of the rows; failed rows count as remaining."""
     pieces: dict[str, _Piece] = {}
     for row in rows:
-        scene, run = (folder.name for folder in runner.place(row))
-        size = float(row.spec.scan.n_planes) if row.case.told_permittivity == "true" else 0.0
+        scene, run = (folder.name for folder in runner.folders(row))
+        size = float(row.spec.scan.n_planes) if row.case.given_permittivity == "true" else 0.0
         scene_s, result = runner.known_scene_seconds(row), runner.known(row)
         is_done = result is not None and result.error is None
         seconds = (result.all_cpu_seconds or 0.0) if is_done and result is not None else None

@@ -32,7 +32,7 @@ SCENE_VERSION, RESULT_VERSION = 1, 4
 _LATER = ("rings", "file", "sweeps")
 
 
-class Place(NamedTuple):
+class Folders(NamedTuple):
     """Folders of a row, named by a hash of their inputs; tables share both."""
 
     scene: Path
@@ -81,7 +81,7 @@ class Runner:
         done = self.known(row)  # tables share rows
         if done is not None:
             return done
-        scene, run = self.place(row)
+        scene, run = self.folders(row)
         try:
             self.simulate(row)
             arguments = (row, scene, run, self.seed_of(row), self.num_threads)
@@ -110,7 +110,7 @@ class Runner:
 
     def known(self, row: Row) -> RowResult | None:
         """Return the stored result of a row; None without one."""
-        values = read_record(self.place(row).run / RESULT_NAME)
+        values = read_record(self.folders(row).run / RESULT_NAME)
         own = {
             entry.name: values[entry.name] for entry in fields(RowResult) if entry.name in values
         }
@@ -118,10 +118,10 @@ class Runner:
 
     def known_scene_seconds(self, row: Row) -> float | None:
         """Processor time of a row's scene [s]; None where unknown."""
-        seconds = read_record(self.place(row).scene.with_suffix(".json")).get("cpu_seconds")
+        seconds = read_record(self.folders(row).scene.with_suffix(".json")).get("cpu_seconds")
         return float(seconds) if isinstance(seconds, int | float) else None
 
-    def place(self, row: Row) -> Place:
+    def folders(self, row: Row) -> Folders:
         """Folders of a row's scene and result."""
         how, case = row.how, row.case
         spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
@@ -140,7 +140,10 @@ class Runner:
                 k: value for k, value in vars(row.spec.disturbance).items() if k != "far_walls"
             }
         scene = stage_key(
-            version=SCENE_VERSION, spec=spec, seed=self.seed_of(row), told=case.told_permittivity
+            version=SCENE_VERSION,
+            spec=spec,
+            seed=self.seed_of(row),
+            permittivity=case.given_permittivity,
         )
         more = {"options": how.options} if how.options else {}
         run = stage_key(
@@ -154,7 +157,7 @@ class Runner:
             seed=self.seed_of(row),
             **more,
         )
-        return Place(
+        return Folders(
             (self.cache or self.out) / SCENES_FOLDER / f"{row.scene}-{scene[:10]}",
             self.out / RUNS_FOLDER / f"{row.scene}-{row.method}-{run[:10]}",
         )
@@ -165,7 +168,7 @@ class Runner:
 
     def simulate(self, row: Row) -> None:
         """Simulate the scene of a row, unless it exists; UserError."""
-        scene, permittivity = self.place(row).scene, row.case.told_permittivity
+        scene, permittivity = self.folders(row).scene, row.case.given_permittivity
         if scene.is_dir():  # made whole or not at all
             return
         scene.parent.mkdir(parents=True, exist_ok=True)
@@ -177,13 +180,13 @@ class Runner:
             return
         true_row = with_true_walls(row)
         self.simulate(true_row)
-        true_scene = self.place(true_row).scene
+        true_scene = self.folders(true_row).scene
         self._call(copy_with_walls, true_scene, scene, permittivity)
 
 
 def with_true_walls(row: Row) -> Row:
     """Return the same row with the true walls recorded in its scene."""
-    return replace(row, case=replace(row.case, told_permittivity="true"))
+    return replace(row, case=replace(row.case, given_permittivity="true"))
 
 
 def run_on_workers(
@@ -200,11 +203,11 @@ def run_on_workers(
     runner = replace(runner, out=runner.out.resolve(), cache=cache)
     alike: dict[Path, list[Row]] = {}  # tables share rows
     for row in rows:
-        alike.setdefault(runner.place(row).run, []).append(row)
+        alike.setdefault(runner.folders(row).run, []).append(row)
     found = {run: runner.known(same[0]) for run, same in alike.items()}
     remaining = [same[0] for run, same in alike.items() if found[run] is None]
-    true_scenes = {runner.place(row).scene: row for row in map(with_true_walls, remaining)}
-    others = {runner.place(row).scene: row for row in remaining}
+    true_scenes = {runner.folders(row).scene: row for row in map(with_true_walls, remaining)}
+    others = {runner.folders(row).scene: row for row in remaining}
 
     def report(run: Path, result: RowResult) -> None:
         found[run] = result
@@ -224,8 +227,8 @@ def run_on_workers(
             for row, answer in _answers(client, Runner.run, runner, remaining):
                 is_lost = isinstance(answer, BaseException)
                 result = RowResult(error=" ".join(str(answer).split())) if is_lost else answer
-                report(runner.place(row).run, result)
-    return [(row, found[runner.place(row).run] or RowResult()) for row in rows]
+                report(runner.folders(row).run, result)
+    return [(row, found[runner.folders(row).run] or RowResult()) for row in rows]
 
 
 def _answers(

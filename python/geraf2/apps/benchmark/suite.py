@@ -50,7 +50,7 @@ class Case:
     """Changes of the method's constants, as nested tables."""
     prior_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Displacement of the prior from the box [m]."""
-    told_permittivity: float | Literal["true", "none"] = "true"
+    given_permittivity: float | Literal["true", "none"] = "true"
     """Permittivity of the walls recorded in the scene: the true one, another one, or no walls."""
 
 

@@ -32,10 +32,10 @@ class Board:
     notes: tuple[str, ...] = ()
 
     def antennas(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
-        """Transmitter and receiver of each antenna, (n_places * n_tx * n_rx, 3) [m].
+        """Transmitter and receiver of each antenna, (n_positions * n_tx * n_rx, 3) [m].
 
-        The receivers change fastest, the positions slowest. `positions` is (n_places, 3),
-        or (n_places, n_tx, 3) where the board moves between the chirps of its transmitters.
+        The receivers change fastest, the positions slowest. `positions` is (n_positions, 3),
+        or (n_positions, n_tx, 3) where the board moves between the chirps of its transmitters.
         """
         shape = (len(positions), len(self.tx_offsets), len(self.rx_offsets), 3)
         if rotations.strides[0] == 0:  # one rotation for all positions

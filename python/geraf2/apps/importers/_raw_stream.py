@@ -87,19 +87,19 @@ class ChirpHeaderStream(ByteStream):
         return str(self._base)
 
 
-class PlaceStream(ByteStream):
-    """Concatenation of the first `bytes_per_place` bytes of each file."""
+class PositionStream(ByteStream):
+    """Concatenation of the first `bytes_per_position` bytes of each file."""
 
-    def __init__(self, files: Sequence[ByteStream], bytes_per_place: int) -> None:
-        self._files, self._per_place = files, bytes_per_place
-        self.n_bytes = len(files) * bytes_per_place
+    def __init__(self, files: Sequence[ByteStream], bytes_per_position: int) -> None:
+        self._files, self._per_position = files, bytes_per_position
+        self.n_bytes = len(files) * bytes_per_position
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
         at = 0
         while at < len(out):
-            place, begin = divmod(start + at, self._per_place)
-            n = min(self._per_place - begin, len(out) - at)
-            self._files[place].read_into(begin, out[at : at + n])
+            position, begin = divmod(start + at, self._per_position)
+            n = min(self._per_position - begin, len(out) - at)
+            self._files[position].read_into(begin, out[at : at + n])
             at += n
 
 
@@ -411,7 +411,7 @@ def _begins_anew(path: Path) -> bool:
     return bool(number == 1)
 
 
-def place_files(source: Path, names: Sequence[str] | None) -> list[Path]:
+def position_files(source: Path, names: Sequence[str] | None) -> list[Path]:
     """Files of the positions, in their order.
 
     source: folder of the files.

@@ -16,12 +16,12 @@ from geraf2.apps.importers._raw_stream import (
     MAX_NAMED,
     ByteStream,
     PacketStream,
-    PlaceStream,
     PlainStream,
+    PositionStream,
     StreamPart,
     find_packets,
     leading_zeros,
-    place_files,
+    position_files,
     recording_files,
     trailing_zeros,
     without_chirp_headers,
@@ -63,9 +63,9 @@ class Recording:
     n_tx: int
     n_chirps_per_frame: int
     n_frames: int
-    n_places: int | None = None
+    n_positions: int | None = None
     """Number of files, where each is a position."""
-    missing_places: tuple[int, ...] = ()
+    missing_positions: tuple[int, ...] = ()
     """Omitted positions, whose files have a wrong size."""
     notes: tuple[str, ...]
     facts: tuple[tuple[str, str], ...]
@@ -118,7 +118,7 @@ class _Files:
     zeros: tuple[int, ...]
     """Bytes of zeros at the beginning of each."""
     names: tuple[str, ...]
-    per_place: bool
+    per_position: bool
     notes: list[str]
     facts: list[tuple[str, str]]
 
@@ -152,13 +152,13 @@ def usual_bytes(files: Sequence[ByteStream]) -> int:
     return max(counts, key=lambda size: (counts[size], size))
 
 
-def _odd_places(
+def _odd_positions(
     files: _Files, frame_bytes: int, keep_good: bool, where: Path
 ) -> tuple[tuple[int, ...], list[str]]:
     """Positions whose number of whole frames is not the usual one, and a note; see `left_out`."""
     n_frames = [stream.n_bytes // frame_bytes for stream in files.streams]
     usual = usual_bytes(files.streams) // frame_bytes
-    odd = tuple(place for place, n in enumerate(n_frames) if n != usual)
+    odd = tuple(position for position, n in enumerate(n_frames) if n != usual)
     if not odd:
         return (), []
     named = ", ".join(f"{files.names[k]} ({n_frames[k]})" for k in odd[:MAX_NAMED])
@@ -194,7 +194,7 @@ def open_recording(
         notes.append(f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}")
     n_bytes = usual_bytes(files.streams)
     stream, n_empty = files.streams[0], 0
-    if not files.per_place:
+    if not files.per_position:
         n_empty = _empty_end(stream, head, evidence, source)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
@@ -202,10 +202,10 @@ def open_recording(
         notes.append(text)
     n_frames = _count_frames(n_bytes, frame_bytes, config, source, options, notes)
     missing: tuple[int, ...] = ()
-    if files.per_place:
-        missing, odd = _odd_places(files, frame_bytes, options.keep_good, source)
+    if files.per_position:
+        missing, odd = _odd_positions(files, frame_bytes, options.keep_good, source)
         notes.extend(odd)
-        stream = PlaceStream(files.streams, n_frames * frame_bytes)
+        stream = PositionStream(files.streams, n_frames * frame_bytes)
         n_frames *= len(files.streams)
     else:
         notes.extend(_check_end(stream, evidence, n_empty))
@@ -227,8 +227,8 @@ def open_recording(
         n_tx=n_tx,
         n_chirps_per_frame=n_chirps,
         n_frames=n_frames,
-        n_places=len(files.streams) if files.per_place else None,
-        missing_places=missing,
+        n_positions=len(files.streams) if files.per_position else None,
+        missing_positions=missing,
         notes=tuple(notes),
         facts=tuple(facts),
     )
@@ -246,7 +246,9 @@ def _empty_end(
 
 def _one_stream(stream: ByteStream) -> _Files:
     names = (str(stream),)
-    return _Files(streams=(stream,), zeros=(0,), names=names, per_place=False, notes=[], facts=[])
+    return _Files(
+        streams=(stream,), zeros=(0,), names=names, per_position=False, notes=[], facts=[]
+    )
 
 
 def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:
@@ -254,11 +256,11 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
     named = None
     if options.positions is not None and source.is_dir():
         named = read_log(options.positions, keep_good=options.keep_good).files
-    per_place = options.file_per_position or named is not None
+    per_position = options.file_per_position or named is not None
     notes: list[str] = []
     facts: list[tuple[str, str]] = []
-    if per_place:
-        groups = [[path] for path in place_files(source, named)]
+    if per_position:
+        groups = [[path] for path in position_files(source, named)]
         facts.append(("files", f"{len(groups)}, one for each position"))
     else:
         paths, notes = recording_files(source)
@@ -270,7 +272,7 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         for path in group:
             refuse_other_kind(path, is_raw=True)
         plain = PlainStream(group)
-        if not plain.n_bytes and not (per_place and options.keep_good):
+        if not plain.n_bytes and not (per_position and options.keep_good):
             raise UserError(what="is empty", where=group[0])
         stream, more, found = _without_headers(plain, options.keep_good)
         stream, headers = without_chirp_headers(stream)
@@ -281,19 +283,19 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
             left_out("has an odd number of bytes", options.keep_good, group[0], **got)
             more.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
         streams.append(stream)
-        notes += [f"{group[0].name}: {note}" for note in more] if per_place else more
-        facts += [] if per_place else found
+        notes += [f"{group[0].name}: {note}" for note in more] if per_position else more
+        facts += [] if per_position else found
     return _Files(
         streams=tuple(streams),
         # Zeros of lost packets belong to the recording.
         zeros=tuple(
             0
-            if isinstance(stream, PacketStream) or (per_place and not stream.n_bytes)
+            if isinstance(stream, PacketStream) or (per_position and not stream.n_bytes)
             else leading_zeros(stream)
             for stream in streams
         ),
         names=tuple(group[0].name for group in groups),
-        per_place=per_place,
+        per_position=per_position,
         notes=notes,
         facts=facts,
     )
@@ -405,31 +407,31 @@ def _count_frames(
     return n_frames
 
 
-def is_kept(recording: Recording, per_place: int) -> bool:
+def is_kept(recording: Recording, per_position: int) -> bool:
     """Whether samples are kept as integers, as without averaging."""
-    averaged = per_place > 1 or recording.n_loops > 1
+    averaged = per_position > 1 or recording.n_loops > 1
     return not (averaged or recording.decoder is not None or recording.evidence.order.is_real)
 
 
-def read_places(
-    recording: Recording, first: int, stop: int, per_place: int
+def read_positions(
+    recording: Recording, first: int, stop: int, per_position: int
 ) -> Iterator[tuple[int, Samples]]:
-    """First index and mean samples (n_places, n_tx, n_rx, n_samples); see also `is_kept`."""
+    """First index and mean samples (n_positions, n_tx, n_rx, n_samples); see also `is_kept`."""
     pending: NDArray[np.complex128] | None = None
-    blocks = recording.blocks(first * per_place, stop * per_place, step=per_place)
+    blocks = recording.blocks(first * per_position, stop * per_position, step=per_position)
     for begin, end in blocks:
-        frames = recording.read_frames(begin, end, integers=is_kept(recording, per_place))
+        frames = recording.read_frames(begin, end, integers=is_kept(recording, per_position))
         loops = frames[:, 0] if frames.shape[1] == 1 else np.asarray(frames.mean(axis=1))
-        if per_place == 1:
+        if per_position == 1:
             yield begin, loops
-        elif begin % per_place == 0 and (end - begin) % per_place == 0:
-            grouped = loops.reshape(-1, per_place, *loops.shape[1:])
-            yield begin // per_place, grouped.mean(axis=1)
+        elif begin % per_position == 0 and (end - begin) % per_position == 0:
+            grouped = loops.reshape(-1, per_position, *loops.shape[1:])
+            yield begin // per_position, grouped.mean(axis=1)
         else:  # a position larger than a block, summed in double precision
             for frame, one in enumerate(loops, start=begin):
                 if pending is None:
                     pending = np.zeros(one.shape, dtype=np.complex128)
                 pending += one
-                if (frame + 1) % per_place == 0:
-                    yield frame // per_place, (pending[None] / per_place).astype(np.complex64)
+                if (frame + 1) % per_position == 0:
+                    yield frame // per_position, (pending[None] / per_position).astype(np.complex64)
                     pending = None

@@ -198,7 +198,7 @@ class RobotLog:
 
 
 # Positions beyond are no antenna positions.
-_MAX_PLACE_M = 1e5
+_MAX_COORDINATE_M = 1e5
 
 
 def read_log(path: Path, *, keep_good: bool) -> RobotLog:
@@ -241,10 +241,10 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         raise UserError(what="has no usable rows", where=path)
     table, rows = table[good], rows[good]
     positions = columns.take(table, "xyz")
-    far = np.abs(positions).max(axis=1) > _MAX_PLACE_M
+    far = np.abs(positions).max(axis=1) > _MAX_COORDINATE_M
     if far.any():
         raise UserError(
-            what=f"the position of row {rows[far][0]} is more than {_MAX_PLACE_M:g} m away",
+            what=f"the position of row {rows[far][0]} is more than {_MAX_COORDINATE_M:g} m away",
             where=path,
         )
     if "rx" in columns.of:

@@ -39,12 +39,12 @@ class Track:
     """Positions of a recording, by default one at the origin."""
 
     positions: Floats = field(default_factory=lambda: np.zeros((1, 3)))
-    """(n_places, 3) [m]."""
+    """(n_positions, 3) [m]."""
     rotations: Rotation | None = None
     """End effector to capture frame, of each position; None: never turned."""
     tx_positions: Floats | None = None
-    """At each transmitter's chirp, (n_places, n_tx, 3) [m]; None where all share one."""
-    frames_per_place: int = 1
+    """At each transmitter's chirp, (n_positions, n_tx, 3) [m]; None where all share one."""
+    frames_per_position: int = 1
     """Number of frames averaged at each position."""
     ranges: tuple[Range, ...] = ((0, 1),)
     """Usable positions, as (first, stop)."""
@@ -68,14 +68,14 @@ def raster_track(
 ) -> Track:
     """Rows and columns along the radar's axes; the frames must be a multiple of the positions."""
     n_rows, n_columns = raster.n_rows, raster.n_columns
-    per_place, rest = divmod(n_frames, n_rows * n_columns)
+    per_position, rest = divmod(n_frames, n_rows * n_columns)
     notes = []
     if rest:
         text, hint = f"{n_frames} frames do not fill the raster", "--keep-good uses what there is"
         expected = f"a multiple of {n_rows} x {n_columns} = {n_rows * n_columns}"
         notes.append(left_out(text, keep_good, where, expected=expected, hint=hint))
-        per_place = max(per_place, 1)
-    used = min(n_rows * n_columns, n_frames // per_place)
+        per_position = max(per_position, 1)
+    used = min(n_rows * n_columns, n_frames // per_position)
     row, column = np.divmod(np.arange(used), n_columns)
     if raster.serpentine:
         column = np.where(row % 2, n_columns - 1 - column, column)
@@ -83,23 +83,23 @@ def raster_track(
     up = (row - (n_rows - 1) / 2) * raster.row_step_m
     return Track(
         positions=np.asarray(raster.center_m) + along[:, None] * axes[1] + up[:, None] * axes[2],
-        frames_per_place=per_place,
+        frames_per_position=per_position,
         ranges=((0, used),),
         notes=tuple(notes),
         text=f"raster of {n_rows} rows x {n_columns} columns, {1e3 * raster.row_step_m:g} x "
         f"{1e3 * raster.column_step_m:g} mm{', serpentine' if raster.serpentine else ''}, "
-        f"{per_place} frames each",
+        f"{per_position} frames each",
     )
 
 
-def without_places(track: Track, missing: Sequence[int]) -> Track:
+def without_positions(track: Track, missing: Sequence[int]) -> Track:
     """Remove some positions from a track; UserError if none remains."""
     ranges = list(track.ranges)
-    for place in missing:
+    for position in missing:
         ranges = [
             part
             for first, stop in ranges
-            for part in ((first, min(stop, place)), (max(first, place + 1), stop))
+            for part in ((first, min(stop, position)), (max(first, position + 1), stop))
             if part[0] < part[1]
         ]
     if not ranges:
@@ -323,9 +323,9 @@ def _frames_on_lines(frames: _Frames) -> tuple[tuple[int, ...], tuple[Range, ...
 
 def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> Track:
     n_rows = len(log.positions)
-    per_place, rest = divmod(n_frames, n_rows)
+    per_position, rest = divmod(n_frames, n_rows)
     notes = list(log.notes)
-    if rest or not per_place:
+    if rest or not per_position:
         if not keep_good or not log.is_whole:
             raise UserError(
                 what=f"{n_rows} positions without time stamps do not match {n_frames} frames",
@@ -334,23 +334,23 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> Track:
                 hint="give time stamps"
                 + (", or --keep-good cuts the rest" if log.is_whole else ""),
             )
-        per_place = max(per_place, 1)
+        per_position = max(per_position, 1)
         notes.append(f"{n_rows} positions for {n_frames} frames: the rest was cut")
-    used = min(n_rows, n_frames // per_place)
+    used = min(n_rows, n_frames // per_position)
     starts: tuple[int, ...] = (0,)
     if log.scan is not None:
-        counts = [sum(line.n_places for line in plane.lines) for plane in log.scan.planes]
+        counts = [sum(line.n_positions for line in plane.lines) for plane in log.scan.planes]
         starts = tuple(k for k in np.cumsum([0, *counts[:-1]]).tolist() if k < used)
     else:
         _require_small_steps(log, used)
     return Track(
         positions=log.positions,
         rotations=None if log.quaternions is None else log.rotations,
-        frames_per_place=per_place,
+        frames_per_position=per_position,
         ranges=tuple((first, min(stop, used)) for first, stop in pairwise([*starts, used])),
         plane_starts=starts,
         notes=tuple(notes),
-        text=f"{_rows_of(log)}, one for each {per_place} frames",
+        text=f"{_rows_of(log)}, one for each {per_position} frames",
     )
 
 

@@ -16,7 +16,7 @@ from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, scan_antennas
 from geraf2.apps.importers._raw_layout import MIN_RATIO
-from geraf2.apps.importers._recording import Recording, is_kept, open_recording, read_places
+from geraf2.apps.importers._recording import Recording, is_kept, open_recording, read_positions
 from geraf2.apps.importers._robot_log import RobotLog, read_log
 from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
@@ -26,7 +26,7 @@ from geraf2.apps.importers._tracks import (
     log_track,
     planes_of,
     raster_track,
-    without_places,
+    without_positions,
 )
 from geraf2.errors import UserError
 from geraf2.io.container import joined
@@ -47,7 +47,7 @@ class Dca1000Importer:
             return scan_of("dca1000", recording, radar, options, log=None)
         log = read_log(options.positions, keep_good=options.keep_good)
         period_s = radar.raw.frame_period_s or recording.config.frame_period_s
-        is_one = log.times_s is None or log.scan is not None or recording.n_places is not None
+        is_one = log.times_s is None or log.scan is not None or recording.n_positions is not None
 
         def divide(track: Track) -> Track:
             return track if is_one or not period_s else divided_at_turns(track, period_s)
@@ -71,7 +71,7 @@ def scan_of(
     divide: finds the planes of a track.
     """
     evidence, config = recording.evidence, recording.config
-    _require_single_places(recording, radar)
+    _require_single_positions(recording, radar)
     per_complex, rate = evidence.order.per_complex, config.sample_rate_hz
     manifest, notes = scene_manifest(
         name,
@@ -94,8 +94,8 @@ def scan_of(
         center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
     )
     track = divide(_track(recording, radar, options, board, log))
-    tracks = planes_of(without_places(track, recording.missing_places))
-    per_place = recording.n_tx * evidence.order.n_rx
+    tracks = planes_of(without_positions(track, recording.missing_positions))
+    per_position = recording.n_tx * evidence.order.n_rx
 
     def poses() -> Iterator[RawPose]:
         for own in tracks:
@@ -104,7 +104,7 @@ def scan_of(
     return Scan(
         manifest=manifest,
         n_antennas=tuple(
-            per_place * sum(stop - first for first, stop in own.ranges) for own in tracks
+            per_position * sum(stop - first for first, stop in own.ranges) for own in tracks
         ),
         poses=poses,
         thinned=lambda n_antennas: [
@@ -112,7 +112,7 @@ def scan_of(
         ],
         notes=(*recording.notes, *notes, *board.notes, *track.notes),
         facts=(*recording.facts, ("positions", track.text)),
-        integers=is_kept(recording, track.frames_per_place),
+        integers=is_kept(recording, track.frames_per_position),
         phase_sign=_phase_sign(evidence.energy_ratio),
     )
 
@@ -127,7 +127,7 @@ def _of_complex(radar: RadarManifest, per_complex: int) -> RadarManifest:
     return radar.model_copy(update=values)
 
 
-def _require_single_places(recording: Recording, radar: RadarManifest) -> None:
+def _require_single_positions(recording: Recording, radar: RadarManifest) -> None:
     """Raise UserError where transmitters send together and cannot be separated."""
     found = recording.config.transmitters
     if found is None or found.take_turns or recording.decoder is not None or radar.raw.n_tx:
@@ -165,23 +165,23 @@ def _track(
             "--static",
             hint=f"'geraf2 info {recording.source}' shows a recording without",
         )
-    n_frames, n_places = recording.n_frames, recording.n_places
+    n_frames, n_positions = recording.n_frames, recording.n_positions
     if options.static:
-        if n_places is not None:
+        if n_positions is not None:
             raise UserError(what="--static has one position, --file-per-position has many")
         text = f"one position, {n_frames} frames averaged"
-        return Track(frames_per_place=n_frames, text=text)
+        return Track(frames_per_position=n_frames, text=text)
     if radar.raster is not None:
         where, keep_good = recording.source, options.keep_good
         on_raster = radar.raster.n_rows * radar.raster.n_columns
-        if n_places is not None:
+        if n_positions is not None:
             what = "files and positions of the raster differ in number"
-            require_equal(what, where, on_raster, n_places)
+            require_equal(what, where, on_raster, n_positions)
         return raster_track(radar.raster, board.axes, n_frames, keep_good=keep_good, where=where)
     assert log is not None  # one of the three
-    if n_places is not None:
+    if n_positions is not None:
         what = "files and positions differ in number"
-        require_equal(what, log.path, n_places, len(log.positions))
+        require_equal(what, log.path, n_positions, len(log.positions))
         log = replace(log, times_s=None)  # files and positions have the same order
     chirp_s, n_tx = radar.raw.chirp_s or 0.0, recording.n_tx
     return log_track(
@@ -197,21 +197,21 @@ def _track(
 def _read_pose(recording: Recording, track: Track, board: Board) -> Iterator[RawPose]:
     """Parts of one pose of a recording, each a block of the file."""
     axes = board.mean_axes(track)
-    for first_place, stop_place in track.ranges:
-        for place, signal in read_places(
-            recording, first_place, stop_place, track.frames_per_place
+    for first_position, stop_position in track.ranges:
+        for position, signal in read_positions(
+            recording, first_position, stop_position, track.frames_per_position
         ):
-            yield _part(recording, track, board, axes, place, signal)
+            yield _part(recording, track, board, axes, position, signal)
 
 
 def _part(
-    recording: Recording, track: Track, board: Board, axes: Floats, place: int, signal: Samples
+    recording: Recording, track: Track, board: Board, axes: Floats, position: int, signal: Samples
 ) -> RawPose:
-    """Pose of consecutive positions, from samples (n_places, n_tx, n_rx, n_samples, ...)."""
-    stop = place + len(signal)
-    positions, rotations = track.at(place, stop)
+    """Pose of consecutive positions, from samples (n_positions, n_tx, n_rx, n_samples, ...)."""
+    stop = position + len(signal)
+    positions, rotations = track.at(position, stop)
     if track.tx_positions is not None:
-        positions = track.tx_positions[place:stop]
+        positions = track.tx_positions[position:stop]
     tx, rx = board.antennas(positions, rotations)
     return RawPose(
         signal=signal.reshape(-1, *signal.shape[3:]),
@@ -224,15 +224,15 @@ def _part(
 
 def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int) -> RawPose:
     """About `n_antennas` antennas at random positions, of _SOME_BYTES at most."""
-    places = np.concatenate([np.arange(*usable) for usable in track.ranges])
+    positions = np.concatenate([np.arange(*usable) for usable in track.ranges])
     wanted = -(-n_antennas // (recording.n_tx * recording.evidence.order.n_rx))
     affordable = max(1, _SOME_BYTES // recording.frame_bytes)
-    n_places = min(wanted, affordable, len(places))
-    n_frames = min(track.frames_per_place, max(1, affordable // n_places))
+    n_positions = min(wanted, affordable, len(positions))
+    n_frames = min(track.frames_per_position, max(1, affordable // n_positions))
     axes, parts = board.mean_axes(track), []
-    for place in np.sort(np.random.default_rng(0).choice(places, n_places, replace=False)):
-        first = int(place) * track.frames_per_place
+    for position in np.sort(np.random.default_rng(0).choice(positions, n_positions, replace=False)):
+        first = int(position) * track.frames_per_position
         frames = recording.read_frames(first, first + n_frames)
         signal = np.asarray(frames.mean(axis=(0, 1)))[None]
-        parts.append(_part(recording, track, board, axes, int(place), signal))
+        parts.append(_part(recording, track, board, axes, int(position), signal))
     return joined(parts)

@@ -87,9 +87,9 @@ class MatImporter:
 
         good, notes = np.ones((n_poses, n_antennas), dtype=np.bool_), []
         for pose in range(n_poses):
-            places = np.hstack([tx[pose], rx[pose]])
+            positions = np.hstack([tx[pose], rx[pose]])
             parts = (
-                np.hstack([np.abs(samples(a, b, pose)), places[a:b]])
+                np.hstack([np.abs(samples(a, b, pose)), positions[a:b]])
                 for a, b in blocks(n_antennas, row_bytes)
             )
             what = f"antennas of plane {pose}" if n_poses > 1 else "antennas"
@@ -237,10 +237,10 @@ def _open_hdf5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[st
     known: dict[str, _Array] = {}
     foreign = set()
 
-    def add(place: str, data: Any) -> None:
-        if not isinstance(data, h5py.Dataset) or place.startswith("#"):
+    def add(location: str, data: Any) -> None:
+        if not isinstance(data, h5py.Dataset) or location.startswith("#"):
             return
-        name = place.replace("/", ".").removesuffix(".value")  # Octave's arrays are groups
+        name = location.replace("/", ".").removesuffix(".value")  # Octave's arrays are groups
         if data.external or data.is_virtual:
             foreign.add(name)
         else:

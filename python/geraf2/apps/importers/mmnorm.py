@@ -1,7 +1,7 @@
 """Importer of the layouts of the mmNorm data set: one .npz, or the folder of a robot scan.
 
-    capture.npz          received_signals (n_places, n_samples, n_rx), complex
-                         antenna_locations (n_places, 3 or more) [m], the transmitter
+    capture.npz          received_signals (n_positions, n_samples, n_rx), complex
+                         antenna_locations (n_positions, 3 or more) [m], the transmitter
 
     exp<N>/{los|nlos}/unprocessed/radars/77_ghz/radar_data/adc_data<unix time>.bin
                          raw samples of a TI board, 4 lanes, 1 chirp a frame
@@ -25,7 +25,7 @@ import numpy as np
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
-from geraf2.apps.importers._recording import Recording, open_recording, read_places
+from geraf2.apps.importers._recording import Recording, open_recording, read_positions
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import NpzRows, good_rows, left_out, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
@@ -56,20 +56,20 @@ class MmnormImporter:
 
 
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
-    rows, places = _npz_arrays(source)
+    rows, positions = _npz_arrays(source)
     _, n_samples, n_rx = rows.shape
     check = partial(good_rows, keep_good=options.keep_good, where=source)
     good, notes = check(rows.blocks(), what="positions of received_signals")
-    finite, more = check([places], what="antenna_locations")
+    finite, more = check([positions], what="antenna_locations")
     good &= finite
     info = _experiment_info(source.parent, source.parent)
-    board = _board(radar, info, places[good], n_rx, source)
+    board = _board(radar, info, positions[good], n_rx, source)
     manifest, still_more = _scene_manifest(source, radar, n_samples)
 
     def poses() -> Iterator[RawPose]:
         first = 0
         for samples in rows.blocks():
-            chosen, here = good[first:][: len(samples)], places[first:][: len(samples)]
+            chosen, here = good[first:][: len(samples)], positions[first:][: len(samples)]
             first += len(samples)
             if not chosen.any():
                 continue
@@ -98,12 +98,12 @@ def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
     locations = read_npz(source, ["antenna_locations"])["antenna_locations"]
     rows = NpzRows(source, "received_signals")
     if len(rows.shape) != 3 or rows.dtype.kind != "c" or 0 in rows.shape:
-        expected, got = "complex (n_places, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
+        expected, got = "complex (n_positions, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
         raise wrong_shape(source, "received_signals", expected, got)
-    places = _positions(locations, source, "antenna_locations")
+    positions = _positions(locations, source, "antenna_locations")
     what = "antenna_locations and received_signals differ in length"
-    require_equal(what, source, rows.shape[0], len(places))
-    return rows, places
+    require_equal(what, source, rows.shape[0], len(positions))
+    return rows, positions
 
 
 def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
@@ -134,9 +134,9 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
 
     def poses() -> Iterator[RawPose]:
         for recording, track in passes:
-            for first_place, stop_place in track.ranges:
-                for place, signal in read_places(recording, first_place, stop_place, 1):
-                    tx, rx = board.antennas(*track.at(place, place + len(signal)))
+            for first_position, stop_position in track.ranges:
+                for position, signal in read_positions(recording, first_position, stop_position, 1):
+                    tx, rx = board.antennas(*track.at(position, position + len(signal)))
                     yield RawPose(
                         signal=complex_samples(signal).reshape(-1, n_samples),
                         tx_positions=tx,
@@ -145,14 +145,14 @@ def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> 
                         name=source.name,
                     )
 
-    n_places = sum(stop - first for _, track in passes for first, stop in track.ranges)
+    n_positions = sum(stop - first for _, track in passes for first, stop in track.ranges)
     return Scan(
         manifest=manifest,
-        n_antennas=(n_places * n_rx,),
+        n_antennas=(n_positions * n_rx,),
         poses=poses,
         notes=(*notes, *more, *board.notes),
         facts=(
-            ("recordings", f"{len(passes)}, {n_places} frames x {n_rx} receivers"),
+            ("recordings", f"{len(passes)}, {n_positions} frames x {n_rx} receivers"),
             *passes[0][0].facts,
         ),
         phase_sign=1,
@@ -220,15 +220,15 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     (path,) = found
     arrays = read_npz(path, ["times_77", "tx_77_locs"])
     times = np.asarray(arrays["times_77"], dtype=np.float64).reshape(-1)
-    places = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
-    require_equal("times_77 and tx_77_locs differ in length", path, len(places), len(times))
-    table = np.column_stack([times, places])
+    positions = _positions(arrays["tx_77_locs"], path, "tx_77_locs")
+    require_equal("times_77 and tx_77_locs differ in length", path, len(positions), len(times))
+    table = np.column_stack([times, positions])
     good, notes = good_rows([table], keep_good=options.keep_good, where=path, what="rows")
     if (np.diff(times[good]) <= 0).any():
         raise UserError(what="times_77 does not increase", where=path)
     return RobotLog(
         path=path,
-        positions=places[good],
+        positions=positions[good],
         times_s=times[good],
         rows=np.flatnonzero(good) + 1,
         notes=tuple(notes),
@@ -259,7 +259,7 @@ def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
 
 
 def _board(
-    radar: RadarManifest, info: dict[str, Any], places: Floats, n_rx: int, where: Path
+    radar: RadarManifest, info: dict[str, Any], positions: Floats, n_rx: int, where: Path
 ) -> Board:
     notes = []
     axis = _axis(info.get("rx offset"), where)
@@ -273,7 +273,7 @@ def _board(
     center_hz = START_HZ + 0.5 * BANDWIDTH_HZ
     axes = radar.antennas.axes
     if axes is None:
-        axes = plane_axes(places, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
+        axes = plane_axes(positions, towards=np.array([0.0, 0.0, -1.0]), where=where).tolist()
         viewing = ", ".join(f"{value:z.2f}" for value in axes[0])
         notes.append(
             f"the viewing direction was assumed to be ({viewing}), along the normal of the "

@@ -70,7 +70,7 @@ class RosbagImporter:
         )
         recording = replace(
             recording,
-            missing_places=bag.lost,
+            missing_positions=bag.lost,
             notes=(*bag.notes, *recording.notes, *notes),
             facts=(*bag.facts, ("clock offset", text), *recording.facts),
         )

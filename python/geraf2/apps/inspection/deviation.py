@@ -32,7 +32,7 @@ head has 65 to 80, ghosts beside a part 2 to 5."""
 _FLAT_REACH_M, _FLAT_COSINE = 0.02, float(np.cos(np.deg2rad(6.0)))
 """Faces no farther away and no more turned are the same flat [m]."""
 _FLAT_HEIGHT_M = 0.001
-_N_FLAT_PLACES = 1000
+_N_FLAT_POINTS = 1000
 _HALF_APERTURE_M = 0.04
 """Half of a sub-aperture [m]."""
 _LEAST_SIGMA_M = 0.003
@@ -176,7 +176,7 @@ def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats
     areas = face_areas(pieces.corners)
     # A model of 50,000 faces has 10^8 pairs; a thousand points, evenly by area, suffice.
     cumulative = np.cumsum(areas)
-    at = (np.arange(_N_FLAT_PLACES) + 0.5) / _N_FLAT_PLACES * cumulative[-1]
+    at = (np.arange(_N_FLAT_POINTS) + 0.5) / _N_FLAT_POINTS * cumulative[-1]
     some = np.minimum(np.searchsorted(cumulative, at), len(areas) - 1)
     pairs = KDTree(points).sparse_distance_matrix(
         KDTree(points[some]), _FLAT_REACH_M, output_type="ndarray"
@@ -184,7 +184,7 @@ def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats
     i, j = pairs["i"], some[pairs["j"]]
     alike = np.einsum("nk,nk->n", normals[i], normals[j]) > _FLAT_COSINE
     count = np.bincount(i[alike], minlength=len(areas))
-    share = cumulative[-1] / _N_FLAT_PLACES
+    share = cumulative[-1] / _N_FLAT_POINTS
     return np.asarray(np.sqrt(np.maximum(count * share, areas)))
 
 
@@ -214,7 +214,7 @@ def of_flats(centers: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> 
 
     centers, normals: of faces, (n, 3) [m]. asked, confirmed: indices of them.
     """
-    some = confirmed[:: max(1, len(confirmed) // _N_FLAT_PLACES)]
+    some = confirmed[:: max(1, len(confirmed) // _N_FLAT_POINTS)]
     if not (len(asked) and len(some)):
         return np.zeros(len(asked), dtype=bool)
     alike = normals[asked] @ normals[some].T > _FLAT_COSINE
@@ -227,13 +227,13 @@ def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floa
     """Of each face of a model: is a seen surface near, how far is any, and how certain is that."""
     centers, normals = pieces.corners.mean(axis=1), unit_normals(pieces.corners)
     faces = body.mesh.faces
-    places, facing = body.mesh.corners.mean(axis=1), unit_normals(body.mesh.corners)
-    gap, hit = KDTree(places).query(centers)
+    positions, facing = body.mesh.corners.mean(axis=1), unit_normals(body.mesh.corners)
+    gap, hit = KDTree(positions).query(centers)
     sigma = body.sigma_m[faces].max(axis=1)[hit]
     seen = np.flatnonzero(body.seen[faces].all(axis=1))
     near = np.zeros(len(centers), dtype=bool)
     if seen.size:
-        distance, partner = KDTree(places[seen]).query(centers)
+        distance, partner = KDTree(positions[seen]).query(centers)
         alike = np.einsum("nk,nk->n", normals, facing[seen[partner]]) > np.sqrt(0.5)
         near = (distance < PATCH_M) & alike
     return near, gap, sigma

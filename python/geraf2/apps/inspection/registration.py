@@ -243,7 +243,7 @@ def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tupl
 class _Terms:
     """Pairs of points at several poses, in the capture's frame: (n_poses, n_pairs, ...)."""
 
-    places: Floats
+    positions: Floats
     normals: Floats
     residuals: Floats
     """Along the normals [m]."""
@@ -297,7 +297,7 @@ class _Problem:
         pulls = np.linalg.norm(apart, axis=2) / np.hypot(sigma, _LEAST_SIGMA_M)
         halves = [0.5 * one.share / one.share.sum() for one in (some, few)]
         return _Terms(
-            places=np.concatenate([np.broadcast_to(some.points, off.shape), moved], axis=1),
+            positions=np.concatenate([np.broadcast_to(some.points, off.shape), moved], axis=1),
             normals=normals,
             residuals=np.einsum("nik,nik->ni", normals, apart),
             weights=np.where(facing > 0, 0.5 * share / sigma**2, 0.0),
@@ -309,8 +309,8 @@ class _Problem:
     def stepped(self, turns: Floats, moves: Floats, scale_m: float) -> tuple[Floats, Floats]:
         """Poses after one Gauss-Newton step on n . (T x - y)."""
         terms = self.terms(turns, moves)
-        middle = terms.places.mean(axis=1, keepdims=True)
-        rows = np.concatenate([np.cross(terms.places - middle, terms.normals), terms.normals], 2)
+        middle = terms.positions.mean(axis=1, keepdims=True)
+        rows = np.concatenate([np.cross(terms.positions - middle, terms.normals), terms.normals], 2)
         weighted = rows * (terms.weights * _robust(terms.residuals, scale_m))[:, :, None]
         matrix = np.swapaxes(weighted, 1, 2) @ rows
         # Damping suppresses undetermined motions; rotations count as those of a part of 3 cm.
@@ -333,7 +333,7 @@ class _Problem:
         terms = self.terms(pose[None, :3, :3], pose[None, :3, 3])
         normals = terms.normals[0]
         weights = terms.weights[0] * _robust(terms.residuals[0], _FINE_SCALES_M[-1])
-        rows = np.concatenate([np.cross(terms.places[0] - middle, normals), normals], axis=1)
+        rows = np.concatenate([np.cross(terms.positions[0] - middle, normals), normals], axis=1)
         # Uncertainties are scaled up where the residuals exceed them.
         n_measured = float(weights @ terms.sigma[0] ** 2)
         excess = max(1.0, float(weights @ terms.residuals[0] ** 2) / max(n_measured, 1e-30))

@@ -58,7 +58,7 @@ _COUPLINGS = (0.0, 0.005, 0.02, 0.06, 0.15, 0.4, 1.0)
 """Weight of ((choice - smooth) / step)^2 against 1 - agreement, in each round."""
 
 
-class _Places(NamedTuple):
+class _Vertices(NamedTuple):
     """Vertices of a surface with their axes, (n, 3) each."""
 
     centers: torch.Tensor
@@ -111,10 +111,10 @@ def _undistorted(channels: Floats, camera: Camera) -> Floats:
     ones = np.ones((pixels.shape[0], 1))
     local = np.linalg.solve(camera.intrinsics, np.concatenate([pixels, ones], axis=1).T).T
     world = apply_rigid(camera.camera_to_world, local)
-    places = camera.project(world)[:, ::-1].T - 0.5
+    vertices = camera.project(world)[:, ::-1].T - 0.5
     return np.stack(
         [
-            ndimage.map_coordinates(channel, places, order=1).reshape(channel.shape)
+            ndimage.map_coordinates(channel, vertices, order=1).reshape(channel.shape)
             for channel in channels
         ]
     )
@@ -191,24 +191,24 @@ def _one_round(
     mesh = _zero_level(values, grid)
     if mesh.faces.shape[0] == 0:
         return values
-    places = _axes(mesh, values, grid)
-    chosen = _choose_views(mesh, places, views, grid.spacing_m)
+    vertices = _axes(mesh, values, grid)
+    chosen = _choose_views(mesh, vertices, views, grid.spacing_m)
     n_steps = int(np.ceil(search.reach_px / search.step_px))
     steps = np.arange(-n_steps, n_steps + 1, dtype=np.float64)
     offsets = footprint_m * search.step_px * steps
-    agreement = _agreement(places, chosen, views, offsets, footprint_m * search.node_px)
+    agreement = _agreement(vertices, chosen, views, offsets, footprint_m * search.node_px)
     moved = _smooth_choice(agreement, offsets, _laplacian(mesh))
     return quick_redistance(_displaced(values, grid, mesh, moved), grid.spacing_m)
 
 
-def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Places:
+def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Vertices:
     smooth = binomial_blur(torch.from_numpy(values), _NORMAL_PASSES).numpy()
     gradient = sdf_grid(smooth, grid, mesh.vertices).gradient
     normals = normalize(torch.as_tensor(np.asarray(gradient)).to(torch.float32), dim=1)
     # any direction other than the normal
     axis = torch.nn.functional.one_hot(normals.abs().argmin(dim=1), 3).to(torch.float32)
     first = normalize(torch.linalg.cross(normals, axis), dim=1)
-    return _Places(
+    return _Vertices(
         torch.from_numpy(mesh.vertices).to(torch.float32),
         normals,
         first,
@@ -217,11 +217,11 @@ def _axes(mesh: TriangleMesh, values: NDArray[np.float32], grid: Grid) -> _Place
 
 
 def _choose_views(
-    mesh: TriangleMesh, places: _Places, views: list[_View], spacing_m: float
+    mesh: TriangleMesh, vertices: _Vertices, views: list[_View], spacing_m: float
 ) -> Bools:
     """Whether each photo is compared at each vertex, (n_views, n)."""
     scene = MeshScene(mesh.vertices, mesh.faces)
-    normals = places.normals.numpy().astype(np.float64)
+    normals = vertices.normals.numpy().astype(np.float64)
     starts = mesh.vertices + _LIFT_VOXELS * spacing_m * normals
     cosines = np.zeros((len(views), mesh.vertices.shape[0]))
     for row, view in zip(cosines, views, strict=True):
@@ -239,10 +239,10 @@ def _choose_views(
 
 @torch.no_grad()
 def _agreement(
-    places: _Places, chosen: Bools, views: list[_View], offsets: Floats, node_m: float
+    vertices: _Vertices, chosen: Bools, views: list[_View], offsets: Floats, node_m: float
 ) -> NDArray[np.float32]:
     """Mean correlation of all pairs of photos at each position and offset, (n, n_offsets)."""
-    n, n_offsets = places.centers.shape[0], offsets.size
+    n, n_offsets = vertices.centers.shape[0], offsets.size
     agreement = torch.zeros((n, n_offsets))
     step = torch.arange(_PATCH_NODES) - (_PATCH_NODES - 1) / 2.0
     across, along = (
@@ -260,10 +260,10 @@ def _agreement(
                 continue
             turned, moved = view.projection[:, :3], view.projection[:, 3]
             row = part[here]
-            middle = (places.centers[row] @ turned.T + moved)[:, None, None]
-            normal = (places.normals[row] @ turned.T)[:, None, None] * shifts[:, None, None]
-            square = (places.first[row] @ turned.T)[:, None, None] * across[:, None] + (
-                places.second[row] @ turned.T
+            middle = (vertices.centers[row] @ turned.T + moved)[:, None, None]
+            normal = (vertices.normals[row] @ turned.T)[:, None, None] * shifts[:, None, None]
+            square = (vertices.first[row] @ turned.T)[:, None, None] * across[:, None] + (
+                vertices.second[row] @ turned.T
             )[:, None, None] * along[:, None]
             seen = _sampled(view.image, (middle + normal) + square)
             total.index_add_(0, here, seen)
@@ -301,7 +301,7 @@ def _smooth_choice(
 ) -> Floats:
     """Displacement of each vertex [m]."""
     still = float(offsets.size // 2)
-    places = np.arange(offsets.size)
+    vertices = np.arange(offsets.size)
     # distinctness of the best position
     weight = np.clip(agreement.max(axis=1) - np.median(agreement, axis=1), 0.0, 1.0)
     weight = weight.astype(np.float64)
@@ -309,7 +309,7 @@ def _smooth_choice(
     cost = 1.0 - agreement.astype(np.float64)
     smooth = np.full(agreement.shape[0], still)
     for coupling in _COUPLINGS:
-        choice = _lowest(cost + coupling * np.square(places - smooth[:, None]))
+        choice = _lowest(cost + coupling * np.square(vertices - smooth[:, None]))
         smooth, _ = cg(system, weight * choice + _IDLE * still, x0=smooth, rtol=1e-4, maxiter=200)
     return (smooth - still) * float(offsets[1] - offsets[0])
 

@@ -16,7 +16,7 @@ from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.neus.ray_samples import intersect_ball, intersect_box
-from geraf2.apps.photos.neus.rendering import ColouredField, Rendering, place_samples, render_rays
+from geraf2.apps.photos.neus.rendering import ColouredField, Rendering, render_rays, sample_edges
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
@@ -119,7 +119,7 @@ class NeuralSurface:
             # No sharper than the coarse intervals are long, or one of them gets all samples.
             first_inv_s = min(self.inv_s, 0.5 * sampling.n_coarse / radius_m)
         inv_s_range = (first_inv_s, self.inv_s)
-        edges = place_samples(self.field, rays, (near, far), sampling, inv_s_range, generator)
+        edges = sample_edges(self.field, rays, (near, far), sampling, inv_s_range, generator)
         return render_rays(
             self.field,
             rays,

@@ -23,7 +23,7 @@ _FLAT = 0.1
 _SATURATED = 254
 # A white label or a lamp saturates a few pixels, an over-exposed face more.
 _MAX_SATURATED = 0.2
-_SAME_PLACE_M = 1e-6
+_SAME_POSITION_M = 1e-6
 
 
 def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
@@ -31,7 +31,7 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
     if len(photos) < MIN_PHOTOS:
         return (error(f"needs at least {MIN_PHOTOS} photos that can be read, got {len(photos)}"),)
     positions = photos.positions
-    if float(np.ptp(positions, axis=0).max()) < _SAME_PLACE_M:
+    if float(np.ptp(positions, axis=0).max()) < _SAME_POSITION_M:
         return (error("all cameras are at one position: such photos show no depth"),)
     focus = photos.focus()
     findings = [*_check_directions(photos, focus), *_check_exposure(photos)]

@@ -67,15 +67,15 @@ def _is_free(
 ) -> Bools:
     """Whether each ray from a start to its camera is free, by sphere tracing."""
     free = np.ones(starts.shape[0], dtype=bool)
-    way = np.zeros(starts.shape[0])
+    travelled = np.zeros(starts.shape[0])
     size = grid.spacing_m * float(np.linalg.norm(grid.shape))
     going = np.arange(starts.shape[0])
     for _ in range(_N_STEPS):
-        points = starts[going] + way[going, None] * towards[going]
+        points = starts[going] + travelled[going, None] * towards[going]
         distance = np.asarray(sdf_grid(values, grid, points).value, dtype=np.float64)
         free[going[distance <= 0.0]] = False
-        way[going] += np.maximum(distance, 0.5 * grid.spacing_m)
-        going = going[(distance > 0.0) & (way[going] < np.minimum(away[going], size))]
+        travelled[going] += np.maximum(distance, 0.5 * grid.spacing_m)
+        going = going[(distance > 0.0) & (travelled[going] < np.minimum(away[going], size))]
         if going.size == 0:
             break
     return free

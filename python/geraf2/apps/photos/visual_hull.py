@@ -113,8 +113,8 @@ def _left_over(
     shown = camera.shown(pixels)
     depth = (points[shown] - camera.position) @ camera.looking
     focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
-    places = pixels[shown, ::-1].T - 0.5
-    found = ndimage.map_coordinates(distance, places, order=1, mode="nearest")
+    positions = pixels[shown, ::-1].T - 0.5
+    found = ndimage.map_coordinates(distance, positions, order=1, mode="nearest")
     left = np.full(points.shape[0], _UNSEEN_M, dtype=np.float32)
     left[shown] = found * depth / focal
     return left

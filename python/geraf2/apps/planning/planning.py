@@ -249,22 +249,22 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     if capture.walls:
         center = np.asarray(capture.walls[0].center_m)
         half = 0.5 * np.asarray(capture.walls[0].size_m)
-    apertures, n_places = [], []
+    apertures, n_positions = [], []
     for pose in capture.poses:  # which are read one at a time
         apertures.append(Aperture.of_pose(pose).right_handed())
-        n_places.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
+        n_positions.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
     areas = [4.0 * float(plane.half_m.prod()) for plane in apertures]
-    spacing = float(np.median(np.sqrt(np.divide(areas, n_places))))
+    spacing = float(np.median(np.sqrt(np.divide(areas, n_positions))))
     spacing = max(round(spacing, 4), 1e-4)
     scan, seconds = swept_planes(apertures, spacing, scanner)
     share = seen_share(apertures, center, 2.0 * half)
-    way = [plane.middle_m - center for plane in apertures]
-    far = float(np.median([np.linalg.norm(w) for w in way]))
+    outward = [plane.middle_m - center for plane in apertures]
+    far = float(np.median([np.linalg.norm(w) for w in outward]))
     sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
     coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
     return LikeScene(
         apertures=apertures,
-        elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in way])),
+        elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in outward])),
         spacing_m=spacing,
         scan=scan,
         seconds=seconds - scanner.turn_s,

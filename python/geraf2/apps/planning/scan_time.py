@@ -176,16 +176,16 @@ def swept_planes(
     clock_s, swept = 0.0, []
     for number, plane in enumerate(planes):
         width, height = 2.0 * plane.half_m
-        n_places = int(width / spacing_m + 1e-9) + 1
-        way_m, step_m = (n_places - 1) * spacing_m, extent_m + spacing_m
+        n_positions = int(width / spacing_m + 1e-9) + 1
+        length_m, step_m = (n_positions - 1) * spacing_m, extent_m + spacing_m
         n_lines = max(0, int((height - extent_m) / step_m + 0.5 - 1e-9)) + 1
         stop_s = scanner.settle_s + scanner.set_s(array)
-        line_s = way_m / scanner.speed_m_per_s + n_places * stop_s * scanner.stop_and_go
+        line_s = length_m / scanner.speed_m_per_s + n_positions * stop_s * scanner.stop_and_go
         lines = []
         for k in range(n_lines):
             left, right = (
                 plane.middle_m
-                + side * 0.5 * way_m * plane.axes[1]
+                + side * 0.5 * length_m * plane.axes[1]
                 + (k - 0.5 * (n_lines - 1)) * step_m * plane.axes[2]
                 for side in (-1.0, 1.0)
             )
@@ -194,9 +194,9 @@ def swept_planes(
                 ScanLine(
                     start_m=_triple(start),
                     end_m=_triple(end),
-                    n_places=n_places,
+                    n_positions=n_positions,
                     start_s=clock_s,
-                    speed_m_per_s=way_m / line_s if way_m > 0 else scanner.speed_m_per_s,
+                    speed_m_per_s=length_m / line_s if length_m > 0 else scanner.speed_m_per_s,
                 )
             )
             clock_s = lines[-1].end_s + step_m / scanner.speed_m_per_s

@@ -179,10 +179,10 @@ class SdfMlp(SdfField):
     def _sample(self, points: Tensor) -> FeatureSample:
         record = torch.is_grad_enabled()
         with torch.enable_grad():
-            places = points if points.requires_grad else points.detach().requires_grad_()
-            output = self._evaluate(places)
+            positions = points if points.requires_grad else points.detach().requires_grad_()
+            output = self._evaluate(positions)
             value = output[:, 0] * self.domain.half_side_m
-            (gradient,) = torch.autograd.grad(value.sum(), places, create_graph=record)
+            (gradient,) = torch.autograd.grad(value.sum(), positions, create_graph=record)
         features = output[:, 1:]
         if not record:
             value, gradient, features = value.detach(), gradient.detach(), features.detach()

@@ -45,9 +45,9 @@ class SdfMlpGrid(SdfField):
     def refresh(self) -> None:
         """Evaluate the network; `values` (x, y, z) [m] become new leaves."""
         like = next(self.network.parameters())
-        places = torch.from_numpy(self.grid.points()).to(like)
+        positions = torch.from_numpy(self.grid.points()).to(like)
         with torch.enable_grad(), parametrize.cached():
-            parts = [self.network.value(part) for part in torch.split(places, _VOXELS_AT_ONCE)]
+            parts = [self.network.value(part) for part in torch.split(positions, _VOXELS_AT_ONCE)]
             self._live = torch.cat(parts).reshape(self.grid.shape)
         self.values = self._live.detach().requires_grad_()
 

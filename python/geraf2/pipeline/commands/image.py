@@ -105,8 +105,8 @@ class ImageResult(ImageRecord):
     @property
     def strongest_m(self) -> tuple[float, float, float]:
         """Position of the largest value [m]."""
-        place = np.unravel_index(int(self.volume.argmax()), self.volume.shape)
-        return triple(axis[i] for axis, i in zip(self.grid.axes_m, place, strict=True))
+        index = np.unravel_index(int(self.volume.argmax()), self.volume.shape)
+        return triple(axis[i] for axis, i in zip(self.grid.axes_m, index, strict=True))
 
 
 def image_scene(
@@ -402,9 +402,9 @@ def _axis_along(pose: Pose) -> int | None:
 
 def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
     """Distance of each slice across an axis from the antennas [m]."""
-    places = grid.origin_m[axis] + grid.spacing_m * np.arange(grid.shape[axis])
+    positions = grid.origin_m[axis] + grid.spacing_m * np.arange(grid.shape[axis])
     antennas = float(np.median(pose.phase_centers[:, axis]))
-    return np.asarray((places - antennas) * np.sign(pose.axes[0, axis]))
+    return np.asarray((positions - antennas) * np.sign(pose.axes[0, axis]))
 
 
 def with_angles(

@@ -276,9 +276,9 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
     largest, strongest = -1.0, (0.0, 0.0, 0.0)
     second, fourth = np.zeros((2, 0 if axis is None else grid.shape[axis]))
     for number in range(len(job.slabs)):
-        values, place, part = job.read(number), job.slabs.index(number), job.slabs.part(number)
+        values, index, part = job.read(number), job.slabs.index(number), job.slabs.part(number)
         for along, found in enumerate(maxima):
-            seen = found[tuple(s for a, s in enumerate(place) if a != along)]
+            seen = found[tuple(s for a, s in enumerate(index) if a != along)]
             np.maximum(seen, values.max(axis=along), out=seen)
         best = np.unravel_index(int(values.argmax()), values.shape)
         if values[best] > largest:
@@ -287,8 +287,8 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
         if axis is not None:
             slices = np.moveaxis(values, axis, 0).reshape(values.shape[axis], -1)
             power = slices.astype(np.float64) ** 2
-            second[place[axis]] += power.sum(axis=1)
-            fourth[place[axis]] += (power**2).sum(axis=1)
+            second[index[axis]] += power.sum(axis=1)
+            fourth[index[axis]] += (power**2).sum(axis=1)
     n_across = 1 if axis is None else grid.n_voxels // grid.shape[axis]
     sharpness = n_across * np.divide(fourth, second**2, out=np.zeros_like(second), where=second > 0)
     return _Seen(maxima=maxima, strongest_m=strongest, sharpness=sharpness)

@@ -12,8 +12,8 @@ from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp, ColouredMlpConfig
 from geraf2.apps.photos.neus.rendering import (
     PhotoSamplingConfig,
     annealed_cosine,
-    place_samples,
     render_rays,
+    sample_edges,
 )
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlpConfig
@@ -175,7 +175,7 @@ def test_samples_of_every_number_of_rounds_rise(n_rounds, keep_all, n_edges):
     rays, _ = rays_and_edges(dtype=torch.float32)
     span = torch.full((5,), 1.0), torch.full((5,), 3.0)
     field, generator = small_grid(torch.float32), torch.Generator().manual_seed(0)
-    edges = place_samples(field, rays, span, config, (20.0, 50.0), generator)
+    edges = sample_edges(field, rays, span, config, (20.0, 50.0), generator)
     assert edges.shape == (5, n_edges)
     assert (edges[:, 1:] >= edges[:, :-1]).all()
     assert edges.min() >= 1.0
@@ -190,7 +190,7 @@ def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
     directions = torch.nn.functional.normalize(torch.tensor([[0.3, 0.1, -1.0]]), dim=1)
     rays = origins, directions.expand(20, 3).contiguous()
     span = torch.zeros(20), torch.full((20,), 2.0)
-    edges = place_samples(Plane(), rays, span, config, (30.0, 400.0))
+    edges = sample_edges(Plane(), rays, span, config, (30.0, 400.0))
     seen = render_rays(Plane(), rays, edges, 400.0)
     hit = origins[:, 2] / -directions[0, 2]
     assert (seen.opacity > 0.99).all()

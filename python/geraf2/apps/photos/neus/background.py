@@ -57,12 +57,12 @@ class NerfBackground(nn.Module):
         self.center: Tensor
         self.register_buffer("center", torch.tensor(center))
         self.radius_m, self.config = radius_m, config
-        n_place = 4 + 8 * config.n_octaves
+        n_encoded = 4 + 8 * config.n_octaves
         n_direction = 3 + 6 * config.n_direction_octaves
         self.layers = nn.ModuleList()
-        n_in = n_place
+        n_in = n_encoded
         for number in range(config.n_layers):
-            extra = n_place if number and number == config.skip else 0
+            extra = n_encoded if number and number == config.skip else 0
             self.layers.append(nn.Linear(n_in + extra, config.width))
             n_in = config.width
         self.density = nn.Linear(n_in, 1)
@@ -94,8 +94,8 @@ class NerfBackground(nn.Module):
         depth = leave[:, None].clamp(min=0.0) + self.radius_m * beyond
         points = origins[:, None] + depth[:, :, None] * directions[:, None] - self.center
         length = points.norm(dim=2, keepdim=True).clamp(min=self.radius_m)
-        place = torch.cat([points / length, self.radius_m / length], dim=2)
-        density, colour = self._radiance(place, directions)
+        position = torch.cat([points / length, self.radius_m / length], dim=2)
+        density, colour = self._radiance(position, directions)
         step = (depth[:, 1:] - depth[:, :-1]) / self.radius_m
         step = torch.cat([step, torch.full_like(depth[:, :1], _LAST_STEP)], dim=1)
         optical = (density * step).clamp(max=_OPAQUE)
@@ -103,9 +103,9 @@ class NerfBackground(nn.Module):
         before = torch.cat([torch.ones_like(through[:, :1]), through[:, :-1]], dim=1)
         return ((before - through)[:, :, None] * colour).sum(dim=1)
 
-    def _radiance(self, place: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
-        n_rays, n, _ = place.shape
-        encoded = _encode(place.reshape(-1, 4), self.config.n_octaves)
+    def _radiance(self, position: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
+        n_rays, n, _ = position.shape
+        encoded = _encode(position.reshape(-1, 4), self.config.n_octaves)
         hidden = encoded
         for number, layer in enumerate(self.layers):
             if number and number == self.config.skip:
@@ -118,9 +118,9 @@ class NerfBackground(nn.Module):
         return density, torch.sigmoid(self.colour(seen)).reshape(n_rays, n, 3)
 
 
-def _encode(place: Tensor, n_octaves: int) -> Tensor:
+def _encode(position: Tensor, n_octaves: int) -> Tensor:
     """Encode (e, 1 / r): first the point e, then 1 / r, (n, 4 + 8 n_octaves)."""
-    first = positional_encoding(place[:, :3], n_octaves)
-    last = place[:, 3:].expand(-1, 3)
-    rest = positional_encoding(last, n_octaves).reshape(place.shape[0], -1, 3)[:, :, 0]
+    first = positional_encoding(position[:, :3], n_octaves)
+    last = position[:, 3:].expand(-1, 3)
+    rest = positional_encoding(last, n_octaves).reshape(position.shape[0], -1, 3)[:, :, 0]
     return torch.cat([first, rest], dim=1)

@@ -73,8 +73,8 @@ class ColouredMlp(nn.Module):
         n_rays, n_samples = weight.shape
         towards = positional_encoding(directions, self.config.n_octaves)
         towards = towards[:, None].expand(-1, n_samples, -1).reshape(n_rays * n_samples, -1)
-        place = self.domain.normalise(points.reshape(-1, 3))
-        seen = torch.cat([place, towards, sample.gradient, sample.features], dim=1)
+        position = self.domain.normalise(points.reshape(-1, 3))
+        seen = torch.cat([position, towards, sample.gradient, sample.features], dim=1)
         colour = torch.sigmoid(self.colour(seen)).reshape(n_rays, n_samples, 3)
         return (weight[:, :, None] * colour).sum(dim=1)
 

@@ -63,10 +63,10 @@ class FeatureGrid(nn.Module):
         """Rows (n, 8) and shares (n, 8) of the eight nodes around each point."""
         shape = torch.tensor(self.grid.shape)
         origin = torch.tensor(self.grid.origin_m, dtype=points.dtype)
-        place = (points.detach() - origin) / self.grid.spacing_m
-        place = torch.minimum(place.clamp(min=0.0), (shape - 1).to(place.dtype))
-        low = torch.minimum(place.long(), (shape - 2).clamp(min=0))
-        part = place - low
+        position = (points.detach() - origin) / self.grid.spacing_m
+        position = torch.minimum(position.clamp(min=0.0), (shape - 1).to(position.dtype))
+        low = torch.minimum(position.long(), (shape - 2).clamp(min=0))
+        part = position - low
         _, ny, nz = self.grid.shape
         offsets = (_CORNERS[:, 0] * ny + _CORNERS[:, 1]) * nz + _CORNERS[:, 2]
         first = (low[:, 0] * ny + low[:, 1]) * nz + low[:, 2]

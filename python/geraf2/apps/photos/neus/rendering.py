@@ -73,7 +73,7 @@ def annealed_cosine(cos: torch.Tensor, anneal: float) -> torch.Tensor:
     return -(1.0 - anneal) * torch.relu(0.5 - 0.5 * cos) + anneal * sharp
 
 
-def place_samples(
+def sample_edges(
     field: ColouredField,
     rays: tuple[torch.Tensor, torch.Tensor],
     span: tuple[torch.Tensor, torch.Tensor],
