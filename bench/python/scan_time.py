@@ -162,7 +162,7 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
         "extents_m": metrics.size.extent_errors_m,
         "f1_5mm_by_sight": [one.scores[1].f1 for one in metrics.by_sight],
         "seen": metrics.by_sight[0].area_fraction,
-        "median_m": metrics.both_directions.median_m,
+        "median_m": metrics.both_ways.median_m,
         "chamfer_1e3_m2": metrics.chamfer_1e3_m2,
         **but_bottom(mesh, truth, seed),
         "expected_m": float(np.mean(mesh.expected_error_m)),

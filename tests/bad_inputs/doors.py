@@ -166,7 +166,7 @@ _ROWS = [
         for name in names
         for how, change in SPOILED.items()
     ),
-    *(bad("los m.gltf out --unit m", put("m.gltf", text), text=text) for text, text in GLTF),
+    *(bad("los m.gltf out --unit m", put("m.gltf", content), text=text) for content, text in GLTF),
     *(bad(f"info {up}", text="goes down only") for up in UPWARDS),
     *(bad(line.format(UPWARDS[0]), text="goes down only") for line in READS_SCENE),
     *(

@@ -73,7 +73,7 @@ ROWS = [
         """,
     ),
     *sweep(RUN + " --preset best {}", "refine.rim.sizes-m 0|nan"),
-    *sweep(RUN + " --preset paper {}", "paper.grid-n 0 25\npaper.mesh-n 0 100000"),
+    *sweep(RUN + " --preset paper {}", "paper.grid-n 0 25|\npaper.mesh-n 0 100000"),
     *sweep(
         "image scene out --every 4 {}",
         """

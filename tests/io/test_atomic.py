@@ -64,8 +64,8 @@ KILLED = """
 import os, sys
 from pathlib import Path
 from geraf2.io.atomic import atomic_folder, atomic_path
-folder = Path(sys.argv[1])
-with atomic_path(folder / "a.txt") as path, atomic_folder(folder / "f") as part:
+home = Path(sys.argv[1])
+with atomic_path(home / "a.txt") as path, atomic_folder(home / "f") as folder:
     path.write_text("half")
     (folder / "part").write_text("half")
     print("written", flush=True)

@@ -90,7 +90,7 @@ class Fine:
     fine: Inner | None = None
     """Called as the preset is."""
     steps: tuple[Inner, ...] = ()
-    reported: float | Literal["true"] = "true"
+    known: float | Literal["true"] = "true"
     where: Path | None = None
     named: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
@@ -119,7 +119,7 @@ texts = st.text(st.characters(exclude_categories=["Cs"]))
         inner=inners,
         fine=st.none() | inners,
         steps=st.lists(inners, max_size=3).map(tuple),
-        reported=st.just("true") | st.floats(0, 1),
+        known=st.just("true") | st.floats(0, 1),
         where=st.none() | st.just(Path("a/b")),
         named=st.dictionaries(texts, st.lists(st.integers(-9, 9)).map(tuple), max_size=3),
     )

@@ -66,7 +66,7 @@ def print_metrics(metrics: MeshMetrics) -> None:
         )
         for score in metrics.scores
     ]
-    both, chamfer = metrics.both_directions, metrics.chamfer_1e3_m2
+    both, chamfer = metrics.both_ways, metrics.chamfer_1e3_m2
     floor = (metrics.floor_chamfer_1e3_m2, 1e3 * metrics.floor_median_m)
     rows(
         [

@@ -98,7 +98,7 @@ class MeshMetrics(Short):
     """Sample to nearest sample, from the mesh."""
     truth_to_mesh: DistanceSummary
     """Sample to nearest sample, from the truth."""
-    both_directions: DistanceSummary
+    both_ways: DistanceSummary
     """The two sets of distances together."""
     surface_mesh_to_truth: DistanceSummary
     """Exact point-to-surface distances of the mesh's samples."""
@@ -134,7 +134,7 @@ class MeshMetrics(Short):
 
     def __repr__(self) -> str:
         scores = ", ".join(f"F1 {1e3 * s.threshold_m:g} mm {s.f1:.3f}" for s in self.scores)
-        median = 1e3 * self.both_directions.median_m
+        median = 1e3 * self.both_ways.median_m
         chamfer = f"Chamfer {self.chamfer_1e3_m2:.4f} 1e-3 m^2"
         return f"MeshMetrics({scores}, {chamfer}, median {median:.2f} mm)"
 
@@ -252,7 +252,7 @@ def evaluate_mesh(
         scores=_scores(pair, fine, thresholds_m),
         mesh_to_truth=_summary(pair.to_truth),
         truth_to_mesh=_summary(pair.to_mesh),
-        both_directions=_summary(np.concatenate([pair.to_truth, pair.to_mesh])),
+        both_ways=_summary(np.concatenate([pair.to_truth, pair.to_mesh])),
         surface_mesh_to_truth=_summary(np.abs(exact_to_truth)),
         surface_truth_to_mesh=_summary(exact_to_mesh),
         surface_bias_m=float(np.median(exact_to_truth)) if reports[1].is_watertight else None,

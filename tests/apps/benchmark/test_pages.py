@@ -168,13 +168,13 @@ def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
 def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
     out, suite = rungs
     (row,) = rows_of(suite)
-    assert Runner(out=out).position(row).scene.name == "a-e4e15c3142"
+    assert Runner(out=out).folders(row).scene.name == "a-e4e15c3142"
     same = replace(row, spec=replace(row.spec, world=WorldSpec(n_channels=4)))
     other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
     raised = replace(row.spec.scan, rings=(RingSpec(elevation_deg=40.0),))
     above = replace(row, spec=replace(row.spec, scan=raised))
     dark = replace(row.spec.disturbance, far_walls=False)
     without = replace(row, spec=replace(row.spec, disturbance=dark))
-    scenes = [Runner(out=out).position(r).scene for r in (row, same, other, above, without)]
+    scenes = [Runner(out=out).folders(r).scene for r in (row, same, other, above, without)]
     assert scenes[0] == scenes[1]
     assert len(set(scenes)) == 4

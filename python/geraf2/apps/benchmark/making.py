@@ -145,7 +145,7 @@ def _result_of(metrics: MeshMetrics) -> RowResult:
         extent_y_m=y,
         extent_z_m=z,
         offset_m=metrics.surface_bias_m,
-        median_m=metrics.both_directions.median_m,
+        median_m=metrics.both_ways.median_m,
         same_topology=float(mesh == truth),
         topology=f"{mesh} ({truth})",
     )

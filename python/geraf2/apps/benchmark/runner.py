@@ -143,7 +143,7 @@ class Runner:
             version=SCENE_VERSION,
             spec=spec,
             seed=self.seed_of(row),
-            permittivity=case.given_permittivity,
+            told=case.given_permittivity,
         )
         more = {"options": how.options} if how.options else {}
         run = stage_key(
