@@ -39,7 +39,7 @@ def test_crossings_are_those_of_loops():
     normals = rng.standard_normal((150, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     glints = glints_at(rng.uniform(-0.02, 0.02, (150, 3)), normals)
-    found = find_crossings(glints)
+    found = find_crossings(glints.positions, glints.normals)
     expected = crossings_by_loops(glints)
     pairs = zip(found.lines.tolist(), found.surfaces.tolist(), strict=True)
     seen = dict(zip(pairs, zip(found.depth_m, found.is_front, strict=True), strict=True))
@@ -49,7 +49,7 @@ def test_crossings_are_those_of_loops():
         assert seen[pair][0] == pytest.approx(depth, rel=1e-6)
         assert seen[pair][1] == front
     chosen = np.unique(found.lines)[[0, 9]]
-    some = find_crossings(glints, chosen)
+    some = find_crossings(glints.positions, glints.normals, chosen)
     assert set(some.lines.tolist()) == set(chosen.tolist())
     assert len(some.lines) == np.isin(found.lines, chosen).sum()
 

@@ -47,30 +47,31 @@ class Crossings:
     """Whether the disc faces the antenna, (n,)."""
 
 
-def find_crossings(glints: Glints, lines: Ints | None = None) -> Crossings:
+def find_crossings(positions: Floats, normals: Floats, lines: Ints | None = None) -> Crossings:
     """Crossings of lines of sight, from glint to antenna, with the discs of other glints.
 
+    positions: of glints or other returns, (n, 3) [m]. normals: (n, 3).
     lines: glints whose lines of sight are followed, (n_lines,); all when None.
     """
-    chosen = np.arange(len(glints)) if lines is None else lines
-    points = (glints.positions - glints.positions.mean(axis=0)).astype(np.float32)
-    normals = glints.normals.astype(np.float32)
+    chosen = np.arange(len(positions)) if lines is None else lines
+    points = (positions - positions.mean(axis=0)).astype(np.float32)
+    single = normals.astype(np.float32)
     square = np.einsum("ij,ij->i", points, points)
     parts = []
     for start in range(0, len(chosen), _CHUNK):
         some = chosen[start : start + _CHUNK]
-        p, n = points[some], normals[some]
+        p, n = points[some], single[some]
         along = n @ points.T - np.einsum("ij,ij->i", p, n)[:, None]
         beside2 = square[some, None] + square - 2.0 * (p @ points.T) - along * along
         row, other = np.nonzero((along > _OWN_M - _REACH_M) & (beside2 < 1.01 * _REACH_M**2))
         parts.append((some[row], other))
     line, surface = (np.concatenate([part[k] for part in parts]).astype(np.int64) for k in (0, 1))
-    facing = np.einsum("ij,ij->i", glints.normals[line], glints.normals[surface])
+    facing = np.einsum("ij,ij->i", normals[line], normals[surface])
     steep = np.abs(facing) > _MIN_COSINE
     line, surface, facing = line[steep], surface[steep], facing[steep]
-    offset = glints.positions[surface] - glints.positions[line]
-    depth = np.einsum("ij,ij->i", offset, glints.normals[surface]) / facing
-    offset -= depth[:, None] * glints.normals[line]
+    offset = positions[surface] - positions[line]
+    depth = np.einsum("ij,ij->i", offset, normals[surface]) / facing
+    offset -= depth[:, None] * normals[line]
     met = (depth > _OWN_M) & (np.linalg.norm(offset, axis=1) < _REACH_M)
     return Crossings(
         lines=line[met], surfaces=surface[met], depth_m=depth[met], is_front=facing[met] > 0.0
@@ -87,7 +88,7 @@ def seen_through_share(glints: Glints) -> float:
     if n == 0:
         return 0.0
     lines = np.arange(0, n, -(-n // _N_LINES))
-    found = find_crossings(glints, lines)
+    found = find_crossings(glints.positions, glints.normals, lines)
     front = found.is_front & (found.depth_m > _FAR_BEHIND_M)
     behind = np.bincount(found.lines[front], minlength=n) >= _N_FRONTS
     behind &= np.bincount(found.lines[~found.is_front], minlength=n) > 0
@@ -102,7 +103,7 @@ def seen_first(glints: Glints) -> tuple[Bools, Bools]:
     glints with nothing in front; what enough of them cover is behind; and so on. Front faces are
     evaluated first, then back faces among the remainder. Glints that cover each other are possible.
     """
-    found = find_crossings(glints)
+    found = find_crossings(glints.positions, glints.normals)
     far = found.depth_m > BEHIND_M
     behind, front, is_front = found.lines[far], found.surfaces[far], found.is_front[far]
     nothing = np.zeros(len(glints), dtype=bool)

@@ -2,62 +2,125 @@
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.spatial import KDTree
+from scipy.stats import expon, norm, uniform
 
 from geraf2.apps.inspection.bodies import body_of
 from geraf2.apps.inspection.material import Measured, material_text
 from geraf2.apps.inspection.materials import (
     Levels,
+    Returns,
     log_odds_of_metal,
     materials_of,
+    passed_shares,
     reflectivity_map,
 )
+from geraf2.echoes.back_faces import BEHIND_M
 from helpers.solids import ball
+from helpers.specular import fibonacci_sphere
 
-METAL_DB, PLASTIC_DB = -3.1, -3.1 - 11.7 + 4.3  # permittivity 2.9
+RADIUS_M = 0.02
 
 
-def levels(mesh, level_db, *, scale_sigma_db=0.5, back=(), permittivity=None, n=200):
-    """Levels on a ball, 3 dB apart, and glints seen through it."""
+def levels(mesh, level_db, *, scale_sigma_db=0.5, permittivity=None, n=200):
+    """Levels on a ball, 3 dB apart."""
     rng = np.random.default_rng(0)
     at = rng.permutation(len(mesh.vertices))[:n]
     normals = mesh.vertices[at] / np.linalg.norm(mesh.vertices[at], axis=1, keepdims=True)
     spread = norm.ppf(0.9) * 3.0
-    behind = np.asarray(back, dtype=float).reshape(-1, 3)
     return Levels(
         positions=mesh.vertices[at],
         normals=normals,
         levels_db=level_db - spread + 3.0 * rng.normal(size=len(at)),
         scale_sigma_db=scale_sigma_db,
-        back=behind,
-        back_normals=np.tile([1.0, 0, 0], (len(behind), 1)),
         permittivity=permittivity,
     )
 
 
-def test_the_log_odds_are_those_of_two_normal_levels():
+def returns(depth_m=0.0, *, n=400, middle=(0.0, 0.0, 0.0), part=slice(None), probability=0.6):
+    """Returns of a ball from all sides, at a depth behind its front."""
+    normals = fibonacci_sphere(n)[part]
+    positions = (RADIUS_M - depth_m) * normals + np.asarray(middle)
+    chance = np.full(len(normals), probability)
+    return Returns.of(positions, normals, chance, np.zeros(len(normals), dtype=bool))
+
+
+def moved(mesh, by):
+    return type(mesh)(vertices=mesh.vertices + np.asarray(by), faces=mesh.faces)
+
+
+def trees(*meshes):
+    return [KDTree(mesh.vertices) for mesh in meshes]
+
+
+def test_the_log_odds_are_those_of_two_normal_levels_and_two_laws_of_the_share():
     level = Measured(value=-6.0, sigma=1.5)
-    spread = np.hypot(1.5, 2.0)
-    wanted = norm.logpdf(-6.0, METAL_DB, spread) - norm.logpdf(-6.0, PLASTIC_DB, spread)
-    assert log_odds_of_metal(level, 0.0) == pytest.approx(wanted, abs=0.02)
-    assert log_odds_of_metal(None, 0.0) == 0.0
-    assert log_odds_of_metal(None, 0.3) < -3.0
+    levels_db = norm.logpdf(-6.0, -2.5, np.hypot(1.5, 2.8)) - norm.logpdf(
+        -6.0, -6.9, np.hypot(1.5, 4.1)
+    )
+    assert log_odds_of_metal(level, np.nan) == pytest.approx(levels_db)
+    for share in (0.0, 0.02, 0.3):
+        metal = 0.99 * expon.pdf(share, scale=0.015) + 0.01 * uniform.pdf(share)
+        wanted = np.log(metal / uniform.pdf(share))
+        assert log_odds_of_metal(None, share) == pytest.approx(wanted)
+        assert log_odds_of_metal(level, share) == pytest.approx(wanted + levels_db)
+    assert log_odds_of_metal(None, np.nan) == 0.0
+
+
+def test_surfaces_before_and_behind_returns_are_those_of_loops():
+    rng = np.random.default_rng(2)
+    normals = rng.standard_normal((250, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    positions, chance = rng.uniform(-0.02, 0.02, (250, 3)), rng.uniform(0.1, 1.0, 250)
+    found = Returns.of(positions, normals, chance, np.zeros(250, dtype=bool))
+    passed, opposed = [], []
+    for p, n in zip(positions, normals, strict=True):
+        before = after = 0.0
+        for q, m, weight in zip(positions, normals, chance, strict=True):
+            if n @ m > -0.3:
+                continue
+            along = ((q - p) @ m) / (n @ m)
+            if np.linalg.norm(p + along * n - q) < 0.005:
+                before += weight * (BEHIND_M < along < 0.08)
+                after += weight * (BEHIND_M < -along < 0.08)
+        passed.append(before > 1.0)
+        opposed.append(before > 1.0 or before + after > 1.0)
+    assert 10 < sum(passed) < sum(opposed) < 240
+    assert found.passed.tolist() == passed
+    assert found.opposed.tolist() == opposed
+
+
+def test_returns_of_metal_stop_at_its_front_and_those_of_a_back_face_passed():
+    """On the axis of a ball the back face seems to lie 2 n r behind the front."""
+    part = trees(ball(RADIUS_M, 3))
+    for depth_m, share in ((0.0, 0.0), (2.0 * np.sqrt(2.5) * RADIUS_M - 0.01, 1.0)):
+        assert passed_shares(part, returns(depth_m)) == pytest.approx([share], abs=0.01)
+    front = returns()
+    known = front._replace(behind=front.normals[:, 0] > 0.5)
+    known = Returns.of(*known[:4])
+    assert passed_shares(part, known) == pytest.approx([0.25], abs=0.02)
+
+
+def test_nothing_follows_from_one_side_or_few_returns():
+    part = trees(ball(RADIUS_M, 3))
+    one_side = fibonacci_sphere(400)[:, 0] > 0.0
+    for few in (None, returns(part=one_side), returns(n=15)):
+        assert np.isnan(passed_shares(part, few)).all()
 
 
 @pytest.mark.parametrize(
-    ("level_db", "kind"),
-    [(0.0, "metal"), (-6.8, "not determined"), (-14.0, "plastic")],
+    ("level_db", "kind"), [(0.0, "not determined"), (-6.8, "not determined"), (-17.0, "plastic")]
 )
-def test_the_level_decides_and_is_unsure_between_both(level_db, kind):
-    mesh = ball(0.03, 3)
-    (found,) = materials_of([body_of(mesh)], levels(mesh, level_db))
+def test_a_level_alone_decides_only_far_below_metal(level_db, kind):
+    mesh = ball(RADIUS_M, 3)
+    (found,) = materials_of([body_of(mesh)], levels(mesh, level_db), None)
     assert found.kind == kind
     assert found.reflectivity_db.value == pytest.approx(level_db, abs=1.0)
     assert "dB against metal" in material_text(found)
 
 
-def test_nothing_is_claimed_without_a_scale_with_few_returns_or_above_metal():
-    mesh = ball(0.03, 3)
+def test_no_level_without_a_scale_with_few_returns_or_above_metal():
+    mesh = ball(RADIUS_M, 3)
     bodies = [body_of(mesh)]
     for seen in (
         None,
@@ -66,31 +129,28 @@ def test_nothing_is_claimed_without_a_scale_with_few_returns_or_above_metal():
         levels(mesh, 0.0, n=10),
         levels(mesh, 12.0),
     ):
-        (found,) = materials_of(bodies, seen)
+        (found,) = materials_of(bodies, seen, None)
         assert (found.kind, found.reflectivity_db) == ("not determined", None)
+        (found,) = materials_of(bodies, seen, returns())
+        assert (found.kind, found.reflectivity_db) == ("metal", None)
 
 
-def test_glints_seen_through_one_of_two_parts_make_only_that_one_plastic():
-    mesh = ball(0.03, 3)
-    other = ball(0.03, 3)
-    moved = type(mesh)(vertices=other.vertices + np.array([0, 0.2, 0]), faces=other.faces)
-    unknown = levels(
-        mesh,
-        np.nan,
-        scale_sigma_db=np.nan,
-        back=[[-0.045, 0.001 * k, 0.0] for k in range(60)],
-        permittivity=Measured(value=2.9, sigma=0.1),
+def test_each_part_has_the_material_of_its_own_returns():
+    first, second = ball(RADIUS_M, 3), moved(ball(RADIUS_M, 3), [0, 0.2, 0])
+    far, through = returns(), returns(0.05, middle=[0, 0.2, 0])
+    every = Returns(*(np.concatenate(of) for of in zip(far, through, strict=True)))
+    seen = levels(
+        first, np.nan, scale_sigma_db=np.nan, permittivity=Measured(value=2.9, sigma=0.1)
     )._replace(thickness_m=(0.021, 0.058))
-    first, second = materials_of([body_of(mesh), body_of(moved)], unknown)
-    assert (first.kind, second.kind) == ("plastic", "not determined")
-    assert first.permittivity.value == 2.9
-    assert material_text(first).endswith(
+    bodies = [body_of(first), body_of(second)]
+    metal, plastic = materials_of(bodies, seen, every)
+    assert (metal.kind, plastic.kind) == ("metal", "plastic")
+    assert plastic.permittivity.value == 2.9
+    assert material_text(plastic).endswith(
         "permittivity 2.90 ± 0.20, 21 to 58 mm thick where both faces were seen"
     )
-    assert (second.permittivity, second.thickness_m) == (None, None)
-    (blind, _) = materials_of(
-        [body_of(mesh), body_of(moved)], unknown._replace(permittivity=None, thickness_m=None)
-    )
+    assert (metal.permittivity, metal.thickness_m) == (None, None)
+    _, blind = materials_of(bodies, None, every)
     assert material_text(blind).endswith("permittivity cannot be determined")
 
 

@@ -10,7 +10,7 @@ from geraf2._types import Floats
 from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
 from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_changes, compared
-from geraf2.apps.inspection.materials import levels_of, materials_of
+from geraf2.apps.inspection.materials import levels_of, materials_of, returns_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
 from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
@@ -128,7 +128,8 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
         peaks=read_cloud(result.path / PEAKS_NAME)[:2],
         apertures=apertures,
     )
-    return Scanned(whole, bodies, evidence, materials_of(bodies, levels_of(result, planes)))
+    materials = materials_of(bodies, levels_of(result, planes), returns_of(result))
+    return Scanned(whole, bodies, evidence, materials)
 
 
 def _prior(result: Reconstruction) -> LosPrior | None:

@@ -25,7 +25,12 @@ from geraf2.apps.inspection.expected import (
 )
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
 from geraf2.apps.inspection.matching import Match, by_echoes, match_models
-from geraf2.apps.inspection.materials import levels_of, materials_of, with_reflectivity
+from geraf2.apps.inspection.materials import (
+    levels_of,
+    materials_of,
+    returns_of,
+    with_reflectivity,
+)
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.apps.inspection.separation import echoes_in, separated
@@ -116,7 +121,7 @@ def inspect(
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
-        parts = tuple(map(measure, bodies, materials_of(bodies, levels)))
+        parts = tuple(map(measure, bodies, materials_of(bodies, levels, returns_of(result))))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):

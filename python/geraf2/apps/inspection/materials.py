@@ -1,52 +1,56 @@
-"""Material of each part, from the amplitude of its returns and from its back faces.
+"""Material of each part, from returns that passed through it and the amplitude of its returns.
 
-The amplitude of a return of metal follows from the curvature of the measured surface
-(docs/math/echoes.md#reflectivity). What a return lacks is its reflectivity.
+Metal stops a line of sight at its first surface. A return whose line of sight crosses a surface
+from inside came through plastic: its back face lies beyond the front that another plane sees. The
+amplitude of metal follows from the curvature of the surface (docs/math/echoes.md#reflectivity).
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
+from scipy.special import expit
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
-from geraf2.apps.inspection.material import UNKNOWN, Kind, Material, Measured
+from geraf2.apps.inspection.material import Kind, Material, Measured
 from geraf2.echoes import Glints
+from geraf2.echoes.back_faces import BEHIND_M, find_crossings
+from geraf2.echoes.labels import Label
 from geraf2.echoes.reflectivity import (
     Windows,
     crossing_loss,
     db,
-    face_reflection,
     spreading,
     squarely,
     window_gain,
 )
-from geraf2.errors import UserError
 from geraf2.geometry.curvature import shape_operators
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
-from geraf2.io.run_folder import BACK_NAME
+from geraf2.io.points import read_cloud
+from geraf2.io.run_folder import PEAKS_NAME
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene.aperture import Aperture
 
 _STRONG = 0.9
 """Quantile of the levels of a part that is its level: merged echoes only weaken returns."""
-_METAL_DB, _SCENE_SIGMA_DB = -3.1, 2.0
-"""Mean and standard deviation of that level of metal [dB], over 125 parts in the plausible world
-(`bench/python/compare_pairs.py`, seeds 0 to 12). Rough patches and antenna patterns lower it."""
-_PLASTIC_DB = 20.0 * float(np.log10(abs(face_reflection(2.9))))
-"""Level of the front face of plastic, permittivity 2.9, against metal [dB]: -11.7."""
-_FOCUS_DB = 4.3
-"""Level of plastic above that of its front face [dB]: its back face focuses, and merges with the
-front in bodies below 4 cm. Median of five parts only (`bench/python/bodies.py`, seeds 1 to 7)."""
-_BACK_SHARE, _BACK_LOG_ODDS = 0.1, 4.0
-"""Least share of glints seen through a part that is plastic, and the log odds that they give."""
+_METAL_DB, _METAL_SIGMA_DB = -2.5, 2.8
+_PLASTIC_DB, _PLASTIC_SIGMA_DB = -6.9, 4.1
+"""Means and standard deviations of that level [dB]. Rough patches and antenna patterns lower it, a
+surface that bridges bodies raises it."""
+_METAL_SHARE = 0.015
+"""Mean share of the returns of metal that seem to have passed through it, of those with a surface
+on the other side; it is exponentially distributed, that of plastic uniform: means .014 of 26 parts,
+.77 of 19 (`bench/python/bodies.py`, seeds 0 to 9 and 10000 to 10007)."""
+_OUTLIERS = 0.01
+"""Share of parts that are not as their population."""
+_LIKELY = 0.15
+"""Least probability of a return that may have passed through a part."""
 _CERTAIN = 0.95
 """Least probability of a material that is named."""
 _FEWEST = 20
@@ -59,6 +63,9 @@ _CURVATURE_REACH_M = 0.009
 """Radius of the surface that gives the curvature at a return [m]."""
 _GAP_M, _COSINE = 0.004, 0.94
 """Largest distance of a return from the surface [m], and least cosine of both normals."""
+_ALONG_M, _OWN_M = np.linspace(0.0, 0.08, 17), 0.02
+"""Points of a line of sight ahead of a return [m], and largest distance of its part from them
+[m]."""
 _MAP_REACH_M = 0.008
 """Distance to which a return shows the reflectivity of the surface [m]."""
 _MOST_CONCAVE_PER_M = -5.0
@@ -76,14 +83,66 @@ class Levels(NamedTuple):
     """Amplitude over that of metal of the same curvature, (n,) [dB]."""
     scale_sigma_db: float
     """Standard uncertainty that all levels share [dB]."""
-    back: Floats
-    """Positions of glints seen through a part, (n_back, 3) [m]."""
-    back_normals: Floats
-    """(n_back, 3)."""
     permittivity: Measured | None
-    """Of what they were seen through."""
+    """Of a content that is seen through."""
     thickness_m: tuple[float, float] | None = None
     """Of it, 10 % and 90 % quantile [m]."""
+
+
+class Returns(NamedTuple):
+    """Returns in the box, and on which side of them the far side of their part lies."""
+
+    positions: Floats
+    """(n, 3) [m]."""
+    normals: Floats
+    """(n, 3)."""
+    probability: Floats
+    """That each is a return, (n,)."""
+    behind: Bools
+    """Whether each was found behind a dielectric front face, (n,)."""
+    passed: Bools
+    """Whether a surface that faces away, or a front face, lies on its line of sight, (n,)."""
+    opposed: Bools
+    """Whether a surface that faces away lies before or behind it, or `passed`, (n,)."""
+
+    @classmethod
+    def of(
+        cls, positions: Floats, normals: Floats, probability: Floats, behind: Bools
+    ) -> "Returns":
+        """Find surfaces that face away on the line of sight of each return, and behind it.
+
+        The sum of their probabilities exceeds one. Those before it are the far side of a part,
+        seen by another plane: the return passed through it.
+        """
+
+        def met(direction: Floats) -> Floats:
+            found = find_crossings(positions, direction)
+            own = ~found.is_front & (found.depth_m > BEHIND_M) & (found.depth_m < _ALONG_M[-1])
+            weight = probability[found.surfaces[own]]
+            return np.asarray(np.bincount(found.lines[own], weight, len(positions)), dtype=float)
+
+        before, after = met(normals), met(-normals)
+        passed = behind | (before > 1.0)
+        return cls(positions, normals, probability, behind, passed, passed | (before + after > 1.0))
+
+
+def returns_of(result: Reconstruction) -> Returns | None:
+    """Read the returns of a run; None of a run without them."""
+    path = result.run.written(PEAKS_NAME)
+    cloud = None if path is None else read_cloud(path)
+    if cloud is None or not {"label", "probability"} <= set(cloud.columns):
+        return None
+    label, probability = cloud.columns["label"], cloud.columns["probability"]
+    behind = label == Label.SEEN_THROUGH
+    own = np.isin(label, (Label.CLUTTER, Label.DIRECT)) & (probability > _LIKELY) | behind
+    if not own.any():
+        return None
+    return Returns.of(
+        cloud.positions[own],
+        cloud.normals[own],
+        np.where(behind, 1.0, probability)[own],
+        behind[own],
+    )
 
 
 def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
@@ -117,14 +176,11 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     )
     scale = numbers.get("metal_strength_m", np.nan) * crossing_loss(prior.walls)
     levels = db(kept.strengths / (metal * scale))
-    back = _back_glints(result.path)
     return Levels(
         positions=kept.positions[good],
         normals=kept.normals[good],
         levels_db=levels[good],
         scale_sigma_db=float(numbers.get("metal_strength_sigma_db", np.nan)),
-        back=back.positions if back else np.zeros((0, 3)),
-        back_normals=back.normals if back else np.zeros((0, 3)),
         permittivity=Measured(
             value=float(numbers["permittivity"]), sigma=float(numbers["permittivity_sigma"])
         )
@@ -136,39 +192,68 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     )
 
 
-def materials_of(bodies: Sequence[Body], levels: Levels | None) -> list[Material]:
+def materials_of(
+    bodies: Sequence[Body], levels: Levels | None, returns: Returns | None
+) -> list[Material]:
     """Material of each part."""
-    if levels is None or not bodies:
-        return [UNKNOWN] * len(bodies)
+    if not bodies:
+        return []
     trees = [KDTree(body.mesh.vertices) for body in bodies]
+    shares = passed_shares(trees, returns)
+    if levels is None:
+        return [_material(None, float(share), 0, None) for share in shares]
     owner = np.argmin([tree.query(levels.positions)[0] for tree in trees], axis=0)
-    # A back face seems to lie behind its body: the front is towards the antenna.
-    passed = _passed_first(levels, trees)
-    n_back, n_front = (np.bincount(of, minlength=len(bodies)) for of in (passed, owner))
-    share = n_back / np.maximum(n_back + n_front, 1)
     found = [
         _level(levels.levels_db[owner == b], levels.scale_sigma_db) for b in range(len(bodies))
     ]
     if any(level is not None and level.value > _IMPOSSIBLE_DB for level in found):
         found = [None] * len(bodies)
+    counts = np.bincount(owner, minlength=len(bodies))
     return [
         _material(level, float(s), int(n), levels)
-        for level, s, n in zip(found, share, n_front, strict=True)
+        for level, s, n in zip(found, shares, counts, strict=True)
     ]
 
 
-def log_odds_of_metal(level: Measured | None, back_share: float) -> float:
+def passed_shares(trees: Sequence[KDTree], returns: Returns | None) -> Floats:
+    """Share of the opposed returns of each part that passed through it, (n_parts,), by probability.
+
+    NaN of too few returns. trees: vertices of each part. A return is of the nearest part; one
+    behind a front face of the part that its line of sight comes nearest to.
+    """
+    shares = np.full(len(trees), np.nan)
+    if returns is None:
+        return shares
+    positions, normals, probability, behind, passed = (of[returns.opposed] for of in returns[:5])
+    if not len(positions):
+        return shares
+    line = positions[:, None] + (behind[:, None] * _ALONG_M)[:, :, None] * normals[:, None]
+    gaps = np.stack([tree.query(line)[0].min(axis=1) for tree in trees])
+    for n in range(len(trees)):
+        own = (gaps.argmin(axis=0) == n) & (gaps[n] < _OWN_M)
+        if own.sum() >= _FEWEST:
+            shares[n] = probability[own & passed].sum() / probability[own].sum()
+    return shares
+
+
+def log_odds_of_metal(level: Measured | None, passed_share: float) -> float:
     """Log odds of metal against plastic, before which both are as likely.
 
-    The level is normal about that of metal or of plastic, with the variance between scenes and its
-    own. Glints that were seen through a part speak for plastic.
+    The level is normal about that of metal or of plastic, with the variance between parts and its
+    own. The share of returns that passed is exponential of metal, uniform of plastic. NaN adds
+    nothing.
     """
-    odds = -_BACK_LOG_ODDS if back_share > _BACK_SHARE else 0.0
+    odds = 0.0
+    if np.isfinite(passed_share):
+        metal = np.exp(-passed_share / _METAL_SHARE) / _METAL_SHARE
+        odds = float(np.log((1.0 - _OUTLIERS) * metal + _OUTLIERS))
     if level is None:
         return odds
-    variance = level.sigma**2 + _SCENE_SIGMA_DB**2
-    off = level.value - _METAL_DB
-    return odds + ((off - _PLASTIC_DB - _FOCUS_DB) ** 2 - off**2) / (2.0 * variance)
+    metal_sigma, plastic_sigma = np.hypot([_METAL_SIGMA_DB, _PLASTIC_SIGMA_DB], level.sigma)
+    metal_off = (level.value - _METAL_DB) / metal_sigma
+    plastic_off = (level.value - _PLASTIC_DB) / plastic_sigma
+    odds += float(np.log(plastic_sigma / metal_sigma) + 0.5 * (plastic_off**2 - metal_off**2))
+    return odds
 
 
 def reflectivity_map(vertices: Floats, normals: Floats, levels: Levels) -> Floats:
@@ -212,19 +297,19 @@ def _level(levels_db: Floats, scale_sigma_db: float) -> Measured | None:
 
 
 def _material(
-    level: Measured | None, back_share: float, n_returns: int, levels: Levels
+    level: Measured | None, passed_share: float, n_returns: int, levels: Levels | None
 ) -> Material:
-    metal = float(1.0 / (1.0 + np.exp(-log_odds_of_metal(level, back_share))))
+    metal = float(expit(log_odds_of_metal(level, passed_share)))
     kind: Kind = "not determined"
     if max(metal, 1.0 - metal) >= _CERTAIN:
         kind = "metal" if metal > 0.5 else "plastic"
-    seen_through = kind == "plastic" and back_share > _BACK_SHARE
+    inside = levels if kind == "plastic" else None
     return Material(
         kind=kind,
         metal_probability=metal,
         reflectivity_db=level,
-        permittivity=levels.permittivity if seen_through else None,
-        thickness_m=levels.thickness_m if seen_through else None,
+        permittivity=inside.permittivity if inside else None,
+        thickness_m=inside.thickness_m if inside else None,
         n_returns=n_returns,
     )
 
@@ -237,19 +322,3 @@ def _ranges(glints: Glints, apertures: Sequence[Aperture]) -> Floats:
         met = apertures[plane].mirror(glints.positions[own], glints.normals[own])
         ranges[own[met.received]] = met.distances_m[met.received]
     return ranges
-
-
-def _passed_first(levels: Levels, trees: Sequence[KDTree]) -> Ints:
-    """Part through which each glint behind a front was seen, (n_back,): the nearest one ahead."""
-    steps = np.linspace(0.0, 0.08, 17)
-    line = levels.back[:, None] + steps[:, None] * levels.back_normals[:, None]
-    gaps = np.stack([tree.query(line)[0].min(axis=1) for tree in trees])
-    return np.asarray(gaps.argmin(axis=0))
-
-
-def _back_glints(folder: Path) -> Glints | None:
-    path = folder / BACK_NAME
-    try:
-        return Glints.load(path) if path.is_file() else None
-    except UserError:
-        return None
