@@ -9,7 +9,15 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats
 from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
-from geraf2.apps.inspection.comparison import Comparison, Play, Scanned, common_changes, compared
+from geraf2.apps.inspection.coherent_change import Signals, changed_echoes, turned
+from geraf2.apps.inspection.comparison import (
+    Comparison,
+    Play,
+    Scanned,
+    common_changes,
+    compared,
+    registered,
+)
 from geraf2.apps.inspection.materials import levels_of, materials_of, returns_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
 from geraf2.apps.inspection.separation import echoes_in, separated
@@ -21,8 +29,10 @@ from geraf2.io.points import read_cloud
 from geraf2.io.run_folder import BOX_NAME, PEAKS_NAME, PLANES_NAME, PRIOR_NAME
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
+from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import Aperture
+from geraf2.surfaces.workers import Workers
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
 """Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""
@@ -32,6 +42,8 @@ _IN_BOX = Play(turn_rad=float(np.deg2rad(0.3)), shift_m=0.0005)
 """Play of content in a box whose walls both scans show: errors of the walls."""
 _FREE = Play(turn_rad=float(np.deg2rad(3.0)), shift_m=0.005)
 """Play of content without walls."""
+_IN_PHASE = Play(turn_rad=float(np.deg2rad(0.1)), shift_m=0.0005)
+"""Play of content whose turn the phases show."""
 
 
 def compare(
@@ -73,12 +85,22 @@ def compare(
     for other in others:
         _require_alike(here, other)
     scanned, before, found = _scanned(here, num_threads), list[Scanned](), []
+    signals = _signals(here)
     for other in others:
         with listener.step("registering a reference"):
             there = _scanned(other, num_threads)
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
-            found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm))
+            spots, received = None, _signals(other)
+            if signals is not None and received is not None:
+                if play is _FREE:
+                    start = registered(scanned, there, start, play)[0]
+                peaks = scanned.evidence.peaks[0], there.evidence.peaks[0]
+                with Workers(num_threads) as workers:
+                    start = turned(start, signals, received, peaks, workers)
+                    spots = changed_echoes(start, signals, received, peaks, workers)
+                play = _IN_PHASE
+            found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
         if found[-1][2] < _LEAST_SHARE:
             raise UserError(
                 what="the scans show different sides of the content",
@@ -134,6 +156,16 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
 
 def _prior(result: Reconstruction) -> LosPrior | None:
     return result.prior if (result.path / PRIOR_NAME).is_file() else None
+
+
+def _signals(result: Reconstruction) -> Signals | None:
+    """Return what a run's scan received; None where its scene is no longer there."""
+    scene, prior = result.record.scene, _prior(result)
+    if not isinstance(scene, Path) or not scene.exists():
+        return None
+    capture = capture_of(result, None)
+    stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
+    return Signals(capture, stands, None if prior is None else prior.cuboid)
 
 
 def _require_peaks(result: Reconstruction) -> None:

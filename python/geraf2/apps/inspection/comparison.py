@@ -12,6 +12,7 @@ from scipy.special import expit, ndtr
 from geraf2 import __version__
 from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.coherent_change import Spots
 from geraf2.apps.inspection.material import UNKNOWN, Material
 from geraf2.apps.inspection.models import diagonal_m
 from geraf2.apps.inspection.scan_evidence import (
@@ -164,12 +165,18 @@ def registered(
 
 
 def compared(
-    here: Scanned, there: Scanned, start: Floats, play: Play, tolerance_m: float
+    here: Scanned,
+    there: Scanned,
+    start: Floats,
+    play: Play,
+    tolerance_m: float,
+    spots: Spots | None = None,
 ) -> tuple[list[Change], Floats, float]:
     """Find what changed from an earlier scan.
 
     start: moves the run into the frame of the earlier scan by its walls, (4, 4). tolerance_m: least
-    shift that counts [m]. Returns changes, pose, and share of the glints that both scans could see.
+    shift that counts [m]. spots: echoes compared in phase. Returns changes, pose, and share of
+    the glints that both scans could see.
     """
     pose, parts, shifts = registered(here, there, start, play)
     back = inverse_rigid(pose[:3, :3], pose[:3, 3])
@@ -187,6 +194,8 @@ def compared(
             _distance(c, moved) >= _SAME_POSITION_M for c in changes
         ):
             changes.append(moved)
+    others = [] if spots is None else _of_spots(spots, here)
+    changes += [c for c in others if all(_distance(c, o) >= _SAME_POSITION_M for o in changes)]
     return changes, pose, share
 
 
@@ -253,6 +262,32 @@ def _of_groups(groups: Sequence[_Group]) -> list[Change]:
             )
         )
     return changes
+
+
+def _of_spots(spots: Spots, here: Scanned) -> list[Change]:
+    """Join neighbouring positions whose echo has likelier changed than not."""
+    prior = _PRIOR_ODDS * len(here.bodies) / max(len(spots.points), 1)
+    log_odds = np.log(prior) + spots.log_ratios
+    at = np.flatnonzero(log_odds > 0.0)
+    if not len(at):
+        return []
+    points, changes = spots.points[at], list[Change]()
+    i, j = KDTree(points).query_pairs(_SAME_POSITION_M, output_type="ndarray").reshape(-1, 2).T
+    labels = connected_labels(i, j, len(points))
+    for label in np.unique(labels):
+        own = at[labels == label]
+        best = own[np.argmax(log_odds[own])]
+        gained = float(log_odds[own] @ np.sign(spots.gains[own]))
+        change = Change(
+            what="appeared" if gained > 0.0 else "vanished",
+            is_body=False,
+            center_m=triple(spots.points[best]),
+            size_m=diagonal_m(spots.points[own]),
+            sigma_m=float(np.median(here.whole.sigma_m)),
+            probability=float(expit(np.logaddexp.reduce(log_odds[own]))),
+        )
+        changes.append(change)
+    return [change for change in changes if change.probability >= _CERTAIN]
 
 
 def _missed_group(positions: Floats, own: Bools, missed: Bools) -> Ints:

@@ -1,0 +1,180 @@
+"""Coherent change of two scans: formulas against loops, and scans of points that are made up."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+from geraf2.apps.inspection import coherent_change as coherent
+from geraf2.apps.inspection.coherent_change import (
+    Signals,
+    Spots,
+    change_of,
+    changed_echoes,
+    fitted_phases,
+    log_ratio,
+    turned,
+)
+from geraf2.apps.inspection.comparison import _of_spots
+from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid
+from geraf2.ops import signal_tracer
+from geraf2.records import Pose, Waveform
+from geraf2.scene import Capture
+from geraf2.surfaces.workers import Workers
+
+WAVEFORM = Waveform(
+    start_frequency_hz=77.4e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=16
+)
+PUT_DOWN = rigid(
+    Rotation.from_euler("xyz", [0.3, -0.2, 1.2], degrees=True).as_matrix(),
+    np.array([0.002, -0.003, 0.0005]),
+)
+
+
+def noise(rng, *shape):
+    return rng.normal(size=shape) + 1j * rng.normal(size=shape)
+
+
+def scan(points, amplitudes, seed):
+    """Scan of points from four sides, with unknown phases that drift along each plane."""
+    rng, poses = np.random.default_rng(seed), []
+    line = 0.005 * (np.arange(26) - 12.5)
+    flat = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    for angle in (0.0, 1.0, 2.2, 4.0):
+        ahead = np.array([np.cos(angle), np.sin(angle), 0.0])
+        axes = np.stack([-ahead, [ahead[1], -ahead[0], 0.0], [0.0, 0.0, 1.0]])
+        antennas = 0.3 * ahead + flat @ axes[1:]
+        signal = signal_tracer(amplitudes, points, antennas, antennas, WAVEFORM, num_threads=1)
+        screen = np.exp(1j * (rng.uniform(0.0, 6.28) + flat @ rng.normal(scale=10.0, size=2)))
+        signal = (signal * screen[:, None] + noise(rng, *signal.shape)).astype(np.complex64)
+        poses.append(Pose(signal=signal, tx_positions=antennas, rx_positions=antennas, axes=axes))
+    stands = np.array([pose.phase_centers.mean(axis=0) for pose in poses])
+    return Signals(Capture(waveform=WAVEFORM, poses=tuple(poses)), stands, None)
+
+
+@pytest.fixture(scope="module")
+def scans():
+    """Points, a scan, one of all of them put down elsewhere, and one without the first."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.04, 0.04, size=(60, 3))
+    amplitudes = np.exp(2j * np.pi * rng.uniform(size=60)).astype(np.complex64)
+    there = apply_rigid(PUT_DOWN, points)
+    return (
+        points,
+        scan(points, amplitudes, 1),
+        scan(there, amplitudes, 2),
+        scan(there[1:], amplitudes[1:], 3),
+    )
+
+
+def test_the_turn_is_found_by_the_phases_and_unchanged_echoes_are_no_change(scans):
+    points, here, again, _ = scans
+    peaks, start = (points, apply_rigid(PUT_DOWN, points)), PUT_DOWN.copy()
+    start[:3, :3] = Rotation.from_euler("z", -0.9, degrees=True).as_matrix() @ start[:3, :3]
+    with Workers(1) as workers:
+        pose = turned(start, here, again, peaks, workers)
+        spots = changed_echoes(pose, here, again, peaks, workers)
+    error = Rotation.from_matrix(pose[:3, :3] @ PUT_DOWN[:3, :3].T).magnitude()
+    assert np.rad2deg(error) < 0.15
+    assert spots.log_ratios.max() < 2.0
+
+
+def test_an_echo_that_one_scan_lacks_is_found_where_it_was(scans):
+    points, here, _, robbed = scans
+    peaks = points, apply_rigid(PUT_DOWN, points)
+    with Workers(1) as workers:
+        new = changed_echoes(PUT_DOWN, here, robbed, peaks, workers)
+        back = inverse_rigid(PUT_DOWN[:3, :3], PUT_DOWN[:3, 3])
+        gone = changed_echoes(back, robbed, here, peaks[::-1], workers)
+    for spots, at, sign in ((new, points[0], 1.0), (gone, peaks[1][0], -1.0)):
+        best = np.argmax(spots.log_ratios)
+        assert spots.points[best] == pytest.approx(at, abs=1e-9)
+        assert spots.log_ratios[best] > 8.0
+        assert np.sign(spots.gains[best]) == sign
+    far = np.linalg.norm(new.points - points[0], axis=1) > 0.02
+    assert new.log_ratios[far].max() < new.log_ratios.max() - 5.0
+
+
+def test_planes_that_stand_elsewhere_say_nothing(scans):
+    points, here, again, _ = scans
+    away = again._replace(
+        stands=again.stands[::2],
+        capture=Capture(waveform=WAVEFORM, poses=again.capture.poses[::2]),
+    )
+    aside = here._replace(
+        stands=here.stands[1:2], capture=Capture(waveform=WAVEFORM, poses=here.capture.poses[1:2])
+    )
+    peaks = points, apply_rigid(PUT_DOWN, points)
+    with Workers(1) as workers:
+        assert turned(PUT_DOWN, aside, away, peaks, workers) == pytest.approx(PUT_DOWN)
+        spots = changed_echoes(PUT_DOWN, aside, away, peaks, workers)
+        none = changed_echoes(PUT_DOWN, here, again, (points[:0], points[:0]), workers)
+    assert not spots.log_ratios.any()
+    assert len(none.points) == 0
+
+
+def test_phases_of_blocks_and_over_the_content_are_found():
+    rng = np.random.default_rng(1)
+    one, lateral = noise(rng, 5, 200), rng.uniform(-0.04, 0.04, size=(200, 2))
+    phasors, slopes = np.exp(1j * rng.uniform(0, 6.28, 5)), np.array([45.0, -20.0])
+    other = one * phasors[:, None] * np.exp(1j * (lateral @ slopes)) + 0.1 * noise(rng, 5, 200)
+    found, blocks, share = fitted_phases(one, other, lateral, 130.0)
+    assert found == pytest.approx(slopes, abs=1.5)
+    assert np.abs(np.angle(blocks / phasors)).max() < 0.1
+    assert share > 0.95
+    assert fitted_phases(one, noise(rng, 5, 200), lateral, 130.0)[2] < 0.4
+
+
+def test_the_change_is_that_of_a_loop_over_blocks():
+    rng = np.random.default_rng(2)
+    one, other = noise(rng, 4, 6), noise(rng, 4, 6)
+    walls = rng.uniform(size=(4, 6)) < 0.3
+    change, gain = change_of(one, other, walls)
+    power = [
+        [0.5 * (abs(one[b, x]) ** 2 + abs(other[b, x]) ** 2) for x in range(6)] for b in range(4)
+    ]
+    floor = coherent._FLOOR * np.mean(power)
+    for x in range(6):
+        sums, total = np.zeros(2, complex), 0.0
+        for b in range(4):
+            share = coherent._WALL_SHARE if walls[b, x] else coherent._SHARE
+            v = share * power[b][x] + floor
+            sums, total = sums + np.array([one[b, x], other[b, x]]) / v, total + 1.0 / v
+        assert change[x] == pytest.approx(abs(sums[0] - sums[1]) ** 2 / total)
+        assert gain[x] == pytest.approx((abs(sums[0]) ** 2 - abs(sums[1]) ** 2) / total)
+
+
+def test_the_ratio_is_one_of_densities_and_grows_with_the_change():
+    low = np.full(99, 1.0)  # positions that set the median
+
+    def changed(t):
+        same = (1.0 + t / coherent._TAIL) ** -(coherent._TAIL + 1.0)
+        return same * np.exp(log_ratio(np.append(low, coherent._SCALE * t))[-1])
+
+    mass = quad(changed, 0.0, 1.0)[0] + sum(
+        quad(changed, 10.0**k, 10.0 ** (k + 1))[0] for k in range(3)
+    )
+    assert mass == pytest.approx(1.0, abs=0.01)
+    grows = [log_ratio(np.append(low, t))[-1] for t in (5.0, 50.0, 500.0)]
+    assert grows == sorted(grows)
+    assert grows[0] < 0.5
+    assert grows[2] > 3.0
+
+
+def test_where_no_phase_holds_no_change_is_seen():
+    change = coherent._SCALE * np.random.default_rng(3).exponential(100.0, size=500)
+    assert log_ratio(change).max() < 3.0
+
+
+def test_neighbouring_spots_are_one_change():
+    points = np.array([[0.0, 0, 0], [0.003, 0, 0], [0.09, 0, 0], [0.05, 0.05, 0]])
+    spots = Spots(points, np.array([20.0, 12.0, 15.0, 1.0]), np.array([-3.0, -1.0, 2.0, 9.0]))
+    here = SimpleNamespace(bodies=[None, None], whole=SimpleNamespace(sigma_m=np.array([1e-3])))
+    near, far = sorted(_of_spots(spots, here), key=lambda change: change.center_m)
+    assert (near.what, near.center_m, far.what) == ("vanished", (0.0, 0.0, 0.0), "appeared")
+    assert near.size_m == pytest.approx(0.003)
+    odds = 0.01 * 2 / 4 * (np.exp(20.0) + np.exp(12.0))
+    assert near.probability == pytest.approx(odds / (1.0 + odds))
+    assert _of_spots(spots._replace(log_ratios=np.zeros(4)), here) == []
