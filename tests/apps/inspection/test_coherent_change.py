@@ -143,7 +143,8 @@ def test_the_change_is_that_of_a_loop_over_blocks():
             v = share * power[b][x] + floor
             sums, total = sums + np.array([one[b, x], other[b, x]]) / v, total + 1.0 / v
         assert change[x] == pytest.approx(abs(sums[0] - sums[1]) ** 2 / total)
-        assert gain[x] == pytest.approx((abs(sums[0]) ** 2 - abs(sums[1]) ** 2) / total)
+        first, second = abs(sums) ** 2
+        assert gain[x] == pytest.approx((first - second) / (first + second))
 
 
 def test_the_ratio_is_one_of_densities_and_grows_with_the_change():

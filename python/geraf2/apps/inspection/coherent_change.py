@@ -1,7 +1,7 @@
 """Coherent change of two scans of one content: echoes of one scan that the other does not have.
 
 Both scans are imaged by the same blocks of antennas, as the content sees them. A phase for each
-block and one linear across the content are fitted for each plane; what is left is compared with
+block and one linear across the content are fitted for each plane; the residual is compared with
 the power of the echoes (docs/inspection.md#two-scans).
 """
 
@@ -64,7 +64,7 @@ class Spots(NamedTuple):
     log_ratios: Floats
     """Log likelihood of a change over that of none, of all planes, (n,)."""
     gains: Floats
-    """Positive where the run's echo is the stronger one, (n,)."""
+    """Shares by which the run's echo is the stronger one, weighted by the evidence, (n,)."""
 
 
 class _Placed(NamedTuple):
@@ -134,6 +134,8 @@ def turned(
     for _ in range(_N_ROUNDS):
         points, middle = _positions(here, pose, peaks)
         points = points[_few(len(points))]
+        if not len(points):
+            break
         at = _Placed(pose, middle, points)
 
         def slopes(planes: tuple[int, int], at: _Placed = at) -> Floats:
@@ -142,12 +144,12 @@ def turned(
                 return np.zeros((0, 5))
             one, other = view.here.image(at.points), view.there.image(at.moved)
             found = fitted_phases(one, other, at.points @ view.axes[1:].T, _MOST_TURN * number)
-            # A turn w moves a position r by w x r, its way to the antennas by n . (w x r).
+            # A turn w moves a position r by w x r, its path to the antennas by n . (w x r).
             design = np.cross(view.axes[1:], view.axes[0])
             return np.c_[design, found[0] / number, np.full(2, found[2] ** 2)]
 
         rows = np.concatenate(workers.each(slopes, _pairs(here, there, pose)))
-        if not len(rows) or not len(points):
+        if not len(rows):
             break
         turn, error = _turn(rows[:, :3], rows[:, 3], rows[:, 4])
         if error > _MOST_ERROR_RAD:
@@ -180,15 +182,15 @@ def changed_echoes(
         other = view.there.corrected(phasors).image(at.moved)
         slopes, phasors, _ = fitted_phases(one[:, few], other[:, few], lateral[few], most)
         other = other * np.conj(phasors)[:, None] * np.exp(-1j * (lateral @ slopes))
-        ways = view.middles[:, None] - points
-        ways /= np.linalg.norm(ways, axis=2, keepdims=True)
-        faces_wall = (np.abs(ways @ walls.T) > _WALL_COSINE).any(axis=2)
+        paths = view.middles[:, None] - points
+        paths /= np.linalg.norm(paths, axis=2, keepdims=True)
+        faces_wall = (np.abs(paths @ walls.T) > _WALL_COSINE).any(axis=2)
         change, gain = change_of(one, other, faces_wall)
         return log_ratio(change), gain
 
     for ratio, gain in workers.each(changes, _pairs(here, there, pose)):
         log_ratios += ratio
-        gains += gain
+        gains += np.maximum(ratio, 0.0) * gain
     return Spots(points, log_ratios, gains)
 
 
@@ -222,14 +224,15 @@ def change_of(one: Array, other: Array, faces_wall: Bools) -> tuple[Floats, Floa
 
     one, other: of the run and of the reference, in phase, (n_blocks, n_points). faces_wall: where
     a wall's echo lies in the beam. An echo at the position adds the same d to each block, and v is
-    the variance without one: T = |sum d / v|^2 / sum 1 / v. The gain is the difference of this for
-    both images.
+    the variance without one: T = |sum d / v|^2 / sum 1 / v. The gain is the difference of
+    |sum image / v|^2 as a share of the sum of both.
     """
     power = 0.5 * (np.abs(one) ** 2 + np.abs(other) ** 2)
     variance = np.where(faces_wall, _WALL_SHARE, _SHARE) * power + _FLOOR * power.mean() + 1e-30
     total = (1.0 / variance).sum(axis=0)
     sums = [(image / variance).sum(axis=0) for image in (one, other)]
-    gain = (np.abs(sums[0]) ** 2 - np.abs(sums[1]) ** 2) / total
+    squares = np.abs(sums[0]) ** 2, np.abs(sums[1]) ** 2
+    gain = (squares[0] - squares[1]) / np.maximum(squares[0] + squares[1], 1e-30)
     return np.abs(sums[0] - sums[1]) ** 2 / total, gain
 
 
@@ -237,7 +240,7 @@ def log_ratio(change: Floats) -> Floats:
     """Log density of T, where half of the planes show a change, over that where none does.
 
     change: of all positions of a plane, (n,). Its median is that of no change at least: where
-    phases do not hold, it is larger, and says nothing.
+    phases do not hold, it is larger, and shows nothing.
     """
     usual = _TAIL * (2.0 ** (1.0 / _TAIL) - 1.0)
     t = change / max(_SCALE, float(np.median(change)) / usual)
@@ -264,7 +267,7 @@ def _few(n: int) -> Ints:
 
 
 def _two_way(scan: Signals) -> float:
-    """Phase of a way there and back [rad/m]."""
+    """Phase of a path there and back [rad/m]."""
     return 4.0 * np.pi / scan.capture.waveform.center_wavelength_m
 
 

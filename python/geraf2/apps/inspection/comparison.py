@@ -277,9 +277,8 @@ def _of_spots(spots: Spots, here: Scanned) -> list[Change]:
     for label in np.unique(labels):
         own = at[labels == label]
         best = own[np.argmax(log_odds[own])]
-        gained = float(log_odds[own] @ np.sign(spots.gains[own]))
         change = Change(
-            what="appeared" if gained > 0.0 else "vanished",
+            what="appeared" if spots.gains[own].sum() > 0.0 else "vanished",
             is_body=False,
             center_m=triple(spots.points[best]),
             size_m=diagonal_m(spots.points[own]),
