@@ -8,14 +8,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import geraf2
+from geraf2.apps.inspection import coherent_change, compare_runs
 from geraf2.apps.inspection.bodies import split_bodies
+from geraf2.apps.inspection.coherent_change import Signals
 from geraf2.apps.inspection.comparison import Play, Scanned, common_changes, compared, registered
 from geraf2.apps.inspection.material import UNKNOWN
 from geraf2.apps.inspection.scan_evidence import Cells, Evidence, shifts_of
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.io.planes import ScannedPlanes, save_planes
-from geraf2.io.run_folder import PLANES_NAME
+from geraf2.io.points import read_cloud
+from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME
+from geraf2.ops import signal_tracer
 from geraf2.scene.aperture import Aperture
 from helpers.inspected import around, block, glints_of, measured, run_of, wedge
 from helpers.solids import joined
@@ -125,6 +129,28 @@ def test_a_change_must_differ_from_every_reference():
     found = [changes_of(here, reference) for reference in (usual, other)]
     assert common_changes(found) == ()
     assert kinds(common_changes([changes_of(here, other)] * 2)) == [("appeared", True)]
+
+
+def test_an_echo_that_came_is_found_by_its_phases(monkeypatch):
+    """One of all planes, added to a scan, at a position on the content."""
+    run, capture = geraf2.examples.small_run(), geraf2.examples.small_capture()[0]
+    stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
+    at = read_cloud(run.path / PEAKS_NAME)[0]
+    at = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))][None]
+    poses = []
+    for pose in capture.poses:
+        antennas = pose.tx_positions, pose.rx_positions
+        size = np.full(1, 2.0 * np.abs(pose.signal).mean(), dtype=np.complex64)
+        echo = signal_tracer(size, at, *antennas, capture.waveform, num_threads=1)
+        poses.append(replace(pose, signal=pose.signal + echo))
+    scans = iter([replace(capture, poses=tuple(poses)), capture])
+    monkeypatch.setattr(coherent_change, "_CELL_M", 0.006)  # fewer positions
+    monkeypatch.setattr(
+        compare_runs, "_signals", lambda _: Signals(next(scans), stands, run.prior.cuboid)
+    )
+    (change,) = geraf2.compare(run, [run]).changes
+    assert change.what == "appeared"
+    assert change.center_m == pytest.approx(tuple(at[0]), abs=6e-3)
 
 
 @pytest.fixture(scope="module")

@@ -146,7 +146,7 @@ def turned(
             found = fitted_phases(one, other, at.points @ view.axes[1:].T, _MOST_TURN * number)
             # A turn w moves a position r by w x r, its path to the antennas by n . (w x r).
             design = np.cross(view.axes[1:], view.axes[0])
-            return np.c_[design, found[0] / number, np.full(2, found[2] ** 2)]
+            return np.column_stack([design, found[0] / number, np.full(2, found[2] ** 2)])
 
         rows = np.concatenate(workers.each(slopes, _pairs(here, there, pose)))
         if not len(rows):
@@ -184,7 +184,7 @@ def changed_echoes(
         other = other * np.conj(phasors)[:, None] * np.exp(-1j * (lateral @ slopes))
         paths = view.middles[:, None] - points
         paths /= np.linalg.norm(paths, axis=2, keepdims=True)
-        faces_wall = (np.abs(paths @ walls.T) > _WALL_COSINE).any(axis=2)
+        faces_wall = np.any(np.abs(paths @ walls.T) > _WALL_COSINE, axis=2)
         change, gain = change_of(one, other, faces_wall)
         return log_ratio(change), gain
 
@@ -313,8 +313,8 @@ def _turn(design: Floats, slopes: Floats, weights: Floats) -> tuple[Floats, floa
 
     Also returns the median error [rad].
     """
-    own, turn = weights, np.zeros(3)
+    own, turn = weights, np.asarray(np.zeros(3))
     for _ in range(_N_WEIGHTS):
-        turn = np.linalg.lstsq(design * own[:, None], slopes * own, rcond=None)[0]
+        turn = np.asarray(np.linalg.lstsq(design * own[:, None], slopes * own, rcond=None)[0])
         own = weights / np.sqrt(1.0 + ((slopes - design @ turn) / _TURN_RAD) ** 2)
     return turn, float(np.median(np.abs(slopes - design @ turn)))
