@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats
 from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
-from geraf2.apps.inspection.coherent_change import Signals, changed_echoes, turned
+from geraf2.apps.inspection.coherent_change import Signals, Spots, changed_echoes, turned
 from geraf2.apps.inspection.comparison import (
     Comparison,
     Play,
@@ -91,15 +91,8 @@ def compare(
             there = _scanned(other, num_threads)
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
-            spots, received = None, _signals(other)
-            if signals is not None and received is not None:
-                if play is _FREE:
-                    start = registered(scanned, there, start, play)[0]
-                peaks = scanned.evidence.peaks[0], there.evidence.peaks[0]
-                with Workers(num_threads) as workers:
-                    start = turned(start, signals, received, peaks, workers)
-                    spots = changed_echoes(start, signals, received, peaks, workers)
-                play = _IN_PHASE
+            received = signals, _signals(other)
+            start, play, spots = _in_phase(scanned, there, received, (start, play), num_threads)
             found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
         if found[-1][2] < _LEAST_SHARE:
             raise UserError(
@@ -166,6 +159,28 @@ def _signals(result: Reconstruction) -> Signals | None:
     capture = capture_of(result, None)
     stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
     return Signals(capture, stands, None if prior is None else prior.cuboid)
+
+
+def _in_phase(
+    here: Scanned,
+    there: Scanned,
+    received: tuple[Signals | None, Signals | None],
+    registration: tuple[Floats, Play],
+    num_threads: int | None,
+) -> tuple[Floats, Play, Spots | None]:
+    """Pose with its turn by the phases, its play, and the echoes; the same and None without scenes.
+
+    registration: pose and play by the walls.
+    """
+    (start, play), (one, other) = registration, received
+    if one is None or other is None:
+        return start, play, None
+    if play is _FREE:
+        start = registered(here, there, start, play)[0]
+    peaks = here.evidence.peaks[0], there.evidence.peaks[0]
+    with Workers(num_threads) as workers:
+        start = turned(start, one, other, peaks, workers)
+        return start, _IN_PHASE, changed_echoes(start, one, other, peaks, workers)
 
 
 def _require_peaks(result: Reconstruction) -> None:
