@@ -8,7 +8,12 @@ from skimage.measure import marching_cubes
 
 import geraf2
 from geraf2.apps.inspection.bodies import split_bodies
-from geraf2.apps.inspection.separation import Echoes, bridge_probability, separated
+from geraf2.apps.inspection.separation import (
+    Echoes,
+    bridge_probability,
+    joined_by,
+    separated,
+)
 from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.points import cloud_bytes
@@ -22,15 +27,15 @@ RADIUS_M, APART_M = 0.015, 0.04
 OTHER = (0.07, 0.0, 0.0)
 
 
-def echoes(*middles_m, probability=0.25, planes=range(12), n=12):
-    """Uncertain echoes of balls from some of the twelve planes."""
+def echoes(*middles_m, probability=0.25, planes=range(12), n=12, depth_m=RADIUS_M):
+    """Uncertain echoes of balls from some of the twelve planes, so far before their middles."""
     rng = np.random.default_rng(0)
     angles = np.deg2rad(30.0 * np.repeat(list(planes), n) + rng.uniform(-8, 8, n * len(planes)))
     up = np.deg2rad(rng.uniform(-12, 12, len(angles)))
     normals = np.stack(
         [np.cos(up) * np.cos(angles), np.cos(up) * np.sin(angles), np.sin(up)], axis=1
     )
-    positions = np.concatenate([middle + RADIUS_M * normals for middle in np.array(middles_m)])
+    positions = np.concatenate([middle + depth_m * normals for middle in np.array(middles_m)])
     n_all = len(positions)
     return Echoes(positions, np.tile(normals, (len(middles_m), 1)), np.full(n_all, probability))
 
@@ -72,7 +77,30 @@ def test_a_section_that_echoed_is_part_of_one_body():
     found = separated([part(0.0, 0.9)], BOTH, APERTURES)
     assert len(found.bodies[0].mesh.faces) == len(dumbbell().faces)
     assert found.faint == []
-    assert found.probability == pytest.approx(0.9, abs=0.02)
+    assert found.probability == pytest.approx(0.9 * 0.95, abs=0.02)
+
+
+def test_a_section_where_only_back_faces_lie_is_cut():
+    """They lie behind the middles of plastic balls, some of them where a fit bridges the gap."""
+    backs = echoes((-APART_M / 2, 0, 0), (APART_M / 2, 0, 0), probability=0.8, depth_m=-0.018)
+    assert len(separated([part(0.0)], backs, APERTURES).bodies) == 2
+
+
+def test_necks_join_what_hardly_is_a_bridge():
+    """Against sets joined one by one; what is joined already costs no probability."""
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        necks = [
+            (float(rng.random()), *map(int, rng.choice(5, 2, replace=False))) for _ in "123456"
+        ]
+        sets = [{k} for k in range(5)]
+        for bridge, i, j in necks:
+            if bridge < 0.5:
+                both = next(s for s in sets if i in s) | next(s for s in sets if j in s)
+                sets = [s for s in sets if not s & both] + [both]
+        group, _ = joined_by(necks, 5)
+        assert {frozenset(np.flatnonzero(group == k)) for k in group} == set(map(frozenset, sets))
+    assert joined_by([(0.1, 0, 1), (0.9, 0, 2), (0.2, 1, 2)], 3)[1] == pytest.approx(0.9 * 0.8)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +124,8 @@ def test_the_odds_of_a_bridge_are_those_of_its_patches():
 def test_uncertain_echoes_of_many_planes_around_a_spot_are_a_body():
     found = separated([measured(BLOCK, HERE)], echoes(OTHER), APERTURES)
     (body,) = found.faint
-    assert min(body.probability, found.probability) > 0.9
+    assert body.probability > 0.9
+    assert found.probability == pytest.approx(body.probability * 0.95**2, abs=0.01)
     assert body.mesh.vertices.mean(axis=0) == pytest.approx(OTHER, abs=2e-3)
     assert np.ptp(body.mesh.vertices[:, :2], axis=0) == pytest.approx(2 * RADIUS_M, rel=0.1)
     assert enclosed_volume_m3(body.mesh.vertices, body.mesh.faces) > 0.0  # faces outwards
@@ -116,10 +145,10 @@ def test_others_are_none(found):
     assert separated([measured(BLOCK, HERE)], found, APERTURES).faint == []
 
 
-def test_two_bodies_are_two():
-    found = separated(
-        [measured(BLOCK, HERE)], echoes((0.07, -0.02, 0.0), (0.07, 0.02, 0.0)), APERTURES
-    )
+@pytest.mark.parametrize("depth_m", [RADIUS_M, -0.018], ids=["front faces", "back faces"])
+def test_two_bodies_are_two(depth_m):
+    both = echoes((0.07, -0.02, 0.0), (0.07, 0.02, 0.0), depth_m=depth_m)
+    found = separated([measured(BLOCK, HERE)], both, APERTURES)
     middles = sorted(body.mesh.vertices[:, 1].mean() for body in found.faint)
     assert middles == pytest.approx([-0.02, 0.02], abs=2e-3)
 
@@ -131,7 +160,7 @@ def test_an_inspection_lists_it_with_a_note(tmp_path):
     (run / PEAKS_NAME).write_bytes(cloud_bytes(positions, normals, columns))
     found = geraf2.inspect(run, expect=2, out=tmp_path)
     assert found.verdict == "pass"
-    assert found.count_probability > 0.9
+    assert found.count_probability > 0.85
     assert found.parts[1].center_m == pytest.approx(OTHER, abs=2e-3)
     assert found.parts[1].seen_fraction == 0.0
     assert found.parts[1].material.kind == "not determined"

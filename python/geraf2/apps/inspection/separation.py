@@ -162,6 +162,20 @@ def bridge_probability(seen_m2: float, faced_m2: float) -> float:
     return float(expit((seen + unseen) / _PATCH_M2))
 
 
+def joined_by(necks: Sequence[tuple[float, int, int]], n: int) -> tuple[Ints, float]:
+    """Group of each of n regions, (n,), and the probability that these groups are right.
+
+    necks: probability of a bridge, and the two regions; those hardly a bridge join them first. What
+    is joined already is one, whatever less certain necks are.
+    """
+    group, certain = np.arange(n), 1.0
+    for bridge, i, j in sorted(necks):
+        if group[i] != group[j]:
+            certain *= max(bridge, 1.0 - bridge)
+            group[group == group[i]] = group[j] if bridge <= 0.5 else group[i]
+    return group, certain
+
+
 def _cut(
     piece: Body,
     owner: Ints,
@@ -185,11 +199,7 @@ def _cut(
         band = np.where(KDTree(rim).query(mesh.vertices)[0] < _BAND_M, areas, 0.0)
         bridge = bridge_probability(float(band[seen].sum()), float(band.sum()))
         necks.append((bridge, int(i), int(j)))
-    group, certain = np.arange(int(owner.max()) + 1), 1.0
-    for bridge, i, j in sorted(necks):  # those already joined by surer necks are one
-        if group[i] != group[j]:
-            certain *= max(bridge, 1.0 - bridge)
-            group[group == group[i]] = group[j] if bridge <= 0.5 else group[i]
+    group, certain = joined_by(necks, int(owner.max()) + 1)
     of_face = group[owner[mesh.faces[:, 0]]]
     parts = [mesh.faces[of_face == k] for k in np.unique(of_face)]
     return [piece] if len(parts) < 2 else [capped(part_of(piece, part)) for part in parts], certain
