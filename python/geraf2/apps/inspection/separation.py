@@ -48,7 +48,7 @@ _STEP_M, _MOST_STEPS = 0.0025, 120
 _FEWEST = 0.5
 """Fewest planes of which echoes meet in a basin."""
 _LEAST_SHARE = 0.2
-"""Least share of the planes that see a body: .20 to .92 of 55 bodies (`bench/python/bodies.py`,
+"""Least share of the planes that see a body: .20 to .93 of 52 bodies (`bench/python/bodies.py`,
 seeds 0 to 9, 10000 to 10007), .19 and less elsewhere."""
 _ONE = 0.8
 """Planes whose echoes meet between two maxima, over those of the lower maximum, above which both
