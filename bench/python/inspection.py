@@ -311,7 +311,7 @@ def trio(options: argparse.Namespace) -> None:
     models = [surface(*parts) for parts in TRIO.values()]
     for gone in (None, "right"):
         named, failed = [], []
-        for number in range(200, 200 + options.trios):
+        for number in range(options.first_trio, options.first_trio + options.trios):
             parts = tuple(d for name, ds in TRIO.items() if name != gone for d in ds)
             case = Case("trio" if gone is None else "two of three", number, parts)
             run = case.run(options)
@@ -340,6 +340,7 @@ def main() -> None:
     parser.add_argument("--placements", type=int, default=20)
     parser.add_argument("--heads", type=int, default=20)
     parser.add_argument("--trios", type=int, default=20)
+    parser.add_argument("--first-trio", type=int, default=200)
     parser.add_argument("--planes", type=int, default=36)
     parser.add_argument("--spacing-m", type=float, default=0.004)
     parser.add_argument("--preset", default="fast")

@@ -1,16 +1,20 @@
 """Models whose parts have grown together: who explains what, cuts, and what is missing."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from geraf2.apps.inspection.arrangement import arranged, cut_apart
+from geraf2.apps.inspection import arrangement
+from geraf2.apps.inspection.arrangement import FAR, arranged, cut_apart
 from geraf2.apps.inspection.bodies import Content, capped, part_of, split_bodies
-from geraf2.apps.inspection.matching import match_models
+from geraf2.apps.inspection.matching import _of_parts, match_models
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
+from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, few_starts, measured
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
@@ -56,6 +60,41 @@ def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(p
     assert placed[2] is None
 
 
+class Content10(arrangement._Search):
+    """Ten measured points: a small part has the first four, a large one the others.
+
+    Alone, the large model lies across both, on seven points.
+    """
+
+    def __init__(self, models, *_):
+        self.pool, self.searched, self.share = [[] for _ in models], set(), np.ones(10)
+
+    def middles(self, residual, n):
+        return np.zeros((1, 3))
+
+    def candidate(self, m, middle, chosen=()):
+        explained = {0: range(7), 1: range(4)}[m]
+        if m == 0 and chosen:
+            explained = range(4, 10)
+        measured = np.full(10, FAR**2)
+        measured[explained] = 0.0
+        shares = np.ones((10, 4)[m])
+        solid = SimpleNamespace(signed_distance=lambda points: np.ones(len(points)))
+        return arrangement._Candidate(
+            placement=len(explained),
+            measured=measured,
+            cost=1.0,
+            points=np.zeros((len(shares), 3)),
+            shares=shares,
+            solid=solid,
+        )
+
+
+def test_a_large_model_across_two_parts_does_not_take_the_place_of_a_small_one(monkeypatch):
+    monkeypatch.setattr(arrangement, "_Search", Content10)
+    assert arranged([None, None], None, None) == [6, 4]
+
+
 def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, placed):
     (piece,) = split_bodies(whole)
     bodies, home = cut_apart([piece], models, placed)
@@ -70,6 +109,16 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
     assert [match.status for match in found] == ["present", "present", "missing"]
     assert [match.body for match in found] == [0, 1, None]
     assert cut_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
+
+
+def test_glints_are_those_of_the_nearest_part():
+    sides, off = (0.02, 0.03, 0.03), (-0.014, 0.014)  # a gap of 8 mm
+    bodies = [measured(block(sides, (x, 0.0, 0.0)), np.eye(4)) for x in off]
+    points = np.array([[-0.004, 0.0, 0.0], [0.004, 0.0, 0.0], [0.024, 0.01, 0.0]])
+    left, right = _of_parts(bodies, glints_at(points, np.eye(3)))
+    assert left.positions == pytest.approx(points[:1])
+    assert right.positions == pytest.approx(points[1:])
+    assert _of_parts(bodies, None) == [None, None]
 
 
 def test_a_cut_is_closed_by_what_was_not_seen():

@@ -57,8 +57,9 @@ def expected(tmp_path_factory):
     return ExpectedEchoes(capture, geraf2.LosPrior.from_box(BOX_M, walls=capture.walls))
 
 
-def test_a_pose_that_is_off_by_a_degree_is_put_right(expected):
-    turn = Rotation.from_rotvec(np.deg2rad([0.6, -0.7, 0.8])).as_matrix()
+@pytest.mark.parametrize("turn_deg", [(0.6, -0.7, 0.8), (-4.0, 1.0, 6.0)])
+def test_a_pose_that_is_off_by_degrees_is_put_right(expected, turn_deg):
+    turn = Rotation.from_rotvec(np.deg2rad(turn_deg)).as_matrix()
     (found,) = expected.match([prism()], [placed(rigid(turn, [5e-4, -4e-4, 3e-4]))])
     off = found.placement.pose[:3, 3]
     angle = Rotation.from_matrix(found.placement.pose[:3, :3]).magnitude()
@@ -109,9 +110,9 @@ def test_changes_of_heat_maps_are_those_of_a_moved_model(expected):
         step = np.zeros(6)
         step[motion] = 5e-5
         moved = expected.views([prism()], [pieces], [_moved(np.eye(4), step, pieces)])
-        ahead = np.concatenate([i[:, 0] for i in expected.images(moved, 1)])
-        change = ahead - np.concatenate([i[:, 0] for i in images])
-        predicted = 5e-5 * np.concatenate([i[:, 1 + motion] for i in images])
+        ahead = np.concatenate([i[:, 0, 0] for i in expected.images(moved, 1)])
+        change = ahead - np.concatenate([i[:, 0, 0] for i in images])
+        predicted = 5e-5 * np.concatenate([i[:, 0, 1 + motion] for i in images])
         # Lobes, shadows and walls, which change with it, are left out.
         size = np.linalg.norm(predicted)
         assert abs(np.vdot(predicted, change)) > 0.97 * size * np.linalg.norm(change)
@@ -141,17 +142,28 @@ def test_errors_of_motions_are_as_large_as_stated():
                     model=np.zeros(0, int),
                 )
             )
-            images.append(image)
+            images.append(image[:, None])
         found = normal_equations(views, images, "plane")
         step = found.step([placed(np.eye(4))])[0]
-        left = [
-            i[:, :1] + i[:, 1:] @ step[:, None] for i in images
-        ]  # scores are those of the answer
-        again = [np.c_[first, i[:, 1:]] for first, i in zip(left, images, strict=True)]
+        again = [i.copy() for i in images]
+        for i in again:  # scores are those of the answer
+            i[:, 0, 0] += i[:, 0, 1:] @ step
         covariance = normal_equations(views, again, "plane").covariance([placed(np.eye(4))])
         pulls.append((step - true) / np.sqrt(np.diag(covariance) - 5e-5**2))
     # 240 numbers of deviation one lie within 0.9 to 1.1; six of twelve scores are used up.
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
+
+
+def test_distances_between_models_are_free_where_windows_have_gains_of_their_own():
+    rng = np.random.default_rng(3)
+    image = rng.normal(size=(80, 3, 1)) + 1j * rng.normal(size=(80, 3, 1))
+    image[:, 2] = 0.0  # not in view
+    seen = image[:, :, 0] @ np.exp(2j * np.pi * np.array([0.1, 0.6, 0.0]))
+    window = SimpleNamespace(plane=0, measured=seen + 1e-3 * rng.normal(size=80))
+    views = [SimpleNamespace(window=window)]
+    free, joint = (normal_equations(views, [image], by) for by in ("window", "plane"))
+    assert free.explained > 0.99999
+    assert joint.explained < 0.1  # half a cycle apart, the two cancel
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 
 import numpy as np
 from scipy.cluster.vq import kmeans2
@@ -28,10 +28,6 @@ _SPARE_M = 0.005
 """Margin around the bounding sphere of a model within which evidence may belong to it [m]."""
 _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
-_LEAST_GAIN = 0.9
-"""Least gain of a present model, in units of FAR^2 times the measurements of its surface: .96 to
-2.1 where it is present, at most .8 where not, but once .9 to 1 on a part that was not found (boxes
-of three and of two parts)."""
 _LEAST_POINTS = 50
 """Least number of oriented points of a part."""
 _N_ROUNDS = 2
@@ -71,6 +67,10 @@ class _Search:
         self.surface = surface_evidence_of(whole, None)
         self.compared = [Compared(self.evidence, model, seed=seed) for model in models]
         self.share = self.compared[0].measured.share
+        self.pool: list[list[_Candidate]] = [[] for _ in models]
+        """Candidates of each model."""
+        self.searched: set[frozenset[int]] = set()
+        """Identities of chosen candidates beside which others were searched."""
         self.reaches = [
             float(np.linalg.norm(m.vertices - m.vertices.mean(axis=0), axis=1).max())
             for m in models
@@ -124,14 +124,20 @@ class _Search:
         none = np.full(len(self.share), FAR**2)
         return np.asarray(np.minimum.reduce([none, *(c.measured for c in chosen)]))
 
+    def total(self, chosen: Iterable[_Candidate]) -> float:
+        """Decrease of the cost by all candidates."""
+        both = list(chosen)
+        explained = float(self.share @ (FAR**2 - self.residual(both)))
+        inside = sum(a.inside(b) for a, b in combinations(both, 2))
+        return explained - sum(c.cost for c in both) - FAR**2 * inside
+
     def gain(self, candidate: _Candidate, chosen: Sequence[_Candidate]) -> float:
-        """Decrease of the cost by a candidate; 0 below _LEAST_GAIN."""
+        """Decrease of the cost by a candidate; not above zero where it does not decrease."""
         explained = np.maximum(self.residual(chosen) - candidate.measured, 0.0)
         gain = float(self.share @ explained) - candidate.cost
-        least = _LEAST_GAIN * FAR**2 * float(candidate.shares.sum())
-        if gain >= least:
+        if gain > 0.0:
             gain -= FAR**2 * sum(candidate.inside(other) for other in chosen)
-        return gain if gain >= least else 0.0
+        return gain
 
 
 def arranged(
@@ -153,36 +159,56 @@ def arranged(
         sum over measured points of min over models of d^2  +  sum over the models' surfaces d^2,
 
     where surface inside another model counts FAR^2 more. Greedy: the model and pose with the
-    largest gain are added until none gains _LEAST_GAIN. Returns a placement for each model; None:
+    largest gain are added while there is one. A second time it is those with the largest gain for
+    the size of the model; the smaller sum counts. Returns a placement for each model; None:
     missing.
     """
     search = _Search(models, whole, glints, seed)
-    pool: list[list[_Candidate]] = [[] for _ in models]
+    found: dict[int, _Candidate] = {}
+    for by_share in (False, True):
+        chosen = _greedy(search, by_share=by_share, progress=progress)
+        _improve(search, chosen)
+        if search.total(chosen.values()) > search.total(found.values()):
+            found = chosen
+    return [found[m].placement if m in found else None for m in range(len(models))]
+
+
+def _greedy(search: _Search, *, by_share: bool, progress: Progress) -> dict[int, _Candidate]:
+    """Models at poses that gain most, one after the other.
+
+    by_share: gains are relative to the measurements of a model's surface, so that a small part
+    precedes a large one elsewhere.
+    """
     chosen: dict[int, _Candidate] = {}
-    while len(chosen) < len(models):
+    pool, n = search.pool, len(search.pool)
+    while len(chosen) < n:
         others = list(chosen.values())
-        remaining = [m for m in range(len(models)) if m not in chosen]
-        residual = search.residual(others)
-        middles = [point for n in {1, len(remaining)} for point in search.middles(residual, n)]
-        for n, (middle, m) in enumerate(product(middles, remaining), 1):
-            found = search.candidate(m, middle, others)
-            pool[m] += [found] if found else []
-            share = n / (len(middles) * len(remaining))
-            progress((len(chosen) + share) / len(models))
-        gains = [(search.gain(c, others), m, k) for m in remaining for k, c in enumerate(pool[m])]
+        remaining = [m for m in range(n) if m not in chosen]
+        if (given := frozenset(map(id, others))) not in search.searched:
+            search.searched.add(given)
+            residual = search.residual(others)
+            middles = [point for k in {1, len(remaining)} for point in search.middles(residual, k)]
+            for k, (middle, m) in enumerate(product(middles, remaining), 1):
+                candidate = search.candidate(m, middle, others)
+                pool[m] += [candidate] if candidate else []
+                progress((len(chosen) + k / (len(middles) * len(remaining))) / n)
+        gains = [
+            (search.gain(c, others) / (float(c.shares.sum()) if by_share else 1.0), m, k)
+            for m in remaining
+            for k, c in enumerate(pool[m])
+        ]
         best, m, k = max(gains, default=(0.0, 0, 0))
         if best <= 0.0:
             break
         chosen[m] = pool[m][k]
-    _improve(search, pool, chosen)
-    return [chosen[m].placement if m in chosen else None for m in range(len(models))]
+    return chosen
 
 
-def _improve(search: _Search, pool: list[list[_Candidate]], chosen: dict[int, _Candidate]) -> None:
+def _improve(search: _Search, chosen: dict[int, _Candidate]) -> None:
     """Replace the pose of each model by a better one, given the others."""
-    for _ in range(len(pool)):
+    for _ in range(len(search.pool)):
         before = dict(chosen)
-        for m, candidates in enumerate(pool):
+        for m, candidates in enumerate(search.pool):
             chosen.pop(m, None)
             gains = [search.gain(c, list(chosen.values())) for c in candidates]
             if gains and max(gains) > 0.0:

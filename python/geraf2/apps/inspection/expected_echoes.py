@@ -37,9 +37,13 @@ _STEP_M = 5e-5
 _LARGEST_M, _SMALL_M = 1e-3, 2e-5
 """Largest step, and the step at which the iteration stops [m]."""
 _N_STEPS = {"window": 6, "plane": 4}
-"""Steps with a free phase for each window, whose phases may differ by half a cycle, then for each
-plane."""
+"""Steps with a free phase for each model and window, whose phases may differ by half a cycle, then
+for each plane."""
+_TURN_RAD = 0.05
+"""Step of the rotations tried before [rad]: the lobe of a flat of 4 cm."""
 _DAMPING = 1e-3
+_LEAST_IMAGE = 1e-3
+"""Part of the largest heat map below which those of other models have no gain of their own."""
 _FLOOR_M = 5e-5
 """Error common to all planes, of the rim and of the centre [m]: shadows and lobes are those of the
 centre of a window; the rotations of four development parts err by 0.01 to 0.08 degrees."""
@@ -178,11 +182,12 @@ class ExpectedEchoes:
         two.
 
         Minimises the sum over planes p of log(sum |m_p - c_p sum_i h_ip|^2), h_ip the heat maps of
-        model i and c_p a complex number for each plane, by Gauss-Newton steps. The covariance is
-        estimated from the scores of groups of planes.
+        model i and c_p a complex number for each plane, by Gauss-Newton steps. Before, rotations
+        are found with a number for each window and model. The covariance is estimated from the
+        scores of groups of planes.
         """
         pieces = [pieces_of(model) for model in models]
-        poses = [placement.pose for placement in placements]
+        poses = self._turned(models, pieces, placements)
         best: tuple[float, list[Floats]] | None = None
 
         def equations(
@@ -222,6 +227,34 @@ class ExpectedEchoes:
             )
         ]
 
+    def _turned(
+        self,
+        models: Sequence[TriangleMesh],
+        pieces: Sequence[Facets],
+        placements: Sequence[Placement],
+    ) -> list[Floats]:
+        """Poses after rotations by _TURN_RAD of one model after the other that fit better."""
+
+        def residual(poses: list[Floats]) -> float:
+            images = self.images(
+                views := self.views(models, pieces, poses), len(models), n_motions=0
+            )
+            return normal_equations(views, images, "window").residual
+
+        poses = [placement.pose for placement in placements]
+        best = residual(poses)
+        for m, (placement, own) in enumerate(zip(placements, pieces, strict=True)):
+            _, sizes, axes = np.linalg.svd(_determined([placement])[:3])
+            rims = _TURN_RAD * _reach(own) * axes[:3][sizes > 0.5]
+            turned = True
+            while turned:
+                turned = False
+                for rim in (*rims, *-rims):
+                    tried = [*poses[:m], _moved(poses[m], rim, own), *poses[m + 1 :]]
+                    if (found := residual(tried)) < best:
+                        best, poses, turned = found, tried, True
+        return poses
+
     def views(
         self, models: Sequence[TriangleMesh], pieces: Sequence[Facets], poses: Sequence[Floats]
     ) -> list[WindowView]:
@@ -257,23 +290,23 @@ class ExpectedEchoes:
         with Workers(self._threads) as workers:
             return workers.each(view_from, self._windows)
 
-    def images(self, views: list[WindowView], n_models: int) -> list[Array]:
-        """Heat map of each view and its derivatives by the motions, (n_targets, 1 + 6 n_models)."""
+    def images(self, views: list[WindowView], n_models: int, *, n_motions: int = 6) -> list[Array]:
+        """Heat map of each model in each view, and its derivatives by its motions.
+
+        Each (n_targets, n_models, 1 + n_motions).
+        """
 
         def image(view: WindowView) -> Array:
-            out = np.zeros((len(view.window.measured), 1 + 6 * n_models), dtype=np.complex128)
-            of = view.window.image
-            if len(view.lit):
-                out[:, 0] = of(view.amplitudes, view.points)
+            shape = len(view.window.measured), n_models, 1 + n_motions
+            out, of = np.zeros(shape, dtype=np.complex128), view.window.image
             for m in np.unique(view.model):
                 own = view.model == m
-                for k in range(6):
+                amplitudes, points = view.amplitudes[own], view.points[own]
+                out[:, m, 0] = of(amplitudes, points)
+                for k in range(n_motions):
                     step = _STEP_M * view.motions[own, k]
-                    ahead, back = (
-                        of(view.amplitudes[own], view.points[own] + shift)
-                        for shift in (step, -step)
-                    )
-                    out[:, 1 + 6 * m + k] = (ahead - back) / (2.0 * _STEP_M)
+                    ahead, back = (of(amplitudes, points + shift) for shift in (step, -step))
+                    out[:, m, 1 + k] = (ahead - back) / (2.0 * _STEP_M)
             return out
 
         with Workers(self._threads) as workers:
@@ -300,7 +333,7 @@ class ExpectedEchoes:
                 for q in np.unique(own)
                 if (at := own == q).any()
             }
-            rest = view.window.measured - gain * image[:, 0]
+            rest = view.window.measured - gain * image[:, :, 0].sum(axis=1)
             return _PatchEchoes(view.window.plane * _N_GROUPS // n_planes, rest, echoes)
 
         with Workers(self._threads) as workers:
@@ -396,31 +429,30 @@ class NormalEquations(NamedTuple):
 
 
 def normal_equations(views: list[WindowView], images: list[Array], by: str) -> NormalEquations:
-    """Linearised residuals of heat maps, with a free complex gain for each window or plane.
+    """Linearised residuals of heat maps with a free complex gain for each plane, or more.
 
-    by: window or plane.
+    by: plane; window: a gain for each window and model, so that distances between models are free.
     """
     groups: dict[int, list[int]] = {}
     for number, view in enumerate(views):
         groups.setdefault(number if by == "window" else view.window.plane, []).append(number)
-    n = images[0].shape[1] - 1
+    n = images[0].shape[1] * (images[0].shape[2] - 1)
     matrix, scores, shares = np.zeros((n, n)), np.zeros((len(groups), n)), []
     gains: dict[int, complex] = {}
     for row, members in enumerate(groups.values()):
         plane = views[members[0]].window.plane
         measured = np.concatenate([views[m].window.measured for m in members])
         image = np.concatenate([images[m] for m in members])
-        seen, slopes = image[:, 0], image[:, 1:]
-        power = _power(seen)
-        gain = complex(np.vdot(seen, measured)) / power if power > 0.0 else 0.0
-        rest = measured - gain * seen
-        share = _power(rest) / _power(measured)
-        gains[plane] = gain
-        shares.append(share)
-        if power > 0.0:
-            slopes = gain * (slopes - np.outer(seen, seen.conj() @ slopes / power))
-            matrix += (slopes.conj().T @ slopes).real / _power(rest)
-            scores[row] = (slopes.conj().T @ rest).real / _power(rest)
+        seen = image[:, :, 0] if by == "window" else image[:, :, 0].sum(axis=1, keepdims=True)
+        inverse = np.linalg.pinv(seen, rcond=_LEAST_IMAGE)
+        gain = inverse @ measured
+        rest = measured - seen @ gain
+        gains[plane] = complex(gain[0])
+        shares.append(_power(rest) / _power(measured))
+        slopes = (gain[:, None] * image[:, :, 1:]).reshape(len(measured), n)
+        slopes -= seen @ (inverse @ slopes)
+        matrix += (slopes.conj().T @ slopes).real / _power(rest)
+        scores[row] = (slopes.conj().T @ rest).real / _power(rest)
     return NormalEquations(
         matrix=matrix,
         scores=scores,

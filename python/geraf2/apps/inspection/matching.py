@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Progress
-from geraf2.apps.inspection.bodies import Content
+from geraf2.apps.inspection.bodies import Body, Content
 from geraf2.apps.inspection.deviation import pose_sigma
 from geraf2.apps.inspection.expected_echoes import LEAST_EXPLAINED, ExpectedEchoes, Patches
 from geraf2.apps.inspection.models import CadModel, diagonal_m
@@ -18,6 +18,7 @@ from geraf2.apps.inspection.registration import (
     register,
     surface_evidence_of,
 )
+from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import apply_rigid
 
@@ -73,14 +74,15 @@ def match_models(
     seed: of the points that are drawn. progress: called with the fraction of the models done.
     """
     bodies, whole, glints = content
+    of_parts = _of_parts(bodies, glints)
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
     matches: list[Match] = []
 
     def register_in(b: int, m: int, start: Floats | None = None) -> Placement:
-        body = whole if b < 0 else bodies[b]
-        evidence, surface = (surface_evidence_of(body, g) for g in (glints, None))
-        echoes = echoes_of(body, glints)
+        body, own = (whole, glints) if b < 0 else (bodies[b], of_parts[b])
+        evidence, surface = (surface_evidence_of(body, g) for g in (own, None))
+        echoes = echoes_of(body, own)
         return register(
             evidence, models[m].mesh, surface=surface, echoes=echoes, start=start, seed=seed
         )
@@ -121,6 +123,15 @@ def match_models(
             for m in set(range(len(models))) - {match.model for match in matches}
         ]
     return sorted(matches, key=lambda match: (match.model, match.body or 0))
+
+
+def _of_parts(bodies: Sequence[Body], glints: Glints | None) -> list[Glints | None]:
+    """Glints of each part: those to which no other part is nearer."""
+    if glints is None or not len(glints):
+        return [None] * len(bodies)
+    trees = [KDTree(body.mesh.corners.mean(axis=1)) for body in bodies]
+    nearest = np.argmin([tree.query(glints.positions)[0] for tree in trees], axis=0)
+    return [glints.select(nearest == b) for b in range(len(bodies))]
 
 
 def _assigned(misfits: Floats, *, any_of: bool) -> list[tuple[int, int]]:
