@@ -9,15 +9,14 @@ from scipy.spatial.transform import Rotation
 
 import geraf2
 from geraf2.apps.inspection.deviation import deviation_of
+from geraf2.apps.inspection.echo_shares import PatchEchoes, share_of
 from geraf2.apps.inspection.expected_echoes import (
     ExpectedEchoes,
     WindowView,
     _moved,
-    _PatchEchoes,
     normal_equations,
     patches_of,
     pieces_of,
-    share_of,
 )
 from geraf2.apps.inspection.matching import Match, by_echoes
 from geraf2.apps.inspection.models import model_of
@@ -172,7 +171,7 @@ def test_the_share_of_an_echo_that_came(share):
     windows = []
     for group in range(6):
         echo, rest = (rng.normal(size=200) + 1j * rng.normal(size=200) for _ in range(2))
-        windows.append(_PatchEchoes(group, (share - 1.0) * echo + 0.2 * rest, {3: echo}))
+        windows.append(PatchEchoes(group, (share - 1.0) * echo + 0.2 * rest, {3: echo}))
     found = share_of(windows, [3])
     assert found.value == pytest.approx(share, abs=0.03)
     # 0.46 of 0.2 over the root of two and of six groups, were all targets in phase

@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Array, Floats, Ints
+from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, power_of, share_of
 from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measured_windows
 from geraf2.apps.inspection.registration import Placement
 from geraf2.geometry.components import connected_labels
@@ -40,7 +41,7 @@ _N_STEPS = {"window": 6, "plane": 4}
 """Steps with a free phase for each model and window, whose phases may differ by half a cycle, then
 for each plane."""
 _TURN_RAD = 0.05
-"""Step of the rotations tried before [rad]: the lobe of a flat of 4 cm."""
+"""Step of the rotations tried before, with such phases [rad]: the lobe of a flat of 4 cm."""
 _DAMPING = 1e-3
 _LEAST_IMAGE = 1e-3
 """Part of the largest heat map below which those of other models have no gain of their own."""
@@ -53,25 +54,6 @@ _PATCH_M, _TURN_M, _N_PATCHES = 0.006, 0.008, 400
 """Radius of a patch [m]; distance of a change of the normal by one radian [m]; most patches."""
 _TOUCHING_M = 0.003
 """Largest distance between pieces of neighbouring patches [m]."""
-_COHERENT = 0.46
-"""Coherence of the residual heat maps with the echo of a patch: root mean square of the normalised
-errors of 490 patches of four development parts, 0.43 to 0.48 each."""
-_CERTAIN = 2.6
-"""Standard uncertainties below one half at which a patch is absent: 1 % of ten groups err."""
-
-
-class Share(NamedTuple):
-    """Ratio of the measured to the expected echo of some surface of a model."""
-
-    value: float
-    """1 where present, 0 where absent."""
-    sigma: float
-    """Standard uncertainty; infinite where no window sees the surface."""
-
-    @property
-    def is_absent(self) -> bool:
-        """Whether certainly less than half of the echo was measured."""
-        return self.value + _CERTAIN * self.sigma < 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,8 +160,8 @@ class ExpectedEchoes:
     ) -> list[EchoMatch]:
         """Refine the poses of all models by comparison with the measured heat maps.
 
-        models: each in its own frame [m]. placements: initial poses, correct to a millimetre or
-        two.
+        models: each in its own frame [m]. placements: initial poses, correct to two
+        millimetres and ten degrees, or one of their rivals is.
 
         Minimises the sum over planes p of log(sum |m_p - c_p sum_i h_ip|^2), h_ip the heat maps of
         model i and c_p a complex number for each plane, by Gauss-Newton steps. Before, rotations
@@ -187,7 +169,8 @@ class ExpectedEchoes:
         scores of groups of planes.
         """
         pieces = [pieces_of(model) for model in models]
-        poses = self._turned(models, pieces, placements)
+        placements = self._chosen(models, pieces, placements)
+        poses = [placement.pose for placement in placements]
         best: tuple[float, list[Floats]] | None = None
 
         def equations(
@@ -227,33 +210,35 @@ class ExpectedEchoes:
             )
         ]
 
-    def _turned(
+    def _chosen(
         self,
         models: Sequence[TriangleMesh],
         pieces: Sequence[Facets],
         placements: Sequence[Placement],
-    ) -> list[Floats]:
-        """Poses after rotations by _TURN_RAD of one model after the other that fit better."""
+    ) -> list[Placement]:
+        """Of each placement and its rivals the best one, rotated in steps of _TURN_RAD and half."""
+        chosen = list(placements)
 
-        def residual(poses: list[Floats]) -> float:
-            images = self.images(
-                views := self.views(models, pieces, poses), len(models), n_motions=0
-            )
+        def residual(m: int, other: Placement) -> float:
+            poses = [one.pose for one in (*chosen[:m], other, *chosen[m + 1 :])]
+            views = self.views(models, pieces, poses)
+            images = self.images(views, len(models), n_motions=0)
             return normal_equations(views, images, "window").residual
 
-        poses = [placement.pose for placement in placements]
-        best = residual(poses)
-        for m, (placement, own) in enumerate(zip(placements, pieces, strict=True)):
-            _, sizes, axes = np.linalg.svd(_determined([placement])[:3])
+        for m, own in enumerate(pieces):
+            tried = [(residual(m, one), one) for one in (chosen[m], *chosen[m].rivals)]
+            best, chosen[m] = min(tried, key=lambda one: one[0])
+            _, sizes, axes = np.linalg.svd(_determined(chosen[m : m + 1])[:3])
             rims = _TURN_RAD * _reach(own) * axes[:3][sizes > 0.5]
-            turned = True
-            while turned:
-                turned = False
-                for rim in (*rims, *-rims):
-                    tried = [*poses[:m], _moved(poses[m], rim, own), *poses[m + 1 :]]
-                    if (found := residual(tried)) < best:
-                        best, poses, turned = found, tried, True
-        return poses
+            for size in (1.0, 0.5):
+                turned = True
+                while turned:
+                    turned = False
+                    for rim in (*rims, *-rims):
+                        other = replace(chosen[m], pose=_moved(chosen[m].pose, size * rim, own))
+                        if (found := residual(m, other)) < best:
+                            best, chosen[m], turned = found, other, True
+        return chosen
 
     def views(
         self, models: Sequence[TriangleMesh], pieces: Sequence[Facets], poses: Sequence[Floats]
@@ -326,7 +311,7 @@ class ExpectedEchoes:
         which = np.concatenate([p + s for p, s in zip(patches, starts[:-1], strict=True)])
         n_planes = 1 + max(gains)
 
-        def parts(view: WindowView, image: Array) -> _PatchEchoes:
+        def parts(view: WindowView, image: Array) -> PatchEchoes:
             gain, own = gains[view.window.plane], which[view.lit]
             echoes = {
                 int(q): gain * view.window.image(view.amplitudes[at], view.points[at])
@@ -334,7 +319,7 @@ class ExpectedEchoes:
                 if (at := own == q).any()
             }
             rest = view.window.measured - gain * image[:, :, 0].sum(axis=1)
-            return _PatchEchoes(view.window.plane * _N_GROUPS // n_planes, rest, echoes)
+            return PatchEchoes(view.window.plane * _N_GROUPS // n_planes, rest, echoes)
 
         with Workers(self._threads) as workers:
             echoes = workers.each(parts, views, images)
@@ -351,46 +336,6 @@ class ExpectedEchoes:
                 Patches(pieces=one, patch=patch, shares=shares, whole=whole, silent=tuple(silent))
             )
         return found
-
-
-class _PatchEchoes(NamedTuple):
-    """Heat maps of the visible patches of a window, and the residual of the measured one."""
-
-    group: int
-    """Group of neighbouring planes."""
-    rest: Array
-    echoes: dict[int, Array]
-
-
-def share_of(windows: Sequence[_PatchEchoes], members: Sequence[int]) -> Share:
-    """Measured share a of the echo h of some patches, with the residual r of all patches.
-
-        a = 1 + sum_w Re <h_w, r_w> / s_w / sum_w |h_w|^2 / s_w,    s_w the mean of |r_w|^2,
-
-    with an uncertainty from the residual where h is strong, common to neighbouring planes.
-    """
-    kept, above, below = [], 0.0, 0.0
-    for window in windows:
-        parts = [window.echoes[q] for q in members if q in window.echoes]
-        if not parts:
-            continue
-        echo = np.sum(parts, axis=0)
-        noise = max(float(np.mean(np.abs(window.rest) ** 2)), 1e-300)
-        weight = _power(echo) / noise
-        if weight > 0.0:
-            above += float(np.vdot(echo, window.rest).real) / noise
-            below += weight
-            kept.append((window, echo, weight))
-    if not kept:
-        return Share(1.0, np.inf)
-    value, errors = 1.0 + above / below, dict[int, float]()
-    for window, echo, weight in kept:
-        bright = np.abs(echo) ** 2
-        residual = np.abs(window.rest + (1.0 - value) * echo) ** 2
-        error = np.sqrt(0.5 * float(bright @ residual) / float(bright @ bright))
-        errors[window.group] = errors.get(window.group, 0.0) + weight * error
-    together = np.sqrt(sum(error**2 for error in errors.values()))
-    return Share(value, _COHERENT * float(together) / below)
 
 
 class NormalEquations(NamedTuple):
@@ -448,11 +393,11 @@ def normal_equations(views: list[WindowView], images: list[Array], by: str) -> N
         gain = inverse @ measured
         rest = measured - seen @ gain
         gains[plane] = complex(gain[0])
-        shares.append(_power(rest) / _power(measured))
+        shares.append(power_of(rest) / power_of(measured))
         slopes = (gain[:, None] * image[:, :, 1:]).reshape(len(measured), n)
         slopes -= seen @ (inverse @ slopes)
-        matrix += (slopes.conj().T @ slopes).real / _power(rest)
-        scores[row] = (slopes.conj().T @ rest).real / _power(rest)
+        matrix += (slopes.conj().T @ slopes).real / power_of(rest)
+        scores[row] = (slopes.conj().T @ rest).real / power_of(rest)
     return NormalEquations(
         matrix=matrix,
         scores=scores,
@@ -509,7 +454,3 @@ def _groups(pieces: Facets, patch: Ints, chosen: Array) -> list[Ints]:
     both = chosen[i] & chosen[j]
     labels = connected_labels(i[both], j[both], len(chosen))
     return [np.flatnonzero(labels == label) for label in np.unique(labels[chosen])]
-
-
-def _power(image: Array) -> float:
-    return float(np.vdot(image, image).real)

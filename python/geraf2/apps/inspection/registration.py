@@ -86,7 +86,8 @@ class Placement:
     """Axis of symmetry, about which the rotation is undetermined; None without one."""
     rival_misfit: float | None
     """Misfit of the best other pose of the model's surface; None without one."""
-
+    rivals: "tuple[Placement, ...]" = ()
+    """Other poses of the model's surface, the least misfit first."""
     by_echoes: bool = False
     """Whether glints alone were compared, without the fitted surface."""
     explained: float | None = None
@@ -171,15 +172,16 @@ def register(
         turns, moves = fine.stepped(turns, moves, scale)
     misfits = fine.misfits(turns, moves)
     order = np.argsort(misfits, kind="stable")
-    best = rigid(turns[order[0]], moves[order[0]])
-    rival = None
-    tree = KDTree(apply_rigid(best, cad.points))
-    for index in order[1:]:
-        other = apply_rigid(rigid(turns[index], moves[index]), fine.few.points)
-        if tree.query(other)[0].max() > _SAME_M:
-            rival = float(misfits[index])
-            break
-    return _placement(fine, best, (float(misfits[order[0]]), rival), by_echoes=by_echoes)
+    poses = [rigid(turns[n], moves[n]) for n in order]
+    tree, least = KDTree(apply_rigid(poses[0], cad.points)), float(misfits[order[0]])
+    rivals = tuple(
+        _placement(fine, pose, (float(misfits[n]), least), by_echoes=by_echoes)
+        for pose, n in zip(poses[1:], order[1:], strict=True)
+        if tree.query(apply_rigid(pose, fine.few.points))[0].max() > _SAME_M
+    )
+    second = rivals[0].misfit if rivals else None
+    best = _placement(fine, poses[0], (least, second), by_echoes=by_echoes)
+    return replace(best, rivals=rivals)
 
 
 def _placement(
