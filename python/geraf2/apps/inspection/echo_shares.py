@@ -24,8 +24,11 @@ class Share(NamedTuple):
 
     @property
     def is_absent(self) -> bool:
-        """Whether certainly less than half of the echo was measured."""
-        return self.value + _CERTAIN * self.sigma < 0.5
+        """Whether certainly less than half of the echo was measured.
+
+        A share below zero is no better explained by absence than zero is.
+        """
+        return max(self.value, 0.0) + _CERTAIN * self.sigma < 0.5
 
 
 class PatchEchoes(NamedTuple):
