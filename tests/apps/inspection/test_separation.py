@@ -163,6 +163,6 @@ def test_an_inspection_lists_it_with_a_note(tmp_path):
     assert found.count_probability > 0.85
     assert found.parts[1].center_m == pytest.approx(OTHER, abs=2e-3)
     assert found.parts[1].seen_fraction == 0.0
-    assert found.parts[1].material.kind == "not determined"
+    assert found.parts[1].material.kind == "metal"  # no echo passed through it
     assert any("part 2 only uncertain echoes came" in note for note in found.notes)
     assert "count right" in (tmp_path / "inspection.html").read_text()

@@ -21,8 +21,8 @@ N_STARTS = 480
 _N_COARSE, _N_FINE, _N_COMPARED, _N_CAD_POINTS = 120, 1200, 3000, 15_000
 _N_REFINED = 6
 """Number of best starts that are refined with more points."""
-_APART_RAD = 0.15
-"""Rotations nearer to each other are equal [rad]."""
+_APART_RAD = 0.4
+"""Rotations nearer to each other are one: those of the starts are so far apart [rad]."""
 _DAMPING = 1e-5
 """Damping of Gauss-Newton steps, relative to the mean information on a motion."""
 _COARSE_STEPS = ((0.02, 150), (0.02, 150), (0.012, 50), (0.012, 50), (0.008, 30), (0.005, 30))
