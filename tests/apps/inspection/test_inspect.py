@@ -94,7 +94,7 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
 
 
 def test_another_part_and_a_missing_one_fail(run):
-    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.01,) * 3)]
+    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.1, 0.08, 0.06))]
     found = geraf2.inspect(run, models, write=False)
     assert found.verdict == "fail"
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
