@@ -6,7 +6,7 @@ A box holds two to four bodies of the population, 3 to 5 cm long, with gaps of 5
 them are metal in even seeds and plastic of permittivity 2.3 to 3.3 in odd ones, because the
 simulator knows one material a scene. World plausible. Scenes and runs are kept in `--out` and used
 again, so that a stopped script continues; `--cached` makes nothing new. Seeds below 1000 and 10000
-to 10002 are for choices, those from 10003 on for claims. Shares come with Wilson intervals (95 %).
+to 10039 are for choices, those from 10040 on for claims. Shares come with Wilson intervals (95 %).
 """
 
 import argparse

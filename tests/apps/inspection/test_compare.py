@@ -146,7 +146,7 @@ def test_an_echo_that_came_is_found_by_its_phases(monkeypatch):
     scans = iter([replace(capture, poses=tuple(poses)), capture])
     monkeypatch.setattr(coherent_change, "_CELL_M", 0.006)  # fewer positions
     monkeypatch.setattr(
-        compare_runs, "_signals", lambda _: Signals(next(scans), stands, run.prior.cuboid)
+        compare_runs, "_signals", lambda *_: Signals(next(scans), stands, run.prior.cuboid)
     )
     (change,) = geraf2.compare(run, [run]).changes
     assert change.what == "appeared"
@@ -161,7 +161,9 @@ def packed(tmp_path_factory):
 
 def test_exit_codes_and_json(packed, tmp_path, capsys):
     assert main(["compare", str(packed), str(packed)]) == 0
-    assert "result   unchanged" in capsys.readouterr().out
+    shown = capsys.readouterr()
+    assert "result   unchanged" in shown.out
+    assert "packed0/run: the run does not record where its scene is\n" in shown.err
     robbed = run_of(tmp_path / "robbed", *CUBES[:2], pose=HERE, has_glints=True)
     assert main(["compare", str(robbed), str(packed), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)

@@ -85,13 +85,13 @@ def compare(
     for other in others:
         _require_alike(here, other)
     scanned, before, found = _scanned(here, num_threads), list[Scanned](), []
-    signals = _signals(here)
+    signals = _signals(here, listener)
     for other in others:
         with listener.step("registering a reference"):
             there = _scanned(other, num_threads)
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
-            received = signals, _signals(other)
+            received = signals, _signals(other, listener)
             start, play, spots = _in_phase(scanned, there, received, (start, play), num_threads)
             found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
         if found[-1][2] < _LEAST_SHARE:
@@ -151,12 +151,14 @@ def _prior(result: Reconstruction) -> LosPrior | None:
     return result.prior if (result.path / PRIOR_NAME).is_file() else None
 
 
-def _signals(result: Reconstruction) -> Signals | None:
-    """Return what a run's scan received; None where its scene is no longer there."""
-    scene, prior = result.record.scene, _prior(result)
-    if not isinstance(scene, Path) or not scene.exists():
+def _signals(result: Reconstruction, listener: Listener) -> Signals | None:
+    """Return what a run's scan received; None, with a note, where its scene cannot be read."""
+    try:
+        capture, prior = capture_of(result, None), _prior(result)
+    except UserError as error:
+        reason = str(error).partition(";")[0]  # its hint is an option of other commands
+        listener.note(f"echoes are not compared in phase: {reason}")
         return None
-    capture = capture_of(result, None)
     stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
     return Signals(capture, stands, None if prior is None else prior.cuboid)
 
