@@ -148,7 +148,7 @@ def test_the_change_is_that_of_a_loop_over_blocks():
 
 
 def test_the_ratio_is_one_of_densities_and_grows_with_the_change():
-    low = np.full(99, 1.0)  # positions that set the median
+    low = np.full(99, 0.1)  # positions that set the median
 
     def changed(t):
         same = (1.0 + t / coherent._TAIL) ** -(coherent._TAIL + 1.0)
@@ -160,7 +160,7 @@ def test_the_ratio_is_one_of_densities_and_grows_with_the_change():
     assert mass == pytest.approx(1.0, abs=0.01)
     grows = [log_ratio(np.append(low, t))[-1] for t in (5.0, 50.0, 500.0)]
     assert grows == sorted(grows)
-    assert grows[0] < 0.5
+    assert grows[0] < 1.0
     assert grows[2] > 3.0
 
 

@@ -36,11 +36,11 @@ _N_ROUNDS, _N_WEIGHTS, _TURN_RAD, _MOST_ERROR_RAD = 2, 5, 0.003, 0.009
 beyond which phases do not hold [rad]."""
 _SHARE, _WALL_SHARE, _FLOOR = 0.015, 0.52, 0.013
 """Variance of the difference of unchanged echoes as a share of their power: in general, and where
-a wall echoes; and as a share of the mean power of the plane. These, the wall's angle and the next
-two are the likeliest for the unchanged pairs of boxes 10000 to 10007
-(`bench/python/compare_pairs.py`)."""
-_SCALE, _TAIL = 2.9, 2.7
-"""Of the change T of unchanged echoes: T / _SCALE is F(2, 2 _TAIL)."""
+a wall echoes; and as a share of the mean power of the plane. These and the wall's angle are the
+likeliest for the unchanged pairs of boxes 10000 to 10007 (`bench/python/compare_pairs.py`)."""
+_SCALE, _TAIL = 0.79, 4.5
+"""Of the change T of unchanged echoes: T / _SCALE is F(2, 2 _TAIL). Likeliest for the unchanged
+pairs of boxes 10000 to 10019."""
 _SEEN, _MOST_CHANGE = 0.5, 1e3
 """Share of planes that show a change, and its largest T / _SCALE: its logarithm is uniform."""
 
