@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Array, Floats, Ints
 from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, power_of, share_of
 from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measured_windows
-from geraf2.apps.inspection.registration import Placement
+from geraf2.apps.inspection.registration import ALIKE, Placement
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
@@ -216,7 +216,10 @@ class ExpectedEchoes:
         pieces: Sequence[Facets],
         placements: Sequence[Placement],
     ) -> list[Placement]:
-        """Of each placement and its rivals the best one, rotated in steps of _TURN_RAD and half."""
+        """Rotate each placement and its rivals that fit alike in steps; returns the best of each.
+
+        Steps are _TURN_RAD, then half of it.
+        """
         chosen = list(placements)
 
         def residual(m: int, other: Placement) -> float:
@@ -225,19 +228,24 @@ class ExpectedEchoes:
             images = self.images(views, len(models), n_motions=0)
             return normal_equations(views, images, "window").residual
 
-        for m, own in enumerate(pieces):
-            tried = [(residual(m, one), one) for one in (chosen[m], *chosen[m].rivals)]
-            best, chosen[m] = min(tried, key=lambda one: one[0])
-            _, sizes, axes = np.linalg.svd(_determined(chosen[m : m + 1])[:3])
+        def rotated(m: int, start: Placement) -> tuple[float, Placement]:
+            best, own = (residual(m, start), start), pieces[m]
+            _, sizes, axes = np.linalg.svd(_determined([start])[:3])
             rims = _TURN_RAD * _reach(own) * axes[:3][sizes > 0.5]
             for size in (1.0, 0.5):
                 turned = True
                 while turned:
                     turned = False
                     for rim in (*rims, *-rims):
-                        other = replace(chosen[m], pose=_moved(chosen[m].pose, size * rim, own))
-                        if (found := residual(m, other)) < best:
-                            best, chosen[m], turned = found, other, True
+                        other = replace(start, pose=_moved(best[1].pose, size * rim, own))
+                        if (found := residual(m, other)) < best[0]:
+                            best, turned = (found, other), True
+            return best
+
+        for m, first in enumerate(placements):
+            alike = [one for one in first.rivals if one.misfit < ALIKE * first.misfit]
+            both = [rotated(m, one) for one in (first, *alike)]
+            chosen[m] = min(both, key=lambda one: one[0])[1]
         return chosen
 
     def views(

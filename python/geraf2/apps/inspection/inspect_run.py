@@ -32,6 +32,7 @@ from geraf2.apps.inspection.materials import (
     with_reflectivity,
 )
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
+from geraf2.apps.inspection.registration import ALIKE
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
 from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
@@ -350,7 +351,7 @@ def _notes(
         if placement.free_axis is not None:
             notes.append(f"the turn of {report.model.name} about one axis cannot be determined")
         rival = placement.rival_misfit
-        if rival is not None and rival < 1.05 * placement.misfit:
+        if rival is not None and rival < ALIKE * placement.misfit:
             notes.append(f"{report.model.name} fits about as well in another pose")
     return tuple(notes)
 

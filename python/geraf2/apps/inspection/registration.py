@@ -41,6 +41,8 @@ _LEAST_SIGMA_M = 0.002
 _SLIPPERY = 0.01
 """Least information of a model's surface on a motion relative to the others; below it the motion is
 free: a polygon of 20 sides or more counts as round."""
+ALIKE = 1.05
+"""Least ratio of misfits that decides between two poses."""
 _SAME_M = 0.002
 """Largest distance between the surfaces of equal poses [m]: below the resolution of a scan."""
 
