@@ -7,7 +7,7 @@ scanned, put down anew by up to 5 mm and 3 degrees, its walls bulged anew, in th
 and scanned again: unchanged (`--again` times), without the head, with one body moved by 2 mm, and
 with one body swapped for another of the same length. Scenes and runs are kept in `--out` and used
 again, so that a stopped script continues; `--cached` makes nothing new. The comparison is always
-new. Seeds below 1000 and 10000 to 10007 are for choices, those from 10008 on for claims. Shares
+new. Seeds below 1000 and 10000 to 10019 are for choices, those from 10020 on for claims. Shares
 come with their Wilson intervals (95 %).
 """
 

@@ -50,8 +50,8 @@ def scan(points, amplitudes, seed):
         screen = np.exp(1j * (rng.uniform(0.0, 6.28) + flat @ rng.normal(scale=10.0, size=2)))
         signal = (signal * screen[:, None] + noise(rng, *signal.shape)).astype(np.complex64)
         poses.append(Pose(signal=signal, tx_positions=antennas, rx_positions=antennas, axes=axes))
-    stands = np.array([pose.phase_centers.mean(axis=0) for pose in poses])
-    return Signals(Capture(waveform=WAVEFORM, poses=tuple(poses)), stands, None)
+    plane_middles = np.array([pose.phase_centers.mean(axis=0) for pose in poses])
+    return Signals(Capture(waveform=WAVEFORM, poses=tuple(poses)), plane_middles, None)
 
 
 @pytest.fixture(scope="module")
@@ -100,11 +100,12 @@ def test_an_echo_that_one_scan_lacks_is_found_where_it_was(scans):
 def test_planes_that_stand_elsewhere_say_nothing(scans):
     points, here, again, _ = scans
     away = again._replace(
-        stands=again.stands[::2],
+        plane_middles=again.plane_middles[::2],
         capture=Capture(waveform=WAVEFORM, poses=again.capture.poses[::2]),
     )
     aside = here._replace(
-        stands=here.stands[1:2], capture=Capture(waveform=WAVEFORM, poses=here.capture.poses[1:2])
+        plane_middles=here.plane_middles[1:2],
+        capture=Capture(waveform=WAVEFORM, poses=here.capture.poses[1:2]),
     )
     peaks = points, apply_rigid(PUT_DOWN, points)
     with Workers(1) as workers:

@@ -134,7 +134,7 @@ def test_a_change_must_differ_from_every_reference():
 def test_an_echo_that_came_is_found_by_its_phases(monkeypatch):
     """One of all planes, added to a scan, at a position on the content."""
     run, capture = geraf2.examples.small_run(), geraf2.examples.small_capture()[0]
-    stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
+    plane_middles = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
     at = read_cloud(run.path / PEAKS_NAME)[0]
     at = at[np.argmin(np.linalg.norm(at - at.mean(axis=0), axis=1))][None]
     poses = []
@@ -146,7 +146,7 @@ def test_an_echo_that_came_is_found_by_its_phases(monkeypatch):
     scans = iter([replace(capture, poses=tuple(poses)), capture])
     monkeypatch.setattr(coherent_change, "_CELL_M", 0.006)  # fewer positions
     monkeypatch.setattr(
-        compare_runs, "_signals", lambda *_: Signals(next(scans), stands, run.prior.cuboid)
+        compare_runs, "_signals", lambda *_: Signals(next(scans), plane_middles, run.prior.cuboid)
     )
     (change,) = geraf2.compare(run, [run]).changes
     assert change.what == "appeared"

@@ -50,7 +50,7 @@ class Signals(NamedTuple):
 
     capture: Capture
     """With the corrections of its run."""
-    stands: Floats
+    plane_middles: Floats
     """Middle of the antennas of each plane, (n_planes, 3) [m]."""
     box: tuple[Floats, Floats, Floats] | None
     """Axes (rows), sides and middle of the box [m]; None without one."""
@@ -272,9 +272,9 @@ def _two_way(scan: Signals) -> float:
 
 
 def _pairs(here: Signals, there: Signals, pose: Floats) -> list[tuple[int, int]]:
-    """Planes of the run, each with that of the reference that stands nearest."""
-    stands = KDTree(there.stands).query(apply_rigid(pose, here.stands))[1]
-    return [(plane, int(other)) for plane, other in enumerate(stands)]
+    """Planes of the run, each with that of the reference that is nearest."""
+    nearest = KDTree(there.plane_middles).query(apply_rigid(pose, here.plane_middles))[1]
+    return [(plane, int(other)) for plane, other in enumerate(nearest)]
 
 
 def _view(here: Signals, there: Signals, planes: tuple[int, int], at: _Placed) -> _View | None:

@@ -159,8 +159,8 @@ def _signals(result: Reconstruction, listener: Listener) -> Signals | None:
         reason = str(error).partition(";")[0]  # its hint is an option of other commands
         listener.note(f"echoes are not compared in phase: {reason}")
         return None
-    stands = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
-    return Signals(capture, stands, None if prior is None else prior.cuboid)
+    plane_middles = np.array([pose.phase_centers.mean(axis=0) for pose in capture.poses])
+    return Signals(capture, plane_middles, None if prior is None else prior.cuboid)
 
 
 def _in_phase(

@@ -16,6 +16,7 @@ from scipy.special import expit
 from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.material import Kind, Material, Measured
+from geraf2.apps.inspection.separation import labelled_peaks
 from geraf2.echoes import Glints
 from geraf2.echoes.back_faces import BEHIND_M, find_crossings
 from geraf2.echoes.labels import Label
@@ -31,8 +32,6 @@ from geraf2.geometry.curvature import shape_operators
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
-from geraf2.io.points import read_cloud
-from geraf2.io.run_folder import PEAKS_NAME
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene.aperture import Aperture
@@ -128,9 +127,8 @@ class Returns(NamedTuple):
 
 def returns_of(result: Reconstruction) -> Returns | None:
     """Read the returns of a run; None of a run without them."""
-    path = result.run.written(PEAKS_NAME)
-    cloud = None if path is None else read_cloud(path)
-    if cloud is None or not {"label", "probability"} <= set(cloud.columns):
+    cloud = labelled_peaks(result)
+    if cloud is None:
         return None
     label, probability = cloud.columns["label"], cloud.columns["probability"]
     behind = label == Label.SEEN_THROUGH

@@ -26,7 +26,7 @@ from geraf2.geometry.triangles import (
     vertex_normals,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
-from geraf2.io.points import read_cloud
+from geraf2.io.points import Cloud, read_cloud
 from geraf2.io.run_folder import PEAKS_NAME
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.reconstruction import Reconstruction
@@ -138,12 +138,18 @@ def separated(
 
 def echoes_in(result: Reconstruction) -> Echoes:
     """Direct and uncertain echoes in the box of a run; none of a run without labels."""
-    path = result.run.written(PEAKS_NAME)
-    cloud = None if path is None else read_cloud(path)
-    if cloud is None or not {"label", "probability"} <= set(cloud.columns):
+    cloud = labelled_peaks(result)
+    if cloud is None:
         return Echoes(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0))
     own = np.isin(cloud.columns["label"], (Label.CLUTTER, Label.DIRECT))
     return Echoes(cloud.positions[own], cloud.normals[own], cloud.columns["probability"][own])
+
+
+def labelled_peaks(result: Reconstruction) -> Cloud | None:
+    """Peaks of a run with their labels and probabilities; None of a run without labels."""
+    path = result.run.written(PEAKS_NAME)
+    cloud = None if path is None else read_cloud(path)
+    return cloud if cloud and {"label", "probability"} <= set(cloud.columns) else None
 
 
 def _likely(echoes: Echoes) -> Bools:
