@@ -129,7 +129,7 @@ def _radiated(m: int, source: Ring, k: float, radial: tuple) -> np.ndarray:
     return 2j * np.pi * k * np.concatenate(rows)
 
 
-def _least_squares(matrix: np.ndarray, incident: np.ndarray) -> tuple[np.ndarray, float]:
+def _min_squares(matrix: np.ndarray, incident: np.ndarray) -> tuple[np.ndarray, float]:
     """Amplitudes whose field cancels the incident one, and the energy of the residual."""
     scale = np.linalg.norm(matrix, axis=0)
     scale = np.where(scale > 1e-12 * scale.max(), scale, np.inf)
@@ -158,7 +158,7 @@ def metal_body(at: Ring, source: Ring, k: float, n_max: int, n_phi: int = 256) -
     for m in range(n_modes):
         matrix = weight * fields[m].reshape(2 * at.rho.size, -1)
         incident = weight * _incident(m, at, k, at_radial)
-        amplitudes, missed = _least_squares(matrix, incident)
+        amplitudes, missed = _min_squares(matrix, incident)
         left += missed
         total += float(np.linalg.norm(incident) ** 2)
         blocks.append(_radiated(m, source, k, source_radial) @ amplitudes)
@@ -190,7 +190,7 @@ def dielectric_body(
         n = field.shape[1] // 2
         curl = np.concatenate([field[:, n:], field[:, :n]], axis=1)
         incident = weight * np.concatenate([field, curl])
-        amplitudes, missed = _least_squares(matrix, incident)
+        amplitudes, missed = _min_squares(matrix, incident)
         left, total = left + missed, total + float(np.linalg.norm(incident) ** 2)
         own = amplitudes[: 2 * inside.rho.size]
         blocks.append(_radiated(m, inside, k, radial[1]) @ own)

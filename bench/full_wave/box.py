@@ -17,7 +17,7 @@ from scipy.special import fresnel
 
 from geraf2.scene import Wall
 
-_LEAST = 0.003  # moments below this share of the antenna's are left out
+_MIN_MOMENT = 0.003  # moments below this share of the antenna's are left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def legs(antennas: np.ndarray, moment: np.ndarray, wall: Wall, k: np.ndarray) ->
         is_far = side * antennas[:, axis] < abs(inner)
         if is_far.any():
             leg = _image(antennas, np.zeros(3), moments * is_far[:, None], wall, k, (axis, inner))
-            if np.abs(leg.directions).max() > _LEAST:
+            if np.abs(leg.directions).max() > _MIN_MOMENT:
                 found.append(replace(leg, face=(axis, side)))
     return found
 

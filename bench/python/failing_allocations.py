@@ -1,6 +1,6 @@
 """The n-th allocation of a small run fails, for all n: is it one line, and is nothing lost?
 
-    python bench/python/failing_allocations.py [--least-kb 128] [--every 1] [--first 0]
+    python bench/python/failing_allocations.py [--min-kb 128] [--every 1] [--first 0]
 
 Every allocation of malloc, C++ and torch is counted that is as large as stated. A trial is a fork
 of a process that has run once. It makes one of them fail and asks for
@@ -106,7 +106,7 @@ def trial(scene: Path, whole: Path, folder: Path, n: int, least: int) -> str:
 
 
 def trials(folder: Path, chosen: argparse.Namespace) -> int:
-    scene, least = folder / "scene", int(1024 * chosen.least_kb)
+    scene, least = folder / "scene", int(1024 * chosen.min_kb)
     save_capture(examples.small_capture()[0], scene)
     faults = ctypes.CDLL(os.environ[LIBRARY])
     faults.stop_failing.restype = ctypes.c_long
@@ -123,7 +123,7 @@ def trials(folder: Path, chosen: argparse.Namespace) -> int:
             n_failed += 1
             print(f"{n}: {found}", flush=True)
     print(
-        f"{n_all} allocations of {chosen.least_kb:g} kB and more; of these {counts.total()} failed "
+        f"{n_all} allocations of {chosen.min_kb:g} kB and more; of these {counts.total()} failed "
         f"once: {counts['2']} with one line, {counts['0']} without effect; {n_failed} wrong"
     )
     return 1 if n_failed else 0
@@ -131,12 +131,12 @@ def trials(folder: Path, chosen: argparse.Namespace) -> int:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--least-kb", type=float, default=128.0, help="smallest that fails")
+    parser.add_argument("--min-kb", type=float, default=128.0, help="smallest that fails")
     parser.add_argument("--every", type=int, default=1, help="only every so many")
     parser.add_argument("--first", type=int, default=0, help="number of the first that fails")
     chosen = parser.parse_args()
-    if chosen.every < 1 or chosen.first < 0 or chosen.least_kb < 0:
-        parser.error("--every is at least 1, --first and --least-kb at least 0")
+    if chosen.every < 1 or chosen.first < 0 or chosen.min_kb < 0:
+        parser.error("--every is at least 1, --first and --min-kb at least 0")
     if shutil.which(os.environ.get("CC", "cc")) is None:
         parser.error("no C compiler; name one in CC")
     with tempfile.TemporaryDirectory(prefix="allocations-") as folder:

@@ -9,12 +9,12 @@ void* __libc_realloc(void* memory, size_t size);
 void* __libc_memalign(size_t alignment, size_t size);
 
 static atomic_long seen, wanted = -1; /* wanted: number of the one that fails; -1: none */
-static size_t least_bytes = 0;
+static size_t min_bytes = 0;
 static atomic_int is_counting = 0;
 
 /* Count allocations from now on; the n-th from now fails, none where n is negative. */
 void fail_allocation(long n, size_t least) {
-    least_bytes = least;
+    min_bytes = least;
     seen = 0;
     wanted = n;
     is_counting = 1;
@@ -27,7 +27,7 @@ long stop_failing(void) {
 }
 
 static int fails(size_t size) {
-    if (!is_counting || size < least_bytes || atomic_fetch_add(&seen, 1) != wanted) {
+    if (!is_counting || size < min_bytes || atomic_fetch_add(&seen, 1) != wanted) {
         return 0;
     }
     errno = ENOMEM;

@@ -49,7 +49,7 @@ CONSTANTS = (
     "_PER_MARGIN_DB",
 )
 NEAR_M, EDGE_M, FAR_M = 0.003, 0.0055, 0.008
-LEAST_COSINE = np.cos(np.deg2rad(30.0))
+MIN_COSINE = np.cos(np.deg2rad(30.0))
 FAR_WEIGHT, TURNED_WEIGHT = 3.0, 0.3
 PIECE_M = 0.0015
 
@@ -85,7 +85,7 @@ def truth_of(found: Candidates, truth: Path) -> tuple[np.ndarray, np.ndarray]:
             for some, normal in zip(near, found.normals, strict=True)
         ]
     )
-    true = (distance < NEAR_M) & (along > LEAST_COSINE)
+    true = (distance < NEAR_M) & (along > MIN_COSINE)
     weights = np.where(true, 1.0, np.where(distance > FAR_M, FAR_WEIGHT, 0.0))
     weights[(distance < NEAR_M) & ~true] = TURNED_WEIGHT
     return true, weights

@@ -2,11 +2,12 @@
 
     python bench/python/mesh_digests.py [--data ../shared/data] [--presets fast best]
 
-A line a capture and preset: blake2b of the file, its size, seconds. Captures: that of
-`geraf2 demo`, an own simulation of another object, and, where --data is given, the independent
-capture spot_carton. Only the command line is used, as any two versions have it; run it at both
-commits on one machine, whose instruction set and library versions are part of the bytes, and
-compare the lines. The comment of the file that names geraf2's own version is left out.
+One line is printed for each capture and preset: blake2b of the file, its size, seconds. The
+captures are that of `geraf2 demo`, an own simulation of another object, and, where --data is
+given, the independent ones: spot_carton, and those of rough_world, whose box is found by radar.
+Only the command line is used, as any two versions have it. Run it at both commits on one machine,
+whose instruction set and library versions are part of the bytes, and compare the lines. The
+comment of the file that names geraf2's own version is left out.
 """
 
 import argparse
@@ -56,6 +57,9 @@ def make_captures(folder: Path, data: Path | None) -> dict[str, tuple[Path, tupl
         spot = data / "spot_carton"
         run("import", "geraf-sens", str(spot), str(folder / "spot"))
         captures["spot_carton"] = (folder / "spot", ("--los", str(spot / "los_box.ply")))
+        for capture in sorted((data / "rough_world").iterdir()):
+            run("import", "geraf-sens", str(capture), str(folder / capture.name))
+            captures[capture.name] = (folder / capture.name, ())
     return captures
 
 
@@ -79,7 +83,7 @@ def main() -> None:
                 content = b"\n".join(x for x in lines if not x.startswith(b"comment geraf2 "))
                 digest = hashlib.blake2b(content, digest_size=16).hexdigest()
                 seconds = time.perf_counter() - start
-                print(f"{name:<12} {preset:<8} {digest} {len(content)} {seconds:.0f} s", flush=True)
+                print(f"{name:<16} {preset:<8} {digest} {len(content)} {seconds:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from dataclasses import fields
 from typing import Any
 
-_MOST = 60
+_MAX_LENGTH = 60
 
 
 class Short:
@@ -24,7 +24,7 @@ def _short(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     text = repr(value)
-    if len(text) <= _MOST:
+    if len(text) <= _MAX_LENGTH:
         return text
     if isinstance(value, tuple | list):
         return f"{len(value)} x {type(value[0]).__name__}"

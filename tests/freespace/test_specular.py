@@ -39,8 +39,8 @@ def surface():
 
 
 @pytest.mark.parametrize("blocked", [False, True])
-@pytest.mark.parametrize("least_m", [-0.02, 0.0, 0.015])
-def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, least_m):
+@pytest.mark.parametrize("min_m", [-0.02, 0.0, 0.015])
+def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, min_m):
     normals = fibonacci_sphere(250)
     points = 1.02 * RADIUS_M * normals
     vertices, faces = surface
@@ -49,7 +49,7 @@ def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, least_
         normals,
         apertures,
         MeshScene(vertices, faces) if blocked else None,
-        least_m=least_m,
+        min_m=min_m,
         lift_m=LIFT_M,
     )
     triangles = vertices[faces] if blocked else ()
@@ -57,7 +57,7 @@ def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, least_
     for i, (point, normal) in enumerate(zip(points, normals, strict=True)):
         for k, aperture in enumerate(apertures):
             margin = specular_margin(point, normal, aperture.corners_m, (), LIFT_M)
-            if margin >= least_m:
+            if margin >= min_m:
                 margin = specular_margin(point, normal, aperture.corners_m, triangles, LIFT_M)
                 wanted[i, k] = margin
     np.testing.assert_allclose(found, wanted, atol=1e-12)

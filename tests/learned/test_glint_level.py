@@ -31,7 +31,7 @@ CONFIG = replace(
     stage1=StageConfig(n_steps=1),
     stage2=StageConfig(n_steps=0),
 )
-MOST_M = 0.002
+MAX_M = 0.002
 
 
 def spot(at_m, width_m=0.012):
@@ -52,25 +52,25 @@ def test_the_peaks_beside_the_middle_count():
 
 
 def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
-    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], MOST_M)
+    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], MAX_M)
     assert first.inward_m == pytest.approx(-0.0025)
-    both = first.after([-0.001, -0.002, -0.004], MOST_M)
+    both = first.after([-0.001, -0.002, -0.004], MAX_M)
     assert both.inward_m == pytest.approx(-0.0005)
     assert both.outside_m == pytest.approx((-0.0025, 0.002))
     assert both.n_glints == 3
 
 
 def test_too_few_glints_move_nothing():
-    shift = GlintShift().after([0.001, 0.003], MOST_M)
+    shift = GlintShift().after([0.001, 0.003], MAX_M)
     assert (shift.inward_m, shift.outside_m, shift.n_glints) == (0.0, (0.0,), 2)
 
 
 def test_inward_a_surface_is_moved_by_a_bound_at_most():
-    deep = GlintShift().after([-0.009, -0.010, -0.011], MOST_M)
-    assert deep.inward_m == pytest.approx(MOST_M)
+    deep = GlintShift().after([-0.009, -0.010, -0.011], MAX_M)
+    assert deep.inward_m == pytest.approx(MAX_M)
     assert deep.outside_m == pytest.approx((0.010,))
-    assert deep.after([0.001, 0.001, 0.001], MOST_M).inward_m == pytest.approx(0.001)
-    assert GlintShift().after([0.009, 0.010, 0.011], MOST_M).inward_m == pytest.approx(-0.010)
+    assert deep.after([0.001, 0.001, 0.001], MAX_M).inward_m == pytest.approx(0.001)
+    assert GlintShift().after([0.009, 0.010, 0.011], MAX_M).inward_m == pytest.approx(-0.010)
 
 
 def ball(radius_m, n_per_side=41):
@@ -159,7 +159,7 @@ def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outs
     before = trainer.draws.generator.get_state()
     distance = trainer.model.sdf.sample_grid(trainer.domain.grid(CONFIG.mesh_n))
     shift = GlintDepths(trainer.draws, trainer.loss, trainer.threads).find_shift(
-        distance, part_depths(distance), MOST_M
+        distance, part_depths(distance), MAX_M
     )
     assert shift.n_glints == glint_level.N_WINDOWS * len(capture.poses)
     assert len(shift.outside_m) == glint_level.N_ROUNDS
@@ -178,7 +178,7 @@ def test_the_distance_is_moved_if_the_setting_asks_for_it(capture, maps):
     values = [trainer.distance().values for trainer in (moved_one, kept)]
     assert kept.glint_shift is None
     inward_m = moved_one.glint_shift.inward_m
-    assert 0.0005 < inward_m < MOST_M
+    assert 0.0005 < inward_m < MAX_M
     deep = values[1] < -inward_m / glint_level.INWARD_SHARE  # of no part that counts as thin
     assert deep.sum() > 100
     np.testing.assert_allclose((values[0] - values[1])[deep], inward_m, atol=1e-6)

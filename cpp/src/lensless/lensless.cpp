@@ -13,7 +13,7 @@ namespace {
 using Triple = std::array<double, 3>;
 
 /// Gradients shorter than this have no direction.
-constexpr double least_length = 1e-6;
+constexpr double min_length = 1e-6;
 
 template <class T>
 Triple triple(std::span<const T> rows, index_t row) noexcept {
@@ -56,8 +56,8 @@ struct Facing {
 
     Facing(const Triple& gradient, const Triple& point, const Triple& center) noexcept {
         const double length = std::sqrt(dot(gradient, gradient));
-        short_gradient = length < least_length;
-        inverse_length = 1.0 / std::max(length, least_length);
+        short_gradient = length < min_length;
+        inverse_length = 1.0 / std::max(length, min_length);
         const Triple way = minus(point, center);
         distance = std::sqrt(dot(way, way));
         for (std::size_t axis = 0; axis < 3; ++axis) {
@@ -118,7 +118,7 @@ SamplePairs facing_samples(const VolumeSamples<T>& samples, const EchoForm& form
         }
         const Triple gradient = triple(samples.gradient, i);
         const Triple point = triple(samples.points, i);
-        const double square = std::max(dot(gradient, gradient), least_length * least_length);
+        const double square = std::max(dot(gradient, gradient), min_length * min_length);
         for (index_t group = 0; group < n_groups; ++group) {
             const Triple way = minus(point, triple(form.centers, group));
             const double along = dot(gradient, way);

@@ -26,7 +26,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Capture, Grid, LosPrior, Pose
 
 # Share of the largest weight that every voxel has: keeps the potential smooth where nothing echoes.
-_LEAST_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ def normal_field_surface(
     if not length.any():
         raise UserError(what="no voxel inside the box has an echo")
     normals = votes / np.where(length > 0.0, length, 1.0)
-    weights = (length / length.max()) ** config.weight_power * counted + _LEAST_WEIGHT
+    weights = (length / length.max()) ** config.weight_power * counted + _MIN_WEIGHT
     distance = config.spacing_m * solve_gradient(list(normals), weights)
     relative = SdfGrid(grid=grid, values=distance.astype(np.float32))
     strong = counted & (length >= np.quantile(length[counted], 0.98))

@@ -15,10 +15,10 @@ SQUARE_COSINE = float(np.cos(0.2))
 # Tolerances of an edge: distance from its wall's plane, and from a corner [m].
 _ON_WALL_M, _CORNER_M = 0.006, 0.01
 # Least direction cosine across the edge, and largest along it.
-_LEAST_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
+_MIN_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
 # Least number of flashes at a foot, and of sub-apertures with an edge's echo: four overlap, and
 # count as one.
-_FEWEST = 4
+_MIN_SUBAPERTURES = 4
 # Distance of an edge's echo inside of the edge, and its standard deviation [m].
 _EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
 # Least cosine between a flash and its wall's normal.
@@ -26,7 +26,7 @@ _FLASH_COSINE = float(np.cos(0.05))
 # Distance of content from the walls [m], and its share of the energy; the rest are grating lobes.
 _CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
 # Least density of an edge's echoes, relative to the densest; grating lobes have less.
-_LEAST_SHARE = 0.4
+_MIN_SHARE = 0.4
 
 Face = tuple[int, int]
 """Axis and side of a face."""
@@ -41,13 +41,13 @@ def flash_reach(
     """
     k, side = face
     outward = peaks.points @ normals[k, side]
-    feet = np.zeros(_FEWEST)
+    feet = np.zeros(_MIN_SUBAPERTURES)
     for j, other in zip(*np.nonzero(seen), strict=True):
         if j != k:
             normal = normals[j, other]
             flash = np.abs(peaks.points @ normal - offsets_m[j, other]) < _ON_WALL_M
             flash &= np.abs(peaks.directions @ normal) > _FLASH_COSINE
-            feet = np.sort(np.concatenate([feet, outward[flash]]))[-_FEWEST:]
+            feet = np.sort(np.concatenate([feet, outward[flash]]))[-_MIN_SUBAPERTURES:]
     return float(feet[0])
 
 
@@ -66,13 +66,13 @@ def content_reach(
 
 
 def find_edge(
-    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face, least_m: float
+    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face, min_m: float
 ) -> tuple[float, float] | None:
     """Offset of an unseen face and its standard deviation [m]; None if no edge echoes.
 
     It is the outermost position of several echoes on seen walls that are not flashes.
 
-    least_m: bound by the flashes and the content [m].
+    min_m: bound by the flashes and the content [m].
     """
     k, side = face
     points, toward, strength = peaks.points, peaks.directions, peaks.strengths
@@ -86,7 +86,7 @@ def find_edge(
         on_wall &= peaks.centers @ normal > offsets_m[j, other]
         edge = np.cross(normal, normals[k, side])
         edge /= np.linalg.norm(edge)
-        across = np.abs(toward @ np.cross(edge, normal)) > _LEAST_SLOPE
+        across = np.abs(toward @ np.cross(edge, normal)) > _MIN_SLOPE
         square = np.abs(toward @ edge) < _SQUARE_TO_EDGE
         for end in range(2):
             if seen[third, end]:
@@ -94,12 +94,12 @@ def find_edge(
                 square |= np.abs(corner) < _CORNER_M
                 on_wall &= corner < _CORNER_M
         on_edge |= on_wall & across & square
-    on_edge &= outward > least_m + _ON_WALL_M
+    on_edge &= outward > min_m + _ON_WALL_M
     for position, members in densest_planes(
-        outward[on_edge], np.sqrt(strength[on_edge]), _LEAST_SHARE
+        outward[on_edge], np.sqrt(strength[on_edge]), _MIN_SHARE
     ):
         own = np.flatnonzero(on_edge)[members]
-        if len(np.unique(peaks.subapertures[own])) >= _FEWEST:
+        if len(np.unique(peaks.subapertures[own])) >= _MIN_SUBAPERTURES:
             spread = float(np.std(outward[own])) / np.sqrt(len(own))
             return position + _EDGE_INSIDE_M, float(np.hypot(_EDGE_SIGMA_M, spread))
     return None

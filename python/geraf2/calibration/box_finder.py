@@ -17,8 +17,8 @@ from geraf2.calibration.box_edges import (
 )
 from geraf2.calibration.box_search import (
     APERTURE_M,
-    LEAST_REACH_M,
-    LEAST_SIDE_M,
+    MIN_REACH_M,
+    MIN_SIDE_M,
     Flashes,
     RoughFaces,
     explained,
@@ -52,26 +52,26 @@ from geraf2.scene.summary import CaptureSummary, summarize_capture
 BOX_VERSION = 7
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
-_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, least_echoes=3)
+_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, min_echoes=3)
 # Least share and number of the sub-apertures facing a wall in which a seen wall echoes.
-_SEEN_SHARE, _FEWEST = 0.5, 2
+_SEEN_SHARE, _MIN_FLASHES = 0.5, 2
 # Largest curvature of a wall, 0 for a plane and 1 for a point, and least extent of antennas [m].
-_MOST_CURVED, _LEAST_SPREAD_M = 0.4, 0.02
+_MAX_CURVED, _MIN_SPREAD_M = 0.4, 0.02
 # Margin around the walls [m], and largest share of energy outside: grating lobes and multipath.
-_MARGIN_M, _MOST_OUTSIDE = 0.01, 0.3
+_MARGIN_M, _MAX_OUTSIDE = 0.01, 0.3
 # Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = -45.0
 # Level relative to the walls below which leakage does not shift their echoes [dB].
 _LEAKAGE_DB = -25.0
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
-_LEAST_WALLS = 2
+_MIN_WALLS = 2
 # Expected displacement of the rim of a wall of any angle [m]; least deviation of four walls from a
 # cuboid, in their errors: 1 of 10,000 exceed it by chance.
 _TILT_M, _CONTRADICTION = 0.02, 5.0
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
-LEAST_CONTENT = 0.02
+MIN_CONTENT = 0.02
 """Share of the energy from within below which planes belong to a body, not to walls."""
 
 
@@ -104,7 +104,7 @@ def find_box(
     focus, reach = summary.focus, summary.standoff_m
     if focus is None or not np.isfinite(reach):
         raise WallsNotFoundError(seen="the planes face no common point")
-    if reach < LEAST_REACH_M:
+    if reach < MIN_REACH_M:
         raise WallsNotFoundError(seen=f"the planes meet {1e3 * reach:.0f} mm in front of them")
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
@@ -130,7 +130,7 @@ def find_box(
 def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
     """Box after the fit, with bounds for its unseen faces; a tube is fitted already."""
     is_tube = isinstance(box, FoundTube)
-    if not box.size_m.min() > LEAST_SIDE_M:
+    if not box.size_m.min() > MIN_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     if not is_tube:
         box = _refined(capture, box, peaks)
@@ -140,10 +140,10 @@ def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
         box = _refined(capture, _bounded(capture, box, peaks.known), peaks, sure)
     if isinstance(box, FoundBody) and box.contradiction() < _CONTRADICTION:
         raise WallsNotFoundError(seen="walls at right angles")
-    if 0 < (box.seen == Seen.SQUARELY).sum() < _LEAST_WALLS:
+    if 0 < (box.seen == Seen.SQUARELY).sum() < _MIN_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
-    if is_tube and box.content_share <= LEAST_CONTENT:
+    if is_tube and box.content_share <= MIN_CONTENT:
         raise WallsNotFoundError(seen="a tube that holds nothing, which may be content")
     return _bounded(capture, box, peaks.known)
 
@@ -279,7 +279,7 @@ def _refined(
         face = np.unravel_index((box.normals @ normal).argmax(), (3, 2))
         own = echoes.index[echoes.walls == wall]
         is_sure = sure is not None and bool(sure[face])
-        if is_sure and len(np.unique(problem.echoes.subapertures[own])) < _FEWEST:
+        if is_sure and len(np.unique(problem.echoes.subapertures[own])) < _MIN_FLASHES:
             continue
         values, covariance = fit.values[shapes[wall]], fit.covariance[np.ix_(*2 * [shapes[wall]])]
         outward, across = turn @ normal, problem.faces.across[wall]
@@ -327,7 +327,7 @@ def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
     """
     peaks, normal = problem.echoes, problem.faces.normals[wall]
     own = np.unique(peaks.subapertures[echoes])
-    if len(own) < _FEWEST or _curvature(peaks.select(echoes)) > _MOST_CURVED:
+    if len(own) < _MIN_FLASHES or _curvature(peaks.select(echoes)) > _MAX_CURVED:
         return False
     centers = peaks.subaperture_centers
     ahead = problem.axes[peaks.subaperture_planes][:, 0] @ normal
@@ -347,7 +347,7 @@ def _curvature(echoes: PeakSet) -> float:
         off_center[own] = echoes.centers[own] - echoes.centers[own].mean(axis=0)
         off_direction[own] = echoes.directions[own] - echoes.directions[own].mean(axis=0)
     spread = float((off_center**2).sum())
-    if spread < _LEAST_SPREAD_M**2:
+    if spread < _MIN_SPREAD_M**2:
         return 0.0
     return -float((off_center * off_direction).sum() / spread * echoes.ranges_m.mean())
 
@@ -400,7 +400,7 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
         return float(energy[inside].sum() / energy.sum())
 
     outside = 1.0 - share(_MARGIN_M)
-    if outside > _MOST_OUTSIDE:
+    if outside > _MAX_OUTSIDE:
         raise WallsNotFoundError(
             seen=f"planes with {100 * outside:.0f} % of the echoes outside of them"
         )

@@ -31,7 +31,7 @@ _YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Other yaws are tried, at most so many, if they have this share of the highest score.
-_RIVAL_SHARE, _MOST_RIVALS = 0.9, 3
+_RIVAL_SHARE, _MAX_RIVALS = 0.9, 3
 # Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
 OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
@@ -42,7 +42,7 @@ _LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
 LEVEL_RANGE_DB = 8.0
 """Largest difference of a flash to the level of the walls, in a fit of planes [dB]."""
 # Largest error of the recorded delay, one-way, and its standard deviation [m].
-MOST_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
+MAX_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
 FLASH_NATS = 7.0
@@ -52,7 +52,7 @@ _MISS = 0.3
 # the scan [m], which the smallest boxes exceed.
 _FACING_COSINE, _FOOT_M = 0.98, 0.06
 # Least count of a wall, and least share of the largest count on its side.
-LEAST_COUNT, _LEAST_SHARE = 1.0, 0.5
+MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
 # without loss. The null may lie off the middle.
 _PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
@@ -61,14 +61,14 @@ _EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 # Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
 # [rad], range tolerance [m], least share and number of planes with the same range.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
-LEAST_SIDE_M = 0.04
+MIN_SIDE_M = 0.04
 """Least side length of a box [m]."""
-LEAST_REACH_M = 0.5 * LEAST_SIDE_M + 2.0 * MOST_SHIFT_M + OFFSET_STEP_M
+MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * MAX_SHIFT_M + OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
 APERTURE_M = _COARSE.size_m
 """Side of the sub-apertures in which walls are searched [m]."""
 # Least cosine between a direction and the looking direction.
-_LEAST_AHEAD = 0.8
+_MIN_AHEAD = 0.8
 
 
 def scene_peaks(center_m: Floats, reach_m: float, num_threads: int | None) -> KeptPeaks:
@@ -200,7 +200,7 @@ def with_lobes(capture: Capture, peaks: PeakSet) -> tuple[PeakSet, Ints]:
         periods = peaks.periods[peaks.subapertures[own[0]]]
         axes = capture.poses[number].axes
         for directions in grating_lobes(peaks.directions[own], axes, periods):
-            known = np.isfinite(directions).all(axis=1) & (directions @ axes[0] > _LEAST_AHEAD)
+            known = np.isfinite(directions).all(axis=1) & (directions @ axes[0] > _MIN_AHEAD)
             if known.any():
                 index.append(own[known])
                 parts.append(replace(peaks.select(own[known]), directions=directions[known]))
@@ -316,7 +316,7 @@ class BoxSearch:
         """
         penalty = np.array([shift_penalty(shift) for shift in shifts])
         most = max(abs(shift) for shift in shifts)
-        least = max(round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M), most)
+        least = max(round(0.5 * MIN_SIDE_M / OFFSET_STEP_M), most)
         end = self.n_offsets - most
         found = []
         for yaw in yaws:
@@ -349,8 +349,8 @@ class BoxSearch:
         near, far = (counts.score(found.pair) for counts in side)
         score = shifted(near, found.shift) + shifted(far, -found.shift)
         count = score[:, found.level]
-        count[: round(0.5 * LEAST_SIDE_M / OFFSET_STEP_M)] = 0.0
-        least = max(LEAST_COUNT, _LEAST_SHARE * float(count.max()))
+        count[: round(0.5 * MIN_SIDE_M / OFFSET_STEP_M)] = 0.0
+        least = max(MIN_COUNT, _MIN_SHARE * float(count.max()))
         rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
         peaks = np.flatnonzero(rises & falls & (count >= least))
         return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
@@ -383,13 +383,13 @@ def rough_faces(
     like: axes that are preferred if nearly as many flashes agree, (3, 3).
     """
     search = BoxSearch(flashes, up, reach_m, waveform)
-    most = round(MOST_SHIFT_M / OFFSET_STEP_M)
+    most = round(MAX_SHIFT_M / OFFSET_STEP_M)
     coarse, fine = _YAW_STEPS_RAD
     found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
     score = np.array([each.score for each in found])
     is_peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1))
     is_peak &= score >= _RIVAL_SHARE * score.max()
-    rivals = sorted((found[k] for k in np.flatnonzero(is_peak)), reverse=True)[:_MOST_RIVALS]
+    rivals = sorted((found[k] for k in np.flatnonzero(is_peak)), reverse=True)[:_MAX_RIVALS]
     if like is not None:
         side = like[int(np.abs(like @ up).argmin())]
         turn = np.array([each.yaw_rad for each in found])
@@ -450,11 +450,11 @@ def explained(
 
 
 def densest_planes(
-    offsets_m: Floats, weights: Floats, least_share: float = 0.0
+    offsets_m: Floats, weights: Floats, min_share: float = 0.0
 ) -> Iterator[tuple[float, Ints]]:
     """Positions of the density's maxima, the outermost first, and the indices of their members.
 
-    least_share: least density relative to the largest.
+    min_share: least density relative to the largest.
     """
     if not len(offsets_m):
         return
@@ -466,5 +466,5 @@ def densest_planes(
     peaks = 1 + np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
     for peak in peaks[::-1]:
         near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _EDGE_SIGMA_M)
-        if len(near) and density[peak] >= least_share * density.max():
+        if len(near) and density[peak] >= min_share * density.max():
             yield float(np.average(offsets_m[near], weights=weights[near])), near

@@ -14,7 +14,7 @@ SLACK_M = 0.04
 """Margin for parts without an echo [m], a property of the simulated population of objects; also of
 a face that nothing bounds beyond a cube with the largest known side."""
 # Limit of the region over the planes' distance, so that it ends before the antennas.
-_MOST_REACH = 0.75
+_MAX_REACH = 0.75
 
 
 def content_region(
@@ -47,7 +47,7 @@ def content_region(
         low, high = np.searchsorted(inner, [_OUTSIDE, 1.0 - _OUTSIDE])
         along = found.points[order, k] - focus[k]
         sides[:, k] = along[low] - SLACK_M, along[min(high, len(along) - 1)] + SLACK_M
-    sides = np.clip(sides, -_MOST_REACH * reach, _MOST_REACH * reach)
+    sides = np.clip(sides, -_MAX_REACH * reach, _MAX_REACH * reach)
     if not (sides[1] > sides[0]).all():
         raise _without_echoes(got="echoes beside the point that the planes face")
     return LosPrior.from_box(triple(sides[1] - sides[0]), triple(focus + 0.5 * sides.sum(axis=0)))

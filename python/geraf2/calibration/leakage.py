@@ -34,7 +34,7 @@ _BEFORE_M = 0.02
 _MAX_TAKEN = 0.01
 _MIN_RANK = 2
 # Least share of the leakage in a sinusoid: 55 dB of suppression.
-_LEAST_SHARE = 1e-7
+_MIN_SHARE = 1e-7
 # Level relative to the echoes below which leakage has no effect; without any the fit finds -25 dB.
 _MIN_LEVEL_DB = -15.0
 # Least energy over that of noise in the fit.
@@ -260,7 +260,7 @@ def leakage_operator(
         covariance += 1.0
     values, vectors = np.linalg.eigh(covariance)
     vectors = vectors[:, ::-1]
-    most = int((values > _LEAST_SHARE * values[-1]).sum())
+    most = int((values > _MIN_SHARE * values[-1]).sum())
     others = _ECHO_OVER_NOISE * _covariance(waveform, *box_m)
     weight = np.linalg.inv(np.eye(waveform.n_samples) + others)
     echoes = _sinusoids(waveform, np.arange(box_m[0], box_m[1], 0.1 * cell))

@@ -12,13 +12,13 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.box_search import (
-    LEAST_COUNT,
-    LEAST_SIDE_M,
     LEVEL_RANGE_DB,
     LEVEL_STEP_DB,
     LOWEST_PAIR_DB,
     MAX_ANGLE_RAD,
-    MOST_SHIFT_M,
+    MAX_SHIFT_M,
+    MIN_COUNT,
+    MIN_SIDE_M,
     N_LEVELS,
     OFFSET_SIGMA_M,
     OFFSET_STEP_M,
@@ -74,7 +74,7 @@ def find_tube(flashes: Flashes, up: Floats, reach_m: float) -> TubeFit | None:
     coarse, fine = _STEPS_M
     steps = np.arange(-_OFF_M, _OFF_M + 0.5 * coarse, coarse)
     best = max(search.best((x, y)) for x, y in product(steps, steps))
-    if best.score < LEAST_COUNT:
+    if best.score < MIN_COUNT:
         return None
     for step in (fine, 0.25 * fine):
         near = [np.array(best.center) + step * np.array(by) for by in product((-1, 0, 1), repeat=2)]
@@ -95,7 +95,7 @@ class _TubeSearch:
         self.far = flashes.far[self.upright]
         self.centers = flashes.centers[flashes.subapertures[self.upright]]
         self.n_facing = int((np.abs(flashes.ahead @ up) < np.sin(_LEVEL_RAD)).sum())
-        most = round(MOST_SHIFT_M / OFFSET_STEP_M)
+        most = round(MAX_SHIFT_M / OFFSET_STEP_M)
         self.shifts = range(-most, most + 1, 2)
 
     def point(self, center: tuple[float, float]) -> Floats:
@@ -110,7 +110,7 @@ class _TubeSearch:
         cosine = np.einsum("ij,ij->i", self.normals, toward) * np.where(self.far, -1.0, 1.0)
         radius = self.offsets - self.normals @ point
         angle = np.arccos(np.clip(cosine, -1.0, 1.0))
-        is_one = (angle < MAX_ANGLE_RAD) & (radius > 0.5 * LEAST_SIDE_M)
+        is_one = (angle < MAX_ANGLE_RAD) & (radius > 0.5 * MIN_SIDE_M)
         return radius, angle, is_one & (radius < self.n_offsets * OFFSET_STEP_M)
 
     def best(self, center: tuple[float, float]) -> _Guess:

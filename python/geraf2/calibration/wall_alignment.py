@@ -20,7 +20,7 @@ from geraf2.calibration.wall_echoes import (
     wall_peaks,
 )
 from geraf2.calibration.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
-from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, most_shift_m
+from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose
@@ -69,7 +69,7 @@ class AlignmentConfig(Bounded):
     """Expected error of each plane's distance, from drift of positions [m]."""
     wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
     """Expected error of each wall's distance from the centre of the prior [m]."""
-    least_echoes: Few = MIN_WALL_ECHOES
+    min_echoes: Few = MIN_WALL_ECHOES
     """Least number of near walls' echoes that agree."""
 
     def __post_init__(self) -> None:
@@ -218,7 +218,7 @@ class WallProblem:
         if config.keep_delay:
             low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
         is_moved = not walls and not at_middles
-        low -= most_shift_m(waveform) if is_moved else 0.0
+        low -= max_shift_m(waveform) if is_moved else 0.0
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
         self.size_m = peaks.subaperture.size_m
         self.faces = WallFaces.of(prior)
@@ -229,7 +229,7 @@ class WallProblem:
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
-        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.least_echoes)
+        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.min_echoes)
         # Twice the limit, since the box may be rotated or shifted.
         self.maybe = maybe.select(np.abs(offset - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
         # Without a recorded delay, all searched delays are equally likely.

@@ -11,12 +11,12 @@ from scipy.ndimage import gaussian_filter, maximum_filter
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_search import (
     FLASH_NATS,
-    LEAST_COUNT,
     LEVEL_RANGE_DB,
     LEVEL_STEP_DB,
     LOWEST_PAIR_DB,
     MAX_ANGLE_RAD,
-    MOST_SHIFT_M,
+    MAX_SHIFT_M,
+    MIN_COUNT,
     N_LEVELS,
     OFFSET_SIGMA_M,
     OFFSET_STEP_M,
@@ -31,15 +31,15 @@ from geraf2.calibration.box_search import (
 from geraf2.records import Waveform
 
 # Largest angle between a wall and the side of a cuboid, about the vertical and against it [rad].
-_MOST_TURN_RAD, _MOST_LEAN_RAD = 0.4, 0.24
+_MAX_TURN_RAD, _MAX_LEAN_RAD = 0.4, 0.24
 # Number of normals with most flashes that are tried: four walls, content and grating lobes.
 _N_NORMALS = 24
 # Least number of walls: content has two faces at some angle more often.
-_FEWEST_WALLS = 3
+_MIN_WALLS = 3
 # Rounds of a normal's mean.
 _N_ROUNDS = 3
 # Flashes that a free wall costs, by the number of its distinct normals.
-_FREEDOM = float(np.log(_MOST_TURN_RAD * _MOST_LEAN_RAD / MAX_ANGLE_RAD**2)) / FLASH_NATS
+_FREEDOM = float(np.log(_MAX_TURN_RAD * _MAX_LEAN_RAD / MAX_ANGLE_RAD**2)) / FLASH_NATS
 
 
 class _Choice(NamedTuple):
@@ -66,7 +66,7 @@ def find_walls(
     )
     tries = *normals[best.walls], -up, up
     planes = [_plane(search, normal, best.found) for normal in tries]
-    if np.isfinite([offset for _, offset in planes[:-2]]).sum() < _FEWEST_WALLS:
+    if np.isfinite([offset for _, offset in planes[:-2]]).sum() < _MIN_WALLS:
         return None
     return _box([plane for plane in planes if np.isfinite(plane[1])], search, best.found)
 
@@ -75,7 +75,7 @@ def _best_walls(
     search: BoxSearch, counts: list[tuple[Counts, Counts]], azimuth: Floats, pair: int
 ) -> _Choice:
     """Best normals of four walls, level and delay. counts: of each normal."""
-    start, most = search.unmoved if pair else 0, round(MOST_SHIFT_M / OFFSET_STEP_M)
+    start, most = search.unmoved if pair else 0, round(MAX_SHIFT_M / OFFSET_STEP_M)
     shifts = [start + s for s in range(-most, most + 1, 2)]
 
     def scores(sides: list[tuple[Counts, Counts]]) -> Floats:
@@ -92,13 +92,13 @@ def _best_walls(
     best = _Choice(Hypothesis(0.0, 0.0, 0, 0, 0), np.zeros(0, dtype=np.int64))
     for number, turn in enumerate(azimuth):
         off = azimuth - turn - 0.5 * np.pi * np.arange(4)[:, None]
-        alike = np.abs(np.angle(np.exp(1j * off))) < _MOST_TURN_RAD
+        alike = np.abs(np.angle(np.exp(1j * off))) < _MAX_TURN_RAD
         alike[0] = np.arange(len(azimuth)) == number
         sides = np.where(alike[..., None, None], score, 0.0).max(axis=1)
         total = ends + np.maximum(sides - _FREEDOM, 0.0).sum(axis=0)
         row, level = divmod(int(total.argmax()), N_LEVELS)
         if total[row, level] > best.found.score:
-            seen = sides[:, row, level] > LEAST_COUNT
+            seen = sides[:, row, level] > MIN_COUNT
             walls = np.where(alike, score[:, row, level], -1.0).argmax(axis=1)[seen]
             found = Hypothesis(float(total[row, level]), turn, shifts[row], pair, level)
             best = _Choice(found, walls)
@@ -107,7 +107,7 @@ def _best_walls(
 
 def _dense_normals(search: BoxSearch) -> Floats:
     """Return normals around which most flashes of near and far walls have one offset, (n, 3)."""
-    flashes, most = search.flashes, round(_MOST_LEAN_RAD / MAX_ANGLE_RAD)
+    flashes, most = search.flashes, round(_MAX_LEAN_RAD / MAX_ANGLE_RAD)
     azimuth = np.arctan2(flashes.normals @ search.second, flashes.normals @ search.first)
     lean = np.arcsin(np.clip(flashes.normals @ search.up, -1.0, 1.0))
     offset = flashes.offsets_m // OFFSET_STEP_M
@@ -148,7 +148,7 @@ def _box(planes: list[tuple[Floats, float]], search: BoxSearch, found: Hypothesi
     """Box of these planes; an unseen wall has the turn and the lean of the opposite one."""
     normals = np.array([normal for normal, _ in planes])
     azimuth = np.arctan2(normals @ search.second, normals @ search.first)
-    upright = np.abs(normals @ search.up) < np.sin(_MOST_LEAN_RAD + MAX_ANGLE_RAD)
+    upright = np.abs(normals @ search.up) < np.sin(_MAX_LEAN_RAD + MAX_ANGLE_RAD)
     axes = search.axes(0.25 * float(np.angle(np.exp(4j * azimuth[upright]).sum())))
     faces, offsets = np.full((3, 2, 3), np.nan), np.full((3, 2), np.nan)
     for normal, offset in planes:

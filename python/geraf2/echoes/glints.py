@@ -36,10 +36,10 @@ GLINTS_VERSION = 21
 """Increase when the same capture and settings give other glints."""
 
 
-_FEWEST = 200
+_MIN_GLINTS = 200
 """Least number of glints for a surface. If fewer reach the least probability, the limit is lowered,
-at most to `_LEAST_OF_FEW`."""
-_LEAST_OF_FEW = 0.15
+at most to `_MIN_OF_FEW`."""
+_MIN_OF_FEW = 0.15
 
 # Least share of peaks moved to another direction that is reported.
 _REPORTED_SHARE = 0.01
@@ -58,7 +58,7 @@ class GlintConfig(Bounded):
     """Detection threshold relative to the noise of the range bin [dB]."""
     wall_margin_m: SignedM = 0.012
     """Half thickness of the layer around the prior's surface with the wall's own echoes [m]."""
-    least_probability: Share = 0.5
+    min_probability: Share = 0.5
     """Least probability of a direct return of the content."""
     range_correction_m: SignedM | None = None
     """Subtracted from every range of an echo from inside the box [m]; None: by the walls."""
@@ -142,7 +142,7 @@ def find_echoes(
     if not (found.depth_m > config.wall_margin_m).any():
         raise _nothing_found(near, found, config)
     labelled = label_peaks(near, found, prior.expected_volume_m3, config.wall_margin_m)
-    keep = labelled.probability > _threshold(labelled.probability, config.least_probability)
+    keep = labelled.probability > _threshold(labelled.probability, config.min_probability)
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
     n_moved = int((labelled.labels == Label.ALIAS).sum())
@@ -170,8 +170,8 @@ def find_echoes(
 
 def _threshold(probability: Floats, least: float) -> float:
     """Least probability of a glint, lowered if few reach it."""
-    likeliest = np.sort(probability)[-_FEWEST:]
-    return float(np.clip(likeliest[0], min(_LEAST_OF_FEW, least), least))
+    likeliest = np.sort(probability)[-_MIN_GLINTS:]
+    return float(np.clip(likeliest[0], min(_MIN_OF_FEW, least), least))
 
 
 def candidates_around(

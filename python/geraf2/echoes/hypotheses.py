@@ -20,7 +20,7 @@ from geraf2.scene import Pose, Wall
 _LARGEST_COSINE = 0.9
 """Largest sine of the angle between a candidate's direction and the plane's normal: antennas do not
 radiate beyond."""
-_MOST_PERIODS = 2
+_MAX_PERIODS = 2
 """Largest distance from the image's direction along each axis, in periods."""
 
 
@@ -106,7 +106,7 @@ def _plane_candidates(peaks: PeakSet, number: int, axes: Floats) -> tuple[Ints, 
     own = np.flatnonzero(peaks.planes == number)
     cosines = peaks.directions[own] @ axes[1:].T
     shifts = [
-        period * np.arange(-_MOST_PERIODS, _MOST_PERIODS + 1) if np.isfinite(period) else (0.0,)
+        period * np.arange(-_MAX_PERIODS, _MAX_PERIODS + 1) if np.isfinite(period) else (0.0,)
         for period in peaks.periods[peaks.subapertures[own[0]]]
     ]
     index, ahead, is_alias = [own], [peaks.directions[own]], [np.zeros(len(own), dtype=bool)]

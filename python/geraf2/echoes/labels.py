@@ -47,7 +47,7 @@ _LOG_ODDS = -2.80
 """Prior log odds of a strong peak at the noise level against clutter."""
 _PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
 """Change of the log odds with strength and with the ratio to the noise [1/dB]."""
-_MOST_MARGIN_DB = 40.0
+_MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
 _POINTS_AT_ONCE = 1000
 _NEGLIGIBLE = 1e-6
@@ -294,5 +294,5 @@ def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:
     strength_db = 20.0 * np.log10(peaks.magnitudes[of])
     strong_db = np.quantile(strength_db[inside], 0.98) if inside.any() else strength_db.max()
     strength_db = np.minimum(strength_db - strong_db, 0.0)
-    margin_db = np.minimum(peaks.margins_db[of], _MOST_MARGIN_DB)
+    margin_db = np.minimum(peaks.margins_db[of], _MAX_MARGIN_DB)
     return np.asarray(_LOG_ODDS + _PER_STRENGTH_DB * strength_db + _PER_MARGIN_DB * margin_db)

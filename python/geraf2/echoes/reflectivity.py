@@ -26,7 +26,7 @@ _WALL_REACH_M = 0.010
 """Largest distance of the flash from the outer face of the wall [m]."""
 _WALL_ROOM_M = 0.025
 """Wall around the foot of a flash, for all of its first Fresnel zone [m]."""
-_FEWEST_FLASHES = 8
+_MIN_FLASHES = 8
 _FAINTEST = 0.01
 """Least reflection of a wall that is a reference: fainter ones depend on tenths of a millimetre."""
 _THICKNESS_SHARE = 0.02
@@ -179,7 +179,7 @@ def metal_level(
     if not walls or not len(peaks):
         return None
     seen = squarely_seen_walls(peaks, windows, scene)
-    if int(seen.sum()) < _FEWEST_FLASHES:
+    if int(seen.sum()) < _MIN_FLASHES:
         return None
     flat, wave_number = np.zeros((int(seen.sum()), 3, 3)), mid_wave_number(waveform)
     few = Windows(*(column[seen] for column in windows))

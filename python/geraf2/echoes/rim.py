@@ -59,7 +59,7 @@ def find_rim_glints(
     peaks, found = candidates_around(capture, prior, peaks, settings, num_threads=num_threads)
     inside = found.depth_m > first.wall_margin_m
     probability = continuing(peaks, found, prior.expected_volume_m3, inside, glints)
-    keep = inside & (probability > first.least_probability)
+    keep = inside & (probability > first.min_probability)
     if not keep.any():
         return glints.select(np.zeros(len(glints), dtype=bool))
     return as_glints(peaks, found.select(keep), probability[keep], glints)

@@ -105,7 +105,7 @@ def _board_shifts(waveform: Waveform) -> Floats:
     return np.sort(np.concatenate(parts))
 
 
-def most_shift_m(waveform: Waveform) -> float:
+def max_shift_m(waveform: Waveform) -> float:
     """Largest distance of the peak of any board before the middle of its faces [m]."""
     return -float(_board_shifts(waveform)[0])
 

@@ -26,20 +26,20 @@ def specular_visibility(
     apertures: Sequence[Aperture],
     blocker: MeshScene | None = None,
     *,
-    least_m: Floats | float = 0.0,
+    min_m: Floats | float = 0.0,
     lift_m: float = LIFT_M,
 ) -> Floats:
     """Margin by which each aperture receives the specular return of each point, [m].
 
     The margin is the distance of the mirror point inside the nearest edge of the aperture. It is
-    -inf where no return is received: the normal points away, the margin is below `least_m`, or the
+    -inf where no return is received: the normal points away, the margin is below `min_m`, or the
     path is blocked.
 
     points: on a smooth surface, (n_points, 3) [m].
     normals: outward unit normals, (n_points, 3).
     apertures: of the planes of antennas.
     blocker: what may block the path; nothing when None.
-    least_m: least margin [m], or one for each point and aperture, (n_points, n_apertures). Positive
+    min_m: least margin [m], or one for each point and aperture, (n_points, n_apertures). Positive
         where a sub-aperture must fit around the mirror point. Negative where a lobe is wider than
         the aperture or the limit is a ramp.
     lift_m: rays start this far above the surface [m], more than its facets deviate from it.
@@ -47,7 +47,7 @@ def specular_visibility(
     Returns margins, (n_points, n_apertures) [m].
     """
     visible = np.full((len(points), len(apertures)), -np.inf)
-    least = np.broadcast_to(least_m, visible.shape)
+    least = np.broadcast_to(min_m, visible.shape)
     for number, aperture in enumerate(apertures):
         mirror = aperture.mirror(points, normals)
         margins = mirror.margins_m

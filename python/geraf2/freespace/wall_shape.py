@@ -21,7 +21,7 @@ _LOOSE_RAD = 3.0
 """Standard deviation of a coefficient [rad]: 3 mm are 10 rad, shared by several powers."""
 _DARK = 0.3
 """Relative amplitude of a shadow; at its edge it is a half, or a quarter after two passes."""
-_LEAST_GAIN = 0.2
+_MIN_GAIN = 0.2
 """Lower bound of the squared gain; near a focus the model is invalid."""
 
 
@@ -41,7 +41,7 @@ class PathShape(NamedTuple):
     def gain(self, wall_m: Floats) -> Floats:
         """Amplitude of the flash relative to a flat wall at this distance, (n,)."""
         mapping = np.eye(2) - 0.5 * wall_m[:, None, None] * self.curvature_1_per_m
-        return np.asarray(np.sqrt(np.maximum(np.linalg.det(mapping), _LEAST_GAIN)))
+        return np.asarray(np.sqrt(np.maximum(np.linalg.det(mapping), _MIN_GAIN)))
 
 
 def path_shape(

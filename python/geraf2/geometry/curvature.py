@@ -7,7 +7,7 @@ from geraf2._types import Floats, Ints
 
 _ALIKE = 0.5
 """Vertices whose normals have a smaller cosine are on another side of the body."""
-_FEWEST = 6
+_MIN_NEIGHBOURS = 6
 
 
 def shape_operators(vertices: Floats, normals: Floats, at: Ints, reach_m: float) -> Floats:
@@ -53,7 +53,7 @@ def shape_operators(vertices: Floats, normals: Floats, at: Ints, reach_m: float)
         [np.stack([xx, xy, zero], 1), np.stack([xy, xx + yy, xy], 1), np.stack([zero, xy, yy], 1)],
         axis=1,
     )
-    good = (count >= _FEWEST) & (np.linalg.det(matrix) > 1e-9 * (xx + yy) ** 3)
+    good = (count >= _MIN_NEIGHBOURS) & (np.linalg.det(matrix) > 1e-9 * (xx + yy) ** 3)
     matrix[~good] = np.eye(3)
     a, b, c = np.linalg.solve(matrix, right[:, :, None])[:, :, 0].T
     flat = np.stack([np.stack([a, b], 1), np.stack([b, c], 1)], axis=1)

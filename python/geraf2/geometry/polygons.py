@@ -4,7 +4,7 @@ import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
 
-_MOST_CORNERS = 4096
+_MAX_CORNERS = 4096
 """Largest number of corners of a concave polygon; the time grows with its square."""
 _FLAT = 1e-12
 """Tolerance of a corner's turn, relative to the squared area: guards against rounding."""
@@ -66,8 +66,8 @@ def _concave(polygons: Floats) -> Bools:
 
 def _ears(polygon: Floats) -> Ints:
     """Triangles of one polygon (n, 3) by ear clipping, (n - 2, 3)."""
-    if len(polygon) > _MOST_CORNERS:
-        msg = f"a concave polygon has {len(polygon)} corners, more than {_MOST_CORNERS}"
+    if len(polygon) > _MAX_CORNERS:
+        msg = f"a concave polygon has {len(polygon)} corners, more than {_MAX_CORNERS}"
         raise ValueError(msg)
     normal = _normals(polygon[None])[0]
     flat = np.delete(polygon, int(np.abs(normal).argmax()), axis=1)

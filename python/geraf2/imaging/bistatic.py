@@ -11,7 +11,7 @@ import numpy as np
 from geraf2._types import Floats
 
 # At 0.35 m a half baseline of 5 mm lengthens the half path by h^2 / 2 r = 0.04 mm [m].
-_LEAST_M = 5e-3
+_MIN_M = 5e-3
 # Largest deviation of an antenna from the common half baseline [m].
 _SAME_M = 1e-4
 # Each round leaves h^2 / r^2 of the error, at most a fifth.
@@ -26,7 +26,7 @@ def common_half_baseline(tx: Floats, rx: Floats) -> Floats | None:
     halves = 0.5 * (tx - rx)
     mean = halves.mean(axis=0)
     is_common = float(np.abs(halves - mean).max(initial=0.0)) < _SAME_M
-    return np.asarray(mean) if is_common and float(np.linalg.norm(mean)) > _LEAST_M else None
+    return np.asarray(mean) if is_common and float(np.linalg.norm(mean)) > _MIN_M else None
 
 
 def seen_from_midpoints(

@@ -59,7 +59,7 @@ ARRAY_TYPES = {
     "antenna_count": ("int64",),
     "angle": ("float64",),
 }
-MOST_PLANES = 10_000
+MAX_PLANES = 10_000
 """Each takes some milliseconds to check; scans have up to hundreds."""
 CHECKSUMS = "checksums"
 """Attribute of the group: CRC-32 of each pose, antennas without padding, by array, in hex."""
@@ -271,8 +271,8 @@ class SceneReader:
     def _check_shapes(self) -> None:
         where = self.path / RADAR_NAME
         n_poses, n_samples = self.n_poses, self.manifest.waveform.n_samples
-        if n_poses > MOST_PLANES:
-            expected = f"at most {MOST_PLANES} planes"
+        if n_poses > MAX_PLANES:
+            expected = f"at most {MAX_PLANES} planes"
             raise UserError(what="too many planes", where=where, expected=expected, got=n_poses)
         shape = self._shape("signal")
         of_integers = self._arrays["signal"].dtype.kind == "i"

@@ -9,7 +9,7 @@ from geraf2.errors import UserError
 from geraf2.io.objects import is_remote, read_bytes
 from geraf2.io.regular import open_regular
 
-_MOST_NAMED = 4
+_MAX_NAMED = 4
 
 
 def file_digest(path: AnyPath) -> str | None:
@@ -45,9 +45,9 @@ def require_digests(folder: Path, digests: Mapping[str, str]) -> None:
         if got != digest:
             wrong.append(f"{name} ({'missing' if got is None else 'changed'})")
     if wrong:
-        rest = [f"and {len(wrong) - _MOST_NAMED} more"] if len(wrong) > _MOST_NAMED else []
+        rest = [f"and {len(wrong) - _MAX_NAMED} more"] if len(wrong) > _MAX_NAMED else []
         raise UserError(
             what=f"{len(wrong)} of {len(digests)} files are not what was written",
             where=folder,
-            got=", ".join([*wrong[:_MOST_NAMED], *rest]),
+            got=", ".join([*wrong[:_MAX_NAMED], *rest]),
         )

@@ -16,7 +16,7 @@ from geraf2.io.atomic import sweep_folder, write_bytes_atomic, write_text_atomic
 from geraf2.io.container import (
     CHECKSUMS,
     MANIFEST_NAME,
-    MOST_PLANES,
+    MAX_PLANES,
     RADAR_NAME,
     SceneReader,
     is_scene,
@@ -101,8 +101,8 @@ class GrowingScene:
     def append(self, pose: Pose) -> None:
         """Write the next plane; it counts when this returns, and after an error nothing changed."""
         index, n_antennas = len(self), pose.n_antennas
-        if index >= MOST_PLANES:
-            raise UserError(what="too many planes", where=self.path, expected=MOST_PLANES)
+        if index >= MAX_PLANES:
+            raise UserError(what="too many planes", where=self.path, expected=MAX_PLANES)
         n_chunk = self._n_chunk or max(1, n_antennas)
         shape = (index + 1, max(n_antennas, self._shape[1]), self._shape[2])
         arrays = scene_arrays(shape, n_chunk, integers=False, n_counted=_N_COUNTED)

@@ -9,7 +9,7 @@ from geraf2._memory import require_memory
 from geraf2.errors import UserError
 from geraf2.io.text import parse_json
 
-MOST_NODES = 10_000
+MAX_NODES = 10_000
 """Objects of a glTF scene; each is placed by itself."""
 # Text is parsed into objects: a PLY of 130 MB took 1.3 GB, an OBJ of 30 MB .5 GB.
 _BYTES_PER_BYTE = {".ply": 12.0, ".stl": 12.0, ".obj": 20.0}
@@ -40,8 +40,8 @@ def require_gltf_size(data: bytes, where: Path) -> None:
 def _complaint(content: Mapping[str, Any]) -> str:
     """Reason to refuse a glTF; empty where there is none."""
     nodes = content.get("nodes", [])
-    if len(nodes) > MOST_NODES:
-        return f"has {len(nodes)} objects, more than {MOST_NODES}: join them"
+    if len(nodes) > MAX_NODES:
+        return f"has {len(nodes)} objects, more than {MAX_NODES}: join them"
     parents = Counter(child for node in nodes for child in node.get("children", ()))
     if any(n > 1 for n in parents.values()):
         return "an object has two parents, which glTF does not allow"

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 _Record = TypeVar("_Record")
-_MOST_COMPLAINTS = 4
-_MOST_LEVELS = 32
-_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{_MOST_LEVELS}}}")
+_MAX_COMPLAINTS = 4
+_MAX_LEVELS = 32
+_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{_MAX_LEVELS}}}")
 
 
 def read_toml(path: Path | Traversable, kind: type[_Record]) -> _Record:
@@ -57,9 +57,9 @@ def parse_toml(text: str) -> dict[str, Any]:
         if _DEEP.search(text):  # takes the parser quadratic time
             raise RecursionError
         table = tomllib.loads(text)
-        _require_depth(table, _MOST_LEVELS)
+        _require_depth(table, _MAX_LEVELS)
     except RecursionError:
-        msg = f"more than {_MOST_LEVELS} levels of tables and lists"
+        msg = f"more than {_MAX_LEVELS} levels of tables and lists"
         raise ValueError(msg) from None
     return table
 
@@ -96,9 +96,9 @@ def from_table(
         found = [_complaint(item, table, one) for item in items]
     else:
         return record
-    rest = len(found) - _MOST_COMPLAINTS
+    rest = len(found) - _MAX_COMPLAINTS
     more = [f"and {rest} more"] if rest > 0 else []
-    raise UserError("; ".join(found[:_MOST_COMPLAINTS] + more), where=where)
+    raise UserError("; ".join(found[:_MAX_COMPLAINTS] + more), where=where)
 
 
 def to_table(value: Any) -> dict[str, Any]:

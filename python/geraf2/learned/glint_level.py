@@ -32,11 +32,11 @@ N_WINDOWS = 4
 """Windows of antennas of a plane; each gives one glint."""
 N_DRAWS = 2
 """Draws of a window's rays, over which the power of its glint is averaged."""
-MOST_INWARD = 0.375
+MAX_INWARD = 0.375
 """Largest displacement inward, in voxels of the trained field."""
 INWARD_SHARE = 0.5
 """Largest displacement inward of a part, over its depth."""
-LEAST_SLOPE = 0.5
+MIN_SLOPE = 0.5
 """Least slope of the depth along a path inward: 1 near the surface, about 0 in the middle."""
 BESIDE_M = 0.02
 """Largest distance of a glint from the surface [m]: half a range cell."""
@@ -44,7 +44,7 @@ DEPTHS_M = np.arange(-0.03, 0.0305, 0.001)
 """Depths along the line of sight from the glint; less than a range cell to either side."""
 POINTS_AT_ONCE = 4096
 _N_OF_PEAK = 3
-_LEAST_GLINTS = 3
+_MIN_GLINTS = 3
 
 
 class GlintShift(NamedTuple):
@@ -57,15 +57,15 @@ class GlintShift(NamedTuple):
     n_glints: int = 0
     """Number of glints in the last round."""
 
-    def after(self, differences: list[float], most_m: float) -> "GlintShift":
+    def after(self, differences: list[float], max_m: float) -> "GlintShift":
         """Displacement after one more round.
 
         differences: depths of rendered glints behind the measured ones [m].
-        most_m: largest displacement inward [m].
+        max_m: largest displacement inward [m].
         """
         n = len(differences)
-        outside_m = 0.0 - float(np.median(differences)) if n >= _LEAST_GLINTS else 0.0
-        inward_m = min(self.inward_m + outside_m, most_m)
+        outside_m = 0.0 - float(np.median(differences)) if n >= _MIN_GLINTS else 0.0
+        inward_m = min(self.inward_m + outside_m, max_m)
         return GlintShift(inward_m, (*self.outside_m, outside_m), n)
 
 
@@ -89,7 +89,7 @@ def part_depths(sdf: SdfGrid) -> NDArray[np.float32]:
     """
     depth = -sdf.values
     around = np.pad(depth, 1, constant_values=-np.inf)
-    steepest = np.full(depth.shape, LEAST_SLOPE, dtype=np.float32)
+    steepest = np.full(depth.shape, MIN_SLOPE, dtype=np.float32)
     ascent = np.zeros(depth.shape, dtype=np.int64)  # to the deeper neighbour, in the flat array
     for step in itertools.product((-1, 0, 1), repeat=3):
         beside = tuple(slice(1 + k, 1 + k + n) for k, n in zip(step, depth.shape, strict=True))
@@ -145,11 +145,11 @@ class GlintDepths:
     def __init__(self, draws: PlaneDraws, loss: PlaneLoss, threads: PlaneThreads) -> None:
         self._draws, self._loss, self._threads = draws, loss, threads
 
-    def find_shift(self, sdf: SdfGrid, depths: NDArray[np.float32], most_m: float) -> GlintShift:
+    def find_shift(self, sdf: SdfGrid, depths: NDArray[np.float32], max_m: float) -> GlintShift:
         """Shift that brings the glints of a distance to their measured depth.
 
         depths: as in :func:`moved` [m].
-        most_m: largest shift inward [m].
+        max_m: largest shift inward [m].
         """
         points = self._loss.maps.grid.points()[self._draws.within.reshape(-1)]
         points = points[np.abs(sdf.sample(points)) < BESIDE_M]
@@ -168,7 +168,7 @@ class GlintDepths:
                     for plane in self._draws.planes
                     for depth in self._threads.map(find, self._windows(plane))
                 ]
-            shift = shift.after([depth for depth in found if depth is not None], most_m)
+            shift = shift.after([depth for depth in found if depth is not None], max_m)
         return shift
 
     def _windows(self, plane: int) -> list[list[PlaneDraw]]:

@@ -20,7 +20,7 @@ from geraf2.ops import ray_march
 from geraf2.ops.lensless import length_defect
 from geraf2.scene import Capture
 
-_LEAST_WEIGHT = 1e-3
+_MIN_WEIGHT = 1e-3
 """Guards the mean depth of a ray that meets no wall."""
 
 
@@ -165,7 +165,7 @@ class PlaneLoss:
         middle = rays.offset[:, None] + torch.cumsum(rays.step, dim=1) - 0.5 * rays.step
         near = (value.reshape(shape) > -self.config.crop_m).to(weight.dtype)
         radar, vision = (
-            (w * near * middle).sum(dim=1) / ((w * near).sum(dim=1) + _LEAST_WEIGHT)
+            (w * near * middle).sum(dim=1) / ((w * near).sum(dim=1) + _MIN_WEIGHT)
             for w in (rendered.weight, weight)
         )
         return depth_loss(radar, vision)

@@ -137,7 +137,7 @@ class PaperTrainer:
         if self.config.glint_level:
             depths = glint_level.part_depths(sdf)
             glints = GlintDepths(self.draws, self.loss, self.threads)
-            self.glint_shift = glints.find_shift(sdf, depths, glint_level.MOST_INWARD * detail_m)
+            self.glint_shift = glints.find_shift(sdf, depths, glint_level.MAX_INWARD * detail_m)
             sdf = glint_level.moved(sdf, self.glint_shift.inward_m, depths)
         if self.config.region == "scene":
             return sdf

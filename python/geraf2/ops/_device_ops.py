@@ -25,7 +25,7 @@ Tensor = torch.Tensor
 # Phasors in memory at once: 64 MiB of complex64, as much again where gradients are taken.
 _PHASORS = 2**23
 # Gradients shorter than this have no direction, as in the kernels.
-_LEAST_LENGTH = 1e-6
+_MIN_LENGTH = 1e-6
 
 
 def sdf_grid(values: Any, grid: Grid, points: Any, cubic: bool) -> tuple[Tensor, Tensor]:
@@ -95,7 +95,7 @@ def facing_samples(
     """Find samples that may echo to groups, and where each part begins; arrays, not tensors."""
     positions, centers = _double(points, alpha), _double(form.centers, alpha)
     leg, slope = positions - centers[:, None], gradient.detach().double()
-    square = slope.square().sum(dim=1).clamp(min=_LEAST_LENGTH**2)
+    square = slope.square().sum(dim=1).clamp(min=_MIN_LENGTH**2)
     along = (leg * slope).sum(dim=2)
     lit = alpha.detach().reshape(-1).expand_as(along) != 0.0
     if form.lobe_power != 1.0:
@@ -122,7 +122,7 @@ def echo_amplitudes(
     sample, group = _index(pairs.sample, alpha), _index(pairs.group(), alpha)
     slope = gradient.index_select(0, sample)
     length = torch.linalg.vector_norm(slope, dim=1, keepdim=True)
-    normals = slope / length.clamp(min=_LEAST_LENGTH)
+    normals = slope / length.clamp(min=_MIN_LENGTH)
     leg = _double(np.take(points, pairs.sample, axis=0), alpha)
     leg = leg - _double(form.centers, alpha).index_select(0, group)
     distance = torch.linalg.vector_norm(leg, dim=1, keepdim=True)

@@ -6,7 +6,7 @@ from itertools import permutations
 import numpy as np
 
 from geraf2._types import Floats, Ints
-from geraf2.calibration.box_finder import LEAST_CONTENT, find_box
+from geraf2.calibration.box_finder import MIN_CONTENT, find_box
 from geraf2.calibration.found_box import FoundBody, FoundBox, FoundTube, Seen, WallsNotFoundError
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
@@ -23,7 +23,7 @@ _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
 # Least difference of a side that means another box [m].
 _OTHER_BOX_M = 0.03
 # Largest typical expected error of content without a box: half a range cell of 4 GHz [m].
-_MOST_ERROR_M = 0.02
+_MAX_ERROR_M = 0.02
 # Coverage factor of the found box's standard deviations.
 _COVER = 2.0
 
@@ -98,7 +98,7 @@ def checked_prior(
     if isinstance(found, FoundTube | FoundBody):
         return _body_for(prior, found, name, capture)
     difference = Difference.of(found, *prior.cuboid)
-    if difference.is_other and difference.is_within and found.content_share < LEAST_CONTENT:
+    if difference.is_other and difference.is_within and found.content_share < MIN_CONTENT:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
         return BoxCheck(prior=prior, found=None, text=text)
     if difference.is_other and len(difference.both) == 1:
@@ -166,11 +166,11 @@ def require_determined(run: RunFolder) -> None:
     """Raise UserError if content in free air has no certain surface: walls may be part of it."""
     mesh = run.stages["mesh"].numbers if "mesh" in run.stages else {}
     error_mm = mesh.get("expected_error_median_mm", 0.0)
-    if "size_m" not in run.stages[BOX_STAGE].numbers and error_mm > 1e3 * _MOST_ERROR_M:
+    if "size_m" not in run.stages[BOX_STAGE].numbers and error_mm > 1e3 * _MAX_ERROR_M:
         raise UserError(
             what="no walls of a box are seen, and the content has no certain surface",
             where=run.path,
-            expected=f"a typical expected error below {1e3 * _MOST_ERROR_M:.0f} mm",
+            expected=f"a typical expected error below {1e3 * _MAX_ERROR_M:.0f} mm",
             got=f"{error_mm:.0f} mm",
             hint="give the outside of the box with --box X Y Z or --los MESH",
         )

@@ -23,7 +23,7 @@ _STEEP_COSINE = float(np.sqrt(0.5))
 # Texts of stages that sections of their own show.
 _SHOWN_ELSEWHERE = {("calibration", "applied"), ("calibration", "left")}
 _WORDS = {"by_radar": "box by radar", "no_outlines": "no outlines from shadows"}
-_LEAST_SHARE = 0.005  # that is named
+_MIN_SHARE = 0.005  # that is named
 _ENDS = (("-x", "+x"), ("-y", "+y"), ("bottom", "top"))
 
 
@@ -127,7 +127,7 @@ def _not_seen(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
     every = np.ones_like(seen)
     shares = {kind: _share(areas, kinds == kind, every) for kind in reversed(Evidence)}
     lines = ["No echo came from this part of the surface."]
-    if shares[Evidence.OUTLINE] > _LEAST_SHARE:
+    if shares[Evidence.OUTLINE] > _MIN_SHARE:
         lines = [f"{_percent(shares[Evidence.OUTLINE])} more rest on the outline of a shadow."]
     return Card(
         title="Not seen",
@@ -194,7 +194,7 @@ def _sides_of(content: TriangleMesh, not_seen: Bools) -> list[str]:
         "faces sideways": np.abs(up) <= _STEEP_COSINE,
     }
     shares = {name: _share(areas, not_seen, which) for name, which in sides.items()}
-    parts = [f"{_percent(s)} of what {name}" for name, s in shares.items() if s >= _LEAST_SHARE]
+    parts = [f"{_percent(s)} of what {name}" for name, s in shares.items() if s >= _MIN_SHARE]
     return [f"By side: {_listed(parts)}."] if parts else []
 
 

@@ -22,7 +22,7 @@ BLUE, RED, SKY = "#0072B2", "#D55E00", "#56B4E9"
 HEAT_MAP = "inferno"
 AXIS_NAMES = ("x", "y", "z")
 _DPI = 130
-_LEAST_POINTS = 13.0  # of letters: 11 px and more where a panel is as wide as a phone
+_MIN_POINTS = 13.0  # of letters: 11 px and more where a panel is as wide as a phone
 PANELS_KEY = "geraf2-panels"
 """Text of a PNG: rows of panels (left, top, right, bottom), and height of letters [px], in JSON."""
 
@@ -58,13 +58,13 @@ def save(figure: "Figure", path: AnyPath) -> None:
     figure.set_dpi(_DPI)
     figure.set_facecolor("white")
     for panel in figure.axes:
-        panel.tick_params(labelsize=_LEAST_POINTS)
+        panel.tick_params(labelsize=_MIN_POINTS)
     for text in figure.findobj(Text):
         if isinstance(text, Text):
-            text.set_fontsize(max(text.get_fontsize(), _LEAST_POINTS))
+            text.set_fontsize(max(text.get_fontsize(), _MIN_POINTS))
     sheet = FigureCanvasAgg(figure)
     sheet.draw()
-    about = {"rows": _panel_rows(figure), "letters": _LEAST_POINTS * _DPI / 72.0}
+    about = {"rows": _panel_rows(figure), "letters": _MIN_POINTS * _DPI / 72.0}
     with atomic_path(path) as temporary:
         mpl.image.imsave(
             temporary,

@@ -55,7 +55,7 @@ _NO_VIEW = (
 )
 _TRUTH = {"vertices": "float n 3", "faces": "index:n m 3", "distances_m": "float k"}
 _MAX_RENDERED = 6  # planes whose heat maps the page shows
-_MOST_IMAGE_BYTES = 2**26  # of a heat map that the page reads for its slices
+_MAX_IMAGE_BYTES = 2**26  # of a heat map that the page reads for its slices
 _MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
 
@@ -233,7 +233,7 @@ def _view(
         )
     volumes = [] if heatmap is None else [heat_map(*heatmap)]
     stored = folder / run_folder.IMAGE_NAME
-    if not volumes and stored.is_file() and stored.stat().st_size < _MOST_IMAGE_BYTES:
+    if not volumes and stored.is_file() and stored.stat().st_size < _MAX_IMAGE_BYTES:
         volumes = [read_heat_map(stored)]
     if with_field and run.sdf is not None:
         volumes.append(signed_distance(run.sdf))

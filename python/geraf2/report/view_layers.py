@@ -17,7 +17,7 @@ from geraf2.scene import Grid
 RANGE_DB = 30.0
 """Range of a heat map's colours, below its largest magnitude [dB]."""
 _DISTANCE_MM = 20.0
-_MOST_VOXELS = 48  # along a side: 0.15 MB in a page
+_MAX_VOXELS = 48  # along a side: 0.15 MB in a page
 _FACES = tuple(
     (f"{sign}{axis}", k, s) for k, axis in enumerate("xyz") for s, sign in enumerate("-+")
 )
@@ -101,7 +101,7 @@ def coarser(volume: Volume) -> tuple[Array, Floats, float]:
 
     Returns the values, the position of the first one [m], and the spacing [m].
     """
-    step = -(-max(volume.grid.shape) // _MOST_VOXELS)
+    step = -(-max(volume.grid.shape) // _MAX_VOXELS)
     padding = [(0, -n % step) for n in volume.grid.shape]
     whole = np.pad(volume.values, padding, mode="edge")
     n = np.asarray(whole.shape) // step

@@ -13,7 +13,7 @@ from geraf2._types import Bools, Floats
 from geraf2.records import RawPose
 
 # Normals more than 84 degrees off the boresight meet no antenna: it receives nothing from there.
-_LEAST_COSINE = 0.1
+_MIN_COSINE = 0.1
 
 
 class MirrorPoints(NamedTuple):
@@ -100,7 +100,7 @@ class Aperture:
     def mirror(self, points: Floats, normals: Floats) -> MirrorPoints:
         """Where the normals of surface points meet the plane, points and normals (n, 3) [m]."""
         local, slope = points @ self.axes.T, normals @ self.axes.T
-        steep = np.abs(slope[:, 0]) > _LEAST_COSINE
+        steep = np.abs(slope[:, 0]) > _MIN_COSINE
         depth = 0.5 * (self.low_m[0] + self.high_m[0])
         step = (depth - local[:, 0]) / np.where(steep, slope[:, 0], 1.0)
         at = local + step[:, None] * slope

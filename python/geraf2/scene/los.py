@@ -33,7 +33,7 @@ _ALONG_COSINE = float(np.cos(np.deg2rad(2.5)))
 _FLAT = 1e-6
 # Least probability that a point lies in the box: an assumed face may lie farther. Least distance of
 # an assumed face from the certain part [m].
-_LEAST_PRESENCE, _THIN_M = 0.05, 1e-6
+_MIN_PRESENCE, _THIN_M = 0.05, 1e-6
 # Volume over that of the convex hull below which a mesh encloses walls, and not what is between
 # them: a carton of 0.22 m with walls of 4 mm and an open top has 0.09, an L of equal legs 0.86.
 _HOLLOW = 0.3
@@ -182,7 +182,7 @@ class LosPrior:
             width = 0.5 * size - (sign * certain).max(axis=0)
             assumed = width > _THIN_M
             ratio = beyond[:, assumed] / width[assumed]
-            share *= np.clip(ratio, _LEAST_PRESENCE, 1.0).prod(axis=1)
+            share *= np.clip(ratio, _MIN_PRESENCE, 1.0).prod(axis=1)
         return share
 
     @property

@@ -38,7 +38,7 @@ _PLASTIC = "dielectric"
 # element of a surface; for rays in plastic, or that touch the object twice, a pair and a sample;
 # for walls as waves an antenna and square metre of walls.
 _PAIR_S, _RAY_PAIR_S, _RAY_SAMPLE_S, _WAVE_S = 0.45e-9, 0.6e-9, 10e-6, 28e-3
-_LEAST_PLANES, _FEW_PLANES, _LEAST_APERTURE_M, _COARSEST_M = 6, 8, 0.06, 0.005
+_MIN_PLANES, _FEW_PLANES, _MIN_APERTURE_M, _COARSEST_M = 6, 8, 0.06, 0.005
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -206,7 +206,7 @@ def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> Sce
         if scan.n_planes <= _FEW_PLANES and scan.spacing_m < _COARSEST_M:
             smaller = replace(scan, spacing_m=min(_COARSEST_M, scan.spacing_m + 0.001))
         else:
-            width, height = (max(_LEAST_APERTURE_M, 0.97 * side) for side in scan.aperture_m)
+            width, height = (max(_MIN_APERTURE_M, 0.97 * side) for side in scan.aperture_m)
             smaller = replace(_with_fewer_planes(scan), aperture_m=(width, height))
         if smaller == scan:
             break
@@ -216,7 +216,7 @@ def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> Sce
 
 def _with_fewer_planes(scan: ScanSpec) -> ScanSpec:
     """Scan with one plane less, of the larger ring; with the fewest planes the same."""
-    if scan.n_planes <= _LEAST_PLANES:
+    if scan.n_planes <= _MIN_PLANES:
         return scan
     if scan.rings and scan.rings[0].n_poses > max(1, scan.n_poses):
         first = replace(scan.rings[0], n_poses=scan.rings[0].n_poses - 1)

@@ -172,13 +172,13 @@ def _surface_point(
     return point[0], normal[0]
 
 
-def _towards_surface(solid: Solid, points: Floats, most_m: float) -> tuple[Floats, Floats]:
+def _towards_surface(solid: Solid, points: Floats, max_m: float) -> tuple[Floats, Floats]:
     """Newton step of points to the zero level, at most so long, and the unit normals, (n, 3)."""
     step = 1e-5 * np.eye(3)
     slope = np.stack([(solid(points + e) - solid(points - e)) / 2e-5 for e in step], axis=-1)
     length = np.maximum(np.linalg.norm(slope, axis=-1, keepdims=True), 1e-3)
     normals = slope / length
-    move = np.clip(solid(points)[:, None] / length, -most_m, most_m)
+    move = np.clip(solid(points)[:, None] / length, -max_m, max_m)
     return points - move * normals, normals
 
 

@@ -15,7 +15,7 @@ from geraf2.geometry.triangles import vertex_areas, vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 
 # Smallest bound in standard deviations: below it the variance's two terms cancel.
-_LEAST_BOUND = 1e-3
+_MIN_BOUND = 1e-3
 N_NEAREST = 64
 """Glints around a vertex that count: with 36 planes they cover a patch of 6 to 8 mm."""
 
@@ -120,7 +120,7 @@ def bounded_factor(spread_m: Floats, bound_m: Floats, probability: Floats) -> Fl
     spread_m: standard deviation s without the bound [m]. bound_m: distance b of the glint, with
     its own error [m]. probability: p that the glint is a direct return.
     """
-    bound = np.maximum(bound_m / spread_m, _LEAST_BOUND)
+    bound = np.maximum(bound_m / spread_m, _MIN_BOUND)
     density = np.exp(-0.5 * bound**2) / np.sqrt(2.0 * np.pi)
     variance = 1.0 - bound * density / (ndtr(bound) - 0.5)
     return np.asarray(np.sqrt(probability * variance + 1.0 - probability))

@@ -26,7 +26,7 @@ ExcessPath = Callable[[Floats, Floats, Floats], Floats]
 N_WALL_PARTS = 2
 """Number of parts of the walls: near walls seen from outside, far walls seen from inside."""
 # Least cosine of incidence: the signal tracer's specular factor is zero beyond 45 degrees.
-_LEAST_COSINE = 0.7
+_MIN_COSINE = 0.7
 # Rays leave a facet this far above it [m], so that neighbours of a curved surface do not hide it.
 _LIFT_M = 2e-5
 
@@ -182,7 +182,7 @@ class SurfaceRenderer:
         direction = middle - facets.points
         length = np.linalg.norm(direction, axis=1)
         cosine = side * np.einsum("ij,ij->i", direction, facets.normals) / length
-        index = np.flatnonzero(cosine > _LEAST_COSINE)
+        index = np.flatnonzero(cosine > _MIN_COSINE)
         if is_inside and index.size:
             starts = facets.points[index] + _LIFT_M * side * facets.normals[index]
             targets = np.broadcast_to(middle, starts.shape)

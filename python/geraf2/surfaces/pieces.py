@@ -43,9 +43,9 @@ class PieceModel:
     """Least probability of the main piece."""
     reach_m: float = 0.005
     """A glint within this distance [m] belongs to the piece nearest to it."""
-    least_size_m: float = 0.005
+    min_size_m: float = 0.005
     """Least diameter of the ball with a piece's area [m]; smaller ones are point scatterers."""
-    least_density: float = 0.1
+    min_density: float = 0.1
     """Least glints per area over those of the main piece; the fit of few glints bridges air."""
 
     def __post_init__(self) -> None:
@@ -98,8 +98,8 @@ class Separated(NamedTuple):
 def separate_pieces(mesh: TriangleMesh, glints: Glints) -> Separated:
     """Separate the pieces that likely exist from likely ghosts.
 
-    Point scatterers (`PieceModel.least_size_m`), pieces without glints, pieces that bridge air
-    (`PieceModel.least_density`) and closed surfaces that face inwards are in neither: a radar does
+    Point scatterers (`PieceModel.min_size_m`), pieces without glints, pieces that bridge air
+    (`PieceModel.min_density`) and closed surfaces that face inwards are in neither: a radar does
     not see the inside of a reflector. The main piece, with most glints, always remains.
 
     mesh: surface that was fitted to the glints.
@@ -121,8 +121,8 @@ def separate_pieces(mesh: TriangleMesh, glints: Glints) -> Separated:
     probability = model.probability(n_pieces, piece, glints.poses[near], glints.probability[near])
     main = int(np.lexsort((areas, counts, solid))[-1])
     probability[main] = max(probability[main], model.main)
-    dense = counts * areas[main] >= model.least_density * counts[main] * areas
-    shown = solid & dense & (counts > 0) & (areas > np.pi * model.least_size_m**2)
+    dense = counts * areas[main] >= model.min_density * counts[main] * areas
+    shown = solid & dense & (counts > 0) & (areas > np.pi * model.min_size_m**2)
     shown[main] = True
     marked = replace(mesh, confidence=probability[of_vertex])
     content, ghosts = (

@@ -45,7 +45,7 @@ _CELLS = 36
 """Cells along a side of the samples' grid, of 5 to 8 mm each."""
 _TOLERANCE = 0.03
 """Relative residual of a sample's solve: a tenth of the standard deviation's own error."""
-_LEAST_SLOPE = 0.5
+_MIN_SLOPE = 0.5
 """Lower bound of the field's gradient, which is too small between two close surfaces."""
 _BYTES_PER_DISPLACEMENT = 44.0
 """Memory of one vertex in one sample: temporary float64 arrays and the result [bytes]."""
@@ -288,7 +288,7 @@ def draw_displacements(
     value, slopes = trilinear_rows(index, grid.shape, grid.spacing_m)
     field = coarse.values.astype(np.float64).ravel()
     slope = np.sqrt(sum((rows @ field) ** 2 for rows in slopes))
-    slope = np.maximum(slope, _LEAST_SLOPE)
+    slope = np.maximum(slope, _MIN_SLOPE)
     change = np.stack([value @ posterior.draw(rng) / slope for _ in range(n_samples)])
     common = _spread_draws(n_samples, rng)
     if n_samples > 1:  # remove the chance correlation of few draws, which all vertices would share

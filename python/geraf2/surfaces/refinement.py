@@ -16,10 +16,10 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig
 from geraf2.surfaces.workers import Workers
 
-_MOST_DISAGREEMENT = 0.05
+_MAX_DISAGREEMENT = 0.05
 """Largest share of blocked lines of sight on which both sides of a correct outline disagree;
 a property of the simulated population of objects."""
-_LEAST_CONFIRMING = 20
+_MIN_CONFIRMING = 20
 """Least number of glints on the known lines of sight of an outline that confirm it."""
 SELECTION_VERSION = 9
 """Increase when :func:`select_glints` returns something else for the same capture."""
@@ -117,11 +117,11 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
     count by amplitude and probability. Wrong outlines come from errors of a wall's shape and
     position, which differ on opposite sides of the box.
     """
-    limit = np.where(outlines.disagreement > _MOST_DISAGREEMENT, 0.5, 1.0) * config.max_contradicted
+    limit = np.where(outlines.disagreement > _MAX_DISAGREEMENT, 0.5, 1.0) * config.max_contradicted
     free_m = outlines.free_distances(seen.positions)
     known = np.isfinite(free_m) * seen.probability * relative_strengths(seen.strengths)
     wrong = (known * (free_m > config.outline_clearance_m)).sum(axis=1)
-    confirmed = np.isfinite(free_m).sum(axis=1) >= _LEAST_CONFIRMING
+    confirmed = np.isfinite(free_m).sum(axis=1) >= _MIN_CONFIRMING
     return outlines.select(confirmed & (wrong <= limit * known.sum(axis=1)))
 
 

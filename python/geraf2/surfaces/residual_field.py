@@ -25,11 +25,11 @@ from geraf2.surfaces.surface_fit import SurfaceEcho, spread_evenly
 
 _FOLDS = 4
 """Number of groups of planes in the cross-validation."""
-_LEAST_PLANES = 3
+_MIN_PLANES = 3
 """Planes that must see a voxel before it may hold an echo."""
 _QUARTER = 0.25
 """Quantile over the planes of the unexplained power that bounds a voxel's power."""
-_LEAST_GAIN_DB = 0.1
+_MIN_GAIN_DB = 0.1
 """Least decrease of the left-out planes' squared error that keeps a field [dB]."""
 _MAX_STEPS = 40
 _LOOK_PERIOD = (4, 4, 1)
@@ -231,7 +231,7 @@ def fit_residual_field(
         if progress is not None:
             progress(0.5 + 0.5 * number / len(poses))
     gain = left_out_gain(planes, seen, chosen, config) if chosen.size else 0.0
-    if not gain > _LEAST_GAIN_DB:
+    if not gain > _MIN_GAIN_DB:
         chosen, gain = chosen[:0], 0.0
     power = _solve(planes, allowed[chosen]) if chosen.size else np.zeros(0)
     looks = np.stack(np.unravel_index(chosen, grid.shape)) % np.array(_LOOK_PERIOD)[:, None]
@@ -265,7 +265,7 @@ def allowed_power(unexplained: Floats) -> Floats:
     ascending = np.sort(np.where(seen, unexplained, np.inf), axis=0)
     rank = (_QUARTER * np.maximum(seen.sum(axis=0) - 1, 0)).astype(np.int64)
     value = np.take_along_axis(ascending, rank[None], axis=0)[0]
-    return np.where(seen.sum(axis=0) >= _LEAST_PLANES, value, 0.0)
+    return np.where(seen.sum(axis=0) >= _MIN_PLANES, value, 0.0)
 
 
 def _largest(values: Floats, n: int) -> Ints:

@@ -6,7 +6,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection.registration import (
-    LEAST_ECHOES,
+    MIN_ECHOES,
     Evidence,
     echoes_of,
     register,
@@ -103,12 +103,12 @@ def test_many_echoes_set_the_pose_and_few_do_not():
     body = replace(body, mesh=TriangleMesh(vertices=thick, faces=model.faces))
     positions, normals = model.corners.mean(axis=1), unit_normals(model.corners)
     found = []
-    for n in (LEAST_ECHOES - 1, 3000):
+    for n in (MIN_ECHOES - 1, 3000):
         some = np.random.default_rng(1).permutation(len(positions))[:n]
         glints = glints_at(positions[some], normals[some])
         joined, echoes = surface_evidence_of(body, glints), echoes_of(body, glints)
         placement = register(joined, model, echoes=echoes, start=np.eye(4))
-        assert placement.by_echoes == (n >= LEAST_ECHOES)
+        assert placement.by_echoes == (n >= MIN_ECHOES)
         found.append(placement.pose[0, 3])
     assert found[0] > 3e-4
     assert abs(found[1]) < 5e-5

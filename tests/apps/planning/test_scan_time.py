@@ -77,10 +77,10 @@ def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
 
     around = [reached(np.arange(0, 360, 360 / n)) for n in (1, 2, 3, 4, 6, 12, 36)]
     around.append(reached(np.arange(0, 360, 30), (-60.0, -30.0, 0.0, 30.0, 60.0)))
-    for name, sign in (("f1_5mm", 1), ("f1_15mm", 1), ("error_m", -1), ("least_5mm", 1)):
+    for name, sign in (("f1_5mm", 1), ("f1_15mm", 1), ("error_m", -1), ("min_5mm", 1)):
         assert (sign * np.diff([getattr(one, name) for one in around]) >= 0).all()
     for one in around:
-        assert 0.0 <= one.least_5mm <= one.f1_5mm <= one.f1_15mm <= 1.0
+        assert 0.0 <= one.min_5mm <= one.f1_5mm <= one.f1_15mm <= 1.0
     assert around[-1].f1_5mm > 0.98
     sides = reached([-60, -30, 0, 30, 60])
     assert sides.f1_5mm < reached([0, 72, 144, 216, 288]).f1_5mm - 0.1

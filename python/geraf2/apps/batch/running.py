@@ -41,7 +41,7 @@ _PAGE_SHARE = 0.02
 _BUSY_S = 2.0
 # Most losses of a waiting task, which is lost with each worker where it waits: beyond that the
 # cluster is broken. Jobs wait in larger numbers than the tasks of `if_lost`.
-_MOST_LOSSES, MOST_LOSSES = 50, 10
+_MAX_LOSSES, MAX_LOSSES = 50, 10
 
 
 def run(
@@ -140,7 +140,7 @@ def _again(task: Task, answer: Answer, paths: JobPaths, retries: int) -> Task | 
         return replace(task, rest_s=_BUSY_S)
     if is_killed(answer):
         # Its worker died, possibly by another task: the number of starts decides.
-        if len(paths.begins()) > retries or task.losses >= _MOST_LOSSES:
+        if len(paths.begins()) > retries or task.losses >= _MAX_LOSSES:
             return None
         return replace(task, losses=task.losses + 1, rest_s=0.0)
     if task.attempt > retries or _state(answer) not in TRIED_AGAIN:
@@ -189,8 +189,8 @@ def is_killed(answer: Answer) -> bool:
 
 
 def if_lost(task: Task, answer: Answer) -> Task | None:
-    """Return a task lost with its worker for repetition, at most MOST_LOSSES times."""
-    if is_killed(answer) and task.losses < MOST_LOSSES:
+    """Return a task lost with its worker for repetition, at most MAX_LOSSES times."""
+    if is_killed(answer) and task.losses < MAX_LOSSES:
         return replace(task, losses=task.losses + 1)
     return None
 

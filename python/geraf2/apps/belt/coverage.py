@@ -16,7 +16,7 @@ SIDES = ("front", "back", "left", "right", "above", "below")
 # Transmitters and receivers of one radar chip.
 _CHIP_TX, _CHIP_RX = 3, 4
 # A side of which less is seen counts as never seen: 4,000 normals, 9 points.
-_LEAST_SEEN = 0.005
+_MIN_SEEN = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +37,7 @@ class Coverage:
     @property
     def never_seen(self) -> tuple[str, ...]:
         """Sides of which no normal is seen."""
-        return tuple(side for side, share in self.by_side.items() if share < _LEAST_SEEN)
+        return tuple(side for side, share in self.by_side.items() if share < _MIN_SEEN)
 
 
 def coverage(belt: BeltSpec, box_m: tuple[float, float, float]) -> Iterator[Coverage]:

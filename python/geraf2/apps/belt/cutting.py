@@ -28,7 +28,7 @@ _GAP_M, _SHORTEST_M = 0.03, 0.04
 _SAME_POSITION_M = 1e-3
 # Smallest step that counts as motion, share of the nominal one; largest gap, steps; largest step
 # back, steps: an encoder's error is far smaller.
-_LEAST_STEP, _MOST_GAP, _MOST_BACK = 0.25, 8.0, 1.0
+_MIN_STEP, _MAX_GAP, _MAX_BACK = 0.25, 8.0, 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,14 +81,14 @@ def travel_of(
     # The array moves against x in the frame of the belt.
     farthest = np.minimum.accumulate(np.concatenate([[before], x]))
     back = float((x - farthest[:-1]).max())
-    if back > _MOST_BACK * step:
+    if back > _MAX_BACK * step:
         raise UserError(
             what="the recorded travel goes back",
             where=f"plane {pose.name}",
             expected="frames in the order of time",
             got=f"{1e3 * back:.1f} mm back",
         )
-    return x, farthest[:-1] - x > _LEAST_STEP * step
+    return x, farthest[:-1] - x > _MIN_STEP * step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -185,7 +185,7 @@ class Cutter:
             x = np.concatenate([[low], x[(x >= low) & (x <= high)], [high]])
             inner = x[(x > start) & (x < end)]
             gap = float(np.diff(x).max())
-            if not len(inner) or gap > max(_MOST_GAP * step, 0.25 * (high - low)):
+            if not len(inner) or gap > max(_MAX_GAP * step, 0.25 * (high - low)):
                 return f"frames of array {array.name} are missing over {gap:.2f} m of travel"
         return ""
 

@@ -24,15 +24,15 @@ from geraf2.records import Pose, Waveform
 
 _OVERSAMPLING = 4
 # Nearer echoes are leakage, whose excess is not that of the far field [m].
-_LEAST_RANGE_M = 0.1
+_MIN_RANGE_M = 0.1
 # Largest displacement onto a raster [m]; its error 24 degrees off the middle is 0.4 of it.
-_MOST_MOVED_M = 4e-3
+_MAX_MOVED_M = 4e-3
 # Excess up to which a midpoint is as good: 19 degrees of two-way phase at 77 GHz is 0.1 mm [m].
 NEGLIGIBLE_M = 1e-5
 # Half sides of a parcel's content over the distance of the array; points along each.
 _CONTENT, _N_CONTENT = 0.3, 5
 # Rms error of the half path at which an array loses a fifth of its power (Marechal) [wavelengths].
-_MOST_ERROR = 1.0 / 28.0
+_MAX_ERROR = 1.0 / 28.0
 
 
 def excess_m(tx: Floats, rx: Floats, ranges_m: Floats) -> Floats:
@@ -43,7 +43,7 @@ def excess_m(tx: Floats, rx: Floats, ranges_m: Floats) -> Floats:
     middles = 0.5 * (tx + rx)
     toward = -middles * [0.0, 1.0, 1.0]
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
-    far = np.maximum(ranges_m, _LEAST_RANGE_M)
+    far = np.maximum(ranges_m, _MIN_RANGE_M)
     points = middles[:, None] + far[:, None] * toward[:, None]
     paths = [np.linalg.norm(points - ends[:, None], axis=2) for ends in (tx, rx)]
     return np.asarray(0.5 * (paths[0] + paths[1]) - far)
@@ -72,15 +72,15 @@ def _is_common(array: BeltStation) -> bool:
 
 def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
     """Yield a line for each array whose midpoints err by more than 1/28 of the wavelength."""
-    most_m = _MOST_ERROR * waveform.center_wavelength_m
+    max_m = _MAX_ERROR * waveform.center_wavelength_m
     for array in record.arrays:
         error_m = 0.0 if _is_common(array) else midpoint_error_m(array)
-        if error_m > most_m:
+        if error_m > max_m:
             apart = np.linalg.norm(np.subtract(array.tx_m, array.rx_m), axis=1).max()
             yield (
                 f"array {array.name}: baselines of up to {1e3 * apart:.0f} mm that differ, ranges "
                 f"from the midpoints err by {1e3 * error_m:.2f} mm, expected at most "
-                f"{1e3 * most_m:.2f} mm"
+                f"{1e3 * max_m:.2f} mm"
             )
 
 
@@ -133,7 +133,7 @@ def on_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
     raster[..., 2] = local[..., 2].mean(axis=0)
     positions = (raster.reshape(-1, 3)) @ pose.axes
     moved = positions - pose.phase_centers
-    if np.abs(moved).max() > _MOST_MOVED_M:
+    if np.abs(moved).max() > _MAX_MOVED_M:
         return pose
     ends = [pose.tx_positions, pose.rx_positions]
     path = np.sum(

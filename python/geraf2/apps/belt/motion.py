@@ -34,24 +34,24 @@ _STEP_M = 0.01
 _SIZE = 0.14
 _MARGIN_DB = 15.0
 # Least distance of two stations [m]; largest distance of rows of both arrays [m].
-_LEAST_APART_M, _SAME_ROW_M = 0.05, 0.003
+_MIN_APART_M, _SAME_ROW_M = 0.05, 0.003
 # Largest distance of two sub-apertures [m], and difference of their directions.
 _NEAR_M, _SAME_COSINE = 0.012, 0.06
 # Distance of sub-apertures whose ranges show an alias: 4 mm of raster and 1 cm make 5 mm [m].
 _ALIAS_M = (0.01, 0.03)
 # Largest misfit of a pair, in the first round and in the last [m].
-_MOST_MISFIT_M, _GATE_M, _N_ROUNDS = 0.015, 0.003, 20
+_MAX_MISFIT_M, _GATE_M, _N_ROUNDS = 0.015, 0.003, 20
 # Expected errors: of the speed, of its change [1/m], of the yaw [rad/m], of the delay [m].
 SIGMAS = np.array([0.02, 0.01, 0.1, 0.002])
 # Least range error of a pair [m]; neighbouring pairs that share an error.
 _RANGE_SIGMA_M, _OVERLAP = 1e-4, 4.0
-_LEAST_PAIRS = 20
+_MIN_PAIRS = 20
 # Peaks whose phases are compared, and rounds of that.
 _N_PHASES, _N_PHASE_ROUNDS = 400, 3
 # Grid of speeds and yaws, less than a radian apart at the usual errors, and its rounds.
 _N_GRID, _N_GRID_ROUNDS = 121, 3
 # Largest error of the speed that profiles are searched for.
-_MOST_WRONG = 0.15
+_MAX_WRONG = 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +127,7 @@ def pairs_on_a_line(
 ) -> Iterator[tuple[BeltStation, BeltStation, tuple[Ints, Ints]]]:
     """Yield arrays that pass the same positions, and which channels of each do."""
     for one, other in combinations(record.arrays, 2):
-        if abs(one.station_m - other.station_m) < _LEAST_APART_M:
+        if abs(one.station_m - other.station_m) < _MIN_APART_M:
             continue
         rows = [array.phase_centers_m[:, 1:] for array in (one, other)]
         near = [
@@ -161,7 +161,7 @@ def find_motion(
     first = Motion(scale=_coarse_scale(lines[0]))
     seen = [_seen(waveform, line, first, region, num_threads) for line in lines]
     pairs = [_pairs(line, *peaks) for line, peaks in zip(lines, seen, strict=True)]
-    motion = _fitted(first, pairs, np.geomspace(_MOST_MISFIT_M, _GATE_M, _N_ROUNDS))
+    motion = _fitted(first, pairs, np.geomspace(_MAX_MISFIT_M, _GATE_M, _N_ROUNDS))
     if not motion.n_pairs:
         return motion
     size_m, wavelength_m = _SIZE * region.size_m[0], waveform.center_wavelength_m
@@ -222,7 +222,7 @@ def _coarse_scale(line: Line) -> float:
     (x1, one), (x2, other) = profiles
     step = float(np.median(np.abs(np.diff(x1))))
     apart = line.arrays[1].station_m - line.arrays[0].station_m
-    lags = np.arange(-_MOST_WRONG * abs(apart), _MOST_WRONG * abs(apart) + step, 0.5 * step)
+    lags = np.arange(-_MAX_WRONG * abs(apart), _MAX_WRONG * abs(apart) + step, 0.5 * step)
     x = np.arange(max(x1[0], x2[0] - lags[0]), min(x1[-1], x2[-1] - lags[-1]), step)
     first = _interpolated(x, x1, one)
     scores = np.array([np.vdot(first, _interpolated(x + lag, x2, other)) for lag in lags])
@@ -257,7 +257,7 @@ def _pairs(line: Line, one: PeakSet, other: PeakSet) -> tuple[Floats, Floats]:
     """Misfits R_2 - R_1 + (c_2 - c_1) . u of pairs, (n,) [m], and derivatives, (n, 4)."""
     i, j = _near(one.centers, other.centers, _NEAR_M)
     misfit, mean = _misfit(one, i, other, j)
-    keep = (np.abs(misfit) < _MOST_MISFIT_M) & (
+    keep = (np.abs(misfit) < _MAX_MISFIT_M) & (
         np.abs(one.directions[i] - other.directions[j]).max(axis=1) < _SAME_COSINE
     )
     i, j = i[keep], j[keep]
@@ -316,7 +316,7 @@ def _focused(
     near = KDTree(antennas).query_ball_point(centers, 0.5 * size_m)
     sums = np.zeros(len(centers), dtype=np.complex128)
     for number, own in enumerate(near):
-        if len(own) < _LEAST_PAIRS:
+        if len(own) < _MIN_PAIRS:
             continue
         apart = np.linalg.norm(antennas[own] - centers[number], axis=1) / size_m
         path = np.linalg.norm(pose.tx_positions[own] - points[number], axis=1)
@@ -346,9 +346,9 @@ def _misfit(one: PeakSet, i: Ints, other: PeakSet, j: Ints) -> tuple[Floats, Flo
     return other.ranges_m[j] - one.ranges_m[i] + np.einsum("ni,ni->n", apart, mean), mean
 
 
-def _near(one: Floats, other: Floats, most_m: float) -> tuple[Ints, Ints]:
+def _near(one: Floats, other: Floats, max_m: float) -> tuple[Ints, Ints]:
     """Pairs of positions at most so far apart [m]."""
-    found = KDTree(one).query_ball_tree(KDTree(other), most_m)
+    found = KDTree(one).query_ball_tree(KDTree(other), max_m)
     counts = [len(part) for part in found]
     first = np.repeat(np.arange(len(one)), counts)
     return first, np.array([k for part in found for k in part], dtype=np.int64)
@@ -396,7 +396,7 @@ def _fitted(first: Motion, rows: Sequence[tuple[Floats, Floats]], gates_m: Float
     for gate_m in gates_m:
         rest = misfit - design @ step
         kept = np.abs(rest) < gate_m
-        if int(kept.sum()) < _LEAST_PAIRS:
+        if int(kept.sum()) < _MIN_PAIRS:
             return Motion()
         scale = max(1.4826 * float(np.median(np.abs(rest[kept]))), _RANGE_SIGMA_M)
         weight = kept / (1.0 + (rest / (2.0 * scale)) ** 2) ** 2

@@ -29,7 +29,7 @@ _KNOT_M = 0.005
 _SIGMA_M = 3e-4
 # Strongest echoes that are used in each piece of travel, and its length [m].
 _N_STRONG, _PIECE_M = 8, 0.03
-_LEAST_ECHOES = 20
+_MIN_ECHOES = 20
 
 
 def steadied(
@@ -54,7 +54,7 @@ def steadied(
         n = max(4, round(float(np.ptp(pose.phase_centers[:, 0])) / _KNOT_M))
         config = AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M, n_at_once=n_at_once)
         drift = focus_antennas(one, echoes, config)
-        if len(echoes) >= _LEAST_ECHOES and drift.gain.is_sure:
+        if len(echoes) >= _MIN_ECHOES and drift.gain.is_sure:
             one = with_displacements(one, drift.coefficients_m, n_at_once)
         found[name] = one.poses[0]
     return found

@@ -33,7 +33,7 @@ _VERSION = 1
 _SPACING_M, _MARGIN_M = 0.002, 0.01  # of the heat maps, about the body
 _AWAY_M = 0.005  # a glint farther than this from the truth is a ghost
 _ON_SURFACE_M = 0.004  # a tenth of the width of a heat map's peak in range
-_LEAST_SHARE = 1e-9  # of the energy; equal maps differ by -90 dB
+_MIN_SHARE = 1e-9  # of the energy; equal maps differ by -90 dB
 _KINDS = ("full wave", "physical optics")
 _SCORES = (
     "body       preset  echo             F1 5 mm   3 mm   2 mm  in sight  glints, mm  ghosts, %"
@@ -151,7 +151,7 @@ def heat_difference(scene: Path, twin: Path, num_threads: int | None = None) -> 
         image_volume(load_capture(path), grid, num_threads=num_threads) for path in (scene, twin)
     )
     parts = np.square(full / np.linalg.norm(full) - own / np.linalg.norm(own)).ravel()
-    parts += _LEAST_SHARE / parts.size
+    parts += _MIN_SHARE / parts.size
     signed = signed_distances(truth, grid.points())
     x, y, z = grid.points()[np.argmax(parts)].tolist()
     return Heat(

@@ -35,7 +35,7 @@ RECORD_NAME = "population.json"
 """What was drawn for each seed, in the folder of the scenes."""
 RESERVED_SEED = 10_000
 """First seed that is kept for claims."""
-MOST_SEEDS = 100_000
+MAX_SEEDS = 100_000
 """Longest range of seeds."""
 # Rows that are prepared at a time: their scenes are drawn before the first of them runs.
 _CHUNK = 16
@@ -47,10 +47,10 @@ def parse_seeds(text: str) -> range:
     """Seeds of `A:B`, B excluded; UserError for anything else."""
     found = re.fullmatch(r"(\d{1,18}):(\d{1,18})", text)
     seeds = range(int(found[1]), int(found[2])) if found else range(0)
-    if not 0 < len(seeds) <= MOST_SEEDS:
+    if not 0 < len(seeds) <= MAX_SEEDS:
         raise UserError(
             what="--seeds is no range of seeds",
-            expected=f"A:B, 0 <= A < B, at most {MOST_SEEDS:,} seeds; B is not one of them",
+            expected=f"A:B, 0 <= A < B, at most {MAX_SEEDS:,} seeds; B is not one of them",
             got=text,
             hint="--seeds 1000:1040 for 1000 to 1039",
         )

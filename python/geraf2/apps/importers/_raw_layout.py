@@ -58,7 +58,7 @@ _REAL_ADVANTAGE = 0.1
 # That at which a configuration is not believed.
 _CONTRADICTING_ADVANTAGE = 0.2
 # Fewest words and samples from which a spectrum is estimated.
-_MIN_WORDS, _FEWEST_SAMPLES = 1024, 8
+_MIN_WORDS, _MIN_SAMPLES = 1024, 8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -310,11 +310,11 @@ def _require_possible(
         raise UserError(what="begins with nothing but zeros", where=where)
     if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
         raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
-    if n_samples is not None and n_samples < _FEWEST_SAMPLES:
+    if n_samples is not None and n_samples < _MIN_SAMPLES:
         raise UserError(
             what="too few samples per chirp",
             where=where,
-            expected=f"{_FEWEST_SAMPLES} or more",
+            expected=f"{_MIN_SAMPLES} or more",
             got=n_samples,
         )
     _require_pairs(layout, n_samples, where)

@@ -172,7 +172,7 @@ def _blocks(stream: ByteStream, firsts: range) -> Iterator[tuple[int, NDArray[np
 
 # Bytes of a header, and where its byte count begins.
 _HEADERS = ((10, 4), (14, 8), (14, 4))
-_MOST_HEADER_BYTES = 14
+_MAX_HEADER_BYTES = 14
 # 1456 is what the board sends; a jumbo frame is the largest that Ethernet carries.
 _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _PACKET_SCAN_BYTES = 1 << 24
@@ -314,7 +314,7 @@ def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
 
 def find_packets(plain: PlainStream) -> Packets | None:
     """Sizes of the packets, from the first two headers; None where the file has none."""
-    head = plain.read(0, 2 * (_MAX_PAYLOAD + _MOST_HEADER_BYTES))
+    head = plain.read(0, 2 * (_MAX_PAYLOAD + _MAX_HEADER_BYTES))
     for header, count_at in _HEADERS:
         payload = _payload_of(head, header, count_at)
         if payload is not None:

@@ -20,7 +20,7 @@ from geraf2.apps.importers._word_order import SIGN_BIT, WordOrder, channels, pre
 _N_WORDS = 1 << 18
 # Words of a segment. The one whose best spectra are most concentrated fits the chirps best.
 _SEGMENTS = (64, 128, 256, 512, 1024)
-_LEAST_PER_CHANNEL = 64
+_MIN_PER_CHANNEL = 64
 # Bins at zero and at half the sample rate, over which the Hann window spreads what is there.
 _GUARD_BINS = 2
 # This part of the spectrum beside zero, on either side, belongs to what the transmitter couples
@@ -48,7 +48,7 @@ _USED = 0.7
 _MEAN_REAL, _MEAN_COMPLEX = 0.310, 0.485
 # Mean logarithm of the ratio of residuals: below -1.2 on the recordings of real samples at hand,
 # and above -.13 on 130 recordings of complex ones and three of real boards.
-_LEAST_GAIN = -0.15
+_MIN_GAIN = -0.15
 
 
 def real_advantage(
@@ -97,7 +97,7 @@ def _levels(
     for order in orders:
         streams = channels(words, order)
         per_channel = length // len(streams)
-        if per_channel >= _LEAST_PER_CHANNEL and words.size >= length:
+        if per_channel >= _MIN_PER_CHANNEL and words.size >= length:
             found[order] = level(_power(streams, per_channel // (1 if order.is_real else 2)))
     return found
 
@@ -152,7 +152,7 @@ def predicted_as_real(words: NDArray[np.int16], order: WordOrder) -> bool:
         (_residuals(centred.reshape(-1, n).T, 1.0, _MEAN_REAL) for n in _N_ALTERNATING),
         key=lambda residuals: float(residuals.mean()),
     )
-    return float((as_real - as_complex).mean()) < _LEAST_GAIN
+    return float((as_real - as_complex).mean()) < _MIN_GAIN
 
 
 def _residuals(

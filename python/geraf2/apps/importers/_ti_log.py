@@ -60,7 +60,7 @@ _LENGTHS = {
     "BpmChirpConfig": (3, 8),
 }
 # Most arguments in a script: newer chips have more transmitters, and others follow.
-_MOST = {"ProfileConfig": 18, "ChirpConfig": 10}
+_MAX_VALUES = {"ProfileConfig": 18, "ChirpConfig": 10}
 # Number of arguments that name what a call configures: a profile, or a range of chirps.
 _N_KEYS = {"ProfileConfig": 1, "ChirpConfig": 2, "BpmChirpConfig": 2}
 
@@ -140,7 +140,7 @@ def _calls(text: str, path: Path) -> list[_Call]:
         where = f"{path}, line {script.count(chr(10), 0, start) + 1}"
         wanted = _LENGTHS[name][0 if raw else 1]
         words = [word.strip() for word in arguments.strip().rstrip(",").split(",")]
-        most = len(words) if raw else _MOST.get(name, len(words))
+        most = len(words) if raw else _MAX_VALUES.get(name, len(words))
         require_count(name, len(words), wanted, max(most, wanted), where)
         values = [to_number(word, name, where) for word in words[:wanted]]
         calls.append(_Call(name=name, where=where, raw=raw, values=values))

@@ -24,7 +24,7 @@ TYPED = (1e9, 1e-6, 1e12)
 
 
 # Least singular value over the largest: below it noise is amplified more than ten times.
-_LEAST_SINGULAR = 0.1
+_MIN_SINGULAR = 0.1
 
 Chirps = Sequence[tuple[int, int, int]]
 """First and last index of chirps, and the mask of their transmitters or of those turned."""
@@ -66,7 +66,7 @@ class Transmitters:
         if code.ndim != 2 or code.shape[0] != code.shape[1]:
             return None
         singular = np.linalg.svd(code, compute_uv=False)
-        if singular[-1] < _LEAST_SINGULAR * singular[0]:
+        if singular[-1] < _MIN_SINGULAR * singular[0]:
             return None
         return np.asarray(np.linalg.inv(code), dtype=np.float64)
 

@@ -24,7 +24,7 @@ _MAX_STEP_M = 1.0
 _MAX_GAP_STEPS, _MAX_GAP_M = 20.0, 0.01
 # Frames that last less than this share of the log are named; they are refused where at most two
 # rows lie between many of them, as with time stamps in milliseconds.
-_LITTLE, _FEWEST_ROWS, _MIN_FRAMES = 0.1, 2, 8
+_LITTLE, _MIN_ROWS, _MIN_FRAMES = 0.1, 2, 8
 # Speed of a turn, over twice this time; planes differ by more than 2 degrees.
 _TURN_RAD_PER_S, _TURN_S, _TURN_RAD = 0.05, 0.1, 0.035
 _TIME_UNITS = {
@@ -288,12 +288,12 @@ def _require_rows_between(frames: _Frames, covered: Range) -> list[str]:
     if not log_s > 0 or span_s > _LITTLE * log_s or covered[1] - covered[0] < _MIN_FRAMES:
         return []
     text = f"the frames last {span_s:.4g} s, {100 * span_s / log_s:.2g} % of the {log_s:.4g} s"
-    if inside > _FEWEST_ROWS or len(rows_s) < _MIN_FRAMES:
+    if inside > _MIN_ROWS or len(rows_s) < _MIN_FRAMES:
         return [f"{text} of {frames.log.path.name}"]
     step = float(np.median(np.diff(rows_s))) / frames.period_s
     unit = min(_TIME_UNITS, key=lambda name: abs(np.log(step * _TIME_UNITS[name][1])))
     raise UserError(
-        what=f"{text} of the log, and fewer than {_FEWEST_ROWS + 1} rows lie between them",
+        what=f"{text} of the log, and fewer than {_MIN_ROWS + 1} rows lie between them",
         where=frames.log.path,
         expected="time stamps in seconds",
         hint=f"are they {_TIME_UNITS[unit][0]}? name the column time_{unit}; or correct "

@@ -28,7 +28,7 @@ _SPARE_M = 0.005
 """Margin around the bounding sphere of a model within which evidence may belong to it [m]."""
 _EXPLAINED = 1.5
 """Standard uncertainties within which a placed model explains what was measured."""
-_LEAST_POINTS = 50
+_MIN_POINTS = 50
 """Least number of oriented points of a part."""
 _N_ROUNDS = 2
 """Rounds of selecting the evidence around a model and registering it."""
@@ -115,7 +115,7 @@ class _Search:
     def middles(self, residual: Floats, n: int) -> Floats:
         """Centres of n clusters of the unexplained points, (n, 3) [m]."""
         rest = self.compared[0].measured.points[residual > _EXPLAINED**2]
-        if len(rest) < _LEAST_POINTS:
+        if len(rest) < _MIN_POINTS:
             return np.zeros((0, 3))
         return np.asarray(kmeans2(rest, n, minit="++", seed=self.seed)[0])
 
@@ -261,4 +261,4 @@ def _around(
     for other in others:
         near &= other.solid.signed_distance(evidence.points) > _SPARE_M
     at = np.flatnonzero(near)
-    return evidence.select(at) if len(at) >= _LEAST_POINTS else None
+    return evidence.select(at) if len(at) >= _MIN_POINTS else None

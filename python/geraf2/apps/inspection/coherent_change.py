@@ -18,7 +18,7 @@ from geraf2.records import Waveform
 from geraf2.scene import Capture
 from geraf2.surfaces.workers import Workers
 
-_BLOCK_M, _FEWEST_BLOCKS = 0.02, 2
+_BLOCK_M, _MIN_BLOCKS = 0.02, 2
 """Distance of the blocks of antennas, half their side [m], and their least number along a side."""
 _CELL_M = 0.002
 """Side of the cells of which one peak is a position: half the resolution of a plane [m]."""
@@ -28,10 +28,10 @@ _WALL_COSINE = float(np.cos(np.deg2rad(9.0)))
 """Cosine to a wall's normal above which the wall's echo lies in a block's beam."""
 _N_FIT = 400
 """Most positions from which phases are fitted."""
-_MOST_TURN, _N_TURNS_TRIED, _N_FINER, _N_SEARCHES = 0.04, 27, 9, 3
+_MAX_TURN, _N_TURNS_TRIED, _N_FINER, _N_SEARCHES = 0.04, 27, 9, 3
 """Largest turn between the scans that is sought [rad]; steps of the search, of its finer ones, and
 number of searches."""
-_N_ROUNDS, _N_WEIGHTS, _TURN_RAD, _MOST_ERROR_RAD = 2, 5, 0.003, 0.009
+_N_ROUNDS, _N_WEIGHTS, _TURN_RAD, _MAX_ERROR_RAD = 2, 5, 0.003, 0.009
 """Rounds of the registration, steps of its weights, error of a plane's turn, and the median error
 beyond which phases do not hold [rad]."""
 _SHARE, _WALL_SHARE, _FLOOR = 0.015, 0.52, 0.013
@@ -41,7 +41,7 @@ likeliest for the unchanged pairs of boxes 10000 to 10007 (`bench/python/compare
 _SCALE, _TAIL = 0.79, 4.5
 """Of the change T of unchanged echoes: T / _SCALE is F(2, 2 _TAIL). Likeliest for the unchanged
 pairs of boxes 10000 to 10019."""
-_SEEN, _MOST_CHANGE = 0.5, 1e3
+_SEEN, _MAX_CHANGE = 0.5, 1e3
 """Share of planes that show a change, and its largest T / _SCALE: its logarithm is uniform."""
 
 
@@ -143,7 +143,7 @@ def turned(
             if view is None:
                 return np.zeros((0, 5))
             one, other = view.here.image(at.points), view.there.image(at.moved)
-            found = fitted_phases(one, other, at.points @ view.axes[1:].T, _MOST_TURN * number)
+            found = fitted_phases(one, other, at.points @ view.axes[1:].T, _MAX_TURN * number)
             # A turn w moves a position r by w x r, its path to the antennas by n . (w x r).
             design = np.cross(view.axes[1:], view.axes[0])
             return np.column_stack([design, found[0] / number, np.full(2, found[2] ** 2)])
@@ -152,7 +152,7 @@ def turned(
         if not len(rows):
             break
         turn, error = _turn(rows[:, :3], rows[:, 3], rows[:, 4])
-        if error > _MOST_ERROR_RAD:
+        if error > _MAX_ERROR_RAD:
             break
         rotation = Rotation.from_rotvec(turn).as_matrix()
         pose = pose @ rigid(rotation, middle - rotation @ middle)
@@ -170,7 +170,7 @@ def changed_echoes(
     log_ratios, gains = np.zeros(len(points)), np.zeros(len(points))
     at, few = _Placed(pose, middle, points), _few(len(points))
     walls = np.zeros((0, 3)) if here.box is None else here.box[0]
-    most = _MOST_TURN * _two_way(here)
+    most = _MAX_TURN * _two_way(here)
 
     def changes(planes: tuple[int, int]) -> tuple[Floats, Floats]:
         view = _view(here, there, planes, at)
@@ -245,7 +245,7 @@ def log_ratio(change: Floats) -> Floats:
     usual = _TAIL * (2.0 ** (1.0 / _TAIL) - 1.0)
     t = change / max(_SCALE, float(np.median(change)) / usual)
     same = (1.0 + t / _TAIL) ** -(_TAIL + 1.0)
-    shown = np.where(t < 1.0, 0.0, 1.0 / (np.clip(t, 1.0, _MOST_CHANGE) * np.log(_MOST_CHANGE)))
+    shown = np.where(t < 1.0, 0.0, 1.0 / (np.clip(t, 1.0, _MAX_CHANGE) * np.log(_MAX_CHANGE)))
     return np.asarray(np.log(1.0 - _SEEN + _SEEN * shown / same))
 
 
@@ -293,7 +293,7 @@ def _view(here: Signals, there: Signals, planes: tuple[int, int], at: _Placed) -
     low = np.max([own.min(axis=0) for own in seen], axis=0)
     high = np.min([own.max(axis=0) for own in seen], axis=0)
     n = np.rint((high - low) / _BLOCK_M).astype(np.int64)
-    if n.min() <= _FEWEST_BLOCKS:
+    if n.min() <= _MIN_BLOCKS:
         return None
     step = (high - low) / n
     lines = [low[i] + step[i] * np.arange(1, n[i]) for i in (0, 1)]

@@ -36,7 +36,7 @@ from geraf2.surfaces.workers import Workers
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
 """Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""
-_LEAST_SHARE = 0.1
+_MIN_SHARE = 0.1
 """Least share of the glints that the planes of a reference must face."""
 _IN_BOX = Play(turn_rad=float(np.deg2rad(0.3)), shift_m=0.0005)
 """Play of content in a box whose walls both scans show: errors of the walls."""
@@ -94,11 +94,11 @@ def compare(
             received = signals, _signals(other, listener)
             start, play, spots = _in_phase(scanned, there, received, (start, play), num_threads)
             found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
-        if found[-1][2] < _LEAST_SHARE:
+        if found[-1][2] < _MIN_SHARE:
             raise UserError(
                 what="the scans show different sides of the content",
                 where=other.path,
-                expected=f"at least {100 * _LEAST_SHARE:.0f} % of the glints in view of both",
+                expected=f"at least {100 * _MIN_SHARE:.0f} % of the glints in view of both",
                 got=f"{100 * found[-1][2]:.0f} %",
                 hint="put the box down as in the reference, and scan it with the same planes",
             )

@@ -29,9 +29,9 @@ from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 
 _N_STEPS, _STEP = 6, 1e-4
 """Steps of the registration; it ends at a step of this size [m], [rad]."""
-_LEAST_SHARE = 0.7
+_MIN_SHARE = 0.7
 """Least share of glints without a counterpart in a group that shows a change."""
-_FEWEST_GLINTS = 3
+_MIN_GLINTS = 3
 """Fewest glints of such a group."""
 _GROUP_M = 0.010
 """Radius of a group of glints of one plane [m]."""
@@ -295,7 +295,7 @@ def _missed_group(positions: Floats, own: Bools, missed: Bools) -> Ints:
     best = np.zeros(0, dtype=np.int64)
     for near in KDTree(positions[at]).query_ball_point(positions[at], _GROUP_M):
         gone = at[near][missed[at[near]]]
-        if len(gone) >= max(_FEWEST_GLINTS, _LEAST_SHARE * len(near), len(best) + 1):
+        if len(gone) >= max(_MIN_GLINTS, _MIN_SHARE * len(near), len(best) + 1):
             best = gone
     return best
 

@@ -35,7 +35,7 @@ _FLAT_HEIGHT_M = 0.001
 _N_FLAT_POINTS = 1000
 _HALF_APERTURE_M = 0.04
 """Half of a sub-aperture [m]."""
-_LEAST_SIGMA_M = 0.003
+_MIN_SIGMA_M = 0.003
 """Least uncertainty of a point of a model without a measured surface near it [m]."""
 
 
@@ -122,7 +122,7 @@ def deviation_of(
         regions += _regions(what, body.mesh, (excess & side)[faces].all(axis=1), *of_faces)
     near, gap, at_sigma = _nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
-    least = np.maximum(at_sigma, _LEAST_SIGMA_M)
+    least = np.maximum(at_sigma, _MIN_SIGMA_M)
     if echoes is not None:
         regions += _silent(echoes, placement, (centers, gap, least), tolerance_m)
     elif planes is not None and planes.wavelength_m is not None and len(planes.corners_m):
@@ -167,7 +167,7 @@ def in_sight(
     lobes = wavelength_m / (2.0 * _flat_sides(pieces, points, normals))
     reach = [np.abs(one.mirror(points, normals).distances_m) for one in apertures]
     spare = np.maximum(_HALF_APERTURE_M - np.stack(reach, axis=1) * lobes[:, None], 0.0)
-    margins = specular_visibility(points, normals, apertures, scene, least_m=spare)
+    margins = specular_visibility(points, normals, apertures, scene, min_m=spare)
     return np.asarray((margins > -np.inf).any(axis=1))
 
 

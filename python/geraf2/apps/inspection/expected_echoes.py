@@ -27,9 +27,9 @@ from geraf2.surfaces.facets import Facets
 from geraf2.surfaces.surface_fit import renderer_in_box
 from geraf2.surfaces.workers import Workers
 
-LEAST_EXPLAINED = 0.5
+MIN_EXPLAINED = 0.5
 """Least share of the measured power that models at correct poses explain."""
-_MOST_PLANES = 72
+_MAX_PLANES = 72
 """Largest number of planes used, evenly chosen; more do not improve a pose."""
 _PIECE_M = 0.0016
 """Side of the pieces of a model [m]: below half a wavelength, without grating lobes."""
@@ -43,7 +43,7 @@ for each plane."""
 _TURN_RAD = 0.05
 """Step of the rotations tried before, with such phases [rad]: the lobe of a flat of 4 cm."""
 _DAMPING = 1e-3
-_LEAST_IMAGE = 1e-3
+_MIN_IMAGE = 1e-3
 """Part of the largest heat map below which those of other models have no gain of their own."""
 _FLOOR_M = 5e-5
 """Error common to all planes, of the rim and of the centre [m]: shadows and lobes are those of the
@@ -149,7 +149,7 @@ class ExpectedEchoes:
         self, capture: Capture, prior: LosPrior, *, seed: int = 0, num_threads: int | None = None
     ) -> None:
         self._waveform, self._prior, self._threads = capture.waveform, prior, num_threads
-        every = -(-len(capture.poses) // _MOST_PLANES)
+        every = -(-len(capture.poses) // _MAX_PLANES)
         some = replace(capture, poses=capture.poses[::every])
         with Workers(num_threads) as workers:
             rng = np.random.default_rng(seed)
@@ -397,7 +397,7 @@ def normal_equations(views: list[WindowView], images: list[Array], by: str) -> N
         measured = np.concatenate([views[m].window.measured for m in members])
         image = np.concatenate([images[m] for m in members])
         seen = image[:, :, 0] if by == "window" else image[:, :, 0].sum(axis=1, keepdims=True)
-        inverse = np.linalg.pinv(seen, rcond=_LEAST_IMAGE)
+        inverse = np.linalg.pinv(seen, rcond=_MIN_IMAGE)
         gain = inverse @ measured
         rest = measured - seen @ gain
         gains[plane] = complex(gain[0])

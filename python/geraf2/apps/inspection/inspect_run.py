@@ -57,13 +57,13 @@ _CUT = "parts are connected in the surface, which was cut {}"
 class InspectOptions(Bounded):
     """Options of an inspection; ValueError for numbers out of their range.
 
-    >>> geraf2.InspectOptions(tolerance_mm=1.5).least_seen  # 0 to 1
+    >>> geraf2.InspectOptions(tolerance_mm=1.5).min_seen  # 0 to 1
     0.2
     """
 
     tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 2.0
     """Largest deviation from a model that passes, beyond the measurement's uncertainty [mm]."""
-    least_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
+    min_seen: Annotated[float, Interval(ge=0.0, le=1.0)] = 0.2
     """Share of a model that must have been seen for it to pass, 0 to 1."""
     unit: Literal["mm", "cm", "m", "in"] | None = None
     """Unit of the CAD files; inferred from the size of the content when not given."""
@@ -228,7 +228,7 @@ def _failures(
 ) -> tuple[list[str], list[str]]:
     """Reasons of a failure, and what a list of contents leaves unknown, a sentence each."""
     count = expect if isinstance(expect, int) else None
-    failures = failures_of(parts, reports, expect=count, least_seen=options.least_seen)
+    failures = failures_of(parts, reports, expect=count, min_seen=options.min_seen)
     gone = [report for report in reports if report.match.status == "missing"]
     missing = [Missing(r.model.name, float(np.linalg.norm(r.model.lengths_m))) for r in gone]
     if contents is None:

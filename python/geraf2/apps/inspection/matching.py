@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 from geraf2._types import Floats, Progress
 from geraf2.apps.inspection.bodies import Body, Content
 from geraf2.apps.inspection.deviation import pose_sigma
-from geraf2.apps.inspection.expected_echoes import LEAST_EXPLAINED, ExpectedEchoes, Patches
+from geraf2.apps.inspection.expected_echoes import MIN_EXPLAINED, ExpectedEchoes, Patches
 from geraf2.apps.inspection.models import CadModel, diagonal_m
 from geraf2.apps.inspection.registration import (
     Placement,
@@ -162,7 +162,7 @@ def by_echoes(
     if not found:
         return list(matches), {}
     echoes = expected.match(meshes, starts)
-    if echoes[0].explained < LEAST_EXPLAINED:
+    if echoes[0].explained < MIN_EXPLAINED:
         return list(matches), {}
     moved, patches = list(matches), dict[int, Patches]()
     for n, echo in zip(found, echoes, strict=True):

@@ -52,7 +52,7 @@ _LIKELY = 0.15
 """Least probability of a return that may have passed through a part."""
 _CERTAIN = 0.95
 """Least probability of a material that is named."""
-_FEWEST = 20
+_MIN_GLINTS = 20
 """Fewest returns from which a level is taken."""
 _LARGEST_SIGMA_DB = 4.0
 """Levels with a larger uncertainty of the scale are of no use [dB]."""
@@ -67,7 +67,7 @@ _ALONG_M, _OWN_M = np.linspace(0.0, 0.08, 17), 0.02
 [m]."""
 _MAP_REACH_M = 0.008
 """Distance to which a return shows the reflectivity of the surface [m]."""
-_MOST_CONCAVE_PER_M = -5.0
+_MAX_CONCAVE_PER_M = -5.0
 """Concave surface focuses, and its returns merge: they are left out [1/m]."""
 
 
@@ -168,7 +168,7 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     bend = shape_operators(mesh.vertices, normals, vertex, _CURVATURE_REACH_M)
     good = np.isfinite(bend).all(axis=(1, 2)) & squarely(windows, kept.normals)
     bend[~good] = 0.0
-    good &= np.linalg.eigvalsh(bend)[:, 0] > _MOST_CONCAVE_PER_M
+    good &= np.linalg.eigvalsh(bend)[:, 0] > _MAX_CONCAVE_PER_M
     metal = spreading(ranges, bend) * window_gain(
         windows, ranges, bend, 2.0 * np.pi / planes.wavelength_m
     )
@@ -229,7 +229,7 @@ def passed_shares(trees: Sequence[KDTree], returns: Returns | None) -> Floats:
     gaps = np.stack([tree.query(line)[0].min(axis=1) for tree in trees])
     for n in range(len(trees)):
         own = (gaps.argmin(axis=0) == n) & (gaps[n] < _OWN_M)
-        if own.sum() >= _FEWEST:
+        if own.sum() >= _MIN_GLINTS:
             shares[n] = probability[own & passed].sum() / probability[own].sum()
     return shares
 
@@ -283,7 +283,7 @@ def with_reflectivity(mesh: TriangleMesh, levels: Levels | None) -> TriangleMesh
 def _level(levels_db: Floats, scale_sigma_db: float) -> Measured | None:
     """Level of the strong returns of a part; None of too few returns, or without a scale of use."""
     known = levels_db[np.isfinite(levels_db)]
-    if len(known) < _FEWEST or not scale_sigma_db <= _LARGEST_SIGMA_DB:
+    if len(known) < _MIN_GLINTS or not scale_sigma_db <= _LARGEST_SIGMA_DB:
         return None
     spread = 1.4826 * float(np.median(np.abs(known - np.median(known))))
     # A quantile of 90 % of n normal values has the error 1.71 spread / sqrt(n). Returns of

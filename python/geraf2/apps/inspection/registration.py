@@ -14,7 +14,7 @@ from geraf2.geometry.transforms import apply_rigid, rigid, triple
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.mesh import TriangleMesh
 
-LEAST_ECHOES = 200
+MIN_ECHOES = 200
 """Least number of glints that refine a pose without the surface between them."""
 N_STARTS = 480
 """Initial rotations: every rotation is within about 25 degrees of one of them."""
@@ -36,7 +36,7 @@ _ECHO_SCATTER_M = 0.001
 _TABLE_CELLS = 40
 FAR = 3.0
 """Largest normalised distance, in standard uncertainties, when poses are compared."""
-_LEAST_SIGMA_M = 0.002
+_MIN_SIGMA_M = 0.002
 """Least uncertainty of a distance when poses are compared [m]: some glints are false."""
 _SLIPPERY = 0.01
 """Least information of a model's surface on a motion relative to the others; below it the motion is
@@ -152,7 +152,7 @@ def register(
 
     evidence: of the measured surface. model: closed, in its own frame [m].
     surface: compared with the starts, since glints may be false; evidence when None.
-    echoes: glints alone. LEAST_ECHOES or more determine the last steps: the fitted surface is
+    echoes: glints alone. MIN_ECHOES or more determine the last steps: the fitted surface is
     smooth, and filled where unseen, which biases a pose.
     start: initial pose, (4, 4); many rotations about the centre when None.
     seed: of the points that are drawn.
@@ -163,7 +163,7 @@ def register(
     """
     rng = np.random.default_rng(seed)
     cad = _cad_evidence(model, rng)
-    by_echoes = echoes is not None and len(echoes.points) >= LEAST_ECHOES
+    by_echoes = echoes is not None and len(echoes.points) >= MIN_ECHOES
     used = echoes if echoes is not None and by_echoes else evidence
     fine = _Problem(used, cad, (_tree(used.points), _tree(cad.points)), _N_FINE, rng)
     if start is None:
@@ -298,7 +298,7 @@ class _Problem:
         share = np.concatenate([some.share, few.share])
         normals = np.concatenate([n_model, n_measured], axis=1)
         apart = np.concatenate([off, gap], axis=1)
-        pulls = np.linalg.norm(apart, axis=2) / np.hypot(sigma, _LEAST_SIGMA_M)
+        pulls = np.linalg.norm(apart, axis=2) / np.hypot(sigma, _MIN_SIGMA_M)
         halves = [0.5 * one.share / one.share.sum() for one in (some, few)]
         return _Terms(
             positions=np.concatenate([np.broadcast_to(some.points, off.shape), moved], axis=1),

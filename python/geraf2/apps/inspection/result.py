@@ -224,7 +224,7 @@ def failures_of(
     models: Sequence[ModelReport],
     *,
     expect: int | None,
-    least_seen: float,
+    min_seen: float,
 ) -> list[str]:
     """Reasons why an inspection fails, a sentence each; not those of missing models."""
     found: list[str] = []
@@ -243,10 +243,10 @@ def failures_of(
             continue
         if report.deviation.regions:
             found.append(f"{name} is out of tolerance: {listed(report.deviation.regions)}")
-        if report.deviation.seen_fraction < least_seen:
+        if report.deviation.seen_fraction < min_seen:
             found.append(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
-                f"{100 * least_seen:.0f} % are required"
+                f"{100 * min_seen:.0f} % are required"
             )
     return found
 

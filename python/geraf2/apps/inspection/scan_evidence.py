@@ -28,7 +28,7 @@ drift and merged echoes. Of 162 cells of pairs in which no part moved
 (`bench/python/compare_pairs.py`, seeds 0 to 3)."""
 _BOTH = 2.0
 """Factor of this variance: both directions of the comparison measure the same distance."""
-_MOST_M = 0.006
+_MAX_M = 0.006
 """Distances beyond are of other surface [m]."""
 _NEAR_M, _COSINE = 0.010, 0.94
 """Largest lateral distance of counterparts [m], and least cosine of their normals."""
@@ -43,7 +43,7 @@ _TAIL, _N_WEIGHTS = 4.0, 5
 """Degrees of freedom of the errors, and steps of their weights."""
 _SHIFT_M = 0.003
 """Standard deviation of the shift of a part that moved [m]."""
-_FEWEST = 3
+_MIN_GLINTS = 3
 """Fewest glints of a cell."""
 
 
@@ -103,7 +103,7 @@ def cells_of(one: Evidence, other: Evidence, pose: Floats, parts: Sequence[Body]
     off = np.einsum("ij,ij->i", chord, middle)
     lateral = np.linalg.norm(chord - off[:, None] * middle, axis=1)
     alike = np.einsum("ij,ij->i", n, others.normals[nearest]) > _COSINE
-    good = np.flatnonzero(alike & (np.abs(off) < _MOST_M) & (lateral < _NEAR_M))
+    good = np.flatnonzero(alike & (np.abs(off) < _MAX_M) & (lateral < _NEAR_M))
     owner = owners_of(x[good], parts)
     cell, label = np.unique(
         np.stack([owner, glints.poses[good]], axis=1), axis=0, return_inverse=True
@@ -116,7 +116,7 @@ def cells_of(one: Evidence, other: Evidence, pose: Floats, parts: Sequence[Body]
         np.add.at(sums, label, values)
         return sums / count.reshape(-1, *[1] * (values.ndim - 1))
 
-    kept = count >= _FEWEST
+    kept = count >= _MIN_GLINTS
     return Cells(
         parts=cell[kept, 0],
         distances_m=mean(off[good])[kept],
@@ -209,7 +209,7 @@ def without_counterpart(one: Evidence, other: Evidence, pose: Floats) -> tuple[B
     pose: moves the first into the frame of the other, (4, 4). Returns (n_glints,) each.
     """
     x, n = apply_rigid(pose, one.glints.positions), one.glints.normals @ pose[:3, :3].T
-    margins = specular_visibility(x, n, other.apertures, least_m=_EDGE_M)
+    margins = specular_visibility(x, n, other.apertures, min_m=_EDGE_M)
     visible = np.asarray((margins > -np.inf).any(axis=1))
     seen = _has_counterpart(x, n, other.peaks, _RANGE_M)
     return visible, visible & ~seen

@@ -43,11 +43,11 @@ _ROUNDS = 3
 _SPREAD_M = 0.005
 """Standard deviation of a vote [m]: normals err by .25 rad in two directions, 4 mm at this depth,
 and positions along the surface by as much as an echo of half a sub-aperture's resolution."""
-_STEP_M, _MOST_STEPS = 0.0025, 120
+_STEP_M, _MAX_STEPS = 0.0025, 120
 """Spacing of the votes [m], and most of them along a side."""
-_FEWEST = 0.5
+_MIN_VOTES = 0.5
 """Fewest planes of which echoes meet in a basin."""
-_LEAST_SHARE = 0.3
+_MIN_SHARE = 0.3
 """Least share of the planes that see a body: most of 61 scans with one to four bodies counted right
 (research/2026-11-core.md). .20 to .93 see 52 bodies of them, .19 and less elsewhere."""
 _ONE = 0.8
@@ -61,7 +61,7 @@ _LIFT_M = 0.003
 _SEEN, _BRIDGE_SEEN = 0.9, 0.1
 """Shares of surface faced by planes from which echoes came: .64 to 1 in 18 sections of bodies (four
 captures of independent simulators), 0 to .45 in 5 bridges (seeds 10000 to 10002)."""
-_LEAST_PROBABILITY = 0.1
+_MIN_PROBABILITY = 0.1
 """Least probability of an echo of a surface: noise has less."""
 _ONCE = 0.95
 """Probability that a body is counted once, if all basins and cuts are right: without it 15.5 of 18
@@ -154,7 +154,7 @@ def labelled_peaks(result: Reconstruction) -> Cloud | None:
 
 def _likely(echoes: Echoes) -> Bools:
     """Echoes that are more than noise, (n,)."""
-    least = min(_LEAST_PROBABILITY, echoes.probability.max(initial=0.0))
+    least = min(_MIN_PROBABILITY, echoes.probability.max(initial=0.0))
     return np.asarray(echoes.probability >= least)
 
 
@@ -292,8 +292,10 @@ def _regions(echoes: Echoes, apertures: Sequence[Aperture]) -> _Regions | None:
     if not len(echoes.probability) or not apertures:
         return None
     grid, planes, variance, cells, shares = _votes(echoes, apertures)
-    peaks = (maximum_filter(planes, size=3) == planes) & (planes > _FEWEST)
-    labels = watershed(-planes, numbered(peaks, np.ones((3, 3, 3)))[0], mask=planes > _FEWEST) - 1
+    peaks = (maximum_filter(planes, size=3) == planes) & (planes > _MIN_VOTES)
+    labels = (
+        watershed(-planes, numbered(peaks, np.ones((3, 3, 3)))[0], mask=planes > _MIN_VOTES) - 1
+    )
     order = np.argsort(planes, axis=None)
     order = order[labels.flat[order] >= 0]
     if not len(order):
@@ -306,7 +308,7 @@ def _regions(echoes: Echoes, apertures: Sequence[Aperture]) -> _Regions | None:
     points, at, top = grid.points(), np.flatnonzero(labels >= 0), top[kept]
     label = np.where(labels >= 0, basin[labels], -1).flat[cells]
     of_echo = [(shares * (label == k)).sum(axis=1) for k in range(len(kept))]
-    over = planes.flat[top] - _LEAST_SHARE * len(apertures)
+    over = planes.flat[top] - _MIN_SHARE * len(apertures)
     return _Regions(
         points=points[at],
         labels=basin[labels.flat[at]],
@@ -324,7 +326,7 @@ def _votes(echoes: Echoes, apertures: Sequence[Aperture]) -> _Votes:
     """
     inner = echoes.positions[:, None] - _DEPTHS_M[:, None] * echoes.normals[:, None]
     low, high = inner.min(axis=(0, 1)) - 2 * _SPREAD_M, inner.max(axis=(0, 1)) + 2 * _SPREAD_M
-    step = max(_STEP_M, float((high - low).max()) / _MOST_STEPS)
+    step = max(_STEP_M, float((high - low).max()) / _MAX_STEPS)
     nx, ny, nz = (int(n) + 2 for n in (high - low) / step)
     grid = Grid.centered(0.5 * (low + high), step, (nx, ny, nz))
     cells = np.rint((inner - grid.points()[0]) / step).astype(np.int64)

@@ -25,11 +25,11 @@ from geraf2.scene import Grid
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 from geraf2.surfaces.isosurface import extract_surface
 
-_LEAST_COSINE = 0.35
+_MIN_COSINE = 0.35
 """Least cosine of the angle between normal and camera of a compared photo, 70 degrees."""
-_MOST_VIEWS = 8
+_MAX_VIEWS = 8
 """Photos compared at a vertex, those that see it most frontally."""
-_LEAST_VIEWS = 3
+_MIN_VIEWS = 3
 """Least photos of a comparison: three give three pairs; with two, any stripe matches somewhere."""
 _PATCH_NODES = 9
 """Samples along a side of the square that is compared."""
@@ -39,7 +39,7 @@ _LOST_OVERLAP = 0.08
 """Largest loss of overlap with the silhouettes; more means that a thin part was pierced."""
 _OVERLAP_PX = 160
 """Width of the pictures in which the overlap is counted."""
-_LEAST_SHARE = 0.6
+_MIN_SHARE = 0.6
 """Share of a square that must lie within picture and silhouette."""
 _NOISE = 0.006
 """Brightness of noise in each sample, 1 is white: a square with less texture agrees with none."""
@@ -228,13 +228,13 @@ def _choose_views(
         towards = view.camera.position - mesh.vertices
         towards /= np.linalg.norm(towards, axis=1, keepdims=True)
         cosine = (normals * towards).sum(axis=1)
-        ask = np.nonzero(cosine > _LEAST_COSINE)[0]
+        ask = np.nonzero(cosine > _MIN_COSINE)[0]
         ends = np.broadcast_to(view.camera.position, (ask.size, 3))
         row[ask] = cosine[ask] * ~scene.occluded(starts[ask], ends)
-    n_kept = min(_MOST_VIEWS, len(views))
+    n_kept = min(_MAX_VIEWS, len(views))
     least = np.partition(cosines, -n_kept, axis=0)[-n_kept]
     chosen = (cosines > 0.0) & (cosines >= least)
-    return np.asarray(chosen & (chosen.sum(axis=0) >= _LEAST_VIEWS))
+    return np.asarray(chosen & (chosen.sum(axis=0) >= _MIN_VIEWS))
 
 
 @torch.no_grad()
@@ -283,7 +283,7 @@ def _sampled(image: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
     bright = found[0] * known
     centred = (bright - bright.sum(dim=2, keepdim=True) / count.clamp(min=1.0)) * known
     length = ((centred * centred).sum(dim=2, keepdim=True) + count * _NOISE**2).sqrt()
-    return centred / length.clamp(min=1e-9) * (count >= _LEAST_SHARE * m)
+    return centred / length.clamp(min=1e-9) * (count >= _MIN_SHARE * m)
 
 
 def _laplacian(mesh: TriangleMesh) -> csr_matrix:

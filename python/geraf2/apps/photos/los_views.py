@@ -18,11 +18,11 @@ _VIEW_HEIGHT = 300
 _N_VIEWS = 3
 # Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out (docs/
 # photos-method.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
-_GOOD_OVERLAP, _LEAST_OVERLAP = 0.95, 0.8
+_GOOD_OVERLAP, _MIN_OVERLAP = 0.95, 0.8
 # Without masks: PSNR over that of a single colour, on photos left out. Right poses reach 1.3 dB
 # after 300 steps with 13 photos, shuffled ones -1.2 dB; the temple without masks, of which half the
 # size is found, 1.2 dB (with them 5.4 dB, preset quick).
-_GOOD_GAIN_DB, _LEAST_GAIN_DB = 3.0, 0.0
+_GOOD_GAIN_DB, _MIN_GAIN_DB = 3.0, 0.0
 
 
 def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
@@ -82,7 +82,7 @@ def _decibel(error: float) -> float:
 def is_refuted(numbers: Mapping[str, Any]) -> bool:
     """Whether a surface is clearly not that of its photos."""
     overlap, gain = _evidence(numbers)
-    return gain < _LEAST_GAIN_DB if overlap is None else overlap < _LEAST_OVERLAP
+    return gain < _MIN_GAIN_DB if overlap is None else overlap < _MIN_OVERLAP
 
 
 def refuted(numbers: Mapping[str, Any], source: object, pictures: object) -> UserError:
@@ -102,7 +102,7 @@ def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Liste
     if overlap is None:
         is_weak = gain < _GOOD_GAIN_DB
     else:  # silhouettes do not show hollows
-        is_weak = overlap < _GOOD_OVERLAP or gain < _LEAST_GAIN_DB
+        is_weak = overlap < _GOOD_OVERLAP or gain < _MIN_GAIN_DB
     if is_weak:
         listener.warning(f"{source}: the surface explains the photos badly: {_words(numbers)}")
 

@@ -196,7 +196,7 @@ def _mask_file(folder: Path, record: PhotoRecord) -> Path:
 
 _UPRIGHT, _ON_ITS_SIDE = (1, 2), (5, 6, 7, 8)
 # Least part of a camera's up direction that points along that of the others, or against it.
-_LEAST = 0.5
+_MIN_COMMON = 0.5
 
 
 def exif_turns(records: Sequence[PhotoRecord]) -> tuple[list[bool | None], list[str]]:
@@ -241,9 +241,9 @@ def _up(record: PhotoRecord) -> Floats:
 
 def _stands_upright(record: PhotoRecord, common: Floats | None) -> bool:
     """Whether the picture's up direction is that of the upright pictures, as far as it shows."""
-    if common is None or not np.linalg.norm(common) > _LEAST:
+    if common is None or not np.linalg.norm(common) > _MIN_COMMON:
         return False
     looking = np.asarray(record.camera_to_world[:3, 2], dtype=np.float64)
     expected = common - (common @ looking) * looking
     length = float(np.linalg.norm(expected))
-    return length > 0.0 and float(_up(record) @ expected) > _LEAST * length
+    return length > 0.0 and float(_up(record) @ expected) > _MIN_COMMON * length

@@ -20,7 +20,7 @@ MAX_RAYS = 24_000_000
 """Limit of rays: 21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
 _RIM = 1 / 25
 """Background kept around a silhouette, over the image's larger side; 26 pixels of 640."""
-_LEAST_RIM = 6.0
+_MIN_RIM = 6.0
 """The same in pixels, for small pictures."""
 _FAR_RIM_SHARE = 0.2
 """Share of the distant background that is kept, so that no surface grows there."""
@@ -77,7 +77,7 @@ class PhotoRays:
         mask = None if photos.masks is None else photos.masks[index]
         chosen = np.ones(image.shape[:2], dtype=bool)
         if mask is not None:
-            rim = ndimage.distance_transform_edt(~mask) <= max(_LEAST_RIM, _RIM * max(mask.shape))
+            rim = ndimage.distance_transform_edt(~mask) <= max(_MIN_RIM, _RIM * max(mask.shape))
             chosen = rim | (rng.random(mask.shape) < _FAR_RIM_SHARE)
         pixels = np.argwhere(chosen)
         origins, directions = camera.rays(pixels[:, ::-1] + 0.5)

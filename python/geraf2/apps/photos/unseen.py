@@ -16,11 +16,11 @@ _BAND_VOXELS = 1.5
 """Nodes up to this distance from the zero level represent the surface."""
 _LIFT_VOXELS = 2.0
 """Distance from the surface at which the ray to a camera begins, to avoid self-occlusion."""
-_LEAST_COSINE = 0.2
+_MIN_COSINE = 0.2
 """Cosine between normal and camera below which a surface is not seen (78 degrees)."""
 _PADDING = 6
 """Voxels added at the rim, which would otherwise bend distances near it."""
-_LEAST_PHOTOS = 2
+_MIN_PHOTOS = 2
 """Photos that must show a point: a single one does not fix its depth."""
 RIM_VOXELS = 2
 """Margin around seen nodes in which the surface stays, so that a box keeps its edges."""
@@ -54,11 +54,11 @@ def seen_nodes(
         towards /= away[:, None]
         pixels = camera.project(starts)
         shown = camera.shown(pixels)
-        facing = (normals * towards).sum(axis=1) > _LEAST_COSINE
-        ask = np.nonzero(shown & facing & (n_seen < _LEAST_PHOTOS))[0]
+        facing = (normals * towards).sum(axis=1) > _MIN_COSINE
+        ask = np.nonzero(shown & facing & (n_seen < _MIN_PHOTOS))[0]
         n_seen[ask] += _is_free(values, grid, starts[ask], towards[ask], away[ask])
     found = np.zeros(values.shape, dtype=bool)
-    found[band] = n_seen >= _LEAST_PHOTOS
+    found[band] = n_seen >= _MIN_PHOTOS
     return band, found
 
 

@@ -15,13 +15,13 @@ from geraf2.scene.aperture import Aperture
 # planes at 4 mm, two of them of two sides, by `fast`.
 _FAR_RAD = 0.9
 _F1_5MM, _F1_15MM, _ERROR_M = (0.0026, 0.694), (-0.006, 0.108), (0.90e-3, 0.032e-3, 3.04e-3)
-_LEAST_15MM = 0.001
+_MIN_15MM = 0.001
 # What single scenes lack at most over that: 36 of the four, a dog and a chair, 0.3 to 2.9.
-_MOST_LACKING = 3.0
+_MAX_LACKING = 3.0
 BOX_M = 0.22
 """Side of the box in which all was measured [m]."""
 # Below nothing was measured: four planes around see a share of 0.065.
-_LEAST_SHARE = 0.03
+_MIN_SHARE = 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,12 +32,12 @@ class Expected:
     f1_15mm: float
     error_m: float
     """Median distance of surface and truth, in both directions [m]."""
-    least_5mm: float
+    min_5mm: float
     """F1 at 5 mm that nine of ten scenes reach."""
 
     def __str__(self) -> str:
         return (
-            f"F1 {self.f1_5mm:.2f} at 5 mm, in nine of ten scenes {self.least_5mm:.2f} or more; "
+            f"F1 {self.f1_5mm:.2f} at 5 mm, in nine of ten scenes {self.min_5mm:.2f} or more; "
             f"{self.f1_15mm:.2f} at 15 mm; median error {1e3 * self.error_m:.1f} mm. Of --preset "
             f"fast, for metal objects in a box of {100 * BOX_M:.0f} cm, 20 dB, no other disturbance"
         )
@@ -50,12 +50,12 @@ def expected_of(planes: Sequence[Aperture], center_m: Floats, seen_share: float)
     seen_share: of all normals, in which a surface is seen
     (:func:`geraf2.freespace.specular.seen_share`).
     """
-    inverse = 1.0 / max(seen_share, _LEAST_SHARE)
+    inverse = 1.0 / max(seen_share, _MIN_SHARE)
     far = float(np.mean(angles_off(sphere_points(4000), planes, center_m) > _FAR_RAD))
     lacking = _F1_5MM[0] * inverse + _F1_5MM[1] * far
     return Expected(
         f1_5mm=1.0 - lacking,
-        f1_15mm=1.0 - max(_LEAST_15MM, _F1_15MM[0] + _F1_15MM[1] * far),
+        f1_15mm=1.0 - max(_MIN_15MM, _F1_15MM[0] + _F1_15MM[1] * far),
         error_m=_ERROR_M[0] + _ERROR_M[1] * inverse + _ERROR_M[2] * far,
-        least_5mm=max(0.0, 1.0 - _MOST_LACKING * lacking),
+        min_5mm=max(0.0, 1.0 - _MAX_LACKING * lacking),
     )

@@ -50,10 +50,10 @@ _PRESETS: dict[str, Waveform] = {
     )
     for name, start_hz in (("awr1843", 77.3704e9), ("iwr6843", 60.25e9))
 }
-_LEAST_WAVELENGTHS = 4.0
+_MIN_WAVELENGTHS = 4.0
 """Shortest side of a box for a radar without ranges."""
-_MOST_RINGS = 12
-_MOST_PLANES = 1000
+_MAX_RINGS = 12
+_MAX_PLANES = 1000
 PlanM = Annotated[float, Interval(ge=1e-3, le=10.0)]
 PlanSides = tuple[PlanM, PlanM, PlanM]
 _StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
@@ -124,8 +124,8 @@ class PlanOptions(Bounded):
         n_rings = len(self.elevations_deg)
         if len(set(self.elevations_deg)) < n_rings:
             raise UserError(what="--elevations-deg names an elevation twice")
-        if n_rings * (self.planes or 1) > _MOST_PLANES or n_rings > _MOST_RINGS:
-            expected = f"at most {_MOST_RINGS} elevations and {_MOST_PLANES} planes in all"
+        if n_rings * (self.planes or 1) > _MAX_PLANES or n_rings > _MAX_RINGS:
+            expected = f"at most {_MAX_RINGS} elevations and {_MAX_PLANES} planes in all"
             got = f"{n_rings} elevations"
             raise UserError(what="too many planes", where="--planes", expected=expected, got=got)
 
@@ -307,14 +307,14 @@ def make_plan(options: PlanOptions) -> ScanPlan:
 
 def _require_size(box_m: PlanSides, waveform: Waveform) -> None:
     """Refuse a box whose near and far walls, and all between, echo in one range cell."""
-    least_m = _LEAST_WAVELENGTHS * waveform.center_wavelength_m
+    min_m = _MIN_WAVELENGTHS * waveform.center_wavelength_m
     if waveform.n_samples > 1:
-        least_m = max(least_m, waveform.range_cell_m)
-    if min(box_m) < least_m:
+        min_m = max(min_m, waveform.range_cell_m)
+    if min(box_m) < min_m:
         raise UserError(
             what="the box is too small for the radar to separate its walls from the content",
             where="--box",
-            expected=f"sides of at least {least_m:.3f} m, a range cell or 4 wavelengths",
+            expected=f"sides of at least {min_m:.3f} m, a range cell or 4 wavelengths",
             got=f"{min(box_m):g} m",
             hint="is it in metres?",
         )

@@ -15,9 +15,9 @@ from geraf2.learned.fields.sdf_mlp import FeatureSample
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 
-_LEAST_WEIGHT = 1e-4
+_MIN_WEIGHT = 1e-4
 """Samples of less weight get no colour: sixteen of them are below one step of eight bits."""
-_LEAST_OPACITY = 1e-3
+_MIN_OPACITY = 1e-3
 """Guards the mean over a ray that misses the surface."""
 _N_HARMONICS = 8
 
@@ -112,13 +112,13 @@ class ColouredGrid(nn.Module):
         """Colour of each ray, as of `ColouredMlp`; the normal has no gradient from the colour."""
         n_rays, n_samples = weight.shape
         flat = weight.reshape(-1)
-        kept = torch.nonzero(flat.detach() > _LEAST_WEIGHT)[:, 0]
+        kept = torch.nonzero(flat.detach() > _MIN_WEIGHT)[:, 0]
         ray, kept_weight = kept // n_samples, flat[kept][:, None]
         features = self.features(points.reshape(-1, 3)[kept])
         total = features.new_zeros((n_rays, features.shape[1]))
         total = total.index_add(0, ray, kept_weight * features)
         opacity = weight.sum(dim=1, keepdim=True)
-        mean = total / opacity.clamp(min=_LEAST_OPACITY)
+        mean = total / opacity.clamp(min=_MIN_OPACITY)
         logits = mean[:, :3]
         if self.view_dependent:
             gradient = sample.gradient.detach()[kept]
