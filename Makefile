@@ -158,13 +158,12 @@ arm64-check: system
 	@cmake --build --preset arm64 --parallel $(JOBS)
 	@ctest --preset arm64
 
-## lint: formatting, static checks, layers, spelling, links, words
+## lint: formatting, static checks, layers, spelling, links
 .PHONY: lint
 lint: setup
 	@# every check runs, so that one run shows all that is wrong
 	@failed=(); check() { "$$@" || failed+=("$$(basename "$$1") $$2"); }; \
 	check $(bin)/python tools/check_links.py; \
-	check $(bin)/python tools/check_words.py; \
 	if git rev-parse --git-dir >/dev/null 2>&1; then check $(bin)/python tools/check_files.py; fi; \
 	check $(bin)/ruff format --check --quiet; \
 	check $(bin)/ruff check --quiet; \
