@@ -107,7 +107,7 @@ def measured(scene: Path, yaw_deg: float, preset: str | None, with_wrong: bool) 
     capture = geraf2.load_capture(scene)
     transform = turn_about_z(yaw_deg)
     scan = turned(capture, transform)
-    box = LosPrior.from_mesh(read_mesh(scene / "los.ply")).moved(transform)
+    box = LosPrior.from_mesh(read_mesh(scene / "los.ply")).move(transform)
     stated = _TURNED.search(capture.provenance.get("world", ""))
     row: dict = {"scene": scene.name, "yaw": yaw_deg, "planes": len(capture.poses)}
     start = time.process_time()

@@ -97,7 +97,7 @@ def run(rows: Path, seeds: Sequence[int], preset: str) -> None:
 
 def recorded(rows: Path, scene: Path, preset: str) -> None:
     capture, truth = geraf2.load_capture(scene), read_mesh(scene / "truth.ply")
-    planes = [Aperture.of_pose(pose) for pose in capture.poses]
+    planes = [Aperture.from_pose(pose) for pose in capture.poses]
     order = even_order(len(planes))
 
     def result(chosen: Sequence[int]) -> geraf2.Reconstruction:

@@ -259,7 +259,7 @@ def capture_of(scene: Drawn, seed: int) -> geraf2.Capture:
         antennas = AntennaBlocks(
             tx=plane.tx[order], rx=plane.rx[order], offsets=offsets, boresight=plane.axes[0]
         )
-        echoes = [plane_echo(part, antennas).reordered(np.argsort(order)) for part in parts]
+        echoes = [plane_echo(part, antennas).reorder(np.argsort(order)) for part in parts]
         signals.append(sum(echo.figure + echo.walls for echo in echoes))
     rng = np.random.default_rng([seed, 99])
     rms = np.sqrt(np.mean([np.mean(np.abs(s) ** 2) for s in signals]))

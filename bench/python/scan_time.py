@@ -135,7 +135,7 @@ def cut(pose: Pose, part: Part) -> Pose:
 def minutes(capture: Capture, part: Part, channels: int) -> float:
     """Of the planes as they lie, without the travel to the first."""
     scanner = Scanner(channels=channels, speed_m_per_s=SPEED_M_PER_S)
-    planes = [Aperture.of_pose(pose).right_handed() for pose in capture.poses]
+    planes = [Aperture.from_pose(pose).turn_right_handed() for pose in capture.poses]
     return (swept_planes(planes, part.step * SPACING_M, scanner)[1] - scanner.turn_s) / 60.0
 
 
@@ -148,7 +148,7 @@ def score(scene: Path, name: str, preset: str, seed: int) -> dict[str, Any]:
         result = reconstruct(capture, prior, preset, folder, num_threads=1)
         seconds, cpu_seconds = time.perf_counter() - start, time.process_time() - cpu
         mesh = result.content_mesh
-    planes = [Aperture.of_pose(pose) for pose in capture.poses]
+    planes = [Aperture.from_pose(pose) for pose in capture.poses]
     truth = read_mesh(scene / "truth.ply")
     metrics = evaluate_mesh(mesh, truth, planes=planes, seed=seed, num_threads=1)
     return {

@@ -199,7 +199,7 @@ def test_only_requested_corrections_are_estimated(capture):
 
 
 def test_unseen_walls_are_an_error_if_requested(capture):
-    small = PRIOR.moved(np.diag([0.1, 0.1, 0.1, 1.0]))
+    small = PRIOR.move(np.diag([0.1, 0.1, 0.1, 1.0]))
     found = calibrate(
         capture, small, CalibrationConfig(leakage=False, channels=False, positions=False)
     )

@@ -109,7 +109,7 @@ def test_a_turned_and_moved_prior_is_moved_back(capture):
     turn = Rotation.from_rotvec(np.deg2rad(2.0) * np.array([0.5, 0.5, np.sqrt(0.5)]))
     moved = replace(PRIOR, vertices=turn.apply(PRIOR.vertices) + np.array(SHIFT_M))
     found = aligned(capture, moved)
-    back = moved.moved(found.prior_to_capture)
+    back = moved.move(found.prior_to_capture)
     assert np.abs(back.vertices - PRIOR.vertices).max() < 0.001
     error = Rotation.from_matrix(found.prior_to_capture[:3, :3]) * turn
     assert np.rad2deg(error.magnitude()) < 0.5

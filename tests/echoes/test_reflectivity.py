@@ -89,7 +89,8 @@ def test_the_gain_is_that_of_a_sum_over_antennas(a):
 def test_a_plane_that_faces_across_the_content_has_no_focus():
     prior, axes = LosPrior.from_box((0.2,) * 3), np.eye(3)
     planes = [
-        Aperture.of_rectangle(np.array(at), axes, [0.1, 0.1]) for at in ((0, 0.4, 0), (-0.4, 0, 0))
+        Aperture.from_rectangle(np.array(at), axes, [0.1, 0.1])
+        for at in ((0, 0.4, 0), (-0.4, 0, 0))
     ]
     middles = np.array([plane.middle_m for plane in planes])
     windows = Windows.of(planes, np.arange(2), middles, prior, 0.08)
@@ -133,7 +134,7 @@ def test_a_ball_in_a_carton_has_its_reflectivity(tmp_path, reflectivity):
     glints, metal = found.glints, found.metal
     assert metal is not None
     assert metal.n_flashes >= 8
-    apertures = [Aperture.of_pose(pose) for pose in capture.poses]
+    apertures = [Aperture.from_pose(pose) for pose in capture.poses]
     met = apertures[0].mirror(glints.positions, glints.normals)
     bend = (np.eye(3) - glints.normals[:, :, None] * glints.normals[:, None, :]) / a
     seen = Windows.of(apertures, glints.poses, met.positions_m, prior, 0.08)

@@ -20,7 +20,7 @@ def plane(angle_deg):
     turned = np.array(
         [[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
     )
-    return Aperture.of_corners(np.stack([np.full(4, -AWAY), y, z], axis=1) @ turned.T)
+    return Aperture.from_corners(np.stack([np.full(4, -AWAY), y, z], axis=1) @ turned.T)
 
 
 def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):

@@ -25,7 +25,7 @@ def pose(angle_deg, positions):
 def apertures():
     """Seven planes around, of 12 and 24 cm."""
     positions = raster(5, 0.03) * [1.0, 2.0]
-    return [Aperture.of_pose(pose(51.0 * number, positions)) for number in range(7)]
+    return [Aperture.from_pose(pose(51.0 * number, positions)) for number in range(7)]
 
 
 @pytest.fixture(scope="module")
@@ -88,11 +88,11 @@ def test_an_aperture_is_the_area_that_the_antennas_cover(apertures):
 
 def test_corners_and_rectangles_make_the_same_aperture(apertures):
     for one in apertures:
-        again = Aperture.of_corners(one.corners_m)
+        again = Aperture.from_corners(one.corners_m)
         np.testing.assert_allclose(again.corners_m, one.corners_m, atol=1e-12)
-        given = Aperture.of_rectangle(one.middle_m, one.axes, one.half_m)
+        given = Aperture.from_rectangle(one.middle_m, one.axes, one.half_m)
         np.testing.assert_allclose(given.corners_m, one.corners_m, atol=1e-12)
-        turned = one.right_handed()
+        turned = one.turn_right_handed()
         assert np.linalg.det(turned.axes) == pytest.approx(1.0)
         np.testing.assert_allclose(
             np.sort(turned.corners_m, 0), np.sort(one.corners_m, 0), atol=1e-12
@@ -101,8 +101,8 @@ def test_corners_and_rectangles_make_the_same_aperture(apertures):
 
 @pytest.mark.parametrize("half_m", [(0.1, 0.0), (0.0, 0.1), (0.0, 0.0)])
 def test_a_line_of_antennas_keeps_its_middle_and_receives_nothing_beside_it(half_m):
-    line = Aperture.of_corners(
-        Aperture.of_rectangle(np.array([-0.4, 0.1, 0.2]), np.eye(3), np.array(half_m)).corners_m
+    line = Aperture.from_corners(
+        Aperture.from_rectangle(np.array([-0.4, 0.1, 0.2]), np.eye(3), np.array(half_m)).corners_m
     )
     np.testing.assert_allclose(line.middle_m, (-0.4, 0.1, 0.2), atol=1e-12)
     np.testing.assert_allclose(np.sort(line.half_m), np.sort(half_m), atol=1e-12)

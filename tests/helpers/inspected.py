@@ -96,7 +96,7 @@ def around():
     turns = [Rotation.from_euler("z", 30.0 * k, degrees=True).as_matrix() for k in range(12)]
     turns += [Rotation.from_euler("y", angle, degrees=True).as_matrix() for angle in (-90, 90)]
     half = np.array([0.18, 0.18])
-    return [Aperture.of_rectangle(turn @ [0.4, 0, 0], turn.T, half) for turn in turns]
+    return [Aperture.from_rectangle(turn @ [0.4, 0, 0], turn.T, half) for turn in turns]
 
 
 def glints_of(body, apertures, *, seed=0, sigma_m=3e-4):

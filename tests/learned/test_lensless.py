@@ -66,7 +66,7 @@ def test_rays_are_parallel_jittered_and_within_the_scene():
 
 
 def test_samples_of_an_inner_box_lie_in_it_and_their_rays_still_start_at_the_scene():
-    inner = PRIOR.cropped(0.02)
+    inner = PRIOR.crop(0.02)
     lensless = sampler(inner=inner)
     assert lensless.radius_m == pytest.approx(1.05 * (0.5 * SIDE_M - 0.02))
     rays = rays_of(lensless)

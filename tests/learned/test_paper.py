@@ -319,7 +319,7 @@ CONTENT = replace(SMALL, bank=1, region="content")
 
 def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
     trainer = PaperTrainer(capture, PRIOR, CONTENT)
-    inner = BoxSolid(size_m=PRIOR.cropped(CONTENT.crop_m).size_m, center_m=PRIOR.center_m)
+    inner = BoxSolid(size_m=PRIOR.crop(CONTENT.crop_m).size_m, center_m=PRIOR.center_m)
     scene = PaperTrainer(capture, PRIOR, SMALL)
     assert trainer.model.sdf.grid.spacing_m < 0.8 * scene.model.sdf.grid.spacing_m
     assert trainer.loss.maps.volumes.size < scene.loss.maps.volumes.size

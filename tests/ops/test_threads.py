@@ -12,7 +12,7 @@ import torch
 from threadpoolctl import ThreadpoolController
 
 from geraf2.ops import matched_filter, ray_march, sdf_grid, signal_tracer
-from geraf2.ops._threads import resolve_num_threads, with_one_blas_thread
+from geraf2.ops._threads import limit_blas_threads, resolve_num_threads
 from geraf2.ops.grid_energy import GridEnergy
 from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.ops.subaperture import subaperture_peaks
@@ -199,5 +199,5 @@ def test_small_products_of_numpy_take_one_thread_and_others_as_many_as_before():
 
     before = n_threads()
     assert before  # NumPy's
-    assert set(with_one_blas_thread(n_threads)()) == {1}
+    assert set(limit_blas_threads(n_threads)()) == {1}
     assert n_threads() == before

@@ -47,7 +47,7 @@ def check(prior, found, monkeypatch):
 
 
 def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
-    return LosPrior.from_box(tuple(size), center).moved(turn(degrees))
+    return LosPrior.from_box(tuple(size), center).move(turn(degrees))
 
 
 @pytest.mark.parametrize(
@@ -103,7 +103,7 @@ def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
 
 
 def test_axes_are_assigned_by_matching_sides(monkeypatch):
-    turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).moved(turn(88.0))
+    turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).move(turn(88.0))
     assert check(turned, a_box(), monkeypatch).prior is turned
 
 

@@ -150,4 +150,4 @@ def test_poses_of_a_scene_are_read_on_demand_and_not_kept(scene):
     assert [pose.name for pose in some] == [pose.name for pose in loaded.poses[1::2]]
     with pytest.raises(IndexError):
         capture.poses[4]
-    assert capture.in_memory().poses[1].signal.tobytes() == loaded.poses[1].signal.tobytes()
+    assert capture.load().poses[1].signal.tobytes() == loaded.poses[1].signal.tobytes()

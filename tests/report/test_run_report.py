@@ -228,7 +228,7 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
 
 def test_planes_of_antennas_are_rectangles_around_their_middles(run):
     axes = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    plane = Aperture.of_rectangle(np.array([0.0, 0.4, 0.1]), axes, np.array([0.2, 0.1]))
+    plane = Aperture.from_rectangle(np.array([0.0, 0.4, 0.1]), axes, np.array([0.2, 0.1]))
     save_planes(ScannedPlanes(corners_m=plane.corners_m[None]), run / "planes.json")
     corners = read_run(run).planes_m
     assert corners.shape == (1, 4, 3)

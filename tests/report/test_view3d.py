@@ -15,7 +15,7 @@ from geraf2.report.view3d import (
     Attribute,
     content_attributes,
     scene_json,
-    thinned,
+    thin_mesh,
     view_scene,
 )
 from geraf2.report.view_layers import heat_map
@@ -47,7 +47,7 @@ def test_positions_and_values_come_back_to_a_micrometre():
 @pytest.mark.parametrize("max_faces", [2000, 300])
 def test_a_thinned_surface_is_nearly_the_same_one(max_faces):
     mesh = ball(0.03, subdivisions=4)
-    kept, faces = thinned(mesh.vertices, mesh.faces, max_faces)
+    kept, faces = thin_mesh(mesh.vertices, mesh.faces, max_faces)
     assert 0.3 * max_faces < len(faces) <= max_faces
     vertices = mesh.vertices[kept]
     made = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)

@@ -13,7 +13,7 @@ def phase_centers(array):
 def test_the_cascade_has_86_positions_in_azimuth_and_four_heights():
     array = ARRAYS["awr2243-cascade"]
     half = 0.5 * 299792458.0 / array.design_hz
-    centers = phase_centers(array.swept())
+    centers = phase_centers(array.sweep())
     assert len(centers) == 192
     steps = np.round(centers[:, 1] / (0.5 * half) - (centers[:, 1] / (0.5 * half)).min())
     assert sorted(set(steps)) == [0, 1, 4, 6]
@@ -24,7 +24,7 @@ def test_the_cascade_has_86_positions_in_azimuth_and_four_heights():
 
 
 def test_a_board_of_three_by_four_has_eight_positions_in_line():
-    centers = phase_centers(find_array("iwr1843").swept())
+    centers = phase_centers(find_array("iwr1843").sweep())
     quarter = 0.25 * 299792458.0 / 79e9
     in_line = np.unique(np.round(centers[:, 2] / quarter - centers[:, 2].min() / quarter))
     assert in_line.tolist() == list(range(8))

@@ -53,12 +53,12 @@ def test_corners_are_farthest_and_few():
 def test_a_cropped_prior_is_its_bounding_box_without_walls_and_never_empty():
     wall = Wall(size_m=(0.2, 0.3, 0.4), thickness_m=0.004, permittivity=2.0)
     prior = LosPrior.from_box((0.2, 0.3, 0.4), (0.01, 0.0, -0.02), walls=(wall,))
-    cropped = prior.cropped(0.03)
+    cropped = prior.crop(0.03)
     np.testing.assert_allclose(cropped.size_m, (0.14, 0.24, 0.34))
     np.testing.assert_allclose(cropped.center_m, prior.center_m)
     assert cropped.walls == ()
     with pytest.raises(UserError, match="below half of its shortest side, 100 mm, got 100 mm"):
-        prior.cropped(0.1)
+        prior.crop(0.1)
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, -44.0, 80.0])
@@ -98,6 +98,6 @@ def test_assumed_faces_make_points_beyond_the_certain_part_less_likely():
         [[cosine, -sine, 0, 0.1], [sine, cosine, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1.0]]
     )
     np.testing.assert_allclose(
-        box.moved(turn).presence(points @ turn[:3, :3].T + turn[:3, 3]), box.presence(points)
+        box.move(turn).presence(points @ turn[:3, :3].T + turn[:3, 3]), box.presence(points)
     )
-    assert known.moved(turn).expected_volume_m3 == pytest.approx(0.024)
+    assert known.move(turn).expected_volume_m3 == pytest.approx(0.024)

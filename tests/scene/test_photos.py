@@ -83,21 +83,21 @@ def test_what_is_behind_the_camera_has_no_image():
 def test_a_resized_camera_sees_the_same():
     camera = looking_at((0.3, -0.4, 0.2), (0.0, 0.02, 0.0), distortion=DISTORTION)
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
-    small = camera.resized(320, 120).project(points)
+    small = camera.resize(320, 120).project(points)
     np.testing.assert_allclose(small * [2.0, 4.0], camera.project(points), rtol=1e-12)
 
 
 def test_binned_pictures_and_cameras_agree():
     camera = looking_at((0.3, -0.4, 0.2), (0.0, 0.02, 0.0), distortion=DISTORTION, size=(641, 481))
     points = np.random.default_rng(0).uniform(-0.1, 0.1, (20, 3))
-    small = camera.binned(3)
+    small = camera.join_pixels(3)
     assert (small.width, small.height) == (213, 160)
     np.testing.assert_allclose(3.0 * small.project(points), camera.project(points), rtol=1e-12)
     image = np.arange(7 * 9 * 3, dtype=np.uint8).reshape(7, 9, 3)
     np.testing.assert_allclose(bin_pixels(image, 3)[1, 2], image[3:6, 6:9].mean(axis=(0, 1)))
     np.testing.assert_array_equal(bin_pixels(image, 1), image)
     with pytest.raises(ValueError, match="step"):
-        camera.binned(0)
+        camera.join_pixels(0)
 
 
 def test_the_focus_is_where_all_look():

@@ -77,7 +77,7 @@ def test_recorded_poses_err_as_asked():
     recorded = recorded_cameras(true, spec, seed=2)
     moved = np.array([r.position - t.position for r, t in zip(recorded, true, strict=True)])
     turned = [
-        np.degrees(np.arccos(np.clip(r.looking @ t.looking, -1.0, 1.0)))
+        np.degrees(np.arccos(np.clip(r.view_direction @ t.view_direction, -1.0, 1.0)))
         for r, t in zip(recorded, true, strict=True)
     ]
     assert abs(moved.std() - 0.003) < 0.0005

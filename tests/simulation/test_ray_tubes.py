@@ -9,7 +9,7 @@ import trimesh
 from geraf2.ops.physical_optics import SurfaceElements, physical_optics
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
-from geraf2.simulation.dielectric import slab_reflection, walls_crossed
+from geraf2.simulation.dielectric import cross_walls, slab_reflection
 from geraf2.simulation.echo import EchoScene, Layer
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import (
@@ -155,14 +155,14 @@ def test_two_faces_of_a_slab_lack_only_the_inner_reflections_of_airys_formula():
     assert (np.abs(two - airy) < 2.1 * np.abs(r) ** 3).all()
 
 
-def test_walls_crossed_agrees_with_a_face_by_face_sum():
+def test_cross_walls_agrees_with_a_face_by_face_sum():
     walls = (
         Wall(size_m=(0.3, 0.28, 0.26), thickness_m=0.004, permittivity=1.6),
         Wall(size_m=(0.1, 0.1, 0.1), thickness_m=0.002, permittivity=2.5),
     )
     points = np.array([[0.02, 0.01, 0.0], [-0.12, 0.03, 0.01], [0.1, -0.1, 0.1], [-0.2, 0.0, 0.0]])
     position = np.array([0.5, 0.08, 0.03])
-    transmission, excess_m = walls_crossed(points, position, walls)
+    transmission, excess_m = cross_walls(points, position, walls)
     for point, t, e in zip(points, transmission, excess_m, strict=True):
         both = [crossing(point, position, wall) for wall in walls]
         assert t == pytest.approx(np.prod([part[1] for part in both]), abs=1e-12)

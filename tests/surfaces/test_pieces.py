@@ -7,7 +7,7 @@ from geraf2.cli._outcome import found_lines
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.report.answer import answer_of
-from geraf2.scene.checks import in_mm
+from geraf2.scene.checks import format_mm
 from geraf2.surfaces.pieces import (
     LIKELY,
     ghost_texts,
@@ -123,4 +123,4 @@ def test_a_centre_just_below_zero_has_no_sign():
     texts = dict(found_lines(piece_numbers(off)))
     assert texts["found"] == "one object, 60 x 60 x 60 mm, centre at (0, 0, 0) mm"
     assert answer_of(off, None, {}, {}).found.endswith("its centre at (0, 0, 0) mm.")
-    assert in_mm([-0.0004, 0.0, 0.001]) == "(0, 0, 1)"
+    assert format_mm([-0.0004, 0.0, 0.001]) == "(0, 0, 1)"

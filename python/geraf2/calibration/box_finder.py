@@ -45,7 +45,7 @@ from geraf2.calibration.wall_faces import N_MODES
 from geraf2.calibration.wall_search import find_walls
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
-from geraf2.ops._threads import with_one_blas_thread
+from geraf2.ops._threads import limit_blas_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
@@ -75,7 +75,7 @@ MIN_CONTENT = 0.02
 """Share of the energy from within below which planes belong to a body, not to walls."""
 
 
-@with_one_blas_thread
+@limit_blas_threads
 def find_box(
     capture: Capture,
     *,

@@ -78,7 +78,7 @@ class Corrections:
 
     def moved_prior(self, prior: LosPrior) -> LosPrior:
         """Prior in the frame of the capture; the same object if it does not move."""
-        return prior if self.prior_to_capture is None else prior.moved(self.prior_to_capture)
+        return prior if self.prior_to_capture is None else prior.move(self.prior_to_capture)
 
     def in_order(self, order: Ints) -> "Corrections":
         """Corrections of a capture whose poses are in another order, (n_poses,)."""

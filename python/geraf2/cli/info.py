@@ -34,7 +34,7 @@ from geraf2.pipeline.estimates import (
 )
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene.aperture import Aperture
-from geraf2.scene.checks import check_capture, without_errors
+from geraf2.scene.checks import check_capture, require_no_errors
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
 
@@ -99,7 +99,7 @@ def main(config: Config) -> int:
     )
     findings = check_capture(summary)
     print_findings(found for found in findings if found.severity != "error")
-    without_errors(findings, config.scene)
+    require_no_errors(findings, config.scene)
     if config.figure is not None:
         _draw(config.figure, reader, summary, config.threads)
         say(f"picture  {config.figure}")
@@ -131,7 +131,7 @@ def _draw(path: Path, reader: SceneReader, summary: CaptureSummary, threads: int
 
     los = reader.path / LOS_NAME
     box = read_mesh(los) if los.is_file() else None
-    if not summary.usable:
+    if not summary.usable_poses:
         raise UserError(what="has no antennas to draw", where=reader.path)
     if summary.focus is None and not summary.is_plane:
         what = "has one frequency, no ranges and no plane to draw"
@@ -213,7 +213,7 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
     """Point that the planes face; of a single plane its resolution, as its depth needs focusing."""
     focus = summary.focus
     if summary.is_plane:
-        x, y, z = summary.usable[0].axes[0]
+        x, y, z = summary.usable_poses[0].axes[0]
         width = max(summary.aperture_m)
         across, deep = np.array([0.5e3, 2e3]) * summary.waveform.center_wavelength_m
         return [
@@ -238,7 +238,7 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
 
 def _tilts_deg(plane: Aperture, focus: NDArray[np.float64]) -> NDArray[np.float64]:
     """Elevations of a plane's lower and upper middle, as seen from the focus [degrees]."""
-    ends = plane.at(np.array([(0.0, -1.0), (0.0, 1.0)])) - focus
+    ends = plane.points_at(np.array([(0.0, -1.0), (0.0, 1.0)])) - focus
     return np.asarray(np.rad2deg(np.arctan2(ends[:, 2], np.hypot(ends[:, 0], ends[:, 1]))))
 
 

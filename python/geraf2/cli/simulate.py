@@ -10,7 +10,7 @@ from geraf2.cli._fields import Positional
 from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
 from geraf2.pipeline.commands.simulate import simulate_scene
 from geraf2.simulation import load_spec
-from geraf2.simulation.spec import with_scan_file
+from geraf2.simulation.spec import use_scan_file
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +35,7 @@ def main(config: Config) -> int:
     """Run the command."""
     spec = load_spec(config.spec)
     if config.scan is not None:
-        spec = with_scan_file(spec, config.scan)
+        spec = use_scan_file(spec, config.scan)
     simulate_scene(
         spec,
         config.out,

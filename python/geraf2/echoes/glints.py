@@ -155,7 +155,7 @@ def find_echoes(
     metal = metal_level(
         near,
         Windows.of(
-            [Aperture.of_pose(pose) for pose in capture.poses],
+            [Aperture.from_pose(pose) for pose in capture.poses],
             near.planes,
             near.centers,
             prior,

@@ -17,7 +17,7 @@ from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.peaks import PeakSet, grating_lobes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
-from geraf2.scene.checks import in_mm
+from geraf2.scene.checks import format_mm
 
 # Tolerance of the box's surface [m]: a harmless error of the prior plus that of a strong echo.
 _MARGIN_M = 0.015
@@ -165,4 +165,4 @@ def _bounds(points: Floats, energy: Floats) -> Floats:
 
 
 def _span(bounds: Floats) -> str:
-    return f"from {in_mm(bounds[0])} to {in_mm(bounds[1])} mm"
+    return f"from {format_mm(bounds[0])} to {format_mm(bounds[1])} mm"

@@ -70,14 +70,14 @@ def error_forecast(
                         area_fraction=float(at.mean()),
                         expected_m=float(np.median(expected[at])),
                         median_m=float(np.median(distances_m[at])),
-                        within_one=_within(distances_m[at], expected[at]),
-                        within_two=_within(distances_m[at], 2.0 * expected[at]),
+                        within_one=_share_within(distances_m[at], expected[at]),
+                        within_two=_share_within(distances_m[at], 2.0 * expected[at]),
                     )
                 )
     return ErrorForecast(
         expected_m=typical_error_m(mesh),
-        within_one=_within(distances_m, expected),
-        within_two=_within(distances_m, 2.0 * expected),
+        within_one=_share_within(distances_m, expected),
+        within_two=_share_within(distances_m, 2.0 * expected),
         rank_correlation=rank_correlation(expected, distances_m),
         parts=tuple(parts),
     )
@@ -97,5 +97,5 @@ def _ranks(values: Floats) -> Floats:
     return np.asarray((np.cumsum(counts) - 0.5 * (counts - 1))[rank])
 
 
-def _within(distances_m: Floats, limits_m: Floats) -> float:
+def _share_within(distances_m: Floats, limits_m: Floats) -> float:
     return float(np.mean(distances_m <= limits_m))

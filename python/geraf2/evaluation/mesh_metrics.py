@@ -261,7 +261,9 @@ def evaluate_mesh(
         floor_median_m=float(np.median(np.stack(floor))),
         expected_error=error_forecast(mesh, pair.mesh_faces, pair.weights, np.abs(exact_to_truth)),
         expected_error_aligned=_aligned_forecast(mesh, pair, truth, num_threads),
-        by_sight=_by_sight(truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads),
+        by_sight=_score_by_sight(
+            truth, pair, fine, exact_to_mesh, thresholds_m, planes, num_threads
+        ),
         mesh=reports[0],
         truth=reports[1],
         n_samples=n_samples,
@@ -441,7 +443,7 @@ def _summary(distances: Floats) -> DistanceSummary:
     )
 
 
-def _by_sight(
+def _score_by_sight(
     truth: TriangleMesh,
     pair: _Pair,
     fine: _Pair,

@@ -95,7 +95,7 @@ def angles_off(normals: Floats, apertures: Sequence[Aperture], center_m: Floats)
     shares = np.stack(np.meshgrid(grid, grid, indexing="ij"), axis=-1).reshape(-1, 2)
     nearest = np.full(len(normals), -1.0)
     for aperture in apertures:
-        directions = aperture.at(shares) - center_m
+        directions = aperture.points_at(shares) - center_m
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
         nearest = np.maximum(nearest, (normals @ directions.T).max(axis=1))
     return np.asarray(np.arccos(np.clip(nearest, -1.0, 1.0)))

@@ -57,7 +57,7 @@ class PaperModel(nn.Module):
 def domain_of(prior: LosPrior, config: PaperConfig) -> CubeDomain:
     """Cube in which the fields live: around the scene, or around the content."""
     if config.region == "content":
-        return _cube(prior.cropped(config.crop_m), CONTENT_MARGIN)
+        return _cube(prior.crop(config.crop_m), CONTENT_MARGIN)
     return scene_domain(prior)
 
 
@@ -116,7 +116,7 @@ def make_renderer(
             prior,
             n_cells=config.n_cells,
             n_samples=config.n_samples,
-            inner=prior.cropped(config.crop_m) if config.region == "content" else None,
+            inner=prior.crop(config.crop_m) if config.region == "content" else None,
             num_threads=num_threads,
         ),
         VisionPrior(vision.signed_distance, scene_domain(prior)),

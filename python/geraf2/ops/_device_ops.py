@@ -30,7 +30,7 @@ _MIN_LENGTH = 1e-6
 
 def sdf_grid(values: Any, grid: Grid, points: Any, cubic: bool) -> tuple[Tensor, Tensor]:
     """Value (n,) and gradient (n, 3) of grid values at points (n, 3) [m]."""
-    values, points = _together(values, points)
+    values, points = _move_together(values, points)
     require_shape("values", values, tuple(grid.shape))
     require_shape("points", points, (None, 3))
     taps = torch.arange(-1, 3) if cubic else torch.arange(2)
@@ -48,14 +48,14 @@ def sdf_grid(values: Any, grid: Grid, points: Any, cubic: bool) -> tuple[Tensor,
     at = (x[:, :, None, None] * grid.shape[1] + y[:, None, :, None]) * grid.shape[2]
     near: Tensor = values.reshape(-1)[at + z[:, None, None, :]]
 
-    def summed(wx: Tensor, wy: Tensor, wz: Tensor) -> Tensor:
+    def sum_taps(wx: Tensor, wy: Tensor, wz: Tensor) -> Tensor:
         along_y = ((near * wz[:, None, None]).sum(dim=3) * wy[:, None]).sum(dim=2)
         return torch.sum(along_y * wx, dim=1)
 
     gradient = [
-        summed(*(slope[a] if a == axis else weight[a] for a in range(3))) for axis in range(3)
+        sum_taps(*(slope[a] if a == axis else weight[a] for a in range(3))) for axis in range(3)
     ]
-    return summed(*weight), torch.stack(gradient, dim=1)
+    return sum_taps(*weight), torch.stack(gradient, dim=1)
 
 
 def _tap_weights(r: Tensor, cubic: bool) -> tuple[Tensor, Tensor]:
@@ -76,7 +76,7 @@ def ray_march(
     sdf: Any, cos: Any, step: Any, inv_s: Any, power: int
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Alpha, transmittance to `power`, weight, depth; all but the last (n_rays, n_samples)."""
-    sdf, cos, step = _together(sdf, cos, step)
+    sdf, cos, step = _move_together(sdf, cos, step)
     sharpness = inv_s.reshape(()).to(sdf) if isinstance(inv_s, Tensor) else inv_s
     change = -0.5 * torch.relu(-cos) * step
     log_phi = torch.nn.functional.logsigmoid
@@ -93,7 +93,7 @@ def facing_samples(
     alpha: Tensor, gradient: Tensor, points: Floats, form: EchoForm, n_looks: int
 ) -> tuple[Ints, Ints]:
     """Find samples that may echo to groups, and where each part begins; arrays, not tensors."""
-    positions, centers = _double(points, alpha), _double(form.centers, alpha)
+    positions, centers = _to_double(points, alpha), _to_double(form.centers, alpha)
     leg, slope = positions - centers[:, None], gradient.detach().double()
     square = slope.square().sum(dim=1).clamp(min=_MIN_LENGTH**2)
     along = (leg * slope).sum(dim=2)
@@ -123,8 +123,8 @@ def echo_amplitudes(
     slope = gradient.index_select(0, sample)
     length = torch.linalg.vector_norm(slope, dim=1, keepdim=True)
     normals = slope / length.clamp(min=_MIN_LENGTH)
-    leg = _double(np.take(points, pairs.sample, axis=0), alpha)
-    leg = leg - _double(form.centers, alpha).index_select(0, group)
+    leg = _to_double(np.take(points, pairs.sample, axis=0), alpha)
+    leg = leg - _to_double(form.centers, alpha).index_select(0, group)
     distance = torch.linalg.vector_norm(leg, dim=1, keepdim=True)
     through = (transmittance.reshape(-1).index_select(0, sample) + shift).clamp(min=0.0)
     amplitude = alpha.reshape(-1).index_select(0, sample) * through**form.two_way_power
@@ -135,7 +135,7 @@ def echo_amplitudes(
         lobe = torch.where(dark, 1.0, lobe).pow(form.lobe_power - 1.0)
         amplitude = amplitude * torch.where(dark, 0.0, lobe)
     if form.references is not None:
-        reference = _double(form.references, alpha).index_select(0, group)
+        reference = _to_double(form.references, alpha).index_select(0, group)
         amplitude = amplitude * (reference / distance[:, 0]).square().to(alpha.dtype)
     return amplitude, normals
 
@@ -153,10 +153,10 @@ def trace_pairs(
     """Signals, complex (n_looks, n_antennas, n_samples)."""
     n_looks, parts = pairs.n_looks, np.arange(len(pairs.offsets) - 1)
     draw = _index(np.repeat(parts % pairs.n_looks, np.diff(pairs.offsets)), amplitude)
-    positions = _double(np.take(points, pairs.sample, axis=0), amplitude)
+    positions = _to_double(np.take(points, pairs.sample, axis=0), amplitude)
     of_groups = []
     for number, antennas in enumerate(groups):
-        ends = [_double(p[antennas], amplitude) for p in (tx, rx)]
+        ends = [_to_double(p[antennas], amplitude) for p in (tx, rx)]
         begin, end = (int(pairs.offsets[(number + k) * n_looks]) for k in (0, 1))
 
         def part(
@@ -171,7 +171,7 @@ def trace_pairs(
         n_at_once = max(_PHASORS // (len(antennas) * waveform.n_samples), 1)
         for first in range(begin, end, n_at_once):
             now = slice(first, min(first + n_at_once, end))
-            total = total + _recomputed(
+            total = total + _recompute(
                 part, amplitude[now], normals[now], positions[now], draw[now]
             )
         of_groups.append(total)
@@ -203,7 +203,7 @@ def point_images(
 ) -> Tensor:
     """Images of signals (n_signals, n_antennas, n_samples), complex (n_signals, n_points)."""
     real = signals.real.dtype
-    ends = [_double(p, signals) for p in (tx, rx)]
+    ends = [_to_double(p, signals) for p in (tx, rx)]
     rows = signals.reshape(signals.shape[0], -1)
 
     def part(rows: Tensor, at: Tensor) -> Tensor:
@@ -214,8 +214,8 @@ def point_images(
         return rows @ phasors.T / len(tx)
 
     n_at_once = max(_PHASORS // max(rows.shape[1], 1), 1)
-    positions = torch.split(_double(points, signals), n_at_once)
-    return torch.cat([_recomputed(part, rows, at) for at in positions], dim=1)
+    positions = torch.split(_to_double(points, signals), n_at_once)
+    return torch.cat([_recompute(part, rows, at) for at in positions], dim=1)
 
 
 def length_defect(gradients: Tensor) -> Tensor:
@@ -234,19 +234,19 @@ def _phasors(path: Tensor, waveform: Waveform, real: torch.dtype, sign: float) -
     return torch.complex(torch.cos(phase), torch.sin(phase))
 
 
-def _recomputed(part: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
+def _recompute(part: Callable[..., Tensor], *inputs: Tensor) -> Tensor:
     """`part` of the inputs; what it holds is computed again for its gradient, not kept."""
     out: Tensor = checkpoint(part, *inputs, use_reentrant=False, preserve_rng_state=False)
     return out
 
 
-def _together(*values: Any) -> list[Tensor]:
+def _move_together(*values: Any) -> list[Tensor]:
     """Arrays beside tensors as tensors where those are."""
     device = next(v.device for v in values if isinstance(v, Tensor))
     return [v if isinstance(v, Tensor) else torch.as_tensor(v, device=device) for v in values]
 
 
-def _double(values: Floats, beside: Tensor) -> Tensor:
+def _to_double(values: Floats, beside: Tensor) -> Tensor:
     """Positions as a tensor where another one is."""
     return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float64)).to(beside.device)
 

@@ -26,14 +26,14 @@ def resolve_num_threads(num_threads: int | None) -> int:
     them would not end. Start processes by "spawn" for more.
     """
     global _started  # noqa: PLW0603 - one pool of threads, one process
-    wanted = _wanted(num_threads)
+    wanted = _count_wanted(num_threads)
     if _is_fork:
         return 1
     _started = _started or wanted > 1
     return wanted
 
 
-def _wanted(num_threads: int | None) -> int:
+def _count_wanted(num_threads: int | None) -> int:
     if num_threads is None:
         torch = sys.modules.get("torch")
         n_found = _core.max_threads() if torch is None else int(torch.get_num_threads())
@@ -55,23 +55,23 @@ def _wanted(num_threads: int | None) -> int:
     return num_threads
 
 
-def _after_fork() -> None:
+def _note_fork() -> None:
     global _is_fork  # noqa: PLW0603 - as above
     _is_fork = _started or "torch" in sys.modules  # whose operations share the threads
 
 
-os.register_at_fork(after_in_child=_after_fork)
+os.register_at_fork(after_in_child=_note_fork)
 
 
-def with_one_blas_thread(call: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
+def limit_blas_threads(call: Callable[_Arguments, _Result]) -> Callable[_Arguments, _Result]:
     """Decorate a function whose many small matrix products and solves NumPy makes.
 
     Threads of OpenBLAS spin while they wait: a reconstruction took three times as long with them.
     """
 
     @wraps(call)
-    def limited(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
+    def call_limited(*args: _Arguments.args, **kwargs: _Arguments.kwargs) -> _Result:
         with ThreadpoolController().select(internal_api="openblas").limit(limits=1):
             return call(*args, **kwargs)
 
-    return limited
+    return call_limited

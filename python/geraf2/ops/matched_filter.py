@@ -160,13 +160,13 @@ class MatchedFilterPlan:
 
         progress: called with the fraction done; an exception that it raises ends the call.
         """
-        return self._problem.image(self._checked("signal", signal, self.signal_shape), progress)
+        return self._problem.image(self._check("signal", signal, self.signal_shape), progress)
 
     def adjoint(self, image: Array) -> Array:
         """Adjoint of :meth:`execute`, the signal (n_antennas, n_samples) of an image."""
-        return self._problem.adjoint(self._checked("image", image, self.image_shape))
+        return self._problem.adjoint(self._check("image", image, self.image_shape))
 
-    def _checked(self, name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    def _check(self, name: str, values: Array, shape: tuple[int, ...]) -> Array:
         array = np.asarray(values)
         if array.dtype != self.dtype:
             msg = f"{name} must be {self.dtype}, as the plan was made for, got {array.dtype}"

@@ -122,8 +122,8 @@ def physical_optics(
     no_rows = np.empty((0, 3))
     return _core.physical_optics(
         require_positions("points", elements.points),
-        no_rows if elements.normals is None else _double(elements.normals),
-        np.empty((0, 2, 3)) if elements.edges is None else _double(elements.edges),
+        no_rows if elements.normals is None else _to_double(elements.normals),
+        np.empty((0, 2, 3)) if elements.edges is None else _to_double(elements.edges),
         weights,
         require_positions("tx", antennas.tx),
         require_positions("rx", antennas.rx),
@@ -134,7 +134,7 @@ def physical_optics(
     )
 
 
-def _double(values: NDArray[np.floating]) -> Floats:
+def _to_double(values: NDArray[np.floating]) -> Floats:
     return np.ascontiguousarray(values, dtype=np.float64)
 
 

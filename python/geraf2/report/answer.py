@@ -95,9 +95,9 @@ def answer_of(
         )
     if seen is not None:
         outlines = bool(numbers.get("selection", {}).get("outlines"))
-        cards.append(_not_seen(content, seen, outlines))
+        cards.append(_unseen_card(content, seen, outlines))
     return Answer(
-        found=_found(content, report) + _ghosts(numbers.get("mesh", {})),
+        found=_describe_content(content, report) + _ghosts(numbers.get("mesh", {})),
         cards=tuple(cards),
         scores=tuple(_scores(metrics)) if "scores" in metrics else (),
         corrected=corrected,
@@ -118,7 +118,7 @@ def _size(content: TriangleMesh, report: SurfaceReport, intervals: Mapping[str, 
     return Card(title="Size", value=_sides(content), lines=tuple(lines))
 
 
-def _not_seen(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
+def _unseen_card(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
     """Card of the surface without an echo or an outline."""
     areas = vertex_areas(content.vertices, content.faces)
     kinds = np.where(seen, Evidence.SEEN, Evidence.NOT_SEEN)
@@ -134,7 +134,7 @@ def _not_seen(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
         value=_percent(shares[Evidence.NOT_SEEN]),
         lines=(
             *lines,
-            *_sides_of(content, kinds == Evidence.NOT_SEEN),
+            *_describe_unseen_sides(content, kinds == Evidence.NOT_SEEN),
             *_ends(content, seen, has_outlines),
         ),
         shares=tuple((str(kind), share) for kind, share in shares.items() if share > 0),
@@ -145,7 +145,7 @@ def _percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-def _found(content: TriangleMesh, report: SurfaceReport) -> str:
+def _describe_content(content: TriangleMesh, report: SurfaceReport) -> str:
     n, lengths = report.n_components, _sides(content)
     center = 1e3 * volume_centroid_m(content.vertices, content.faces)
     position = ", ".join(f"{value:z.0f}" for value in center)
@@ -184,7 +184,7 @@ def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
     return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
 
 
-def _sides_of(content: TriangleMesh, not_seen: Bools) -> list[str]:
+def _describe_unseen_sides(content: TriangleMesh, not_seen: Bools) -> list[str]:
     """Sentence on the directions that were not seen."""
     areas = vertex_areas(content.vertices, content.faces)
     up = vertex_normals(content.vertices, content.faces)[:, 2]
@@ -195,7 +195,7 @@ def _sides_of(content: TriangleMesh, not_seen: Bools) -> list[str]:
     }
     shares = {name: _share(areas, not_seen, which) for name, which in sides.items()}
     parts = [f"{_percent(s)} of what {name}" for name, s in shares.items() if s >= _MIN_SHARE]
-    return [f"By side: {_listed(parts)}."] if parts else []
+    return [f"By side: {_join_words(parts)}."] if parts else []
 
 
 def _share(areas: Floats, marked: Bools, among: Bools) -> float:
@@ -221,10 +221,10 @@ def _ends(content: TriangleMesh, seen: Bools, has_outlines: bool) -> list[str]:
         return []
     source = " other than the shadow on the far walls" if has_outlines else ""
     which = "This end" if len(blind) == 1 else "These ends"
-    return [f"{which} of the size had no echo{source}: {_listed(blind)}."]
+    return [f"{which} of the size had no echo{source}: {_join_words(blind)}."]
 
 
-def _listed(parts: Sequence[str]) -> str:
+def _join_words(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
 
 

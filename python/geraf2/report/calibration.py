@@ -41,7 +41,7 @@ def _draw_walls(panel: "Axes", found: Calibration) -> None:
     walls = found.walls
     panel.set(title="echoes of the walls", xlabel="behind the prior's position [mm]")
     if walls is None:
-        _nothing(panel, "not used")
+        _draw_note(panel, "not used")
         return
     bins = np.arange(-10.0, 10.01, 0.5)
     style: dict[str, Any] = {"bins": bins.tolist(), "histtype": "step", "linewidth": 1.8}
@@ -59,7 +59,7 @@ def _draw_channels(panel: "Axes", found: Calibration) -> None:
     channels = found.channels
     panel.set(title="phases of channels", xlabel="channel")
     if channels is None:
-        _nothing(panel, "no separate channels")
+        _draw_note(panel, "no separate channels")
         return
     phases, sigmas = np.rad2deg(channels.phases_rad), np.rad2deg(channels.sigma_rad)
     panel.errorbar(np.arange(len(phases)), phases, yerr=sigmas, fmt="o", color="black", capsize=3)
@@ -75,7 +75,7 @@ def _draw_drift(panel: "Axes", found: Calibration) -> None:
         title="positions of the antennas", xlabel="antenna, along the trajectory of its plane"
     )
     if drift is None:
-        _nothing(panel, "unchanged")
+        _draw_note(panel, "unchanged")
         return
     for number, pose in enumerate(found.capture.poses):
         panel.plot(1e3 * drift.displacements(number, pose.n_antennas), linewidth=0.8)
@@ -84,7 +84,7 @@ def _draw_drift(panel: "Axes", found: Calibration) -> None:
         panel.set_title("positions of the antennas: not significant, unchanged")
 
 
-def _nothing(panel: "Axes", text: str) -> None:
+def _draw_note(panel: "Axes", text: str) -> None:
     panel.text(
         0.5, 0.5, text, ha="center", va="center", transform=panel.transAxes, color=BOX_COLOUR
     )

@@ -349,17 +349,17 @@ def _expected_row(painter: MeshPainter) -> _Row:
     expected_m = painter.mesh.expected_error_m
     if expected_m is None:
         return "reconstruction", painter, np.tile(np.array(_GREY), (n_vertices, 1)), None
-    colours, mappable = _coloured(1e3 * expected_m, 1e3 * WORST_SHOWN_M)
+    colours, mappable = _colour_errors(1e3 * expected_m, 1e3 * WORST_SHOWN_M)
     return "reconstruction", painter, colours, (mappable, "expected error [mm]")
 
 
 def _distance_row(painter: MeshPainter, distances_m: Floats) -> _Row:
     require_shape("distances_m", distances_m, (painter.mesh.vertices.shape[0],))
-    colours, mappable = _coloured(1e3 * np.abs(distances_m), 8.0)
+    colours, mappable = _colour_errors(1e3 * np.abs(distances_m), 8.0)
     return "error", painter, colours, (mappable, "distance to the truth [mm]")
 
 
-def _coloured(values: Floats, largest: float) -> tuple[Floats, Any]:
+def _colour_errors(values: Floats, largest: float) -> tuple[Floats, Any]:
     canvas.load_matplotlib()
     from matplotlib.cm import ScalarMappable  # noqa: PLC0415 - as above
     from matplotlib.colors import LinearSegmentedColormap, Normalize  # noqa: PLC0415 - as above

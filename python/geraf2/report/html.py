@@ -43,12 +43,12 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
     )
     environment.filters["mm"] = _millimetres
-    environment.filters["tight"] = _tight
+    environment.filters["tight"] = _bind_units
     environment.globals["zip"] = zip
     return environment
 
 
-def rendered(template: str, **context: Any) -> str:
+def render_template(template: str, **context: Any) -> str:
     """Render a template."""
     return _environment().get_template(template).render(version=__version__, **context)
 
@@ -103,7 +103,7 @@ def _millimetres(value_m: float | None) -> str:
     return "n/a" if value_m is None else f"{1e3 * value_m:z.2f}"
 
 
-def _tight(text: str) -> str:
+def _bind_units(text: str) -> str:
     """Text without line breaks between numbers and units."""
     for loose, tight in _TIGHT:
         text = text.replace(loose, tight)

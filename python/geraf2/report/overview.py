@@ -73,10 +73,10 @@ def overview_figure(
     if box is None and summary.walls:
         box = LosPrior.from_box(summary.walls[0].size_m, summary.walls[0].center_m).mesh
     gathered = gather(poses, len(summary.poses))
-    depths, sharpness = _searched(summary, gathered)
+    depths, sharpness = _search_depth(summary, gathered)
     standoff = summary.standoff_m
     if len(depths):
-        plane, standoff = summary.usable[0], float(depths[sharpness.argmax()])
+        plane, standoff = summary.usable_poses[0], float(depths[sharpness.argmax()])
         focus = plane.center + standoff * plane.axes[0]
     if focus is None:
         hint = "give the depth: 'geraf2 image --depth-m'"
@@ -103,7 +103,7 @@ def overview_figure(
     canvas.save(figure, path)
 
 
-def _searched(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Floats]:
+def _search_depth(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Floats]:
     """Depths before a single plane [m] and the sharpness at each; empty without a raster."""
     waveform = summary.waveform
     if summary.is_plane and gathered.imaged:

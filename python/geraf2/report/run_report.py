@@ -41,7 +41,7 @@ from geraf2.report.view3d import (
     Around,
     content_attributes,
     scene_json,
-    thinned,
+    thin_mesh,
     view_scene,
 )
 from geraf2.report.view_layers import box_faces, heat_map, read_heat_map, signed_distance
@@ -169,7 +169,7 @@ def write_report(
     ]
     # Notes of calibration are in its section, not among the warnings.
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
-    page = html.rendered(
+    page = html.render_template(
         "run.html",
         title=f"geraf2: {folder.resolve().name}",
         meta=run_sections.meta(run.scene[0], run.config_text, log),
@@ -189,7 +189,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     if run.surface is None:
         return None
     scene = _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
-    return html.rendered(
+    return html.render_template(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
         views=[("", scene_json(scene))],
@@ -262,7 +262,7 @@ def _truth_copy(
         return None
     if truth is not None and truth.faces.shape[0]:
         distances = signed_distances(truth, run.surface.vertices, num_threads=num_threads)
-        kept, faces = thinned(truth.vertices, truth.faces, _MAX_TRUTH_FACES)
+        kept, faces = thin_mesh(truth.vertices, truth.faces, _MAX_TRUTH_FACES)
         thin = TriangleMesh(vertices=truth.vertices[kept], faces=faces)
         arrays = {"vertices": thin.vertices, "faces": faces, "distances_m": distances}
         write_npz_atomic(path, arrays)

@@ -17,7 +17,7 @@ from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
-from geraf2.report.view_layers import BoxFace, Volume, coarser
+from geraf2.report.view_layers import BoxFace, Volume, coarsen
 from geraf2.surfaces.expected_error import SupportModel, seen_vertices
 from geraf2.surfaces.isosurface import signed_distances
 
@@ -103,7 +103,7 @@ def content_attributes(
             )
         )
     if box is not None and box.faces.shape[0]:
-        outside = _outermost(box)  # without the inner sides of its walls
+        outside = _find_outermost(box)  # without the inner sides of its walls
         depth = -1e3 * signed_distances(outside, content.vertices, num_threads=num_threads)
         limits = (float(np.floor(depth.min())), float(np.ceil(depth.max())))
         note = "From the nearest point of the box's outside."
@@ -146,7 +146,7 @@ def _evidence(evidence: Bytes) -> Attribute:
     )
 
 
-def _outermost(box: TriangleMesh) -> TriangleMesh:
+def _find_outermost(box: TriangleMesh) -> TriangleMesh:
     """Piece of a mesh with the largest extent."""
     labels, n_parts = face_labels(box.faces)
     parts = [box.with_faces(box.faces[labels == part]) for part in range(n_parts)]
@@ -242,26 +242,26 @@ def view_scene(
     """
     around = around or Around()
     box, truth, glints, planes_m = around.box, around.truth, around.glints, around.planes_m
-    thin, kept, note = _thinned(content, MAX_CONTENT_FACES, "content")
+    thin, kept, note = _thin_with_note(content, MAX_CONTENT_FACES, "content")
     shown = _mesh(thin, "content", _CONTENT_COLOUR, note=note)
     if thin.faces.shape[0]:
         shade = MeshPainter(thin).ambient
-        shown["shade"] = packed(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
+        shown["shade"] = encode_integers(np.round(255.0 * np.clip(shade, 0.0, 1.0)).astype("<u1"))
     shown["attributes"] = [_attribute(attribute, kept) for attribute in attributes]
     shown["groups"] = None if apart is None else _groups(apart.groups[kept])
     meshes = [shown]
     if truth is not None and truth.faces.shape[0]:
-        thin, _, note = _thinned(truth, _MAX_TRUTH_FACES, "truth")
+        thin, _, note = _thin_with_note(truth, _MAX_TRUTH_FACES, "truth")
         options = {"visible": False, "opacity": _TRUTH_OPACITY, "note": note, "reference": True}
         meshes.append(_mesh(thin, "truth", TRUTH_COLOUR, **options))
     for other in around.others:
-        thin, kept, note = _thinned(other.mesh, _MAX_TRUTH_FACES, other.label)
+        thin, kept, note = _thin_with_note(other.mesh, _MAX_TRUTH_FACES, other.label)
         options = {"opacity": other.opacity, "note": note, "reference": other.is_reference}
         options["visible"] = other.is_visible
         options["groups"] = None if other.groups is None else _groups(other.groups[kept])
         meshes.append(_mesh(thin, other.label, other.colour, **options))
     if box is not None and box.faces.shape[0]:
-        thin, _, note = _thinned(box, _MAX_BOX_FACES, "box")
+        thin, _, note = _thin_with_note(box, _MAX_BOX_FACES, "box")
         options = {"opacity": _BOX_OPACITY, "walls": True, "edges": True, "note": note}
         options |= {"visible": not around.faces}
         meshes.append(_mesh(thin, "box", _BOX_COLOUR, **options))
@@ -296,7 +296,7 @@ def scene_json(scene: dict[str, Any]) -> str:
     return json.dumps(scene, separators=(",", ":")).replace("<", "\\u003c")
 
 
-def thinned(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
+def thin_mesh(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
     """Reduce triangles for a view: vertices of a cell become the one nearest to their mean.
 
     The error is that of chords of the length of a cell.
@@ -326,8 +326,10 @@ def thinned(vertices: Floats, faces: Ints, max_faces: int) -> tuple[Ints, Ints]:
     return nearest[used], renumbered.reshape(joined.shape)
 
 
-def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMesh, Ints, str]:
-    kept, faces = thinned(mesh.vertices, mesh.faces, max_faces)
+def _thin_with_note(
+    mesh: TriangleMesh, max_faces: int, what: str
+) -> tuple[TriangleMesh, Ints, str]:
+    kept, faces = thin_mesh(mesh.vertices, mesh.faces, max_faces)
     if len(faces) == len(mesh.faces):
         return mesh, kept, ""
     note = f"Shown are {len(faces):,} of the {len(mesh.faces):,} triangles of the {what}."
@@ -335,16 +337,16 @@ def _thinned(mesh: TriangleMesh, max_faces: int, what: str) -> tuple[TriangleMes
 
 
 def _groups(groups: Ints) -> dict[str, str]:
-    return packed(groups.astype("<u2"))
+    return encode_integers(groups.astype("<u2"))
 
 
-def packed(values: NDArray[Any]) -> dict[str, str]:
+def encode_integers(values: NDArray[Any]) -> dict[str, str]:
     """Return whole numbers in base64, with their type."""
     data = base64.b64encode(np.ascontiguousarray(values).tobytes()).decode("ascii")
     return {"type": values.dtype.str[1:], "data": data}
 
 
-def quantised(values: Array, dtype: str) -> dict[str, Any]:
+def quantise(values: Array, dtype: str) -> dict[str, Any]:
     """Return columns of values, each quantised from its minimum to its maximum in `dtype`."""
     columns = np.asarray(values, dtype=np.float64)
     columns = columns.reshape(len(values), -1) if len(values) else columns.reshape(0, 3)
@@ -352,7 +354,7 @@ def quantised(values: Array, dtype: str) -> dict[str, Any]:
     span = (columns.max(axis=0) if len(columns) else low) - low
     step = np.where(span > 0, span, 1.0) / np.iinfo(dtype).max
     whole = np.round((columns - low) / step).astype(dtype)
-    return {"low": low.tolist(), "step": step.tolist(), "values": packed(whole)}
+    return {"low": low.tolist(), "step": step.tolist(), "values": encode_integers(whole)}
 
 
 def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[str, Any]:
@@ -366,8 +368,8 @@ def _mesh(mesh: TriangleMesh, label: str, colour: str, **options: Any) -> dict[s
         "opacity": 1.0,
         "closed": is_closed,
         "attributes": [],
-        "positions": quantised(1e3 * mesh.vertices, "<u2"),
-        "indices": packed(indices),
+        "positions": quantise(1e3 * mesh.vertices, "<u2"),
+        "indices": encode_integers(indices),
         **options,
     }
 
@@ -377,9 +379,9 @@ def _attribute(attribute: Attribute, kept: Ints) -> dict[str, Any]:
     if attribute.classes:
         n_classes = len(attribute.classes)
         whole = values.astype("<u1" if n_classes <= 256 else "<u2")
-        stored = {"low": [0.0], "step": [1.0], "values": packed(whole)}
+        stored = {"low": [0.0], "step": [1.0], "values": encode_integers(whole)}
     else:
-        stored = quantised(values, "<u2")
+        stored = quantise(values, "<u2")
     return {
         "label": attribute.label,
         "unit": attribute.unit,
@@ -420,7 +422,7 @@ def _faces(faces: Sequence[BoxFace]) -> dict[str, Any]:
 
 def _volume(volume: Volume) -> dict[str, Any]:
     """Volume with 256 levels between its limits."""
-    values, origin_m, spacing_m = coarser(volume)
+    values, origin_m, spacing_m = coarsen(volume)
     low, high = volume.limits
     levels = np.round(255.0 * np.clip((values - low) / (high - low), 0.0, 1.0)).astype("<u1")
     return {
@@ -432,7 +434,7 @@ def _volume(volume: Volume) -> dict[str, Any]:
         "origin": np.round(1e3 * origin_m, 3).tolist(),
         "spacing": 1e3 * spacing_m,
         "shape": list(values.shape),
-        "values": packed(levels),
+        "values": encode_integers(levels),
     }
 
 
@@ -448,10 +450,10 @@ def _glints(glints: Glints) -> dict[str, Any]:
         "visible": False,
         "opacity": 1.0,
         "radius": 1e3 * _GLINT_RADIUS_M,
-        "positions": quantised(1e3 * shown.positions, "<u2"),
-        "normals": quantised(shown.normals, "<u1"),
-        "values": quantised(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
-        "poses": packed(np.clip(shown.poses, 0, 65_535).astype("<u2")),
+        "positions": quantise(1e3 * shown.positions, "<u2"),
+        "normals": quantise(shown.normals, "<u1"),
+        "values": quantise(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
+        "poses": encode_integers(np.clip(shown.poses, 0, 65_535).astype("<u2")),
         "reach": 1e3 * model.seen_reach_m,
         "cosine": float(np.cos(model.seen_angle_rad)),
         "range": [-_GLINT_RANGE_DB, 0.0],

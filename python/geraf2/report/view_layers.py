@@ -94,7 +94,7 @@ def read_heat_map(path: Path) -> Volume:
     return heat_map(stored["volume"], grid)
 
 
-def coarser(volume: Volume) -> tuple[Array, Floats, float]:
+def coarsen(volume: Volume) -> tuple[Array, Floats, float]:
     """Blocks of voxels, so that no side is longer than a page holds.
 
     The largest of a heat map, of which weak values are transparent; the mean of signed values.

@@ -49,19 +49,19 @@ class Aperture:
     """Largest coordinates, (3,) [m]."""
 
     @classmethod
-    def of_pose(cls, pose: RawPose) -> "Aperture":
+    def from_pose(cls, pose: RawPose) -> "Aperture":
         """Rectangle of a pose's phase centres."""
         local = pose.phase_centers @ pose.axes.T
         return cls(axes=pose.axes, low_m=local.min(axis=0), high_m=local.max(axis=0))
 
     @classmethod
-    def of_rectangle(cls, middle_m: Floats, axes: Floats, half_m: Floats) -> "Aperture":
+    def from_rectangle(cls, middle_m: Floats, axes: Floats, half_m: Floats) -> "Aperture":
         """Rectangle of a middle (3,) [m], axes (3, 3), and half width and height (2,) [m]."""
         middle, reach = axes @ middle_m, np.array([0.0, *half_m])
         return cls(axes=axes, low_m=middle - reach, high_m=middle + reach)
 
     @classmethod
-    def of_corners(cls, corners_m: Floats) -> "Aperture":
+    def from_corners(cls, corners_m: Floats) -> "Aperture":
         """Rectangle of corners in turn, (4, 3) [m]; a side of no length gets some direction."""
         across, up = corners_m[1] - corners_m[0], corners_m[3] - corners_m[0]
         half = 0.5 * np.array([np.linalg.norm(across), np.linalg.norm(up)])
@@ -71,7 +71,7 @@ class Aperture:
         boresight /= np.linalg.norm(boresight)
         horizontal = across / np.linalg.norm(across)
         axes = np.stack([boresight, horizontal, np.cross(boresight, horizontal)])
-        return cls.of_rectangle(corners_m.mean(axis=0), axes, half)
+        return cls.from_rectangle(corners_m.mean(axis=0), axes, half)
 
     @property
     def middle_m(self) -> Floats:
@@ -86,16 +86,16 @@ class Aperture:
     @property
     def corners_m(self) -> Floats:
         """Corners in turn, (4, 3) [m]."""
-        return self.at(np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]))
+        return self.points_at(np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]))
 
-    def at(self, shares: Floats) -> Floats:
+    def points_at(self, shares: Floats) -> Floats:
         """Points of the rectangle at shares -1 to 1 of its half sides, (n, 2) -> (n, 3) [m]."""
         return np.asarray(self.middle_m + (shares * self.half_m) @ self.axes[1:])
 
-    def right_handed(self) -> "Aperture":
+    def turn_right_handed(self) -> "Aperture":
         """Return the same rectangle with axes that are a rotation."""
         axes = np.stack([self.axes[0], np.cross(self.axes[2], self.axes[0]), self.axes[2]])
-        return Aperture.of_rectangle(self.middle_m, axes, self.half_m)
+        return Aperture.from_rectangle(self.middle_m, axes, self.half_m)
 
     def mirror(self, points: Floats, normals: Floats) -> MirrorPoints:
         """Where the normals of surface points meet the plane, points and normals (n, 3) [m]."""

@@ -73,7 +73,7 @@ class AntennaArray:
         kept = first[position[first] % step == 0]
         return tx[t[kept]], rx[r[kept]], t[kept]
 
-    def swept(self, *, order: str = "tdm", chirp_s: float = 1e-3) -> SweptArray:
+    def sweep(self, *, order: str = "tdm", chirp_s: float = 1e-3) -> SweptArray:
         """Array whose long side stands upright, so that a sweep along the horizontal covers it.
 
         order: "tdm" or "ddm". chirp_s: from one chirp to the next [s].

@@ -83,7 +83,7 @@ class Capture:
             return self.poses.n_antennas
         return tuple(pose.n_antennas for pose in self.poses)
 
-    def in_memory(self) -> "Capture":
+    def load(self) -> "Capture":
         """Return the same with all poses read; itself where they are."""
         if isinstance(self.poses, tuple):
             return self
@@ -101,7 +101,7 @@ class Capture:
         outlines = []
         if isinstance(self.poses, tuple):
             outlines = [
-                (Aperture.of_pose(pose).corners_m, PLANE_COLOR)
+                (Aperture.from_pose(pose).corners_m, PLANE_COLOR)
                 for pose in self.poses
                 if pose.n_antennas
             ]

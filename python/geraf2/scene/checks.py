@@ -67,10 +67,10 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
 
 def require_plausible(summary: CaptureSummary, where: object) -> tuple[Finding, ...]:
     """Raise UserError with the first error found; otherwise return the warnings."""
-    return without_errors(check_capture(summary), where)
+    return require_no_errors(check_capture(summary), where)
 
 
-def without_errors(findings: Iterable[Finding], where: object) -> tuple[Finding, ...]:
+def require_no_errors(findings: Iterable[Finding], where: object) -> tuple[Finding, ...]:
     """Raise UserError with the first error of findings, else return them."""
     for finding in (kept := tuple(findings)):
         if finding.severity == "error":
@@ -88,7 +88,7 @@ def warning(message: str) -> Finding:
     return Finding(severity="warning", message=message)
 
 
-def in_mm(values_m: Iterable[float]) -> str:
+def format_mm(values_m: Iterable[float]) -> str:
     """Lengths or positions [m] in whole millimetres, as (x, y, z)."""
     return "(" + ", ".join(f"{1e3 * value:z.0f}" for value in values_m) + ")"
 
@@ -170,7 +170,7 @@ def _check_positions(summary: CaptureSummary) -> Iterator[Finding]:
         yield error(
             f"transmitters stand up to {most:.3g} m from their receivers, in {_list(apart)}; {hint}"
         )
-    rest = [pose for pose in summary.usable if pose not in far and pose not in apart]
+    rest = [pose for pose in summary.usable_poses if pose not in far and pose not in apart]
     centers = np.array([pose.center for pose in rest]).reshape(-1, 3)
     if len(rest) > 2:
         away = np.linalg.norm(centers - np.median(centers, axis=0), axis=1)
@@ -233,8 +233,8 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     given, usual = summary.standoff_m, 0.5
     if not given > limit:  # NaN where no distance is known
         given, usual = spacing, 0.5 * wavelength
-    in_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
-    unit = "centimetres" if in_cm < in_mm else "millimetres"
+    format_mm, in_cm = (abs(np.log(given / per_m / usual)) for per_m in (1e3, 1e2))
+    unit = "centimetres" if in_cm < format_mm else "millimetres"
     yield error(
         f"positions do not look like metres: {'; '.join(clues)}, but the unambiguous range is "
         f"{limit:.3g} m; if they are in {unit}, convert them to metres"
@@ -244,7 +244,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
 def _mean_spacing_m(summary: CaptureSummary) -> float:
     """Spacing of as many antennas spread evenly over the plane, or along the line [m]."""
     spacings = []
-    for pose in summary.usable:
+    for pose in summary.usable_poses:
         _, width, height = pose.extent_m
         line = max(width, height) / pose.n_antennas
         spacings.append(max(line, np.sqrt(width * height / pose.n_antennas)))
@@ -252,7 +252,7 @@ def _mean_spacing_m(summary: CaptureSummary) -> float:
 
 
 def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
-    poses, focus = summary.usable, summary.focus
+    poses, focus = summary.usable_poses, summary.focus
     # A single plane faces its own strongest echo, in whatever range cell that is.
     away = []
     if focus is not None and not summary.is_plane:

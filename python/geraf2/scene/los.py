@@ -160,7 +160,7 @@ class LosPrior:
         """Whether this is a cuboid that does not stand along the axes of the frame."""
         return self.cuboid is not None and float(np.diag(self.cuboid[0]).min()) < _ALONG_COSINE
 
-    def moved(self, transform: Floats) -> "LosPrior":
+    def move(self, transform: Floats) -> "LosPrior":
         """Prior after a rigid transform of homogeneous coordinates, (4, 4)."""
         vertices = np.ascontiguousarray(apply_rigid(transform, self.vertices))
         certain = None if self.certain is None else apply_rigid(transform, self.certain)
@@ -194,12 +194,12 @@ class LosPrior:
         least = size if self.certain is None else np.ptp(self.certain @ axes.T, axis=0)
         return float(np.prod(0.5 * (size + least)))
 
-    def cropped(self, margin_m: float) -> "LosPrior":
+    def crop(self, margin_m: float) -> "LosPrior":
         """Bounding box, smaller by a margin [m] on every side; it has no walls.
 
         UserError where that leaves nothing.
 
-        >>> geraf2.LosPrior.from_box((0.22, 0.22, 0.3)).cropped(0.01)
+        >>> geraf2.LosPrior.from_box((0.22, 0.22, 0.3)).crop(0.01)
         LosPrior(200 x 200 x 280 mm, 12 triangles, 0 walls)
         """
         x, y, z = (side - 2.0 * margin_m for side in self.size_m)

@@ -4,7 +4,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.scene.checks import in_mm
+from geraf2.scene.checks import format_mm
 from geraf2.scene.los import LosPrior
 from geraf2.scene.summary import CaptureSummary
 
@@ -18,14 +18,14 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
     where: named in the error: the mesh file, or --box.
     """
     _require_likely_unit(prior, summary, where)
-    poses, center = summary.usable, prior.bounds.mean(axis=0)
+    poses, center = summary.usable_poses, prior.bounds.mean(axis=0)
     radius = 0.5 * float(np.linalg.norm(prior.size_m))
     inside = [pose.name for pose in poses if _is_inside(pose.corners_m, prior.bounds)]
     if inside:
         raise UserError(
             what=f"the box contains the antennas of {len(inside)} planes (e.g. {inside[0]})",
             where=where,
-            got=f"a box from {in_mm(prior.bounds[0])} to {in_mm(prior.bounds[1])} mm",
+            got=f"a box from {format_mm(prior.bounds[0])} to {format_mm(prior.bounds[1])} mm",
             hint="check its unit (metres) and frame",
         )
     n_seeing, farthest = 0, summary.waveform.unambiguous_range_m
@@ -37,12 +37,12 @@ def require_prior_in_view(prior: LosPrior, summary: CaptureSummary, where: objec
         n_seeing += along > 0 and off_axis < reach and along - radius < farthest
     if n_seeing < _SHARE_OF_POSES * len(poses):
         focus = summary.focus
-        looked_at = "" if focus is None else f"; the planes look at {in_mm(focus)} mm"
+        looked_at = "" if focus is None else f"; the planes look at {format_mm(focus)} mm"
         raise UserError(
             what="the box does not lie where the antennas look, probably in another frame",
             where=where,
             expected="a box in the capture's frame",
-            got=f"a box around {in_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
+            got=f"a box around {format_mm(center)} mm, seen by {n_seeing} of {len(poses)} "
             f"planes{looked_at}",
         )
 
@@ -52,8 +52,8 @@ def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object
     # Antennas scan a box from outside, so it is smaller than twice their distance.
     largest = 4.0 * max(standoff, float(np.nan_to_num(max(summary.aperture_m))))
     if longest > largest:
-        in_mm, in_cm = (abs(np.log(longest / per_metre / standoff)) for per_metre in (1e3, 1e2))
-        unit = "centimetres" if in_cm < in_mm else "millimetres"
+        format_mm, in_cm = (abs(np.log(longest / per_metre / standoff)) for per_metre in (1e3, 1e2))
+        unit = "centimetres" if in_cm < format_mm else "millimetres"
         raise UserError(
             what=f"the box is {longest:.4g} m long, but the antennas stand {standoff:.3g} m from "
             "what they look at",

@@ -53,7 +53,7 @@ class Camera:
         return np.asarray(self.camera_to_world[:3, 3])
 
     @property
-    def looking(self) -> Floats:
+    def view_direction(self) -> Floats:
         """Unit vector along the optical axis, (3,)."""
         return np.asarray(self.camera_to_world[:3, 2])
 
@@ -87,18 +87,18 @@ class Camera:
         plane, _ = self._distort(local[:, :2] / depth)
         return np.asarray(plane @ self.intrinsics[:2, :2].T + self.intrinsics[:2, 2])
 
-    def shown(self, pixels: Floats) -> Bools:
+    def contains(self, pixels: Floats) -> Bools:
         """Whether image points (n, 2) [pixel] lie in the picture, (n,); NaN does not."""
         with np.errstate(invalid="ignore"):
             inside = (pixels >= 0.0) & (pixels < (self.width, self.height))
         return np.asarray(inside.all(axis=1))
 
-    def resized(self, width: int, height: int) -> "Camera":
+    def resize(self, width: int, height: int) -> "Camera":
         """Camera of the same picture in another number of pixels."""
         scale = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=scale @ self.intrinsics, width=width, height=height)
 
-    def binned(self, step: int) -> "Camera":
+    def join_pixels(self, step: int) -> "Camera":
         """Camera of a picture in which step x step pixels are one; what fills no block is cut."""
         if step < 1 or step > min(self.width, self.height):
             msg = f"step must be from 1 to the image's shorter side, got {step}"
@@ -212,7 +212,10 @@ class PhotoSet:
         Parallel axes leave it open; then it is the nearest to the cameras among the best.
         """
         middle = self.positions.mean(axis=0)
-        across = [np.eye(3) - np.outer(camera.looking, camera.looking) for camera in self.cameras]
+        across = [
+            np.eye(3) - np.outer(camera.view_direction, camera.view_direction)
+            for camera in self.cameras
+        ]
         lhs = np.sum(across, axis=0)
         rhs = np.sum(
             [a @ (c.position - middle) for a, c in zip(across, self.cameras, strict=True)], axis=0

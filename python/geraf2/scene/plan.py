@@ -115,7 +115,7 @@ class ScanPlan(Raster):
     def apertures(self) -> list[Aperture]:
         """Rectangles that the antennas of every plane cover."""
         half = 0.5 * np.asarray(self.aperture_m)
-        return [Aperture.of_rectangle(middle, axes, half) for middle, axes in self.planes()]
+        return [Aperture.from_rectangle(middle, axes, half) for middle, axes in self.planes()]
 
 
 @dataclass(frozen=True, kw_only=True)

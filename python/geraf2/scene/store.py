@@ -33,7 +33,7 @@ def load_capture(path: Path | str) -> Capture:
     capture = open_capture(path)
     n_samples = float(capture.n_antennas) * capture.waveform.n_samples
     require_memory(_BYTES_PER_SAMPLE * n_samples, "keep fewer planes in a scene", where=path)
-    return capture.in_memory()
+    return capture.load()
 
 
 def open_capture(path: Path | str) -> Capture:

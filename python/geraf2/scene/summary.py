@@ -103,7 +103,7 @@ class CaptureSummary:
     def is_plane(self) -> bool:
         """Whether this is a single plane without a box, wide enough to focus to a depth."""
         narrowest = _MIN_WAVELENGTHS_WIDE * self.waveform.center_wavelength_m
-        return len(self.usable) == 1 and not self.walls and min(self.aperture_m) >= narrowest
+        return len(self.usable_poses) == 1 and not self.walls and min(self.aperture_m) >= narrowest
 
     @property
     def n_antennas(self) -> int:
@@ -111,7 +111,7 @@ class CaptureSummary:
         return sum(pose.n_antennas for pose in self.poses)
 
     @property
-    def usable(self) -> tuple[PoseSummary, ...]:
+    def usable_poses(self) -> tuple[PoseSummary, ...]:
         """Poses with antennas at finite positions, and finite axes."""
         good = (p for p in self.poses if p.n_antennas and not p.n_bad_positions)
         return tuple(pose for pose in good if np.isfinite(pose.axes).all())
@@ -119,7 +119,7 @@ class CaptureSummary:
     @property
     def aperture_m(self) -> tuple[float, float]:
         """Median horizontal and vertical extent of a pose [m]."""
-        extents = [pose.extent_m for pose in self.usable]
+        extents = [pose.extent_m for pose in self.usable_poses]
         if not extents:
             return float("nan"), float("nan")
         _, horizontal, vertical = np.median(extents, axis=0)
@@ -128,7 +128,7 @@ class CaptureSummary:
     @property
     def spacing_m(self) -> float:
         """Median antenna spacing [m]; NaN where no pose has two antennas."""
-        spacings = [pose.spacing_m for pose in self.usable if np.isfinite(pose.spacing_m)]
+        spacings = [pose.spacing_m for pose in self.usable_poses if np.isfinite(pose.spacing_m)]
         return float(np.median(spacings)) if spacings else float("nan")
 
     @property
@@ -139,7 +139,7 @@ class CaptureSummary:
         points at the strongest echo in front of each pose. None without usable poses, and where
         one frequency measures no range.
         """
-        poses = self.usable
+        poses = self.usable_poses
         if not poses:
             return None
         centers = np.stack([pose.center for pose in poses])
@@ -160,12 +160,12 @@ class CaptureSummary:
         focus = self.focus
         if focus is None:
             return float("nan")
-        return float(np.median([np.linalg.norm(pose.center - focus) for pose in self.usable]))
+        return float(np.median([np.linalg.norm(pose.center - focus) for pose in self.usable_poses]))
 
     @property
     def planes(self) -> list[Aperture]:
         """Apertures of the usable poses."""
-        return [pose.aperture for pose in self.usable]
+        return [pose.aperture for pose in self.usable_poses]
 
     @property
     def scene_width_m(self) -> float | None:

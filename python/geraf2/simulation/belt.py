@@ -71,7 +71,11 @@ def belt_planes(belt: BeltSpec, seed: int) -> Iterator[tuple[ScanPlane, ScanPlan
             }
             yield (
                 ScanPlane(tx=(tx - back).reshape(-1, 3), rx=(rx - back).reshape(-1, 3), **common),
-                ScanPlane(tx=motion.in_parcel(tx, times), rx=motion.in_parcel(rx, times), **common),
+                ScanPlane(
+                    tx=motion.transform_to_parcel(tx, times),
+                    rx=motion.transform_to_parcel(rx, times),
+                    **common,
+                ),
             )
 
 
@@ -99,7 +103,7 @@ class _Motion:
         jitter = belt.encoder_jitter_m * np.array(steps)[:, None]
         return (1.0 + belt.speed_error) * self.travel_m(times) + jitter
 
-    def in_parcel(self, positions: Floats, times: Floats) -> Floats:
+    def transform_to_parcel(self, positions: Floats, times: Floats) -> Floats:
         """Positions (n_channels, 3) in the frame of the parcel at each time, (n_antennas, 3)."""
         belt, travel = self.belt, self.travel_m(times)
         waves = np.cos(2.0 * np.pi * self.hz * times[..., None, None] + self.phases).sum(axis=-1)

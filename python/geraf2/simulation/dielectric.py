@@ -63,7 +63,7 @@ def slab_reflection(
     return np.asarray(r * (1.0 - (1.0 - r**2) * turn))
 
 
-def walls_crossed(
+def cross_walls(
     points: Floats, end: Floats, walls: Sequence[Wall], amplitude: float = 1.0
 ) -> tuple[Floats, Floats]:
     """Effect of walls on a wave along the straight path between points and one position.

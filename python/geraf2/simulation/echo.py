@@ -81,7 +81,7 @@ class PlaneEcho:
     scatterers: NDArray[np.complex64] | None
     lines: NDArray[np.complex64] | None = None
 
-    def reordered(self, rows: Ints) -> "PlaneEcho":
+    def reorder(self, rows: Ints) -> "PlaneEcho":
         """Signals of the antennas in another order, (n_antennas,)."""
         parts: dict[str, Any] = {k: None if v is None else v[rows] for k, v in vars(self).items()}
         return replace(self, **parts)
@@ -115,7 +115,7 @@ def _tubes_echo(
     """Second bounces on the object and echoes of its back face."""
     centers = block_centers(antennas)
 
-    def of_block(number: int) -> NDArray[np.complex64]:
+    def block_echo(number: int) -> NDArray[np.complex64]:
         rows = slice(antennas.offsets[number], antennas.offsets[number + 1])
         tx, rx = antennas.tx[rows], antennas.rx[rows]
         found = np.zeros((len(tx), scene.waveform.n_samples), dtype=np.complex64)
@@ -129,7 +129,7 @@ def _tubes_echo(
         return found
 
     with ThreadPoolExecutor(scene.num_threads) as pool:
-        return np.concatenate(list(pool.map(of_block, range(len(centers)))))
+        return np.concatenate(list(pool.map(block_echo, range(len(centers)))))
 
 
 def _points_echo(
@@ -245,13 +245,13 @@ def wall_layers(
                     elements=pair,
                     areas=areas,
                     can_be_hidden=inside,
-                    walls=None if shape is None else _crossed(walls, number, shape, inside),
+                    walls=None if shape is None else _find_crossed(walls, number, shape, inside),
                 )
             )
     return tuple(layers)
 
 
-def _crossed(
+def _find_crossed(
     walls: Sequence[Wall], number: int, shape: WallShape, inside: bool
 ) -> tuple[Wall, ...]:
     """Boxes that rays to a bulged wall cross, none of which its patches stick into.

@@ -22,9 +22,9 @@ from geraf2.simulation.implicit import (
     block,
     grid_points,
     limb,
+    revolve,
     ring,
     tube,
-    turned,
     zero_level,
 )
 
@@ -46,7 +46,7 @@ def _part(row: str, side: float) -> Solid:
     return make(*(a if a.size > 1 else float(a[0]) for a in arguments))
 
 
-def _of_table(table: dict[str, Any]) -> Figure:
+def _figure_of_table(table: dict[str, Any]) -> Figure:
     parts: list[Solid] = []
     for entry in table["parts"]:
         rows, sides = (entry, (-1.0, 1.0)) if isinstance(entry, list) else ([entry], (1.0,))
@@ -59,7 +59,7 @@ def _jug() -> Figure:
     arc = np.linspace(-0.45 * np.pi, 0.5 * np.pi, 16)
     handle = np.stack([-1.8 - 2.6 * np.cos(arc), 0 * arc, 5.8 + 2.9 * np.sin(arc)], axis=1)
     spout = limb((2.2, 0.0, 4.2), (4.9, 0.0, 7.6), 0.9, 0.45)
-    parts = [turned(profile), tube(handle, 0.45), spout]
+    parts = [revolve(profile), tube(handle, 0.45), spout]
     return Figure(blend(parts, 0.5), (-5.2, -3.2, -0.4), (5.7, 3.2, 11.5))
 
 
@@ -95,29 +95,29 @@ def _hung_ball() -> Figure:
     positions = [
         (0.75 * np.cos(a), 0.0, 11.4 + 0.75 * np.sin(a)) for a in np.linspace(0.0, 2.0 * np.pi, 25)
     ]
-    parts = [ball((0.0, 0.0, 4.8), (4.8, 4.8, 4.8)), turned(np.array([[9.0, 1.5], [10.2, 1.3]]))]
+    parts = [ball((0.0, 0.0, 4.8), (4.8, 4.8, 4.8)), revolve(np.array([[9.0, 1.5], [10.2, 1.3]]))]
     parts += [limb(start, end, 0.28, 0.28) for start, end in itertools.pairwise(positions)]
     return Figure(blend(parts, 0.25), (-5.4, -5.4, -0.6), (5.4, 5.4, 13.0))
 
 
 def _mug() -> Figure:
     """Empty mug with a thin wall and a handle."""
-    outside = turned(np.array([[0.9, 3.0], [1.0, 3.1], [7.2, 3.1], [7.3, 3.1]]))
-    inside = turned(np.array([[3.1, 2.8], [12.0, 2.8]]))
+    outside = revolve(np.array([[0.9, 3.0], [1.0, 3.1], [7.2, 3.1], [7.3, 3.1]]))
+    inside = revolve(np.array([[3.1, 2.8], [12.0, 2.8]]))
     arc = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 25)
     handle = np.stack([3.0 + 2.1 * np.cos(arc), 0.0 * arc, 4.4 + 2.2 * np.sin(arc)], axis=1)
     body = blend([outside, tube(handle, 0.38)], 0.25)
 
-    def hollow(points: Floats) -> Floats:
+    def mug_distance(points: Floats) -> Floats:
         z = points[..., 2]  # cut off below 0 and above 8.4
         return np.asarray(np.maximum.reduce([body(points), z - 8.4, -z, -inside(points)]))
 
-    return Figure(hollow, (-3.8, -3.8, -0.6), (6.0, 3.8, 9.0))
+    return Figure(mug_distance, (-3.8, -3.8, -0.6), (6.0, 3.8, 9.0))
 
 
 FIGURES: dict[str, Callable[[], Figure]] = {
     **{
-        name: partial(_of_table, table)
+        name: partial(_figure_of_table, table)
         for name, table in read_table(files("geraf2.simulation") / "figures.toml").items()
     },
     "jug": _jug,

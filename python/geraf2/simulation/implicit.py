@@ -85,7 +85,7 @@ def tube(path: Floats, radius: float) -> Solid:
     return distance
 
 
-def turned(profile: Floats) -> Solid:
+def revolve(profile: Floats) -> Solid:
     """Solid of revolution: stacked tapered strokes through (height, radius), (n, 2)."""
     strokes = [
         limb((0.0, 0.0, low), (0.0, 0.0, high), r_low, r_high)

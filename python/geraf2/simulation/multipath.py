@@ -46,7 +46,7 @@ class Mirror:
         return found
 
 
-def unfolded(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
+def unfold_walls(walls: Sequence[Wall], mirror: Mirror) -> tuple[Wall, ...]:
     """Boxes that a straight path to a mirror image crosses.
 
     The mirror's box and those around it are joined with their image: the path does not cross the
@@ -88,15 +88,15 @@ def multipath_echo(
         height = mirror.side * (mirror.position_m(scene.walls) - antennas.tx[:, mirror.axis])
         if height.min() <= 0.0:  # the antennas lie behind this wall
             continue
-        seen = _seen(facets, antennas, mirror, scene)
+        seen = _find_visible(facets, antennas, mirror, scene)
         used = np.asarray(seen.any(axis=0))
         if used.any():
             weights = seen[:, used] * areas[used]
-            signal += _over_mirror(select(facets, used), weights, antennas, mirror, scene)
+            signal += _mirror_echo(select(facets, used), weights, antennas, mirror, scene)
     return signal
 
 
-def _seen(
+def _find_visible(
     facets: SurfaceElements, antennas: AntennaBlocks, mirror: Mirror, scene: BoxScene
 ) -> Bools:
     """Whether a facet sees a block's centre, and sees it in the mirror, (n_blocks, n_points)."""
@@ -126,7 +126,7 @@ def _seen(
     return seen
 
 
-def _over_mirror(
+def _mirror_echo(
     facets: SurfaceElements,
     weights: Floats,
     antennas: AntennaBlocks,
@@ -135,7 +135,7 @@ def _over_mirror(
 ) -> NDArray[np.complex64]:
     """Both directions of the path via one mirror, by both faces of its wall."""
     walls, waveform, wall_amplitude = scene.walls, scene.waveform, scene.wall_amplitude
-    slab, boxes = walls[mirror.wall], unfolded(walls, mirror)
+    slab, boxes = walls[mirror.wall], unfold_walls(walls, mirror)
     centers = block_centers(antennas)
     images = mirror.image(centers, walls)
     if wall_amplitude != 1.0:

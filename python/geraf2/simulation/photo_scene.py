@@ -78,7 +78,7 @@ class _Rectangle:
             + down.reshape(-1, 1) * self.half[1] * self.up
         )
 
-    def inside(self, points: Floats) -> tuple[_Array, _Array]:
+    def coordinates_of(self, points: Floats) -> tuple[_Array, _Array]:
         """Coordinates of points, 0 to 1 to the right and downwards."""
         local = points - self.center
         u = 0.5 + 0.5 * (local @ self.right) / self.half[0]
@@ -135,7 +135,7 @@ class CartonScene:
         first = 4 * np.arange(len(rectangles))[:, None]
         faces = (first + np.array([0, 1, 2, 0, 2, 3])).reshape(-1, 3)
         self._scene = MeshScene(corners, faces, num_threads=num_threads)
-        self._rectangles = _lit(rectangles, self._scene, self.center, self.size_m)
+        self._rectangles = _light(rectangles, self._scene, self.center, self.size_m)
 
     def trace(self, origins: Floats, directions: Floats) -> tuple[_Array, Bools]:
         """Radiance along rays, and whether each ends on the carton, see :func:`photograph`."""
@@ -147,7 +147,7 @@ class CartonScene:
             if hit.size == 0:
                 continue
             points = origins[hit] + distance[hit, None] * directions[hit]
-            u, v = rectangle.inside(points)
+            u, v = rectangle.coordinates_of(points)
             light = _look_up(rectangle.light, u, v)
             albedo = _look_up(rectangle.texture.albedo, u, v)
             shine = self._highlight(rectangle, points, directions[hit], light)
@@ -240,7 +240,7 @@ def lamp_position(center: Floats, size_m: float) -> Floats:
     return np.asarray(center + _LAMP_DISTANCE * size_m * direction)
 
 
-def _lit(
+def _light(
     rectangles: Sequence[_Rectangle], scene: MeshScene, center: Floats, size_m: float
 ) -> list[_Rectangle]:
     """Rectangles with the light that falls on them: lamp, room and one bounce."""
@@ -302,7 +302,7 @@ def _sky_light(
     seen = np.tile(room_light(sky), (positions.shape[0], 1))
     for index in np.unique(face[face >= 0] // 2):
         hit = np.flatnonzero(face // 2 == index)
-        u, v = rectangles[index].inside(origins[hit] + distance[hit, None] * rays[hit])
+        u, v = rectangles[index].coordinates_of(origins[hit] + distance[hit, None] * rays[hit])
         seen[hit] = _look_up(bounced[index], u, v)
     light = seen.reshape(rectangle.raster, rectangle.raster, _N_SKY_SAMPLES, 3).mean(axis=2)
     # A few directions make steps; neighbours share them out.

@@ -87,7 +87,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
         world=world,
     )
     budget_s = population.waves_budget_s if world.wall_waves else population.budget_s
-    spec = _within_budget(spec, thing, budget_s)
+    spec = _limit_to_budget(spec, thing, budget_s)
     record = {
         "seed": seed,
         "parts": [list(kinds) for kinds in thing.parts],
@@ -196,7 +196,7 @@ def simulation_seconds(spec: SceneSpec, thing: RandomObject) -> float:
     return rows * columns * spec.scan.n_planes * of_antenna
 
 
-def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
+def _limit_to_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
     """Spec that does not exceed the budget: fewer and smaller planes, then a coarser raster.
 
     The raster gets coarser only where few planes are left: it decides where grating lobes are.
@@ -207,14 +207,14 @@ def _within_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> Sce
             smaller = replace(scan, spacing_m=min(_COARSEST_M, scan.spacing_m + 0.001))
         else:
             width, height = (max(_MIN_APERTURE_M, 0.97 * side) for side in scan.aperture_m)
-            smaller = replace(_with_fewer_planes(scan), aperture_m=(width, height))
+            smaller = replace(_drop_plane(scan), aperture_m=(width, height))
         if smaller == scan:
             break
         spec = replace(spec, scan=smaller)
     return spec
 
 
-def _with_fewer_planes(scan: ScanSpec) -> ScanSpec:
+def _drop_plane(scan: ScanSpec) -> ScanSpec:
     """Scan with one plane less, of the larger ring; with the fewest planes the same."""
     if scan.n_planes <= _MIN_PLANES:
         return scan

@@ -20,9 +20,9 @@ from geraf2.simulation.implicit import (
     block,
     grid_points,
     limb,
+    revolve,
     ring,
     tube,
-    turned,
     zero_level,
 )
 from geraf2.simulation.population_settings import POPULATION, Population, Weights
@@ -93,7 +93,7 @@ def random_object(
         share = rng.uniform(*population.body_share[n_bodies - 1])
         body = _sized_body(rng, population, share * size_m, upright=standing)
         bodies.append(body)
-        meshes.append(_placed(rng, population, _body_mesh(body), meshes, standing=standing))
+        meshes.append(_place(rng, population, _body_mesh(body), meshes, standing=standing))
     joined = TriangleMesh.joined(meshes)
     low, high = joined.vertices.min(axis=0), joined.vertices.max(axis=0)
     scale = size_m / float((high - low).max())
@@ -139,7 +139,7 @@ def _body(
     if upright:
         turn = Rotation.from_euler("z", rng.uniform(0.0, 360.0), degrees=True)
     kinds = [choose(rng, population.first_part)]
-    solids = [_moved(_PARTS[kinds[0]](rng, population, first_m), turn, np.zeros(3))]
+    solids = [_move(_PARTS[kinds[0]](rng, population, first_m), turn, np.zeros(3))]
     low, high = np.full(3, -1.1 * first_m), np.full(3, 1.1 * first_m)
     for _ in range(int(rng.integers(*population.n_further_parts, endpoint=True))):
         position, normal = _surface_point(rng, blend(solids, fillet_m), low, high)
@@ -148,13 +148,13 @@ def _body(
         if turn.apply([0.0, 0.0, 1.0]) @ normal < 0.0:  # most parts extend along +z
             turn = turn * Rotation.from_euler("x", np.pi)
         kinds.append(choose(rng, population.further_part))
-        solids.append(_moved(_PARTS[kinds[-1]](rng, population, part_m), turn, position))
+        solids.append(_move(_PARTS[kinds[-1]](rng, population, part_m), turn, position))
         low = np.minimum(low, position - 1.1 * part_m)
         high = np.maximum(high, position + 1.1 * part_m)
     return _Body(solid=blend(solids, fillet_m), low=low, high=high, kinds=tuple(kinds))
 
 
-def _moved(solid: Solid, turn: Rotation, position: Floats) -> Solid:
+def _move(solid: Solid, turn: Rotation, position: Floats) -> Solid:
     """Solid that is turned about its origin and then moved."""
     matrix = turn.as_matrix()
     return lambda points: solid((points - position) @ matrix)
@@ -214,7 +214,7 @@ def _lathe(rng: np.random.Generator, population: Population, size_m: float) -> S
     radii = 0.5 * size_m * rng.uniform(*population.width_share, 5)
     fine = np.linspace(heights[0], heights[-1], 13)
     smooth = np.maximum(CubicSpline(heights, radii)(fine), 0.3 * radii.min())
-    return turned(np.stack([fine, np.minimum(smooth, 0.4 * size_m)], axis=1))
+    return revolve(np.stack([fine, np.minimum(smooth, 0.4 * size_m)], axis=1))
 
 
 def _plate(rng: np.random.Generator, population: Population, size_m: float) -> Solid:
@@ -275,7 +275,7 @@ def _body_mesh(body: _Body) -> TriangleMesh:
     return mesh.with_faces(mesh.faces[labels == largest])
 
 
-def _placed(
+def _place(
     rng: np.random.Generator,
     population: Population,
     mesh: TriangleMesh,

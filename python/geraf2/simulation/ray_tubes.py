@@ -15,7 +15,7 @@ from geraf2.geometry.triangles import barycentric, face_vectors, unit_normals
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.dielectric import phasors, walls_crossed
+from geraf2.simulation.dielectric import cross_walls, phasors
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
@@ -182,7 +182,7 @@ class _Beam(NamedTuple):
     """Root of the ray's solid angle times all reflection and transmission factors, (n,)."""
 
 
-def _rays_from(eye: Floats, scene: TubeScene) -> _Beam:
+def _cast_rays(eye: Floats, scene: TubeScene) -> _Beam:
     """Rays that cover the object, a raster on a plane through its middle."""
     vertices = scene.mesh.blocker.vertices
     middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0))
@@ -208,13 +208,13 @@ def _rays_from(eye: Floats, scene: TubeScene) -> _Beam:
     return _Beam(starts, zero, directions, np.zeros_like(turning), turning, starts, zero, amplitude)
 
 
-def _met(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
+def _meet(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
     """Beam of the rays that hit the object from one side, with the hits.
 
     index: of refraction along the path; above 1 inside the object, which is then hit from within.
     """
     hits = scene.mesh.meet(beam.starts, beam.directions, beam.across, beam.turning)
-    beam = _taken(beam, hits.rays)
+    beam = _take(beam, hits.rays)
     if first:
         beam = beam._replace(first=hits.points)
     else:
@@ -225,10 +225,10 @@ def _met(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tu
         )
     cosine = np.einsum("ni,ni->n", beam.directions, hits.normals)
     keep = cosine > 1e-3 if index > 1.0 else cosine < -1e-3
-    return _taken(beam, keep), Hits(*(values[keep] for values in hits))
+    return _take(beam, keep), Hits(*(values[keep] for values in hits))
 
 
-def _taken(beam: _Beam, keep: Bools | Ints) -> _Beam:
+def _take(beam: _Beam, keep: Bools | Ints) -> _Beam:
     return _Beam(**{name: values[keep] for name, values in beam._asdict().items()})
 
 
@@ -248,7 +248,7 @@ def _folds(beam: _Beam, path_m: Floats) -> Ints:
     return np.asarray(((positions > 0.0) & (positions < path_m)).sum(axis=0))
 
 
-def _reflected(beam: _Beam, hits: Hits) -> _Beam:
+def _reflect(beam: _Beam, hits: Hits) -> _Beam:
     """Beam reflected at the surface."""
     slant = np.einsum("ni,ni->n", beam.directions, hits.normals)
     change = np.einsum("nci,ni->nc", beam.turning, hits.normals)
@@ -257,10 +257,10 @@ def _reflected(beam: _Beam, hits: Hits) -> _Beam:
         slant[:, None, None] * hits.turns + change[..., None] * hits.normals[:, None]
     )
     directions = beam.directions - 2.0 * slant[:, None] * hits.normals
-    return _left(beam, hits, directions, turning)
+    return _leave(beam, hits, directions, turning)
 
 
-def _left(beam: _Beam, hits: Hits, directions: Floats, turning: Floats) -> _Beam:
+def _leave(beam: _Beam, hits: Hits, directions: Floats, turning: Floats) -> _Beam:
     """Beam that leaves a surface on the side of its new directions."""
     rise = np.einsum("ni,ni->n", directions, hits.normals)
     return beam._replace(
@@ -272,7 +272,7 @@ def _left(beam: _Beam, hits: Hits, directions: Floats, turning: Floats) -> _Beam
     )
 
 
-def _refracted(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
+def _refract(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
     """Beam refracted at the surface, by Snell's law; totally reflected rays are dropped.
 
     ratio: of the refractive indices, here over there.
@@ -291,9 +291,9 @@ def _refracted(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
     r = (ratio * cosine - inner) / (ratio * cosine + inner)
     turning = ratio * beam.turning + bending[..., None] * normals[:, None]
     turning += bend[:, None, None] * turns
-    beam = _left(beam, hits, ratio * beam.directions + bend[:, None] * normals, turning)
+    beam = _leave(beam, hits, ratio * beam.directions + bend[:, None] * normals, turning)
     beam = beam._replace(amplitude=beam.amplitude * np.sqrt(1.0 - r**2))
-    return _taken(beam, keep), Hits(*(values[keep] for values in hits))
+    return _take(beam, keep), Hits(*(values[keep] for values in hits))
 
 
 def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
@@ -303,9 +303,9 @@ def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tub
     eye: middle of a block of antennas, (3,) [m].
     antennas: their boresight and pattern.
     """
-    beam, hits = _met(scene, _rays_from(eye, scene), 1.0, first=True)
-    beam, hits = _met(scene, _reflected(beam, hits), 1.0)
-    return _received(scene, _reflected(beam, hits), hits, eye, antennas)  # (-1)^2 of a conductor
+    beam, hits = _meet(scene, _cast_rays(eye, scene), 1.0, first=True)
+    beam, hits = _meet(scene, _reflect(beam, hits), 1.0)
+    return _receive(scene, _reflect(beam, hits), hits, eye, antennas)  # (-1)^2 of a conductor
 
 
 def back_face(
@@ -320,21 +320,21 @@ def back_face(
     """
     permittivity, loss_tangent = material
     index = float(np.sqrt(permittivity))
-    beam, hits = _met(scene, _rays_from(eye, scene), 1.0, first=True)
-    beam, hits = _refracted(beam, hits, 1.0 / index)
-    beam, hits = _met(scene, beam, index)
+    beam, hits = _meet(scene, _cast_rays(eye, scene), 1.0, first=True)
+    beam, hits = _refract(beam, hits, 1.0 / index)
+    beam, hits = _meet(scene, beam, index)
     cosine = np.einsum("ni,ni->n", beam.directions, hits.normals)
     out = np.sqrt((1.0 - permittivity * (1.0 - cosine**2)).astype(np.complex128))
     reflection = (index * cosine - out) / (index * cosine + out)
-    beam = _reflected(beam._replace(amplitude=beam.amplitude * reflection), hits)
-    beam, hits = _met(scene, beam, index)
-    beam, hits = _refracted(beam, hits, index)
+    beam = _reflect(beam._replace(amplitude=beam.amplitude * reflection), hits)
+    beam, hits = _meet(scene, beam, index)
+    beam, hits = _refract(beam, hits, index)
     k = 2.0 * np.pi / scene.waveform.center_wavelength_m
     lost = np.exp(-0.5 * k * loss_tangent * beam.path_m)
-    return _received(scene, beam._replace(amplitude=beam.amplitude * lost), hits, eye, antennas)
+    return _receive(scene, beam._replace(amplitude=beam.amplitude * lost), hits, eye, antennas)
 
 
-def _received(
+def _receive(
     scene: TubeScene, beam: _Beam, hits: Hits, eye: Floats, antennas: AntennaBlocks
 ) -> Tubes:
     """Kirchhoff's integral over the field that leaves a surface, one tube a term.
@@ -363,14 +363,14 @@ def _received(
         weights=1j / (4.0 * np.pi) * weights,
     )
     tubes = Tubes(**{name: values[seen] for name, values in vars(tubes).items()})
-    return _through_walls(tubes, scene, eye, antennas)
+    return _cross_walls(tubes, scene, eye, antennas)
 
 
-def _through_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
+def _cross_walls(tubes: Tubes, scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
     """Let walls and antennas weaken the first and the last leg, and walls delay them."""
     weights, path_m = tubes.weights.copy(), tubes.path_m.copy()
     for points in (tubes.tx_points, tubes.rx_points):
-        transmission, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
+        transmission, excess_m = cross_walls(points, eye, scene.walls, scene.wall_amplitude)
         weights *= transmission
         path_m += excess_m
         if antennas.pattern_exponent:

@@ -37,12 +37,12 @@ def scan_planes(scan: ScanSpec) -> list[ScanPlane]:
 
     scan: the scan; as many antennas as fit into the aperture, centred in it.
     """
-    swept = [] if scan.sweeps is None else list(_swept(scan.sweeps))
+    swept = [] if scan.sweeps is None else list(_read_planes(scan.sweeps))
     rings = [plane for ring in scan.all_rings for plane in _ring(ring, scan.tx_rx_distance_m)]
     return swept + rings
 
 
-def _swept(scan: ScanFile) -> Iterator[ScanPlane]:
+def _read_planes(scan: ScanFile) -> Iterator[ScanPlane]:
     """Planes of a scan file."""
     for plane in scan.planes:
         tx, rx = scan.antennas(plane)

@@ -31,11 +31,11 @@ class FaceFrame:
     rows: Floats
     """Unit vectors: two along the wall and the normal that points into the box, (3, 3)."""
 
-    def local(self, positions: Floats) -> Floats:
+    def to_local(self, positions: Floats) -> Floats:
         """Coordinates along the wall and the height over it, (n, 3) [m] -> (n, 3) [m]."""
         return np.asarray((positions - self.origin) @ self.rows.T)
 
-    def world(self, local: Floats) -> Floats:
+    def to_world(self, local: Floats) -> Floats:
         """World coordinates of local ones, (n, 3) [m] -> (n, 3) [m]."""
         return np.asarray(local @ self.rows + self.origin)
 
@@ -92,13 +92,13 @@ def shadow_mask(
     height_m: of the sheet over the wall [m].
     """
     positions = sheet.positions(height_m)
-    hidden = _hits(blocker, eye, frame.world(positions)).reshape(sheet.shape)
+    hidden = _hits(blocker, eye, frame.to_world(positions)).reshape(sheet.shape)
     mask = hidden.astype(np.float64)
     edge = np.flatnonzero((binary_dilation(hidden, iterations=1) & ~binary_erosion(hidden)).ravel())
     steps = ((np.arange(_SUBCELLS) + 0.5) / _SUBCELLS - 0.5) * sheet.cell_m
     du, dv = (grid.ravel() for grid in np.meshgrid(steps, steps))
     fine = positions[edge, None] + np.stack([du, dv, np.zeros_like(du)], axis=1)
-    seen = _hits(blocker, eye, frame.world(fine.reshape(-1, 3))).reshape(len(edge), len(du))
+    seen = _hits(blocker, eye, frame.to_world(fine.reshape(-1, 3))).reshape(len(edge), len(du))
     mask.ravel()[edge] = seen.mean(axis=1)
     return mask
 
@@ -178,7 +178,7 @@ class Shadow:
     def change(self, eye: Floats) -> NDArray[np.complex64]:
         """V^2 - 1 for a block's middle (3,) [m], (n_cells, n_nodes)."""
         mask = shadow_mask(self._blocker, self._frame, eye, self._sheet, self.height_m)
-        there = self._frame.local(eye[None])[0]
+        there = self._frame.to_local(eye[None])[0]
         out = np.linalg.norm(self._sheet.positions(self.height_m) - there, axis=1)
         sheet = phasors(out.reshape(mask.shape), self.frequencies_hz)
         sheet *= (-mask / out.reshape(mask.shape)).astype(np.float32)
@@ -188,7 +188,7 @@ class Shadow:
         squared = ratio * (2.0 + ratio)  # (1 + ratio)^2 - 1
         return np.ascontiguousarray(squared.reshape(len(squared), -1).T)
 
-    def moved(self, positions: Floats, eye: Floats) -> Floats:
+    def displace(self, positions: Floats, eye: Floats) -> Floats:
         """Displacement of the shadow on the wall for other eyes, (n, 3) -> (n, 2) [m].
 
         All in the wall's frame; for the middle of the sheet. A point of the wall at a moved eye

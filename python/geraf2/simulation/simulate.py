@@ -59,7 +59,7 @@ def simulate(
     >>> len(capture.poses), truth.vertices.shape[1]
     (6, 3)
     """
-    spec = _in_world(spec)
+    spec = _apply_world(spec)
     truth = build_solid(spec.figure)
     walls = spec.walls
     turn, middle = box_turn(spec)  # the echoes are made in the frame of the boxes
@@ -83,7 +83,7 @@ def simulate(
             boresight=placed_plane.axes[0],
             pattern_exponent=spec.scan.pattern_exponent,
         )
-        echoes.append(plane_echo(scene, antennas).reordered(np.argsort(order)))
+        echoes.append(plane_echo(scene, antennas).reorder(np.argsort(order)))
         if progress is not None:
             progress((i + 1) / len(planes))
     return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
@@ -98,7 +98,7 @@ def recorded_planes(spec: SceneSpec, seed: int) -> tuple[list[ScanPlane], list[S
     return list(recorded), list(moved)
 
 
-def _in_world(spec: SceneSpec) -> SceneSpec:
+def _apply_world(spec: SceneSpec) -> SceneSpec:
     """Spec with the values of its world in scan, object and disturbance."""
     world = spec.world
     for name, part, key in _SHARED:

@@ -262,14 +262,14 @@ def load_spec(path: Path | str) -> SceneSpec:
     path = Path(path)
     spec = parse_spec(read_table(path), where=path)
     if spec.scan.file is not None:
-        spec = with_scan_file(spec, path.parent / spec.scan.file)
+        spec = use_scan_file(spec, path.parent / spec.scan.file)
     if spec.figure.mesh is None:
         return spec
     mesh = path.parent / spec.figure.mesh
     return replace(spec, figure=replace(spec.figure, mesh=str(mesh)))
 
 
-def with_scan_file(spec: SceneSpec, path: Path) -> SceneSpec:
+def use_scan_file(spec: SceneSpec, path: Path) -> SceneSpec:
     """Spec whose planes are those of a scan file and its rings."""
     return replace(spec, scan=replace(spec.scan, file=None, sweeps=read_scan_file(path)))
 

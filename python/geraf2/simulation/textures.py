@@ -65,7 +65,7 @@ class _Canvas:
         smooth /= max(float(smooth.std()), 1e-12)
         if small == self.gloss.shape:
             return np.asarray(smooth)
-        return _stretched(_stretched(smooth, rows).T, columns).T
+        return _stretch(_stretch(smooth, rows).T, columns).T
 
     def rectangle(self, left: float, bottom: float, width: float, height: float) -> Bools:
         """Texels inside a rectangle."""
@@ -141,7 +141,7 @@ def table(side_m: float, seed: int) -> Texture:
     return canvas.texture()
 
 
-def _stretched(image: _Image, n_rows: int) -> _Image:
+def _stretch(image: _Image, n_rows: int) -> _Image:
     """Rows of an image by linear interpolation, periodic."""
     position = (np.arange(n_rows) + 0.5) * image.shape[0] / n_rows - 0.5
     first = np.floor(position).astype(int)

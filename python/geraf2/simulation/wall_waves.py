@@ -18,7 +18,7 @@ from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Waveform
-from geraf2.simulation.dielectric import phasors, slab_reflection, walls_crossed
+from geraf2.simulation.dielectric import cross_walls, phasors, slab_reflection
 from geraf2.simulation.shadow_waves import (
     REFINE,
     FaceFrame,
@@ -63,8 +63,8 @@ def is_square(face: SurfaceElements, antennas: AntennaBlocks, blocker: MeshScene
     From little above the object the shadow and its sheet have no bounds.
     """
     frame = face_frame(face)
-    eyes = frame.local(0.5 * (antennas.tx + antennas.rx))
-    eye, top = eyes.mean(axis=0), frame.local(blocker.vertices)[:, 2].max()
+    eyes = frame.to_local(0.5 * (antennas.tx + antennas.rx))
+    eye, top = eyes.mean(axis=0), frame.to_local(blocker.vertices)[:, 2].max()
     is_above = eyes[:, 2].min() > ABOVE * top
     return bool(is_above and eye[2] > SQUARE * np.linalg.norm(eye))
 
@@ -90,8 +90,8 @@ def shadow_echo(
     path_m, spread_m = _shadow_paths(frame, sheet, height_m, face, middles)
     frequencies = node_frequencies(scene.waveform, spread_m)
     blocks = list(_small_blocks(middles, BLOCK_M))
-    local = frame.local(face.points)
-    margin = 6.0 * CELL_M + BLOCK_M * height_m / (frame.local(middles)[:, 2].min() - height_m)
+    local = frame.to_local(face.points)
+    margin = 6.0 * CELL_M + BLOCK_M * height_m / (frame.to_local(middles)[:, 2].min() - height_m)
     lattice = lattice_over(local[:, :2].min(0) - margin, local[:, :2].max(0) + margin, CELL_M)
     work = partial(
         _block_echo,
@@ -132,7 +132,7 @@ def _shadow_paths(
     frame: FaceFrame, sheet: Lattice, height_m: float, face: SurfaceElements, middles: Floats
 ) -> tuple[Floats, float]:
     """Middle of the two-way paths over the shadow, (n_antennas,), and their largest spread [m]."""
-    local, eyes = frame.local(face.points)[:, :2], frame.local(middles)
+    local, eyes = frame.to_local(face.points)[:, :2], frame.to_local(middles)
     share = (eyes[:, 2] / (eyes[:, 2] - height_m))[:, None]
     last = sheet.first + sheet.cell_m * (np.asarray(sheet.shape) - 1)
     low, high = (
@@ -171,9 +171,9 @@ def _interpolation(nodes: Floats, wanted: Floats) -> Floats:
 def _sheet(scene: BoxScene, frame: FaceFrame, middles: Floats) -> tuple[Lattice, float]:
     """Cells that hold the shadow on a plane through the rim, for all antennas, and its height."""
     eye = middles.mean(axis=0)
-    rim = frame.local(rim_edges(scene.blocker.vertices, scene.blocker.faces, eye))
+    rim = frame.to_local(rim_edges(scene.blocker.vertices, scene.blocker.faces, eye))
     height_m = float(rim[:, 2].mean())
-    vertices, eyes = frame.local(scene.blocker.vertices), frame.local(middles)
+    vertices, eyes = frame.to_local(scene.blocker.vertices), frame.to_local(middles)
     low, high = [], []
     # The shadow on a plane is monotonic in the eye: corners of the antennas' box bound it.
     for corner in itertools.product(*zip(eyes.min(axis=0), eyes.max(axis=0), strict=True)):
@@ -214,7 +214,9 @@ def _block_echo(
     eye = middles.mean(axis=0)
     weights, used = _patch_weights(scene, face, areas, antennas, eye, shadow.frequencies_hz)
     points = face.points[used]
-    shift = -shadow.moved(frame.local(middles), frame.local(eye[None])[0]) / shadow.wall.cell_m
+    shift = (
+        -shadow.displace(frame.to_local(middles), frame.to_local(eye[None])[0]) / shadow.wall.cell_m
+    )
     reach = max(1, int(np.ceil(np.abs(shift).max())))
     u, v = (shift / reach).T
     # Quadratic in the shift, through the positions of the stencil.
@@ -227,7 +229,7 @@ def _block_echo(
         )
     )
     change = shadow.change(eye)
-    parts = _sampled(change, shadow.wall, frame.local(points)[:, :2], reach) * weights
+    parts = _sample(change, shadow.wall, frame.to_local(points)[:, :2], reach) * weights
     by_node = np.ascontiguousarray(np.transpose(parts, (2, 1, 0)))  # node, patch, stencil
     found = np.empty((len(rows), len(shadow.frequencies_hz)), dtype=np.complex128)
     n_step = max(1, _PAIRS_PER_STEP // max(1, len(points)))
@@ -251,7 +253,7 @@ def _distances(antennas: Floats, points: Floats) -> Floats:
 _STENCIL = ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1))
 
 
-def _sampled(
+def _sample(
     values: NDArray[np.complex64], lattice: Lattice, positions: Floats, reach: int
 ) -> NDArray[np.complex64]:
     """Rows (n_cells, n_nodes) about positions (n, 2) [m], bilinear -> (n_stencil, n, n_nodes)."""
@@ -286,7 +288,7 @@ def _patch_weights(
     cosine = np.einsum("pi,pi->p", toward, face.normals)
     used = cosine > 0.0
     toward, cosine, points = toward[used], cosine[used], face.points[used]
-    crossed, excess_m = walls_crossed(points, eye, scene.walls, scene.wall_amplitude)
+    crossed, excess_m = cross_walls(points, eye, scene.walls, scene.wall_amplitude)
     gain = np.maximum(-toward @ antennas.boresight, 0.0) ** (2 * antennas.pattern_exponent)
     real = areas[used] * cosine * crossed**2 * gain
     weights = phasors(2.0 * excess_m, frequencies_hz).T

@@ -40,7 +40,7 @@ def scanned(corners_m, wavelength_m=WAVELENGTH_M):
 
 
 def apertures_at(corners_m):
-    return [Aperture.of_corners(corners) for corners in corners_m]
+    return [Aperture.from_corners(corners) for corners in corners_m]
 
 
 def with_bump(mesh, height_m):

@@ -193,7 +193,7 @@ def test_a_reference_of_something_else_is_one_line(packed, tmp_path, capsys, opt
 def test_scans_of_different_sides_are_not_called_unchanged(packed, tmp_path, capsys):
     other = run_of(tmp_path / "other", *CUBES, pose=HERE, has_glints=True)
     axes = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
-    away = Aperture.of_rectangle(np.array([0.5, 0, 3.0]), axes, np.array([0.05, 0.05]))
+    away = Aperture.from_rectangle(np.array([0.5, 0, 3.0]), axes, np.array([0.05, 0.05]))
     planes = ScannedPlanes(corners_m=away.corners_m[None], wavelength_m=0.0039)
     save_planes(planes, other / PLANES_NAME)
     assert main(["compare", str(packed), str(other)]) == 2

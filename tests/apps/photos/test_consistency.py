@@ -28,7 +28,7 @@ def printed(positions):
 def printed_ball(*, distortion=(0.0,) * 5, print_on=True, masks=True, n_photos=10):
     cameras, images, silhouettes = [], [], []
     for small in photo_sphere.cameras(n_photos):
-        camera = replace(small.resized(192, 144), distortion=distortion)
+        camera = replace(small.resize(192, 144), distortion=distortion)
         origins, directions = camera.rays(camera.pixel_centers())
         offset = origins - photo_sphere.CENTER
         middle = -(offset * directions).sum(axis=1)

@@ -182,7 +182,7 @@ def test_one_focal_length_without_size_is_not_for_photos_of_two_sizes(tmp_path):
 
 def test_photos_of_other_sizes_with_their_own_intrinsics(tmp_path):
     cameras, values = write_transforms_by_hand(tmp_path, per_frame=True)
-    large = replace(cameras[1].resized(96, 96), distortion=cameras[1].distortion)
+    large = replace(cameras[1].resize(96, 96), distortion=cameras[1].distortion)
     write_image(tmp_path / "photo1.png", np.zeros((96, 96, 3), np.uint8))
     k = large.intrinsics
     own = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": 96, "h": 96}

@@ -73,7 +73,7 @@ def test_photos_with_silhouettes_give_the_ball_and_its_colours():
     distance = np.linalg.norm(photos.cameras[8].position - photo_sphere.CENTER)
     assert depth == pytest.approx(distance - photo_sphere.RADIUS_M, abs=0.005)
     towards = view.normal[solid].mean(axis=0)
-    assert towards @ photos.cameras[8].looking < -0.5
+    assert towards @ photos.cameras[8].view_direction < -0.5
 
 
 def test_photos_without_silhouettes_are_explained_with_a_background():

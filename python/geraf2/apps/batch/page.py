@@ -135,7 +135,7 @@ def _as_html(title: str, order: str, rows: Sequence[_Row]) -> str:
     if verdicts:
         counts |= {"passed inspection": verdicts.count("pass")}
         counts |= {"did not pass": verdicts.count("fail")}
-    return html.rendered(
+    return html.render_template(
         "batch.html",
         title=title,
         order=order,

@@ -17,7 +17,7 @@ from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
 from geraf2.io.text import parse_json
-from geraf2.ops._threads import with_one_blas_thread
+from geraf2.ops._threads import limit_blas_threads
 from geraf2.records import Pose
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.store import capture_without_poses, save_capture
@@ -28,7 +28,7 @@ _REGION = 1.4
 _PLANE_M = 0.25
 
 
-@with_one_blas_thread
+@limit_blas_threads
 def parcel_scan(
     recorded: Capture, record: BeltRecord, *, num_threads: int | None = None
 ) -> tuple[Capture, Motion]:

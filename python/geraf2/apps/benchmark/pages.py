@@ -101,13 +101,13 @@ def write_pages(
         if table.rungs:
             rungs = out / TABLES_FOLDER / f"{table.name}_rungs.csv"
             write_text_atomic(rungs, csv_text(table.rungs[0], table.rungs[1:]))
-    text = html.rendered("benchmark.md", tables=tables, is_quick=suite.is_quick, note=_NOTE)
+    text = html.render_template("benchmark.md", tables=tables, is_quick=suite.is_quick, note=_NOTE)
     write_text_atomic(out / MARKDOWN_NAME, text)
     sections = [
         (table, _pictures(out, table, of[table.name], suite, num_threads)) for table in tables
     ]
     page = out / PAGE_NAME
-    text = html.rendered(
+    text = html.render_template(
         "benchmark.html",
         title="geraf2 benchmark",
         facts=[("rows", len(results)), ("failed", sum(r.error is not None for _, r in results))],

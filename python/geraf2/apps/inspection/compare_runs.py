@@ -136,7 +136,7 @@ def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
     assert glints is not None  # as of _require_peaks
     whole, pieces = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
-    apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
     bodies = separated(pieces, echoes_in(result), apertures, num_threads).bodies
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),

@@ -70,7 +70,7 @@ def write_comparison(
     scene = view_scene(
         mesh, [classes], Around(box=box, others=others if len(gone.faces) else others[1:])
     )
-    page = html.rendered(
+    page = html.render_template(
         "comparison.html",
         title=f"geraf2: {out.resolve().name}, compared",
         found=found,

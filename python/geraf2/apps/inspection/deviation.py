@@ -126,7 +126,7 @@ def deviation_of(
     if echoes is not None:
         regions += _silent(echoes, placement, (centers, gap, least), tolerance_m)
     elif planes is not None and planes.wavelength_m is not None and len(planes.corners_m):
-        apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+        apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
         should = in_sight(pieces, scene, apertures, planes.wavelength_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         asked = np.flatnonzero(should & far)

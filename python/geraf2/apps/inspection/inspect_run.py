@@ -153,7 +153,7 @@ def _by_evidence(
     result: Reconstruction, whole: Body, pieces: Sequence[Body], planes: ScannedPlanes
 ) -> tuple[Body, Sequence[Body], float, list[str]]:
     """All of the content with faint bodies, its bodies, the odds of their number, and notes."""
-    apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
     bodies, faint, certain = separated(pieces, echoes_in(result), apertures)
     where = "where planes face it and it did not echo"
     notes = [_CUT.format(where)] if len(bodies) > len(pieces) else []

@@ -155,7 +155,7 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     if not isinstance(config, FastPreset | BestPreset):
         return None
     kept = glints.select(glints.poses < len(planes.corners_m))
-    apertures = [Aperture.of_corners(corners) for corners in planes.corners_m]
+    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
     ranges = _ranges(kept, apertures)
     distance, vertex = KDTree(mesh.vertices).query(kept.positions)
     normals = vertex_normals(mesh.vertices, mesh.faces)

@@ -22,7 +22,7 @@ from geraf2.report.view3d import (
     Other,
     rgb,
     scene_json,
-    thinned,
+    thin_mesh,
     view_scene,
 )
 
@@ -73,7 +73,7 @@ def inspection_page(
         name="inspection",
         apart=_apart(inspection, numbers[used]),
     )
-    return html.rendered(
+    return html.render_template(
         "inspection.html",
         title=title,
         found=inspection,
@@ -139,7 +139,7 @@ def _picture(whole: Body, numbers: Ints, number: int) -> str:
     if not len(faces):
         return ""
     mesh = part_of(whole, faces).mesh
-    kept, few = thinned(mesh.vertices, mesh.faces, _PICTURE_FACES)
+    kept, few = thin_mesh(mesh.vertices, mesh.faces, _PICTURE_FACES)
     mesh = TriangleMesh(vertices=mesh.vertices[kept], faces=few)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     views = [

@@ -241,7 +241,7 @@ def proposed_plane(session: Session) -> NextPlane | None:
 
     It takes 0.3 s of a core.
     """
-    planes = [Aperture.of_pose(pose) for pose in session.capture.poses]
+    planes = [Aperture.from_pose(pose) for pose in session.capture.poses]
     center = np.asarray(session.result.prior.center_m)
     half = np.median([plane.half_m for plane in planes], axis=0)
     n_antennas = np.median(session.capture.pose_sizes)

@@ -368,7 +368,7 @@ class Session:
         )
         self._run.restart()
         with logged(self._run, resume=False):
-            keep_inputs(job, [Aperture.of_pose(pose) for pose in job.capture.poses])
+            keep_inputs(job, [Aperture.from_pose(pose) for pose in job.capture.poses])
             run_stages(job, settled.prior_name, replace(self._record.options, trust_los=True))
         return replace(settled, job=job)
 

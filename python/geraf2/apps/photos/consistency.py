@@ -82,7 +82,7 @@ def _prepared(photos: PhotoSet, factor: int) -> list[_View]:
     views = []
     for index, camera in enumerate(photos.cameras):
         image = bin_pixels(photos.images[index], factor) @ np.asarray(_LUMA) / 255.0
-        smaller = camera.binned(factor)
+        smaller = camera.join_pixels(factor)
         mask = np.ones(image.shape)
         if photos.masks is not None:
             mask = bin_pixels(close_cracks(photos.masks[index]), factor)
@@ -168,7 +168,7 @@ def silhouette_overlap(values: NDArray[np.float32], grid: Grid, photos: PhotoSet
     scene, common, either = MeshScene(mesh.vertices, mesh.faces), 0, 0
     for camera, mask in zip(photos.cameras, photos.masks, strict=True):
         factor = max(1, round(camera.width / _OVERLAP_PX))
-        smaller = camera.binned(factor)
+        smaller = camera.join_pixels(factor)
         _, face = scene.closest_hit(*smaller.rays(smaller.pixel_centers()))
         solid = (face >= 0).reshape(smaller.height, smaller.width)
         shown = bin_pixels(close_cracks(mask), factor) >= 0.5

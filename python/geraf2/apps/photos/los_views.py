@@ -55,7 +55,7 @@ def compare_views(
     views, errors, overlaps, colours = [], [], [], []
     for index, camera in enumerate(photos.cameras):
         step = 1 if height is None else max(1, camera.height // height)
-        view = surface.render(camera.binned(step))
+        view = surface.render(camera.join_pixels(step))
         image = bin_pixels(photos.images[index], step).round().astype(np.uint8)
         name = photos.names[index]
         views.append(SurfaceView(name, image, view.colour, view.normal, view.opacity))

@@ -6,7 +6,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.scene.checks import Finding, error, in_mm, warning, without_errors
+from geraf2.scene.checks import Finding, error, format_mm, require_no_errors, warning
 from geraf2.scene.photos import PhotoSet
 
 MIN_PHOTOS = 3
@@ -58,7 +58,7 @@ def check_photos(photos: PhotoSet) -> tuple[Finding, ...]:
 
 def require_plausible_photos(photos: PhotoSet, where: object) -> tuple[Finding, ...]:
     """Raise UserError with the first error found; otherwise return the warnings."""
-    return without_errors(check_photos(photos), where)
+    return require_no_errors(check_photos(photos), where)
 
 
 def require_photos_in_view(
@@ -79,14 +79,14 @@ def require_photos_in_view(
         raise UserError(
             what="the cameras and the radar view different scenes",
             where=where,
-            expected=f"a point near {in_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
-            got=f"{in_mm(focus)} mm, {distance:.3g} m away",
+            expected=f"a point near {format_mm(radar_focus)} mm, about {standoff_m:.2g} m away",
+            got=f"{format_mm(focus)} mm, {distance:.3g} m away",
             hint="give the photos' unit (--unit) and frame (--to-radar)",
         )
 
 
 def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
-    n_away = sum(float(c.looking @ (focus - c.position)) <= 0.0 for c in photos.cameras)
+    n_away = sum(float(c.view_direction @ (focus - c.position)) <= 0.0 for c in photos.cameras)
     if n_away > 0.5 * len(photos):
         yield error(
             f"{n_away} of {len(photos)} cameras face away from their common focus; the "
@@ -96,7 +96,7 @@ def _check_directions(photos: PhotoSet, focus: Floats) -> Iterator[Finding]:
     outside = [
         name
         for name, camera in zip(photos.names, photos.cameras, strict=True)
-        if not camera.shown(camera.project(focus[None])).all()
+        if not camera.contains(camera.project(focus[None])).all()
     ]
     if len(outside) > 0.5 * len(photos):
         yield error(

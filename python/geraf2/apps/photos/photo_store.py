@@ -66,7 +66,7 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
             continue
         step = -(-max(image.colour.shape[:2]) // _MAX_SIDE_PX)
         names.append(record.name)
-        cameras.append(camera.binned(step))
+        cameras.append(camera.join_pixels(step))
         images.append(bin_pixels(image.colour, step).round().astype(np.uint8))
         masks.append(None if mask is None else bin_pixels(mask, step) >= 0.5)
     if not names:
@@ -137,7 +137,7 @@ def _camera(
             expected=f"{stored_width} x {stored_height} or a smaller copy",
             got=f"{width} x {height}",
         )
-    return camera.resized(width, height)
+    return camera.resize(width, height)
 
 
 def _mask(

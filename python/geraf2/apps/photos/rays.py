@@ -124,7 +124,7 @@ def reduced(photos: PhotoSet, factor: int) -> PhotoSet:
         return photos
     return replace(
         photos,
-        cameras=tuple(camera.binned(factor) for camera in photos.cameras),
+        cameras=tuple(camera.join_pixels(factor) for camera in photos.cameras),
         images=tuple(bin_pixels(image, factor).round().astype(np.uint8) for image in photos.images),
         masks=None
         if photos.masks is None

@@ -53,7 +53,7 @@ def seen_nodes(
         away = np.linalg.norm(towards, axis=1)
         towards /= away[:, None]
         pixels = camera.project(starts)
-        shown = camera.shown(pixels)
+        shown = camera.contains(pixels)
         facing = (normals * towards).sum(axis=1) > _MIN_COSINE
         ask = np.nonzero(shown & facing & (n_seen < _MIN_PHOTOS))[0]
         n_seen[ask] += _is_free(values, grid, starts[ask], towards[ask], away[ask])

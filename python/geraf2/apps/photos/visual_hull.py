@@ -110,8 +110,8 @@ def _left_over(
     camera: Camera, distance: NDArray[np.float32], points: Floats
 ) -> NDArray[np.float32]:
     pixels = camera.project(points)
-    shown = camera.shown(pixels)
-    depth = (points[shown] - camera.position) @ camera.looking
+    shown = camera.contains(pixels)
+    depth = (points[shown] - camera.position) @ camera.view_direction
     focal = 0.5 * (camera.intrinsics[0, 0] + camera.intrinsics[1, 1])
     positions = pixels[shown, ::-1].T - 0.5
     found = ndimage.map_coordinates(distance, positions, order=1, mode="nearest")

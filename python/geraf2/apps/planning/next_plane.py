@@ -94,13 +94,13 @@ def next_planes(
             continue
         for half, seconds in zip(halves, times, strict=True):
             plane = plane_at(np.deg2rad(azimuth), np.deg2rad(elevation), standoff_m, half)
-            shifted = Aperture.of_rectangle(plane.middle_m + center, plane.axes, half)
+            shifted = Aperture.from_rectangle(plane.middle_m + center, plane.axes, half)
             candidates.append(shifted)
             about.append((azimuth, elevation, seconds))
     corners = load_planes(run / PLANES_NAME).corners_m
     if not len(corners):
         raise UserError(what="the run does not state its planes: reconstruct it again", where=run)
-    planes = [Aperture.of_corners(one) for one in corners]
+    planes = [Aperture.from_corners(one) for one in corners]
     before, after = expected_errors(mesh, planes, candidates, center)
     found = [
         NextPlane(

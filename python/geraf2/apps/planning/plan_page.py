@@ -23,8 +23,8 @@ from geraf2.report.view3d import (
     NO_WEBGL,
     Around,
     Attribute,
-    packed,
-    quantised,
+    encode_integers,
+    quantise,
     scene_json,
     view_scene,
 )
@@ -86,7 +86,7 @@ def write_plan_page(
     files = {name: path.with_name(f"{path.stem}-{name}.csv") for name in beside}
     for name, text in beside.items():
         write_text_atomic(files[name], text)
-    page = html.rendered(
+    page = html.render_template(
         "plan.html",
         title=f"Plan of a scan: box of {' x '.join(f'{1e3 * s:.0f}' for s in whole.box_m)} mm",
         view=scene_json(scene),
@@ -142,7 +142,7 @@ def _planes(plan: TimedPlan) -> list[Aperture]:
         half = 0.5 * np.ptp(ends @ axes.T, axis=0)[1:]
         array = np.asarray(plan.scan.array.rx_offsets_m)
         half[1] += 0.5 * float(np.ptp(array[:, 2]))
-        found.append(Aperture.of_rectangle(middle, axes, half))
+        found.append(Aperture.from_rectangle(middle, axes, half))
     return found
 
 
@@ -171,10 +171,10 @@ def _cell(plan: TimedPlan, ball: TriangleMesh) -> dict[str, Any]:
         "seen": f"{100 * plan.seen_share:.0f} % of all directions",
         "expected": expected,
         "corners": np.round(1e3 * _corners(plan), 1).tolist(),
-        "path": quantised(ends.reshape(-1, 3), "<u2"),
+        "path": quantise(ends.reshape(-1, 3), "<u2"),
         "times": [[round(line.start_s, 2), round(line.end_s, 2)] for line in lines],
         "owners": owners,
-        "counts": packed(_counts(plan, ball).astype("<u1")),
+        "counts": encode_integers(_counts(plan, ball).astype("<u1")),
     }
 
 

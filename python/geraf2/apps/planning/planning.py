@@ -251,7 +251,7 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
         half = 0.5 * np.asarray(capture.walls[0].size_m)
     apertures, n_positions = [], []
     for pose in capture.poses:  # which are read one at a time
-        apertures.append(Aperture.of_pose(pose).right_handed())
+        apertures.append(Aperture.from_pose(pose).turn_right_handed())
         n_positions.append(len(np.unique(np.round(pose.phase_centers, 5), axis=0)))
     areas = [4.0 * float(plane.half_m.prod()) for plane in apertures]
     spacing = float(np.median(np.sqrt(np.divide(areas, n_positions))))

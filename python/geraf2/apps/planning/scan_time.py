@@ -66,7 +66,7 @@ class Scanner(Bounded):
     def swept(self, pitch_m: float) -> SweptArray:
         """Array of the scanner; receivers of `channels` as far apart as the rows [m]."""
         if self.array is not None:
-            return find_array(self.array).swept(order=self.order, chirp_s=1.0 / self.chirps_per_s)
+            return find_array(self.array).sweep(order=self.order, chirp_s=1.0 / self.chirps_per_s)
         array = self.own or column(self.channels or 1, pitch_m)
         return replace(array, chirp_s=1.0 / self.chirps_per_s)
 
@@ -146,7 +146,7 @@ def plane_at(azimuth: float, elevation: float, standoff_m: float, half_m: Floats
     vertical = np.cos(elevation) * up - np.sin(elevation) * flat
     horizontal = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])  # right-handed: a rotation
     axes = np.stack([-outward, horizontal, vertical])
-    return Aperture.of_rectangle(standoff_m * outward, axes, half_m)
+    return Aperture.from_rectangle(standoff_m * outward, axes, half_m)
 
 
 @dataclass(frozen=True, kw_only=True)

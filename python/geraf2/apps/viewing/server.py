@@ -154,7 +154,7 @@ def page(
     if next_plane_m is not None:
         scenes[0]["meshes"].append(plane_layer("next plane", next_plane_m))
         scenes[0].get("planes", {})["visible"] = True
-    return html.rendered(
+    return html.render_template(
         "view_page.html",
         files=files,
         title=" and ".join(scene["name"] for scene in scenes),
@@ -179,7 +179,7 @@ def _of_scene(folder: Path) -> dict[str, Any] | None:
     n_poses = max(1, len(capture.poses))
     planes, antennas = [], []
     for pose in capture.poses:  # which are read one at a time
-        planes.append(Aperture.of_pose(pose).corners_m)
+        planes.append(Aperture.from_pose(pose).corners_m)
         antennas.append(_triangles(pose, _MAX_ANTENNAS // n_poses))
     if not planes and not capture.walls:
         return None
@@ -199,7 +199,7 @@ def _of_scene(folder: Path) -> dict[str, Any] | None:
 def _triangles(pose: Pose, most: int) -> TriangleMesh:
     """Return a small triangle in the plane of a pose at each of its antennas."""
     points = np.asarray(pose.phase_centers[:: max(1, -(-pose.n_antennas // max(1, most)))])
-    axes = Aperture.of_pose(pose).axes
+    axes = Aperture.from_pose(pose).axes
     angles = 2.0 * np.pi * np.arange(3) / 3.0
     corners = _ANTENNA_M * (np.outer(np.cos(angles), axes[1]) + np.outer(np.sin(angles), axes[2]))
     vertices = (points[:, None] + corners).reshape(-1, 3)

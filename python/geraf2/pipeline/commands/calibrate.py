@@ -16,7 +16,7 @@ from geraf2.io.container import (
 )
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
-from geraf2.ops._threads import with_one_blas_thread
+from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import with_walls
 from geraf2.pipeline.sign_check import naming_the_sign
@@ -88,7 +88,7 @@ class CalibratedScene:
             save_capture(capture, out, overwrite=overwrite, extras=write_extras)
 
 
-@with_one_blas_thread
+@limit_blas_threads
 def calibrate(
     scene: Path | str,
     prior: LosPrior,

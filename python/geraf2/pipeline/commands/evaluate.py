@@ -74,7 +74,7 @@ def evaluate(
                 n_samples=n_samples,
                 seed=seed,
                 planes=[
-                    Aperture.of_corners(c) for c in load_planes(folder / PLANES_NAME).corners_m
+                    Aperture.from_corners(c) for c in load_planes(folder / PLANES_NAME).corners_m
                 ],
                 num_threads=num_threads,
             )

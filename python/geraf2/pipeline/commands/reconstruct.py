@@ -34,7 +34,7 @@ from geraf2.io.run_folder import (
     RunFolder,
     stage_key,
 )
-from geraf2.ops._threads import with_one_blas_thread
+from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.box_check import (
     BOX_STAGE,
     BoxCheck,
@@ -72,7 +72,7 @@ SAMPLES_STAGE = "samples"
 """Name of the stage that `RunOptions.samples` asks for."""
 
 
-@with_one_blas_thread
+@limit_blas_threads
 def reconstruct(
     capture: Capture | Path | str,
     prior: LosPrior | PriorSource | Path | str | tuple[float, float, float] | None = None,

@@ -52,7 +52,7 @@ def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
     """Bounding box of the innermost known box, cropped on every side [m], without walls."""
     if len(prior.walls) > 1:
         prior = LosPrior.from_box(prior.walls[-1].size_m, prior.walls[-1].center_m)
-    return prior.cropped(crop_m)
+    return prior.crop(crop_m)
 
 
 def _settings(config: PaperConfig) -> dict[str, Any]:
