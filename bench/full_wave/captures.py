@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from bodies import BODIES, Body
 from box import Leg, direct, flashes, legs
 from cluster import Cluster, cluster_echoes
 from echo import Dipoles, echoes, interpolated, nodes
 from mirror import Mirror, returned
 
-from bodies import BODIES, Body
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY

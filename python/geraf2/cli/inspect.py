@@ -51,9 +51,7 @@ def main(config: Config) -> int:
         num_threads=config.threads,
         listener=CONSOLE,
     )
-    share = found.count_probability
-    odds = "" if share is None else f", the count with {100 * share:.0f} %"
-    say(f"{len(found.parts)} in the box{odds}  (± holds 95 %)")
+    say(f"{len(found.parts)} in the box  (± holds 95 %)")
     for number, part in enumerate(found.parts, 1):
         say(f"part {number}  {part.material.kind}")
         rows(_part(part))

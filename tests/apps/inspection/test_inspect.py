@@ -60,6 +60,14 @@ def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
     assert verify(run).kind == "run"
 
 
+def test_a_flat_body_beside_another_is_one_part(tmp_path):
+    """Connected pieces count, whatever the echoes around them suggest."""
+    flat = block((0.05, 0.04, 0.006), (-0.03, 0.0, 0.0))
+    run = run_of(tmp_path / "run", flat, SMALL, has_glints=True)
+    found = geraf2.inspect(run, expect=2, write=False)
+    assert (found.verdict, len(found.parts), found.notes) == ("pass", 2, ())
+
+
 def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     out = tmp_path / "answer"
     assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0

@@ -33,7 +33,7 @@ _COMMON_SHARE = 0.3
 posterior to draw from."""
 _N_SAMPLES = 24
 """Surfaces that intervals of sizes rest on: a spread to 14 %."""
-MIN_PART_SHARE = 0.02
+_MIN_PART_SHARE = 0.02
 """Least area of a part relative to the largest, as in the reconstruction."""
 
 # RMS errors near a glint and elsewhere, for meshes without expected errors.
@@ -150,12 +150,12 @@ def content_of(result: Reconstruction, *, has_samples: bool = True) -> tuple[Bod
 def split_bodies(body: Body) -> list[Body]:
     """Split into connected parts, the largest first.
 
-    Parts below MIN_PART_SHARE of the largest are left out.
+    Parts below _MIN_PART_SHARE of the largest are left out.
     """
     labels, n_parts = face_labels(body.mesh.faces)
     areas = np.bincount(labels, face_areas(body.mesh.corners), minlength=n_parts)
     order = [
-        p for p in np.argsort(-areas, kind="stable") if areas[p] >= MIN_PART_SHARE * max(areas)
+        p for p in np.argsort(-areas, kind="stable") if areas[p] >= _MIN_PART_SHARE * max(areas)
     ]
     confidence = body.mesh.confidence
     parts = [body.mesh.faces[labels == part] for part in order]
@@ -178,21 +178,6 @@ def part_of(body: Body, faces: Ints) -> Body:
         sigma_m=body.sigma_m[used],
         seen=body.seen[used],
         moved_m=body.moved_m[:, used],
-    )
-
-
-def joined(bodies: Sequence[Body]) -> Body:
-    """All of several bodies in one."""
-    mesh = TriangleMesh.joined([body.mesh for body in bodies])
-    known = [body.mesh.evidence for body in bodies if body.mesh.evidence is not None]
-    n_samples = min(len(body.moved_m) for body in bodies)
-    sigma_m = np.concatenate([body.sigma_m for body in bodies])
-    evidence = np.concatenate(known) if len(known) == len(bodies) else None
-    return Body(
-        mesh=replace(mesh, expected_error_m=sigma_m, evidence=evidence),
-        sigma_m=sigma_m,
-        seen=np.concatenate([body.seen for body in bodies]),
-        moved_m=np.concatenate([body.moved_m[:n_samples] for body in bodies], axis=1),
     )
 
 

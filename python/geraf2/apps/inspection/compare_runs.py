@@ -20,7 +20,6 @@ from geraf2.apps.inspection.comparison import (
 )
 from geraf2.apps.inspection.materials import levels_of, materials_of, returns_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
-from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 from geraf2.io.mesh import read_mesh
@@ -84,11 +83,11 @@ def compare(
         _require_peaks(one)
     for other in others:
         _require_alike(here, other)
-    scanned, before, found = _scanned(here, num_threads), list[Scanned](), []
+    scanned, before, found = _scanned(here), list[Scanned](), []
     signals = _signals(here, listener)
     for other in others:
         with listener.step("registering a reference"):
-            there = _scanned(other, num_threads)
+            there = _scanned(other)
             start, play = _by_walls(here, other)
         with listener.step("comparing echoes"):
             received = signals, _signals(other, listener)
@@ -130,14 +129,13 @@ def _write(
     write_comparison(found, here, before, read_mesh(box) if box else None, out)
 
 
-def _scanned(result: Reconstruction, num_threads: int | None) -> Scanned:
+def _scanned(result: Reconstruction) -> Scanned:
     """Content and evidence of a run."""
     glints = result.glints
     assert glints is not None  # as of _require_peaks
-    whole, pieces = content_of(result, has_samples=False)
+    whole, bodies = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
     apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
-    bodies = separated(pieces, echoes_in(result), apertures, num_threads).bodies
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
         peaks=read_cloud(result.path / PEAKS_NAME)[:2],

@@ -14,7 +14,7 @@ from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, joined, measure
+from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
 from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
     ExpectedContents,
@@ -34,7 +34,6 @@ from geraf2.apps.inspection.materials import (
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.registration import ALIKE
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
-from geraf2.apps.inspection.separation import echoes_in, separated
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -45,12 +44,11 @@ from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import Capture
-from geraf2.scene.aperture import Aperture
 
 if TYPE_CHECKING:
     import trimesh
 
-_CUT = "parts are connected in the surface, which was cut {}"
+_CUT = "parts are connected in the surface, which was cut between the models"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,13 +110,11 @@ def inspect(
     scan = None if options.scene is None else capture_of(result, options.scene)
     contents, cad = _expected(expect, cad)
     (whole, pieces), glints = content_of(result), result.glints
-    tolerance_m, matches, count_probability = 1e-3 * options.tolerance_mm, list[Match](), None
+    tolerance_m, bodies, matches = 1e-3 * options.tolerance_mm, pieces, list[Match]()
     models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
     if models:
         bodies, matches = _matched(models, Content(pieces, whole, glints), options, listener)
-        notes = [_CUT.format("between the models")] if len(bodies) > len(pieces) else []
-    else:
-        whole, bodies, count_probability, notes = _by_evidence(result, whole, pieces, planes)
+    notes = [_CUT] if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
@@ -141,7 +137,6 @@ def inspect(
         notes=(*notes, *more, *_rivals(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
-        count_probability=count_probability,
         has_criteria=bool(models) or expect is not None,
     )
     if write:
@@ -149,24 +144,9 @@ def inspect(
     return inspection
 
 
-def _by_evidence(
-    result: Reconstruction, whole: Body, pieces: Sequence[Body], planes: ScannedPlanes
-) -> tuple[Body, Sequence[Body], float, list[str]]:
-    """All of the content with faint bodies, its bodies, the odds of their number, and notes."""
-    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
-    bodies, faint, certain = separated(pieces, echoes_in(result), apertures)
-    where = "where planes face it and it did not echo"
-    notes = [_CUT.format(where)] if len(bodies) > len(pieces) else []
-    if faint:
-        whole = joined([whole, *faint])
-        numbers = ", ".join(str(len(bodies) + k) for k in range(1, len(faint) + 1))
-        notes.append(f"of part {numbers} only uncertain echoes came: its shape is their hull")
-    return whole, [*bodies, *faint], certain, notes
-
-
 def _matched(
     models: Sequence[CadModel], content: Content, options: InspectOptions, listener: Listener
-) -> tuple[Sequence[Body], list[Match]]:
+) -> tuple[list[Body], list[Match]]:
     """Parts and matches; connected parts are cut where a model is not found alone."""
 
     def match(
@@ -186,7 +166,7 @@ def _matched(
     matches = match(content)
     all_present = all(one.status not in ("missing", "wrong part") for one in matches)
     if all_present or options.any_of or len(models) < 2:
-        return content.bodies, matches
+        return list(content.bodies), matches
     meshes = [model.mesh for model in models]
     with listener.step("separating connected parts") as progress:
         placements = arranged(

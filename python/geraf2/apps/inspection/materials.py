@@ -16,7 +16,6 @@ from scipy.special import expit
 from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.material import Kind, Material, Measured
-from geraf2.apps.inspection.separation import labelled_peaks
 from geraf2.echoes import Glints
 from geraf2.echoes.back_faces import BEHIND_M, find_crossings
 from geraf2.echoes.labels import Label
@@ -32,6 +31,8 @@ from geraf2.geometry.curvature import shape_operators
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
+from geraf2.io.points import read_cloud
+from geraf2.io.run_folder import PEAKS_NAME
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene.aperture import Aperture
@@ -45,7 +46,7 @@ surface that bridges bodies raises it."""
 _METAL_SHARE = 0.015
 """Mean share of the returns of metal that seem to have passed through it, of those with a surface
 on the other side; it is exponentially distributed, that of plastic uniform: means .014 of 26 parts,
-.77 of 19 (`bench/python/bodies.py`, seeds 0 to 9 and 10000 to 10007)."""
+.77 of 19 (`bench/python/materials.py`, seeds 0 to 9 and 10000 to 10007)."""
 _OUTLIERS = 0.01
 """Share of parts that are not as their population."""
 _LIKELY = 0.15
@@ -127,8 +128,9 @@ class Returns(NamedTuple):
 
 def returns_of(result: Reconstruction) -> Returns | None:
     """Read the returns of a run; None of a run without them."""
-    cloud = labelled_peaks(result)
-    if cloud is None:
+    path = result.run.written(PEAKS_NAME)
+    cloud = None if path is None else read_cloud(path)
+    if cloud is None or not {"label", "probability"} <= set(cloud.columns):
         return None
     label, probability = cloud.columns["label"], cloud.columns["probability"]
     behind = label == Label.SEEN_THROUGH

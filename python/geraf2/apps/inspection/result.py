@@ -74,8 +74,6 @@ class Inspection(Short):
     """Largest deviation allowed [m]."""
     scene: tuple[str, str]
     """Name and digest of the scene."""
-    count_probability: float | None = None
-    """That the number of parts is right; None with models."""
     has_criteria: bool = True
     """Whether anything was required: models, or a number of parts."""
 
@@ -98,7 +96,6 @@ class Inspection(Short):
             "notes": list(self.notes),
             "uncertainty": "sigma is one standard deviation; 95 % of errors are below 1.96 of it",
             "tolerance_m": self.tolerance_m,
-            "count_probability": self.count_probability,
             "parts": [asdict(part) for part in self.parts],
             "models": [_model(report) for report in self.models],
         }

@@ -1,6 +1,6 @@
-"""How `geraf2 inspect` counts the bodies in a box, and what it takes them to be made of.
+"""What `geraf2 inspect` takes the parts in a box to be made of.
 
-    python bench/python/bodies.py --out out/bodies [--first 0] [--boxes 20] [--planes 12]
+    python bench/python/materials.py --out out/materials [--first 0] [--boxes 20] [--planes 12]
 
 A box holds two to four bodies of the population, 3 to 5 cm long, with gaps of 5 to 20 mm. All of
 them are metal in even seeds and plastic of permittivity 2.3 to 3.3 in odd ones, because the
@@ -19,9 +19,8 @@ from scipy.spatial.transform import Rotation
 
 import geraf2
 from compare_pairs import CLEARANCE_M, WALL_M, scan_parser, scan_spec
-from geraf2.geometry.components import face_labels
 from geraf2.geometry.transforms import triple
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
 from inspection import kept_run, scored
@@ -55,13 +54,12 @@ def content(rng: np.random.Generator) -> list[TriangleMesh]:
     return placed
 
 
-def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, float]:
-    """Run of a box, its number of bodies, and their permittivity (0: metal)."""
+def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, float]:
+    """Run of a box, and the permittivity of its bodies (0: metal)."""
     permittivity = float(np.random.default_rng([seed, 12]).uniform(*_PERMITTIVITY)) * (seed % 2)
     folder = options.out / str(seed)
     if (folder / "run" / "mesh_content.ply").is_file():
-        n_bodies = face_labels(read_mesh(folder / "truth.ply").faces)[1]
-        return folder / "run", n_bodies, permittivity
+        return folder / "run", permittivity
     whole = TriangleMesh.joined(content(np.random.default_rng([seed, 11])))
     low, high = whole.vertices.min(axis=0), whole.vertices.max(axis=0)
     mesh = TriangleMesh(vertices=whole.vertices - 0.5 * (low + high), faces=whole.faces)
@@ -71,8 +69,7 @@ def run_of(seed: int, options: argparse.Namespace) -> tuple[Path | None, int, fl
         spec = scan_spec(mesh, box_of(mesh), folder, options, **pose, permittivity=permittivity)
         return geraf2.simulate(spec, seed=seed)[0]
 
-    run = kept_run(folder, capture, triple(box_of(mesh)), options)
-    return run, face_labels(mesh.faces)[1], permittivity
+    return kept_run(folder, capture, triple(box_of(mesh)), options), permittivity
 
 
 def box_of(mesh: TriangleMesh) -> np.ndarray:
@@ -81,16 +78,14 @@ def box_of(mesh: TriangleMesh) -> np.ndarray:
 
 
 def main() -> None:
-    options = scan_parser(__doc__ or "", "out/bodies").parse_args()
-    right, kinds = list[bool](), Counter[tuple[str, str]]()
-    near, held = list[bool](), list[bool]()
+    options = scan_parser(__doc__ or "", "out/materials").parse_args()
+    kinds, near, held = Counter[tuple[str, str]](), list[bool](), list[bool]()
     for seed in range(options.first, options.first + options.boxes):
-        run, n_bodies, permittivity = run_of(seed, options)
+        run, permittivity = run_of(seed, options)
         if run is None:
             continue
         true = "plastic" if permittivity else "metal"
         parts = geraf2.inspect(run, write=False).parts
-        right.append(len(parts) == n_bodies)
         kinds.update((true, part.material.kind) for part in parts)
         found = [part.material.permittivity for part in parts if permittivity]
         near += [e is not None and abs(e.value / permittivity - 1.0) < 0.1 for e in found]
@@ -100,12 +95,11 @@ def main() -> None:
             for p in parts
         ]
         print(
-            f"  {seed}: {len(parts)} parts of {n_bodies} bodies, {true} {permittivity:.2f}: "
+            f"  {seed}: {true} {permittivity:.2f}: "
             f"{', '.join(p.material.kind for p in parts)}; levels {', '.join(levels)} dB; "
             f"lengths {', '.join(f'{1e3 * p.dimensions_m[0].value:.0f}' for p in parts)} mm",
             flush=True,
         )
-    scored(right, "right count")
     for true in ("metal", "plastic"):
         own = {found: n for (kind, found), n in kinds.items() if kind == true}
         print(f"{true}: " + ", ".join(f"{found} {n}" for found, n in sorted(own.items())))
