@@ -29,7 +29,7 @@ class Config:
     cad: Annotated[tuple[Path, ...], Arg(metavar="FILES")] = ()
     """Closed CAD models to find (STL, PLY, OBJ, GLB)."""
     expect: Annotated[str | None, Arg(metavar="N|LIST")] = None
-    """Required number of parts, or a list of contents (contents.toml)."""
+    """Required number of parts, or a list of CAD models (contents.toml)."""
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""

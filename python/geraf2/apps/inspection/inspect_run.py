@@ -18,9 +18,8 @@ from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of,
 from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
     ExpectedContents,
-    Missing,
     absence_failures,
-    list_findings,
+    material_findings,
     read_expected,
 )
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
@@ -207,21 +206,20 @@ def _failures(
     options: InspectOptions,
 ) -> tuple[list[str], list[str]]:
     """Reasons of a failure, and what a list of contents leaves unknown, a sentence each."""
-    count = expect if isinstance(expect, int) else None
-    failures = failures_of(parts, reports, expect=count, min_seen=options.min_seen)
-    gone = [report for report in reports if report.match.status == "missing"]
-    missing = [Missing(r.model.name, float(np.linalg.norm(r.model.lengths_m))) for r in gone]
-    if contents is None:
-        taken = {report.match.body for report in reports}
-        spare = [] if -1 in taken else [b for b in range(len(parts)) if b not in taken]
-        return [*failures, *absence_failures(parts, missing, spare, is_list=False)], []
-    by_model = {report.match.model: report.match for report in reports}
-    found = [by_model[m] for m in range(len(contents.models))]
-    bodies = [match.body for match in found]
-    wrong = [match.status != "present" for match in found]
-    more, notes, others, spare = list_findings(parts, contents, bodies, wrong)
-    absent = absence_failures(parts, [*missing, *others], spare, is_list=True)
-    return [*failures, *more, *absent], notes
+    count, failures = expect if isinstance(expect, int) else None, list[str]()
+    found, notes = failures_of(parts, reports, expect=count, min_seen=options.min_seen), list[str]()
+    missing = [report.model for report in reports if report.match.status == "missing"]
+    taken = {report.match.body for report in reports}
+    spare = [] if -1 in taken else [b for b in range(len(parts)) if b not in taken]
+    if contents is not None:
+        pairs = [
+            (contents.models[match.model], parts[match.body])
+            for match in (report.match for report in reports)
+            if match.body is not None and match.body >= 0 and match.status == "present"
+        ]
+        failures, notes = material_findings(pairs)
+    absent = absence_failures(parts, missing, spare, is_list=contents is not None)
+    return [*found, *failures, *absent], notes
 
 
 def _models(
