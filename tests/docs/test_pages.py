@@ -149,3 +149,14 @@ def test_the_pictures_of_the_physics_show_what_their_text_states(project_root, m
     assert behind["whole"] == pytest.approx(0.010, abs=0.003)  # "10 mm behind the surface"
     assert abs(behind["part"]) < 0.0013  # "on the surface": points lie 1.2 mm apart
     assert abs(behind["outer part"]) < 0.0013
+
+
+def test_the_example_of_the_first_page_prints_what_it_states(
+    project_root, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    text = (project_root / "README.md").read_text(encoding="utf-8")
+    code, stated = re.findall(r"^```(?:python|text)\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    exec(compile(code, "README.md", "exec"), {})
+    assert capsys.readouterr().out == stated
+    assert (tmp_path / "ball.ply").exists()
