@@ -146,6 +146,17 @@ def test_relative_indices_count_from_their_line(reports):
     assert enclosed_volume_m3(mesh.vertices, mesh.faces) == pytest.approx(49000)
 
 
+def test_compressed_gltf_is_refused_by_the_name_of_its_extension(reports):
+    for name, extension in (
+        ("draco", "KHR_draco_mesh_compression"),
+        ("meshopt", "EXT_meshopt_compression"),
+        ("quantized", "KHR_mesh_quantization"),
+    ):
+        with pytest.raises(UserError, match=f"needs {extension}.* export it without compression"):
+            read_mesh(reports / "gltf_compressed" / f"{name}.glb")
+    assert len(read_mesh(reports / "gltf_compressed" / "plain.glb").faces) == 432
+
+
 def test_the_outer_skin_of_a_hollow_carton_is_the_prior(reports, tmp_path):
     folder, options = reports / "hollow_carton", LosOptions(unit="mm")
     middles = []

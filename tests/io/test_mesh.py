@@ -112,6 +112,14 @@ def test_glb_carries_errors_and_colours(box, tmp_path):
     assert struct.unpack("<4sII", raw[:12]) == (b"glTF", 2, len(raw))
 
 
+@pytest.mark.parametrize("kind", ["ply", "glb", "stl"])
+def test_a_mesh_without_triangles_is_written(tmp_path, kind):
+    empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=int))
+    write_mesh(empty, tmp_path / f"m.{kind}")
+    with pytest.raises(UserError):
+        read_mesh(tmp_path / f"m.{kind}")
+
+
 @pytest.mark.parametrize("name", ["m.ply", "m.glb"])
 def test_sidecar_maps_file_coordinates_to_the_frame(box, tmp_path, name):
     write_mesh(box, tmp_path / name, frame="turntable")

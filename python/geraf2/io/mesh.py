@@ -4,7 +4,6 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +17,20 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.glb import FRAME_FROM_GLTF, glb_bytes
 from geraf2.io.mesh_colours import error_colours
-from geraf2.io.mesh_formats import RawMesh, parse_obj, parse_ply, parse_stl
-from geraf2.io.mesh_limits import require_gltf_size, require_mesh_size
+from geraf2.io.mesh_formats import parse_obj, parse_ply
+from geraf2.io.mesh_limits import require_mesh_size
 from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.points import ply_file
 from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, read_regular, require_regular
 from geraf2.io.text import parse_json
+from geraf2.io.trimesh_formats import (
+    FRAME_FROM_GLTF,
+    glb_bytes,
+    parse_gltf,
+    parse_stl,
+    stl_bytes,
+)
 
 READABLE_SUFFIXES = (".ply", ".obj", ".stl", ".glb", ".gltf")
 """Mesh formats that `read_mesh` accepts."""
@@ -217,9 +222,7 @@ def write_mesh(
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
         columns += [f"_{name.upper()}" for name, *_ in _known(mesh)]
     elif suffix == ".stl":
-        import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
-
-        data = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).export(file_type="stl")
+        data = stl_bytes(mesh.vertices, mesh.faces)
         frame_from_file, columns = np.eye(4), ["x [m]", "y [m]", "z [m]"]
     else:
         expected = f"a name ending in {' or '.join(WRITABLE_SUFFIXES)}"
@@ -301,26 +304,11 @@ def _require_metres(source: Path) -> None:
         )
 
 
-class _Beside:
-    """Reads the buffers of a glTF, which lie beside it or below, for trimesh."""
-
-    def __init__(self, mesh: Path) -> None:
-        self.mesh = mesh
-
-    def __getitem__(self, name: str) -> bytes:
-        folder, path = self.mesh.parent.resolve(), (self.mesh.parent / name).resolve()
-        if not path.is_relative_to(folder):
-            raise UserError(what="names a file outside its folder", where=self.mesh, got=repr(name))
-        return read_regular(path, BINARY_BYTES)
-
-    get = __getitem__
-
-
 def _load(source: Path) -> TriangleMesh:
     parse = _PARSERS.get(source.suffix.lower())
     try:
         data = read_regular(source, BINARY_BYTES)
-        raw = _parse_gltf(data, source) if parse is None else parse(data)
+        raw = parse_gltf(data, source) if parse is None else parse(data)
     except (MemoryError, UserError):
         raise
     except Exception as error:
@@ -332,24 +320,6 @@ def _load(source: Path) -> TriangleMesh:
             hint="the file may be cut off or in another format than its name suggests",
         ) from error
     return TriangleMesh(vertices=raw.vertices, faces=raw.faces, **_stored(raw.columns))
-
-
-def _parse_gltf(data: bytes, source: Path) -> RawMesh:
-    """Mesh of a glTF, which is +Y up, turned to +Z up."""
-    import trimesh  # noqa: PLC0415 - takes 0.3 s to import, needed only here
-
-    require_gltf_size(data, source)
-    loaded = trimesh.load(
-        BytesIO(data),
-        source.suffix.lower()[1:],
-        resolver=_Beside(source),
-        force="mesh",
-        process=False,
-        skip_materials=True,  # they name further files, and pictures that start programs
-    )
-    vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-    faces = np.array(loaded.faces, dtype=np.int64).reshape(-1, 3)
-    return RawMesh(vertices=vertices @ FRAME_FROM_GLTF[:3, :3].T, faces=faces)
 
 
 _PARSERS = {".obj": parse_obj, ".stl": parse_stl, ".ply": parse_ply}

@@ -1,10 +1,9 @@
-"""Readers of OBJ, STL and PLY: vertices, triangles, and columns of the vertices.
+"""Readers of OBJ and PLY: vertices, triangles, and columns of the vertices.
 
 ValueError states what is wrong with the bytes.
 """
 
 import re
-import struct
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +13,6 @@ import numpy as np
 from geraf2._types import Array, Floats, Ints
 from geraf2.geometry.polygons import strip_triangles, triangulated
 
-_STL_HEAD, _STL_FACET = 84, 50
 _PLY_TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
     "float": "f4", "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2",
@@ -36,7 +34,11 @@ class RawMesh:
 
 
 def parse_obj(data: bytes) -> RawMesh:
-    """Mesh of an OBJ; relative indices count back from the line of their face."""
+    """Mesh of an OBJ; relative indices count back from the line of their face.
+
+    trimesh counts them back from the end of the file, takes index 0 for the first vertex, and cuts
+    concave polygons into fans, all without a word.
+    """
     vertices: list[list[float]] = []
     corners: list[int] = []
     counts = []
@@ -60,43 +62,6 @@ def parse_obj(data: bytes) -> RawMesh:
     positions = np.array(vertices, dtype=np.float64).reshape(-1, 3)
     faces = triangulated(positions, np.array(corners, dtype=np.int64), np.array(counts, dtype=int))
     return RawMesh(vertices=positions, faces=faces)
-
-
-def parse_stl(data: bytes) -> RawMesh:
-    """Mesh of an STL, text or binary.
-
-    Some binary files begin with 'solid', state 0 or -1 triangles, or hold more behind the last.
-    """
-    if _is_text_stl(data):
-        pattern = rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)"
-        found = re.findall(pattern, data, re.IGNORECASE)
-        corners = np.array(found, dtype=np.float64).reshape(-1, 3)
-        n_facets = len(re.findall(rb"\bouter\s+loop\b", data, re.IGNORECASE))
-        if len(corners) != 3 * n_facets:
-            msg = f"it has {n_facets} facets and {len(corners)} corners, three each are needed"
-            raise ValueError(msg)
-    else:
-        if len(data) < _STL_HEAD:
-            msg = "it is neither text nor long enough for a binary STL"
-            raise ValueError(msg)
-        (n_facets,) = struct.unpack_from("<I", data, _STL_HEAD - 4)
-        n_there = (len(data) - _STL_HEAD) // _STL_FACET
-        if n_facets in (0, 0xFFFFFFFF):
-            n_facets = n_there
-        if n_facets > n_there:
-            msg = f"it holds {n_there} of {n_facets} triangles"
-            raise ValueError(msg)
-        facet = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("more", "<u2")])
-        facets = np.frombuffer(data, facet, count=n_facets, offset=_STL_HEAD)
-        corners = facets["corners"].astype(np.float64).reshape(-1, 3)
-    return RawMesh(vertices=corners, faces=np.arange(len(corners)).reshape(-1, 3))
-
-
-def _is_text_stl(data: bytes) -> bool:
-    head = data[:4096].lstrip().lower()
-    if not head.startswith(b"solid") or b"\0" in head:
-        return False
-    return b"facet" in head or b"endsolid" in head
 
 
 def parse_ply(data: bytes) -> RawMesh:

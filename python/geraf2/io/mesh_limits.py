@@ -1,4 +1,4 @@
-"""Sizes of meshes that are read: small files that unpack to any size are refused before."""
+"""Limits of meshes that are read: small files that unpack to any size are refused before."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -16,6 +16,8 @@ _BYTES_PER_BYTE = {".ply": 12.0, ".stl": 12.0, ".obj": 20.0}
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _JSON_CHUNK = b"JSON"
+_APPEARANCE = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
+"""Beginnings of the names of glTF extensions that leave vertices as they are."""
 
 
 def require_mesh_size(source: Path) -> None:
@@ -24,15 +26,27 @@ def require_mesh_size(source: Path) -> None:
     require_memory(needed, "use a mesh of fewer triangles", where=source)
 
 
-def require_gltf_size(data: bytes, where: Path) -> None:
-    """Raise UserError for the bytes of a glTF or GLB that repeats its objects or lacks data."""
+def require_gltf_content(data: bytes, where: Path) -> None:
+    """Raise UserError for the bytes of a glTF or GLB that cannot be read rightly.
+
+    Those are files with compressed or quantised vertices, with objects that repeat, or without
+    the data that they state.
+    """
     if where.suffix.lower() == ".glb":
         end = 20 + int.from_bytes(data[12:16], "little")
         data = data[20:end] if data[16:20] == _JSON_CHUNK else b""
     try:
-        what = _complaint(parse_json(data))
+        content = parse_json(data)
+        unread = [e for e in content.get("extensionsRequired", ()) if not e.startswith(_APPEARANCE)]
+        what = "" if unread else _complaint(content)
     except (ValueError, LookupError, TypeError, AttributeError):
         return  # the reader states what is wrong
+    if unread:
+        raise UserError(
+            what=f"needs {', '.join(unread)}, which is not read",
+            where=where,
+            hint="export it without compression and quantization of vertices",
+        )
     if what:
         raise UserError(what=what, where=where)
 

@@ -7,8 +7,8 @@ from geraf2.apps.inspection.bodies import Body, part_of
 from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.geometry.transforms import triple
-from geraf2.io.glb import glb_bytes
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.trimesh_formats import glb_bytes
 from geraf2.report import html
 from geraf2.report.canvas import SKY, TRUTH_COLOUR
 from geraf2.report.html import picture_source
