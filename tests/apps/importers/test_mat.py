@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from geraf2.apps.importers import ImportOptions, _rows, load_importer, mat
+from geraf2.apps.importers import ImportOptions, _mat_arrays, _rows, load_importer
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from helpers.synthetic import WAVEFORM, point_capture
@@ -139,7 +139,7 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
         broken[rng.integers(124, len(whole))] = rng.integers(256)
         path.write_bytes(broken[: rng.integers(128, 8 * len(whole))])
         try:
-            found, _ = mat.open_arrays(path, {name: name for name in values})
+            found, _ = _mat_arrays.open_arrays(path, {name: name for name in values})
             assert set(found) <= set(values)
         except UserError:
             n_refused += 1
@@ -213,7 +213,7 @@ def test_a_file_of_version_4_is_read(tmp_path, arrays):
     (part,) = opened(tmp_path / "a.mat", **numbers).poses()
     assert np.allclose(part.signal, arrays["signal"][1])
     (tmp_path / "a.mat").write_bytes(b"text" * 99)
-    with pytest.raises(UserError, match="cannot be read as a MATLAB file: its version"):
+    with pytest.raises(UserError, match="cannot be read as a MATLAB file: .*version"):
         opened(tmp_path / "a.mat")
 
 
@@ -238,8 +238,8 @@ def test_names_of_the_command_line_go_before_those_of_the_file(save, arrays):
 @pytest.mark.parametrize(
     ("given", "text"),
     [
-        ((), r"lacks the signal(?=.* got .*sarData 36 x 32 complex)(?=.* got .*\br 36 x 3 real)"),
-        (("signal=sarData",), r"lacks tx_positions, .* got .*r 36 x 3 real"),
+        ((), r"lacks the signal(?=.* got .*sarData 36 x 32 \w+)(?=.* got .*\br 36 x 3 \w+)"),
+        (("signal=sarData",), r"lacks tx_positions, .* got .*r 36 x 3 "),
         (("signal=sardata", "positions=r"), "lacks what is named: signal = sardata"),
         (("signal",), "must be OURS=THEIRS, got signal"),
         (("range=r",), "arrays.range is no array that is read"),
@@ -254,5 +254,5 @@ def test_names_that_are_missing_list_what_there_is(save, arrays, given, text):
 def test_what_is_in_a_struct_and_what_cannot_be_read_is_listed(tmp_path, arrays):
     values = {"s": {"adc": arrays["signal"][1]}, "cells": np.array([1, "a"], dtype=object)}
     savemat(tmp_path / "a.mat", values)
-    with pytest.raises(UserError, match=r"s 1 x 1 struct of adc 36 x 32 complex, cells 1 x 2 cell"):
+    with pytest.raises(UserError, match=r"s\.adc 36 x 32 complex, cells 1 x 2 cell"):
         opened(tmp_path / "a.mat")

@@ -1,4 +1,4 @@
-"""Importer of named arrays in a MATLAB file, of version 5 to 7 (SciPy) or 7.3 (HDF5, h5py).
+"""Importer of named arrays in a MATLAB file, of version 4 to 7.2 (SciPy) or 7.3 (h5py).
 
     signal              (n_antennas, n_samples) or (n_poses, n_antennas, n_samples), complex;
                         or signal_real and signal_imag
@@ -12,24 +12,19 @@ They may be fields of structs. Other names are given by --arrays signal=adc, or 
 [arrays] of radar.toml: signal = "scan.adc".
 """
 
-import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import plane_axes
-from geraf2.apps.importers._mat_variables import Variable, read_variables
+from geraf2.apps.importers._mat_arrays import MatArray, open_arrays
 from geraf2.apps.importers._rows import blocks, good_rows, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
-from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.regular import open_regular
 from geraf2.records import RawPose
 
 ARRAYS = (
@@ -42,23 +37,6 @@ ARRAYS = (
     "axes",
 )
 NUMBERS = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
-_HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-_HDF5_OFFSETS = (0, 512)
-_KIND_NAMES = {"c": "complex", "f": "real", "i": "real", "u": "real", "O": "other"}
-# Letters of a list of what a file holds.
-_LONGEST_LIST = 250
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Array:
-    """One array, in the order of MATLAB; parts along the first axes are read on demand."""
-
-    shape: tuple[int, ...]
-    kind: str
-    read: Callable[[tuple[Any, ...]], Array]
-
-    def numbers(self) -> Floats:
-        return np.asarray(self.read((slice(None),) * len(self.shape)), dtype=np.float64)
 
 
 class MatImporter:
@@ -138,7 +116,7 @@ def _given_names(radar: RadarManifest, options: ImportOptions) -> dict[str, str]
     return given
 
 
-def _require_arrays(arrays: Mapping[str, _Array], path: Path, there: str) -> None:
+def _require_arrays(arrays: Mapping[str, MatArray], path: Path, there: str) -> None:
     """Raise UserError that lists what the file holds where signal or positions are missing."""
     hint = "give the names with --arrays, as signal=NAME"
     if "signal" not in arrays and not {"signal_real", "signal_imag"} <= set(arrays):
@@ -160,143 +138,14 @@ def _require_arrays(arrays: Mapping[str, _Array], path: Path, there: str) -> Non
             )
 
 
-def open_arrays(path: Path, names: Mapping[str, str]) -> tuple[dict[str, _Array], str]:
-    """Arrays of the file, by our names, and a list of all that it holds."""
-    if not path.is_file():
-        raise UserError(what="no such file", where=path)
-    refuse_other_kind(path, ("mat", "hdf5"))
-    with open_regular(path) as handle:
-        head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
-    is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)
-    known, there = (_open_hdf5 if is_hdf5 else _open_version_5)(path, list(names.values()))
-    found = {}
-    for ours, theirs in names.items():
-        # By its name, or as the only field of this name in a struct.
-        fields = [name for name in known if name.endswith(f".{theirs}")]
-        if theirs in known:
-            found[ours] = known[theirs]
-        elif len(fields) == 1:
-            found[ours] = known[fields[0]]
-    text = ", ".join(there)
-    return found, text if len(text) <= _LONGEST_LIST else f"{text[:_LONGEST_LIST]} ..."
-
-
-def _open_version_5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
-    variables = read_variables(path, {name.split(".")[0] for name in names})
-    if variables is None:
-        variables = _version_4(path)
-    known: dict[str, _Array] = {}
-
-    def add(name: str, variable: Variable) -> None:
-        values = variable.values
-        if values is not None:
-            known[name] = _Array(
-                shape=values.shape, kind=values.dtype.kind, read=lambda index: values[index]
-            )
-        for part in variable.fields:
-            add(f"{name}.{part.name}", part)
-
-    for variable in variables:
-        add(variable.name, variable)
-    return known, [str(variable) for variable in variables]
-
-
-def _version_4(path: Path) -> list[Variable]:
-    from scipy.io import loadmat  # noqa: PLC0415 - other formats do without
-
-    with open_regular(path) as handle:
-        begin = handle.read(4)
-    try:
-        if 0 not in begin:  # a file of version 4 has a zero there, others a text
-            msg = "its version is not known"
-            raise ValueError(msg)
-        values = {name: np.asarray(value) for name, value in loadmat(path).items()}
-    except Exception as error:  # SciPy raises anything on broken files
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise UserError(what=f"cannot be read as a MATLAB file: {reason}", where=path) from None
-    return [
-        Variable(name=name, shape=v.shape, kind=_KIND_NAMES.get(v.dtype.kind, "other"), values=v)
-        for name, v in values.items()
-        if not name.startswith("__")
-    ]
-
-
-def _open_hdf5(path: Path, names: list[str]) -> tuple[dict[str, _Array], list[str]]:
-    try:
-        import h5py  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise UserError(
-            what="is a MATLAB file of version 7.3, which needs h5py",
-            where=path,
-            hint="pip install 'geraf2[matlab]', or save it with '-v7'",
-        ) from None
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
-    known: dict[str, _Array] = {}
-    foreign = set()
-
-    def add(location: str, data: Any) -> None:
-        if not isinstance(data, h5py.Dataset) or location.startswith("#"):
-            return
-        name = location.replace("/", ".").removesuffix(".value")  # Octave's arrays are groups
-        if data.external or data.is_virtual:
-            foreign.add(name)
-        else:
-            known[name] = _hdf5_array(data)
-
-    try:
-        file.visititems(add)
-    except (OSError, RuntimeError, KeyError, TypeError) as error:
-        raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
-    for name in names:
-        _require_no_link(file, name, path)
-        if name in foreign:
-            raise UserError(what=f"{name} lies in another file", where=path)
-    there = [
-        str(Variable(name=name, shape=array.shape, kind=_KIND_NAMES.get(array.kind, "other")))
-        for name, array in known.items()
-    ]
-    return known, there
-
-
-def _hdf5_array(data: Any) -> _Array:
-    parts = data.dtype.names
-    is_complex = parts is not None and set(parts) == {"real", "imag"}
-    kind = "c" if is_complex else "O" if parts else data.dtype.kind
-
-    def read(index: tuple[Any, ...]) -> Array:
-        # HDF5 holds MATLAB's arrays with the axes reversed.
-        stored = data[(..., *reversed(index))].T
-        return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
-
-    return _Array(shape=tuple(reversed(data.shape)), kind=kind, read=read)
-
-
-def _require_no_link(file: Any, name: str, path: Path) -> None:
-    """Raise UserError where an object of the file is a link, which may open another file."""
-    import h5py  # noqa: PLC0415 - an extra
-
-    node = file
-    for part in filter(None, re.split(r"[./]", name)):
-        try:
-            kind = node.id.links.get_info(part.encode()).type
-        except (AttributeError, KeyError, RuntimeError):  # no group, or without such an object
-            return
-        if kind != h5py.h5l.TYPE_HARD:
-            raise UserError(what=f"{name} is a link to another object or file", where=path)
-        node = node[part]
-
-
-def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
+def _signal(arrays: Mapping[str, MatArray], path: Path) -> MatArray:
     if "signal" in arrays:
         signal = arrays["signal"]
     else:
         real, imag = arrays["signal_real"], arrays["signal_imag"]
         if real.shape != imag.shape:
             raise wrong_shape(path, "signal_imag", real.shape, imag.shape)
-        signal = _Array(
+        signal = MatArray(
             shape=real.shape,
             kind="c" if {real.kind, imag.kind} <= set("fiu") else "O",
             read=lambda index: real.read(index) + 1j * imag.read(index),
@@ -308,7 +157,7 @@ def _signal(arrays: Mapping[str, _Array], path: Path) -> _Array:
 
 
 def _positions(
-    arrays: Mapping[str, _Array], path: Path, n_poses: int, n_antennas: int
+    arrays: Mapping[str, MatArray], path: Path, n_poses: int, n_antennas: int
 ) -> tuple[Floats, Floats]:
     """Transmitters and receivers, (n_poses, n_antennas, 3) [m]."""
     names = (
@@ -325,7 +174,7 @@ def _positions(
     return found[0], found[1]
 
 
-def _axes(arrays: Mapping[str, _Array], path: Path, tx: Floats) -> Floats:
+def _axes(arrays: Mapping[str, MatArray], path: Path, tx: Floats) -> Floats:
     n_poses = len(tx)
     if "axes" not in arrays:
         return np.stack([plane_axes(one, towards=None, where=path) for one in tx])
@@ -338,7 +187,7 @@ def _axes(arrays: Mapping[str, _Array], path: Path, tx: Floats) -> Floats:
     return axes
 
 
-def _number(arrays: Mapping[str, _Array], name: str, path: Path) -> float | None:
+def _number(arrays: Mapping[str, MatArray], name: str, path: Path) -> float | None:
     if name not in arrays:
         return None
     array = arrays[name]
