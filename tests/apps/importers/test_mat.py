@@ -213,7 +213,7 @@ def test_a_file_of_version_4_is_read(tmp_path, arrays):
     (part,) = opened(tmp_path / "a.mat", **numbers).poses()
     assert np.allclose(part.signal, arrays["signal"][1])
     (tmp_path / "a.mat").write_bytes(b"text" * 99)
-    with pytest.raises(UserError, match="cannot be read as a MATLAB file: .*version"):
+    with pytest.raises(UserError, match=r"cannot be read as a MATLAB file: .*version"):
         opened(tmp_path / "a.mat")
 
 
