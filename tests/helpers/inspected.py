@@ -71,6 +71,7 @@ def placement(pose, covariance):
 
 
 SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
+CUBES = [block((0.02,) * 3, (x, 0.0, 0.0), 0.003) for x in (-0.05, 0.0, 0.05)]
 
 
 def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):

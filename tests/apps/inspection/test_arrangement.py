@@ -1,13 +1,10 @@
 """Models whose parts have grown together: who explains what, cuts, and what is missing."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from geraf2.apps.inspection import arrangement
-from geraf2.apps.inspection.arrangement import FAR, arranged, cut_apart
+from geraf2.apps.inspection.arrangement import arranged, cut_apart
 from geraf2.apps.inspection.bodies import Content, capped, part_of, split_bodies
 from geraf2.apps.inspection.matching import _of_parts, match_models
 from geraf2.apps.inspection.models import model_of
@@ -58,41 +55,6 @@ def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(p
         true = apply_rigid(POSE, np.array([0.0, y, 0.0]))
         assert placement.middle_m == pytest.approx(true, abs=1e-3)
     assert placed[2] is None
-
-
-class Content10(arrangement._Search):
-    """Ten measured points: a small part has the first four, a large one the others.
-
-    Alone, the large model lies across both, on seven points.
-    """
-
-    def __init__(self, models, *_):
-        self.pool, self.searched, self.share = [[] for _ in models], set(), np.ones(10)
-
-    def middles(self, residual, n):
-        return np.zeros((1, 3))
-
-    def candidate(self, m, middle, chosen=()):
-        explained = {0: range(7), 1: range(4)}[m]
-        if m == 0 and chosen:
-            explained = range(4, 10)
-        measured = np.full(10, FAR**2)
-        measured[explained] = 0.0
-        shares = np.ones((10, 4)[m])
-        solid = SimpleNamespace(signed_distance=lambda points: np.ones(len(points)))
-        return arrangement._Candidate(
-            placement=len(explained),
-            measured=measured,
-            cost=1.0,
-            points=np.zeros((len(shares), 3)),
-            shares=shares,
-            solid=solid,
-        )
-
-
-def test_a_large_model_across_two_parts_does_not_take_the_place_of_a_small_one(monkeypatch):
-    monkeypatch.setattr(arrangement, "_Search", Content10)
-    assert arranged([None, None], None, None) == [6, 4]
 
 
 def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, placed):

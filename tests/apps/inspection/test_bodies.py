@@ -37,17 +37,6 @@ def test_uncertainties_are_those_of_the_samples():
     assert max(found.center_sigma_m) < 1e-2 * sigma
 
 
-def test_samples_without_a_posterior_have_the_errors_of_the_surface():
-    """In part common: two points far apart correlate by the common share, 0.3."""
-    mesh = block((0.08, 0.06, 0.05), edge_m=0.005)
-    sigma = np.linspace(1e-4, 4e-4, len(mesh.vertices))
-    moved = body_of(replace(mesh, expected_error_m=sigma)).moved_m / sigma
-    assert np.std(moved) == pytest.approx(1.0, abs=0.15)
-    pairs = np.corrcoef(moved.T)
-    far = np.linalg.norm(mesh.vertices[:, None] - mesh.vertices, axis=2) > 0.03
-    assert pairs[far].mean() == pytest.approx(0.3, abs=0.2)
-
-
 def test_parts_come_apart_largest_first_and_crumbs_stay_out():
     three = joined(
         block((0.02, 0.02, 0.02), (0.05, 0, 0)), block(SIDES), block((0.002,) * 3, (0, 0, 0.05))

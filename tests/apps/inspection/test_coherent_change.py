@@ -4,14 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
 from geraf2.apps.inspection import coherent_change as coherent
 from geraf2.apps.inspection.coherent_change import (
     Signals,
     Spots,
-    change_of,
     changed_echoes,
     fitted_phases,
     log_ratio,
@@ -126,43 +124,6 @@ def test_phases_of_blocks_and_over_the_content_are_found():
     assert np.abs(np.angle(blocks / phasors)).max() < 0.1
     assert share > 0.95
     assert fitted_phases(one, noise(rng, 5, 200), lateral, 130.0)[2] < 0.4
-
-
-def test_the_change_is_that_of_a_loop_over_blocks():
-    rng = np.random.default_rng(2)
-    one, other = noise(rng, 4, 6), noise(rng, 4, 6)
-    walls = rng.uniform(size=(4, 6)) < 0.3
-    change, gain = change_of(one, other, walls)
-    power = [
-        [0.5 * (abs(one[b, x]) ** 2 + abs(other[b, x]) ** 2) for x in range(6)] for b in range(4)
-    ]
-    floor = coherent._FLOOR * np.mean(power)
-    for x in range(6):
-        sums, total = np.zeros(2, complex), 0.0
-        for b in range(4):
-            share = coherent._WALL_SHARE if walls[b, x] else coherent._SHARE
-            v = share * power[b][x] + floor
-            sums, total = sums + np.array([one[b, x], other[b, x]]) / v, total + 1.0 / v
-        assert change[x] == pytest.approx(abs(sums[0] - sums[1]) ** 2 / total)
-        first, second = abs(sums) ** 2
-        assert gain[x] == pytest.approx((first - second) / (first + second))
-
-
-def test_the_ratio_is_one_of_densities_and_grows_with_the_change():
-    low = np.full(99, 0.1)  # positions that set the median
-
-    def changed(t):
-        same = (1.0 + t / coherent._TAIL) ** -(coherent._TAIL + 1.0)
-        return same * np.exp(log_ratio(np.append(low, coherent._SCALE * t))[-1])
-
-    mass = quad(changed, 0.0, 1.0)[0] + sum(
-        quad(changed, 10.0**k, 10.0 ** (k + 1))[0] for k in range(3)
-    )
-    assert mass == pytest.approx(1.0, abs=0.01)
-    grows = [log_ratio(np.append(low, t))[-1] for t in (5.0, 50.0, 500.0)]
-    assert grows == sorted(grows)
-    assert grows[0] < 1.0
-    assert grows[2] > 3.0
 
 
 def test_where_no_phase_holds_no_change_is_seen():

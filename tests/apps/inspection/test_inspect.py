@@ -1,9 +1,8 @@
-"""`geraf2 inspect` on the run of a small scan: answers, files, exit codes, bad input."""
+"""`geraf2 inspect` on runs that are made up: answers, files, exit codes, bad input."""
 
 import csv
 import json
 import shutil
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
@@ -14,29 +13,9 @@ from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.pipeline.commands.verify import verify
-from geraf2.pipeline.events import Listener
-from helpers.inspected import POSE, SMALL, block, few_starts, run_of, wedge
+from helpers.inspected import POSE, SMALL, block, run_of, wedge
 
-
-@pytest.fixture(autouse=True)
-def quick_search():
-    with few_starts():
-        yield
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """A wedge, and a block beside it."""
-    return run_of(tmp_path_factory.mktemp("inspected") / "run", wedge(), SMALL)
-
-
-@pytest.fixture(scope="module")
-def cad(tmp_path_factory):
-    """The wedge in millimetres, turned and shifted."""
-    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    path = tmp_path_factory.mktemp("cad") / "wedge.stl"
-    trimesh.Trimesh(1e3 * wedge().vertices @ turn.T + 7.0, wedge().faces).export(path)
-    return path
+pytestmark = pytest.mark.usefixtures("quick_search")
 
 
 def glb_colours(path):
@@ -50,13 +29,17 @@ def glb_colours(path):
     return np.frombuffer(data[start : start + view["byteLength"]], np.uint8).reshape(-1, 4)
 
 
-def test_parts_alone_pass_and_the_expected_number_counts(run, capsys):
-    assert main(["inspect", str(run), "--expect", "2"]) == 0
-    shown = capsys.readouterr().out
-    assert "part 1" in shown
-    assert "result   pass" in shown
-    assert main(["inspect", str(run), "--expect", "3"]) == 3
-    assert "fails: 2 parts were found, 3 were expected" in capsys.readouterr().out
+def test_parts_are_judged_by_their_number_alone_where_it_is_required(listed, capsys):
+    run = listed / "run"
+    for flags, code, line in (
+        ([], 0, "result   not judged: nothing was required"),
+        (["--expect", "2"], 0, "result   pass"),
+        (["--expect", "3"], 3, "fails: 2 parts were found, 3 were expected"),
+    ):
+        assert main(["inspect", str(run), *flags]) == code
+        assert line in capsys.readouterr().out
+    found = json.loads((run / "inspection.json").read_text())
+    assert (found["verdict"], len(found["failures"])) == ("fail", 1)
     assert verify(run).kind == "run"
 
 
@@ -68,18 +51,15 @@ def test_a_flat_body_beside_another_is_one_part(tmp_path):
     assert (found.verdict, len(found.parts), found.notes) == ("pass", 2, ())
 
 
-def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
-    out = tmp_path / "answer"
+def test_a_model_is_found_and_files_give_its_pose(listed, tmp_path, capsys):
+    run, cad, out = listed / "run", listed / "wedge.stl", tmp_path / "answer"
     assert main(["inspect", str(run), "--cad", str(cad), "--out", str(out)]) == 0
     shown = capsys.readouterr().out
-    assert "model 'wedge': present" in shown
-    assert "± holds 95 %" in shown
-    assert "size by CAD" in shown
-    assert "note: poses rest on the run alone, not on its scan" in shown
+    for text in ("model 'wedge': present", "± holds 95 %", "size by CAD", "not on its scan"):
+        assert text in shown
     found = json.loads((out / "inspection.json").read_text())
     (model,) = found["models"]
     assert (found["verdict"], model["name"], model["status"]) == ("pass", "wedge", "present")
-    assert found["uncertainty"].startswith("sigma is one standard deviation")
     assert len(found["parts"][0]["extents_m"]) == len(model["lengths_m"]) == 3
     assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
     corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle
@@ -101,18 +81,23 @@ def test_a_model_is_found_and_files_give_its_pose(run, cad, tmp_path, capsys):
     assert '"label":"CAD models"' in page
 
 
-def test_another_part_and_a_missing_one_fail(run):
-    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.1, 0.08, 0.06))]
-    found = geraf2.inspect(run, models, write=False)
-    assert found.verdict == "fail"
+def test_another_part_and_a_missing_one_fail_and_each_step_reports_progress(failed):
+    found, steps = failed.answer, failed.steps
     assert [r.match.status for r in found.models] == ["present", "wrong part", "missing"]
     assert "3 models, but only 2 parts in the box" in found.notes
-    assert found.failures[0].startswith("'model 2' is swapped: part 2 is there instead, ")
-    assert found.failures[1:] == ("'model 3' is missing",)
+    assert found.failures[0] == "2 parts were found, 3 were expected"
+    assert found.failures[1].startswith("'model 1' is out of tolerance: too much (+")
+    assert found.failures[2].startswith("'model 2' is swapped: part 2 is there instead, ")
+    assert found.failures[3:] == ("'model 3' is missing",)
+    assert steps["finding the models"][:3] == pytest.approx([1 / 3, 2 / 3, 1])
+    assert len(steps["comparing surfaces"]) == 3
+    search = steps["separating connected parts"]
+    assert search == sorted(set(search))
+    assert 0.0 < max(search) <= 1.0
 
 
 def test_models_at_the_poses_of_each_other_are_swapped(tmp_path):
-    parts = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0)), block((0.03, 0.02, 0.012))
+    parts = SMALL, block((0.03, 0.02, 0.012))
     run = run_of(tmp_path / "run", *parts, pose=np.eye(4))
     models = [block((0.02, 0.015, 0.03)), block((0.03, 0.02, 0.012), (0.07, 0.0, 0.0))]
     options = geraf2.InspectOptions(placed=True)
@@ -120,72 +105,80 @@ def test_models_at_the_poses_of_each_other_are_swapped(tmp_path):
     assert found.failures == ("'model 1' and 'model 2' are swapped",)
 
 
-def test_faults_are_sentences_and_the_page_gives_the_reason(run, cad, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert main(["inspect", str(run), "--cad", str(cad), "--placed", "--out", str(out)]) == 3
-    shown = capsys.readouterr().out
-    assert "fails: 'wedge' is turned against its nominal pose" in shown
-    page = (out / "inspection.html").read_text()
+def test_the_page_gives_the_reason_of_a_failure(listed, tmp_path, capsys):
+    flags = ["--cad", str(listed / "wedge.stl"), "--placed", "--out", str(tmp_path)]
+    assert main(["inspect", str(listed / "run"), *flags]) == 3
+    assert "fails: 'wedge' is turned against its nominal pose" in capsys.readouterr().out
+    page = (tmp_path / "inspection.html").read_text()
     assert "Fail: 2 parts, 0 of 1 models present, but &#39;wedge&#39;" in page
 
 
-def test_without_anything_required_nothing_is_judged(run, tmp_path, capsys):
-    assert main(["inspect", str(run), "--out", str(tmp_path / "out")]) == 0
-    assert "result   not judged: nothing was required" in capsys.readouterr().out
-    found = json.loads((tmp_path / "out" / "inspection.json").read_text())
-    assert (found["verdict"], found["failures"]) == ("not judged", [])
+def item(name, more=""):
+    """Table of a list of contents."""
+    return f'[[item]]\nname = "{name}"\ncad = "{name}.stl"\n{more}'
 
 
-class Steps(Listener):
-    """Fractions that each step reports."""
-
-    def __init__(self):
-        self.fractions = {}
-
-    def step(self, label):
-        return nullcontext(self.fractions.setdefault(label, []).append)
-
-
-@pytest.mark.parametrize("any_of", [True, False])
-def test_the_search_reports_its_progress_after_each_model(tmp_path, any_of):
-    sides = [(0.02, 0.02, 0.01 + 0.001 * n) for n in range(3)]
-    run = run_of(tmp_path / "run", block(sides[2]))
-    listener, options = Steps(), geraf2.InspectOptions(any_of=any_of)
-    models = [block(s) for s in sides]
-    geraf2.inspect(run, models, options=options, write=False, listener=listener)
-    fractions = listener.fractions
-    assert fractions["finding the models"][:3] == pytest.approx([1 / 3, 2 / 3, 1])
-    assert len(fractions["comparing surfaces"]) == (1 if any_of else 3)
-    search = fractions.get("separating connected parts", [])
-    assert bool(search) is not any_of
-    assert search == sorted(set(search))
-    assert max(search, default=0.5) <= 1.0
+def list_at(folder, text):
+    """Flag of a list that is written there."""
+    (folder / "contents.toml").write_text(text)
+    return ["--expect", str(folder / "contents.toml")]
 
 
 @pytest.mark.parametrize(
-    ("path", "flags", "text"),
+    ("text", "code", "sentence"),
+    [
+        (item("block", 'material = "metal"\n') + item("wedge"), 0, "the material of 'block'"),
+        (item("wedge"), 3, "fails: part 2 is surplus: "),
+    ],
+)
+def test_a_list_of_contents_is_a_verdict(listed, capsys, text, code, sentence):
+    assert main(["inspect", str(listed / "run"), *list_at(listed, text)]) == code
+    assert sentence in capsys.readouterr().out
+
+
+@pytest.fixture(scope="module")
+def bad(listed, tmp_path_factory):
+    """Folder with a good run, two that are none, and CAD files of no use."""
+    folder = tmp_path_factory.mktemp("bad") / "bad"
+    shutil.copytree(listed, folder)
+    (folder / "no_run").mkdir()
+    (folder / "no_run" / "file").write_text("no folder")
+    shutil.copytree(folder / "run", folder / "empty")
+    nothing = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
+    write_mesh(nothing, folder / "empty" / "mesh_content.ply")
+    trimesh.Trimesh(1e6 * wedge().vertices, wedge().faces).export(folder / "huge.stl")
+    trimesh.Trimesh(1e3 * wedge().vertices, wedge().faces[1:]).export(folder / "open.stl")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("path", "given", "text"),
     [
         ("no_run", [], "is no run folder"),
         ("no_run/file", [], "is no run folder"),
         ("empty", [], "the mesh has no triangles"),
+        ("run", ["--scene", "none"], "none: no such scene"),
+        ("run", ["--cad", "wedge.stl", "--scene", "none"], "none: no such scene"),
         ("run", ["--cad", "none.stl"], "does not exist"),
         ("run", ["--cad", "wedge.stl", "wedge.stl"], "the same CAD file is given twice"),
-        ("run", ["--cad", "wedge.stl", "--scene", "none"], "none: no such scene"),
-        ("run", ["--scene", "none"], "none: no such scene"),
+        ("run", ["--cad", "huge.stl"], "as large as nothing in the box"),
+        ("run", ["--cad", "open.stl"], "open.stl: the CAD model is not closed"),
+        ("run", ["--expect", "none.toml"], "no such file"),
+        ("run", "", "item"),
+        ("run", '[[item]]\nname = "block"\n', "cad"),
+        ("run", item("block", "size_mm = [1, 2, 3]\n"), "unknown key 'item[0].size_mm'"),
+        ("run", item("block", 'material = "gold"\n'), "gold"),
+        ("run", item("block") * 2, "the same name is listed twice"),
+        ("run", item("block") + item("b").replace("b.", "block."), "CAD file is listed twice"),
     ],
 )
-def test_bad_input_is_one_line(run, cad, tmp_path, capsys, monkeypatch, path, flags, text):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "no_run").mkdir()
-    (tmp_path / "no_run" / "file").write_text("no folder")
-    (tmp_path / "run").symlink_to(run)
-    shutil.copy(cad, tmp_path / "wedge.stl")
-    shutil.copytree(run, tmp_path / "empty")
-    nothing = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    write_mesh(nothing, tmp_path / "empty" / "mesh_content.ply")
+def test_bad_input_is_one_line_and_writes_nothing(bad, capsys, monkeypatch, path, given, text):
+    """given: flags, or the text of a list of contents."""
+    monkeypatch.chdir(bad)
+    flags = list_at(bad, given) if isinstance(given, str) else given
     assert main(["inspect", path, *flags, "--out", "out"]) == 2
     error = capsys.readouterr().err.strip().splitlines()
-    assert text in error[-1]
     assert error[-1].startswith("geraf2: error:")
+    assert text in error[-1]
     assert "finding the models" not in "".join(error)
-    assert not (tmp_path / "out").exists()
+    assert not (bad / "out").exists()

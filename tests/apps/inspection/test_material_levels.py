@@ -7,8 +7,7 @@ from geraf2.apps.inspection import materials
 from geraf2.apps.inspection.material import Measured
 from geraf2.apps.inspection.materials import log_odds_of_metal
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.echoes.reflectivity import db, face_reflection, slab_reflection, spreading
-from geraf2.scene import Wall
+from geraf2.echoes.reflectivity import db, face_reflection, spreading
 from reference.mie import backscatter_m, front_echo_m
 
 F = 77e9 + np.linspace(0.0, 4e9, 64)  # 79 GHz in the middle
@@ -51,15 +50,3 @@ def test_the_front_echo_speaks_for_what_a_sphere_is_made_of(sphere, is_metal):
     """Painted metal is metal: the coat delays its echo and does not weaken it."""
     level = Measured(value=materials._METAL_DB + level_db(**sphere), sigma=1.0)
     assert (log_odds_of_metal(level, np.nan) > 0.0) == is_metal
-
-
-def test_a_slab_reflects_as_its_layers_do():
-    """Characteristic matrix of one layer in air (Born and Wolf, section 1.6)."""
-    wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=2.7)
-    index = np.sqrt(wall.permittivity)
-    phase = K * index * wall.thickness_m
-    matrix = np.array(
-        [[np.cos(phase), 1j * np.sin(phase) / index], [1j * index * np.sin(phase), np.cos(phase)]]
-    )
-    b, c = matrix[0, 0] + matrix[0, 1], matrix[1, 0] + matrix[1, 1]
-    assert slab_reflection(wall, F) == pytest.approx((b - c) / (b + c), abs=1e-9)

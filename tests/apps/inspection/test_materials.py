@@ -3,19 +3,17 @@
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from scipy.stats import expon, norm, uniform
+from scipy.stats import norm
 
 from geraf2.apps.inspection.bodies import body_of
 from geraf2.apps.inspection.material import Measured, material_text
 from geraf2.apps.inspection.materials import (
     Levels,
     Returns,
-    log_odds_of_metal,
     materials_of,
     passed_shares,
     reflectivity_map,
 )
-from geraf2.echoes.back_faces import BEHIND_M
 from helpers.solids import ball
 from helpers.specular import fibonacci_sphere
 
@@ -51,43 +49,6 @@ def moved(mesh, by):
 
 def trees(*meshes):
     return [KDTree(mesh.vertices) for mesh in meshes]
-
-
-def test_the_log_odds_are_those_of_two_normal_levels_and_two_laws_of_the_share():
-    level = Measured(value=-6.0, sigma=1.5)
-    levels_db = norm.logpdf(-6.0, -2.5, np.hypot(1.5, 2.8)) - norm.logpdf(
-        -6.0, -6.9, np.hypot(1.5, 4.1)
-    )
-    assert log_odds_of_metal(level, np.nan) == pytest.approx(levels_db)
-    for share in (0.0, 0.02, 0.3):
-        metal = 0.99 * expon.pdf(share, scale=0.015) + 0.01 * uniform.pdf(share)
-        wanted = np.log(metal / uniform.pdf(share))
-        assert log_odds_of_metal(None, share) == pytest.approx(wanted)
-        assert log_odds_of_metal(level, share) == pytest.approx(wanted + levels_db)
-    assert log_odds_of_metal(None, np.nan) == 0.0
-
-
-def test_surfaces_before_and_behind_returns_are_those_of_loops():
-    rng = np.random.default_rng(2)
-    normals = rng.standard_normal((250, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    positions, chance = rng.uniform(-0.02, 0.02, (250, 3)), rng.uniform(0.1, 1.0, 250)
-    found = Returns.of(positions, normals, chance, np.zeros(250, dtype=bool))
-    passed, opposed = [], []
-    for p, n in zip(positions, normals, strict=True):
-        before = after = 0.0
-        for q, m, weight in zip(positions, normals, chance, strict=True):
-            if n @ m > -0.3:
-                continue
-            along = ((q - p) @ m) / (n @ m)
-            if np.linalg.norm(p + along * n - q) < 0.005:
-                before += weight * (BEHIND_M < along < 0.08)
-                after += weight * (BEHIND_M < -along < 0.08)
-        passed.append(before > 1.0)
-        opposed.append(before > 1.0 or before + after > 1.0)
-    assert 10 < sum(passed) < sum(opposed) < 240
-    assert found.passed.tolist() == passed
-    assert found.opposed.tolist() == opposed
 
 
 def test_returns_of_metal_stop_at_its_front_and_those_of_a_back_face_passed():
