@@ -51,7 +51,7 @@ from geraf2.surfaces.isosurface import signed_distances
 LOS_VIEWS = "los/views.png"
 _NO_VIEW = (
     "The view in 3D needs JavaScript and WebGL2, which this browser does not offer here; "
-    "the pictures below show the same surface."
+    "the pictures show the same surface."
 )
 _TRUTH = {"vertices": "float n 3", "faces": "index:n m 3", "distances_m": "float k"}
 _MAX_RENDERED = 6  # planes whose heat maps the page shows

@@ -56,7 +56,7 @@ class Viewer {
     this.showPicks();
     new ResizeObserver(() => this.redraw()).observe(this.canvas);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.redraw());
-    this.canvas.addEventListener("webglcontextlost", () => root.classList.remove("works"));
+    this.canvas.addEventListener("webglcontextlost", () => showPictures(root));
   }
 
   // Layers of the scene, surfaces first.
@@ -465,14 +465,25 @@ class Viewer {
   }
 }
 
+// Without a view, the pictures of the surface and their note stand in its place in a report.
+function showPictures(root) {
+  root.classList.remove("works");
+  const section = document.getElementById("surface");
+  if (!section || !root.closest(".hero")) return;
+  root.querySelector(".fallback").after(...section.querySelectorAll(".note, figure"));
+  section.hidden = true;
+  document.querySelector('.side a[href="#surface"]').parentElement.remove();
+}
+
 const viewers = [];
 for (const root of document.querySelectorAll(".viewer")) {
   try {
     root.viewer = new Viewer(root);
     viewers.push(root.viewer);
   } catch (error) {
-    root.classList.remove("works"); // the pictures remain
     console.warn(`no 3D view: ${error.message}`);
+    // This script runs before the sections with the pictures are parsed.
+    addEventListener("DOMContentLoaded", () => showPictures(root));
   }
 }
 
