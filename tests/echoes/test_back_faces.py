@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geraf2.echoes.back_faces import find_crossings, seen_first, seen_through_share
+from geraf2.echoes.back_faces import seen_first, seen_through_share
 from geraf2.echoes.glints import find_glints
 from geraf2.scene import LosPrior
 from helpers.glint_sets import glints_at, glints_on_sphere
@@ -13,45 +13,11 @@ INDEX = 1.6
 RADIUS_M = 0.02
 
 
-def crossings_by_loops(glints, reach_m=0.005, own_m=0.004, min_cosine=0.3):
-    """Depth and whether it is a front, by line and surface, of every disc that a line meets."""
-    found = {}
-    for i, (p, n) in enumerate(zip(glints.positions, glints.normals, strict=True)):
-        for j, (q, m) in enumerate(zip(glints.positions, glints.normals, strict=True)):
-            cosine = float(n @ m)
-            if abs(cosine) <= min_cosine:
-                continue
-            depth = float((q - p) @ m) / cosine
-            if depth > own_m and np.linalg.norm(p + depth * n - q) < reach_m:
-                found[i, j] = (depth, cosine > 0.0)
-    return found
-
-
 def ball(radius_m=RADIUS_M, index=INDEX, n=600):
     """Front faces of a ball seen from all sides, then its back faces: 2 n radii behind these."""
     legs = fibonacci_sphere(n)
     positions = np.concatenate([radius_m * legs, (1.0 - 2.0 * index) * radius_m * legs])
     return glints_at(positions, np.concatenate([legs, legs]))
-
-
-def test_crossings_are_those_of_loops():
-    rng = np.random.default_rng(3)
-    normals = rng.standard_normal((150, 3))
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    glints = glints_at(rng.uniform(-0.02, 0.02, (150, 3)), normals)
-    found = find_crossings(glints.positions, glints.normals)
-    expected = crossings_by_loops(glints)
-    pairs = zip(found.lines.tolist(), found.surfaces.tolist(), strict=True)
-    seen = dict(zip(pairs, zip(found.depth_m, found.is_front, strict=True), strict=True))
-    assert len(expected) > 100
-    assert seen.keys() == expected.keys()
-    for pair, (depth, front) in expected.items():
-        assert seen[pair][0] == pytest.approx(depth, rel=1e-6)
-        assert seen[pair][1] == front
-    chosen = np.unique(found.lines)[[0, 9]]
-    some = find_crossings(glints.positions, glints.normals, chosen)
-    assert set(some.lines.tolist()) == set(chosen.tolist())
-    assert len(some.lines) == np.isin(found.lines, chosen).sum()
 
 
 def test_back_faces_of_a_ball_are_behind_and_its_front_is_not():

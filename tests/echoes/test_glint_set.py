@@ -28,12 +28,6 @@ def test_saving_and_loading_keeps_everything(glints, tmp_path):
         np.testing.assert_array_equal(getattr(back, name), getattr(glints, name))
 
 
-def test_selection_uses_the_same_rows_of_every_field(glints):
-    some = glints.select(np.array([5, 2]))
-    np.testing.assert_array_equal(some.poses, [5, 2])
-    np.testing.assert_array_equal(some.positions, glints.positions[[5, 2]])
-
-
 def test_fields_of_different_length_are_refused(glints):
     with pytest.raises(ValueError, match="strengths must have shape"):
         replace(glints, strengths=glints.strengths[:3])

@@ -10,7 +10,6 @@ from helpers.specular import (
     capture_of,
     raster,
     sphere_capture,
-    sphere_paths,
 )
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
@@ -99,11 +98,10 @@ def sphere_and_scatterers():
     return sphere, sphere_capture(points, np.zeros(len(points)))
 
 
-@pytest.mark.parametrize("amplitude", [0.0, 0.05, 0.1])
-def test_scatterers_are_clutter(sphere_and_scatterers, amplitude):
+def test_scatterers_are_clutter(sphere_and_scatterers):
     sphere, clutter = sphere_and_scatterers
     poses = tuple(
-        Pose(**{**vars(pose), "signal": pose.signal + np.complex64(amplitude) * other.signal})
+        Pose(**{**vars(pose), "signal": pose.signal + np.complex64(0.1) * other.signal})
         for pose, other in zip(sphere.poses, clutter.poses, strict=True)
     )
     found = find_echoes(Capture(waveform=sphere.waveform, poses=poses), BOX)
@@ -113,18 +111,6 @@ def test_scatterers_are_clutter(sphere_and_scatterers, amplitude):
     np.testing.assert_array_equal(
         found.labelled.probability[found.numbers], found.glints.probability
     )
-
-
-def test_the_order_of_the_antennas_does_not_matter(capture, glints):
-    rng = np.random.default_rng(3)
-    poses = []
-    for pose in capture.poses:
-        order = rng.permutation(pose.n_antennas)
-        rows = {k: vars(pose)[k][order] for k in ("signal", "tx_positions", "rx_positions")}
-        poses.append(Pose(**{**vars(pose), **rows}))
-    found = find_glints(Capture(waveform=capture.waveform, poses=tuple(poses)), BOX)
-    np.testing.assert_allclose(found.positions, glints.positions, atol=1e-6)
-    np.testing.assert_allclose(found.normals, glints.normals, atol=1e-5)
 
 
 def test_the_range_correction_is_subtracted_along_the_line_of_sight(capture, glints):
@@ -140,51 +126,12 @@ def test_progress_rises_to_one():
     np.testing.assert_allclose(seen, [1 / 3, 2 / 3, 1.0])
 
 
-class TestNothingFound:
-    def message(self, paths_of, **options):
-        capture = capture_of(paths_of, **{"n_poses": 4, "positions": raster(27), **options})
-        with pytest.raises(UserError) as caught:
-            find_glints(capture, BOX, NARROW)
-        return str(caught.value)
+def test_an_empty_box_reports_its_wall_echoes():
+    def walls(positions, axes):
+        near = -positions @ axes[0] - BOX_M / 2
+        return 2.0 * np.stack([near, near + BOX_M], axis=1)
 
-    def test_an_empty_box_reports_its_wall_echoes(self):
-        def walls(positions, axes):
-            near = -positions @ axes[0] - BOX_M / 2
-            return 2.0 * np.stack([near, near + BOX_M], axis=1)
-
-        text = self.message(walls)
-        assert "no glint inside the box" in text
-        # two walls in each of four poses
-        assert "8 echoes of the box's walls and 0 outside it" in text
-        assert "at ranges from 0.30 to 0.50 m" in text
-
-    def test_echoes_beside_the_box_are_counted(self):
-        def behind(positions, axes):
-            return sphere_paths(positions, [0.115 * axes[0]], [0.0])
-
-        assert "0 echoes of the box's walls and 4 outside it" in self.message(behind)
-
-    def test_noise_alone_is_reported_as_no_echo(self):
-        def nothing(positions, axes):
-            return np.zeros((len(positions), 0))
-
-        assert "no echo 12 dB above the noise" in self.message(nothing, noise=1.0)
-
-    def test_scattered_echoes_are_counted(self):
-        text = self.message(lambda p, _: sphere_paths(p, [[0.03, 0.0, 0.0]], [0.0]), n_poses=1)
-        assert "1 scattered echoes" in text
-        assert "one surface with their neighbours" in text
-
-
-def test_a_narrow_dynamic_range_drops_the_weaker_body():
-    def paths(positions, axes):
-        main = sphere_paths(positions, [[0.0, 0.0, 0.045]], [0.03])
-        return np.concatenate([main] * 5 + [sphere_paths(positions, [[0, 0, -0.045]], [0.03])], 1)
-
-    capture = capture_of(paths, n_poses=6)  # 14 dB apart
-    sizes = []
-    for depth_db in (10.0, 18.0):
-        found = find_glints(capture, BOX, GlintConfig(dynamic_range_db=depth_db))
-        sizes.append(int((found.positions[:, 2] < 0.0).sum()))
-    assert sizes[0] == 0
-    assert sizes[1] > 15
+    capture = capture_of(walls, n_poses=4, positions=raster(27))
+    stated = "no glint inside the box.*8 echoes of the box's walls and 0 outside it"
+    with pytest.raises(UserError, match=stated):  # two walls in each of four poses
+        find_glints(capture, BOX, NARROW)

@@ -5,7 +5,7 @@ import pytest
 
 from geraf2.echoes.hypotheses import find_candidates
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene import LosPrior, Pose, Wall
+from geraf2.scene import LosPrior, Pose
 from helpers.peak_sets import sphere_peaks
 from helpers.specular import BOX_M, antennas, raster
 
@@ -61,18 +61,6 @@ def test_a_fine_raster_has_no_aliases(poses):
     np.testing.assert_array_equal(found.peaks, np.arange(len(peaks)))
     np.testing.assert_allclose(found.positions, peaks.points)
     np.testing.assert_allclose(found.normals, -peaks.directions)
-
-
-def test_the_delay_of_the_walls_is_subtracted_along_the_line_of_sight(poses):
-    peaks = sphere_peaks((0.0, 0.0, 0.0), 0.03, [0])
-    plain = candidates(peaks, poses, range_correction_m=0.0)
-    fixed = candidates(peaks, poses, range_correction_m=0.001)
-    np.testing.assert_allclose(fixed.positions, plain.positions + 0.001 * plain.normals)
-    wall = Wall(size_m=(BOX_M,) * 3, thickness_m=0.004, permittivity=1.6)
-    known = candidates(peaks, poses, (wall,))
-    delay = np.einsum("ij,ij->i", known.positions - plain.positions, plain.normals)
-    assert delay == pytest.approx(0.004 * (np.sqrt(1.6) - 1.0), rel=0.02)
-    np.testing.assert_array_equal(known.depth_m, plain.depth_m)
 
 
 def test_no_peaks_no_candidates(poses):

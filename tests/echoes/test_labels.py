@@ -4,11 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
-from geraf2.echoes import labels as labels_module
 from geraf2.echoes.hypotheses import find_candidates
-from geraf2.echoes.labels import Label, continuing, label_peaks, pair_density, posterior
+from geraf2.echoes.labels import Label, continuing, label_peaks, posterior
 from geraf2.imaging.peaks import join_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
@@ -48,101 +46,6 @@ def scattered(n, seed=0, period=np.inf, low=-0.08, high=0.08):
         cosines = (leg / far[:, None]) @ axes[1:].T
         parts.append(peaks_of_plane(number, positions, cosines, far, period))
     return join_peaks(parts)
-
-
-def slow_density(p, n, q, m):
-    """Density with which a point q of normal m is predicted by p of normal n, from its words."""
-    step, mean = q - p, (n + m) / np.linalg.norm(n + m)
-    distance, offset = np.linalg.norm(step), float(step @ mean)
-    along = step - offset * mean
-    third_order = labels_module._BEND_PER_M2 * distance**3
-    bend = labels_module._CURVATURE_PER_M * distance
-    sigma = np.sqrt(2.0 * labels_module._OFFSET_SIGMA_M**2 + third_order**2)
-    turn = np.sqrt(2.0 * labels_module._NORMAL_SIGMA_RAD**2 + bend**2)
-    spread = labels_module._SPREAD_M
-    values = np.array([offset, np.linalg.norm(n - m), 0.0, np.linalg.norm(along), 0.0])
-    return norm.pdf(values, scale=[sigma, turn, turn, spread, spread]).prod()
-
-
-def slow_posterior(peaks, found, volume_m3, inside, n_rounds):
-    """The rule in loops over all pairs of candidates."""
-    n = len(found)
-    plane = [int(peaks.planes[k]) for k in found.peaks]
-    part = [int(peaks.subapertures[k]) for k in found.peaks]
-    strength = 20.0 * np.log10(peaks.magnitudes)
-    strong = np.quantile(
-        [strength[k] for k, seen in zip(found.peaks, inside, strict=True) if seen], 0.98
-    )
-    own, other = np.zeros((n, n)), np.zeros((n, n))
-    for a in range(n):
-        for b in range(n):
-            near = np.linalg.norm(found.positions[a] - found.positions[b]) <= 0.02
-            if part[a] != part[b] and near and found.normals[a] @ found.normals[b] > 0.5:
-                density = slow_density(
-                    found.positions[a], found.normals[a], found.positions[b], found.normals[b]
-                )
-                (own if plane[a] == plane[b] else other)[a, b] = density
-    share = np.array([1.0 / np.sum(found.peaks == k) for k in found.peaks])
-    shown = {
-        int(k) for k, a, i in zip(found.peaks, found.is_alias, inside, strict=True) if i and not a
-    }
-    top = slow_density(np.zeros(3), np.eye(3)[0], np.zeros(3), np.eye(3)[0])
-    m = labels_module
-    for _ in range(n_rounds):
-        clutter = sum(1.0 - share[found.peaks == k].sum() for k in shown) + m._FLOOR * len(shown)
-        cell = volume_m3 * np.pi / clutter
-        odds = np.zeros(n)
-        for a in range(n):
-            peak = found.peaks[a]
-            level = min(strength[peak] - strong, 0.0)
-            noise = min(20.0 * np.log10(peaks.magnitudes[peak] / peaks.noise[peak]), 40.0)
-            prior = m._LOG_ODDS + m._PER_STRENGTH_DB * level + m._PER_MARGIN_DB * noise
-            odds[a] = (
-                np.exp(prior)
-                * (m._ALONE + cell * (own[a] @ share))
-                * (1.0 + cell * (other[a] @ share) / m._OTHER_SCALE) ** m._OTHER_POWER
-                / (cell * top) ** m._SHARED
-            )
-        share = np.array(
-            [odds[a] / (1.0 + odds[found.peaks == found.peaks[a]].sum()) for a in range(n)]
-        )
-    return share
-
-
-def test_the_posterior_equals_that_of_its_slow_twin():
-    peaks = join_peaks(
-        [
-            sphere_peaks((0.0, 0.0, 0.065), RADIUS_M, [0, 1], PERIOD, magnitudes=0.5),
-            scattered(12, seed=3, period=PERIOD),
-        ]
-    )
-    found = found_in(peaks)
-    assert found.is_alias.sum() > 20
-    inside = found.depth_m > MARGIN_M
-    expected = slow_posterior(peaks, found, VOLUME_M3, inside, labels_module._ROUNDS)
-    np.testing.assert_allclose(
-        posterior(peaks, found, VOLUME_M3, inside), expected, rtol=1e-9, atol=1e-12
-    )
-
-
-def test_more_rounds_change_no_label(monkeypatch):
-    peaks = join_peaks([sphere_peaks((0.0, 0.0, 0.0), RADIUS_M, range(12)), scattered(96)])
-    few = labelled(peaks)
-    monkeypatch.setattr(labels_module, "_ROUNDS", 40)
-    assert (labelled(peaks).labels == few.labels).mean() > 0.98
-
-
-@pytest.mark.parametrize("radius", [0.02, 0.05, np.inf])
-def test_points_of_a_smooth_surface_predict_each_other_to_third_order(radius):
-    """Offsets along the mean normal vanish on spheres; on the first point's normal they do not."""
-    angle = 0.006 / radius
-    normals = np.array([[1.0, 0.0, 0.0], [np.cos(angle), np.sin(angle), 0.0]])
-    step = np.array([0.0, 0.006, 0.0]) if np.isinf(radius) else radius * (normals[1] - normals[0])
-    mean = normals.sum(axis=0) / np.linalg.norm(normals.sum(axis=0))
-    assert abs(step @ mean) < 1e-12
-    steps = pair_density(*(np.array([x]) for x in (0.0, angle, 0.006, 0.006)))
-    off = pair_density(*(np.array([x]) for x in (0.006, angle, 0.0, 0.006)))
-    assert steps > 10.0 * off
 
 
 def test_a_surface_is_direct_and_scatterers_are_clutter():

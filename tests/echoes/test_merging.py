@@ -7,17 +7,6 @@ from geraf2.echoes.merging import tangent_deviation
 from helpers.specular import fibonacci_sphere
 
 
-def slow_twin(positions, normals):
-    """The definition, pair by pair; neighbours within 1 cm, at most the nearest 64."""
-    found = []
-    for i, (here, normal) in enumerate(zip(positions, normals, strict=True)):
-        distance = np.linalg.norm(positions - here, axis=1)
-        near = [j for j in np.argsort(distance)[:65] if j != i and distance[j] < 0.01]
-        heights = [abs((positions[j] - here) @ (normals[j] + normal)) / 2.0 for j in near]
-        found.append(np.median(heights) if heights else np.nan)
-    return np.array(found)
-
-
 @pytest.fixture
 def rng():
     return np.random.default_rng(0)
@@ -26,14 +15,6 @@ def rng():
 def scattered(rng, n=200, half_m=0.02):
     normals = rng.normal(size=(n, 3))
     return rng.uniform(-half_m, half_m, (n, 3)), normals / np.linalg.norm(normals, axis=1)[:, None]
-
-
-@pytest.mark.parametrize("n", [2, 30, 200, 900])
-def test_the_deviation_is_the_median_over_neighbours(rng, n):
-    positions, normals = scattered(rng, n)
-    expected = slow_twin(positions, normals)
-    known = np.isfinite(expected)
-    np.testing.assert_allclose(tangent_deviation(positions, normals)[known], expected[known])
 
 
 def test_points_of_a_smooth_surface_do_not_deviate():

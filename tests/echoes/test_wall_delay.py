@@ -6,9 +6,7 @@ import pytest
 from geraf2.echoes.wall_delay import (
     box_delay_m,
     learn_wall_delay,
-    loss_shifts,
     unknown_delay_m,
-    unknown_shift,
 )
 from geraf2.imaging.peaks import PeakSet
 from geraf2.ops.visibility import MeshScene
@@ -122,24 +120,6 @@ def test_no_wall_seen_is_no_delay(scene):
     assert learn_wall_delay(wall_echoes(0.004, 1.6, 0.0, walls=("far",)), scene) == 0.0
     assert learn_wall_delay(wall_echoes(0.004, 1.6, 0.0, n=11, walls=("near",)), scene) == 0.0
     assert learn_wall_delay(wall_echoes(0.004, 1.6, 0.0, n=0), scene) == 0.0
-
-
-@pytest.mark.parametrize("offset", [-0.026, -0.012, -0.004, 0.0, 0.01])
-def test_the_shift_of_unknown_walls_is_that_of_likely_boards(offset):
-    """Twin: boards and errors of the delay drawn at random, those of about this offset kept."""
-    waveform, rng = waveform_of(), np.random.default_rng(0)
-    shifts = np.concatenate(
-        [
-            loss_shifts(rng.uniform(0.002, 0.007, 2000), 1.3, loss_db, waveform)
-            for loss_db in (0.0, 0.45, 0.9)
-        ]
-    )
-    draws = np.repeat(shifts, 400)
-    errors = 0.001 * rng.standard_t(4.0, len(draws))
-    kept = draws[np.abs(draws + errors - offset) < 5e-4]
-    low, middle, high = np.quantile(kept, (0.16, 0.5, 0.84))
-    found = unknown_shift(offset, 0.001, waveform)
-    assert found == pytest.approx((middle, 0.5 * (high - low)), abs=5e-4)
 
 
 @pytest.mark.parametrize("shift", [-0.009, -0.006, 0.0])

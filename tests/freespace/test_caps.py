@@ -34,16 +34,3 @@ def test_only_points_far_from_every_glint_move():
 def test_a_side_that_faces_the_glints_stays():
     sideways = np.array([[1.0, 0.0, 0.0]])
     assert cap_retreat(np.zeros((1, 3)), sideways, ring(0.0), **SETTINGS)[0] == 0.0
-
-
-@pytest.mark.parametrize("n", [1, 3])
-def test_few_glints_and_none(n):
-    few = ring(0.0).select(np.arange(n))
-    assert cap_retreat(np.zeros((2, 3)), np.repeat(UP, 2, axis=0), few, **SETTINGS).shape == (2,)
-    none = few.select(np.zeros(n, dtype=bool))
-    assert not cap_retreat(np.zeros((2, 3)), np.repeat(UP, 2, axis=0), none, **SETTINGS).any()
-
-
-def test_slope_zero_moves_nothing():
-    settings = {**SETTINGS, "slope": 0.0}
-    assert cap_retreat(np.zeros((1, 3)), UP, ring(0.0), **settings)[0] == 0.0

@@ -13,18 +13,12 @@ from scipy.special import erf
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.fields import SdfGrid
-from geraf2.freespace import silhouettes
 from geraf2.freespace.silhouettes import (
     Silhouettes,
     find_silhouettes,
     sharpened,
 )
-from geraf2.scene import Capture, Grid, Pose, Wall
-from geraf2.surfaces import refinement
-from geraf2.surfaces.fit import cut_to_outlines
-from geraf2.surfaces.refinement import RefineConfig
-from helpers.glint_sets import glints_on_sphere
+from geraf2.scene import Capture, Pose, Wall
 from helpers.shadows import shadows
 from helpers.synthetic import WAVEFORM
 from reference import wall_shadow
@@ -219,24 +213,6 @@ def test_a_hole_with_the_full_flash_is_free():
     np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
 
 
-def test_a_dim_shadow_of_a_thin_part_is_not_free_but_a_blurred_edge_is():
-    x, z = np.meshgrid(np.arange(61) * 0.002 - 0.06, np.arange(81) * 0.002 - 0.08, indexing="ij")
-    bar = np.where((np.abs(x - 0.046) < 0.0025) & (np.abs(z) < 0.05), 0.6, 1.0)
-    rim = np.where(np.hypot(x, z) < 0.035, 0.6, 1.0)
-    points = np.random.default_rng(0).uniform([0.035, 0.0, -0.03], [0.055, 0.0, 0.03], (500, 3))
-    to_bar = np.abs(points[:, 0] - 0.046) - 0.0025
-    expected = np.minimum(to_bar, np.hypot(points[:, 0], points[:, 2]) - 0.03)
-    for shadow in (bar * disc(), bar * disc() * rim):
-        found = made(shadow).free_distance(points)
-        np.testing.assert_allclose(found, expected, atol=1.5e-3)
-    # Waves pass twice, and dim by so much beside any edge.
-    waves = replace(made(bar * disc()), thresholds=np.array([0.25]))
-    assert (waves.free_distance(points) > to_bar + 1e-3).any()
-    # By itself, too, where nothing blocks the flash.
-    alone = made(bar).free_distance(points)
-    np.testing.assert_allclose(alone, to_bar, atol=1.5e-3)
-
-
 def test_sharpening_keeps_edges_and_the_width_of_strips():
     """Against closed forms: a blurred half plane and strips are error functions."""
     blur_m, cell_m = 0.0034, 0.0005
@@ -269,41 +245,6 @@ def test_unknown_cells_may_hold_content():
     np.testing.assert_allclose(found[x[:, 2] < 0.0395], expected[x[:, 2] < 0.0395], atol=1e-3)
 
 
-def test_a_field_is_cut_but_not_near_glints():
-    grid = Grid.centered((0.0, 0.0, 0.0), 0.004, (31, 31, 31))
-    points = grid.points()
-    ball = SdfGrid(
-        grid=grid,
-        values=(np.linalg.norm(points, axis=1) - 0.045).reshape(grid.shape).astype(np.float32),
-    )
-    outline = made(disc(0.03))
-    glints = glints_on_sphere(0.045, 400)
-    low = glints.select(glints.positions[:, 2] < 0.0)
-    cut = cut_to_outlines(ball, outline, low, 0.005).values.ravel()
-    far = points[:, 2] > 0.01
-    expected = np.maximum(ball.values.ravel(), outline.free_distance(points))
-    np.testing.assert_allclose(cut[far], expected[far], atol=1e-6)
-    assert np.sum(cut[far] > 1e-3 + ball.values.ravel()[far]) > 100
-    # Their evidence near glints counts by so much less.
-    distance = np.linalg.norm(points[:, None] - low.positions, axis=2).min(axis=1)
-    by = np.maximum(0.0, 0.005 - distance)
-    expected = np.maximum(ball.values.ravel(), outline.free_distance(points) - by)
-    np.testing.assert_allclose(cut, expected, atol=1e-6)
-    assert (by > 0.003).sum() > 100
-    everywhere = cut_to_outlines(ball, outline, low, 0.0).values.ravel()
-    np.testing.assert_allclose(
-        everywhere, np.maximum(ball.values.ravel(), outline.free_distance(points)), atol=1e-6
-    )
-
-
-def test_an_outline_that_glints_contradict_is_dropped():
-    config = RefineConfig()
-    outlines = made(disc(0.03))
-    inside, outside = (glints_on_sphere(radius_m, 300) for radius_m in (0.033, 0.08))
-    assert len(refinement.uncontradicted(outlines, inside, config)) == 1
-    assert len(refinement.uncontradicted(outlines, outside, config)) == 0
-
-
 def test_a_saved_file_is_read_back(tmp_path):
     path = tmp_path / "silhouettes.npz"
     for outlines in (
@@ -320,22 +261,3 @@ def test_a_saved_file_is_read_back(tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     with pytest.raises(UserError, match="cannot read the arrays"):
         Silhouettes.load(path)
-
-
-@pytest.mark.parametrize(("gap_m", "share"), [(0.05, 1.0), (1.0, 0.2)])
-def test_cells_far_from_all_antennas_are_unknown(gap_m, share):
-    v = np.linspace(-0.03, 0.03, 21)
-    u = np.concatenate([v - 0.5 * gap_m, v + 0.5 * gap_m])
-    feet = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-    n = len(feet)
-    flash = silhouettes._Flash(
-        side=1.0,
-        feet=feet,
-        response=np.ones(n, dtype=np.complex128),
-        content_m=np.full(n, 0.4),
-        wall_m=np.full(n, 0.5),
-    )
-    cells = [np.linspace(-0.5, 0.5, 201), v]
-    _, known = silhouettes._hologram(flash, cells, 0.0, 0.0039, 0.5)
-    covered = np.abs(cells[0]) < 0.5 * gap_m
-    assert known[covered].mean() == pytest.approx(share, abs=0.15)

@@ -7,18 +7,15 @@ import numpy as np
 import pytest
 
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
-from geraf2.imaging.peaks import KeptPeaks, box_spans, collect_peaks, grating_lobes, join_peaks
+from geraf2.imaging.peaks import KeptPeaks, collect_peaks, grating_lobes, join_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
-from helpers.aperture_images import subaperture_images
 from helpers.carton import PRIOR, carton_capture, with_bias
 from helpers.specular import antennas, raster
 from helpers.synthetic import WAVEFORM, point_capture
-from reference import peaks as twin
 
 BOX = LosPrior.from_box((0.12,) * 3)
 TARGETS = np.array([[0.03, 0.01, 0.0], [-0.03, 0.0, 0.02]])
-COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 
 
 @pytest.fixture(scope="module")
@@ -36,29 +33,6 @@ def peaks(carton):
     return KeptPeaks(PRIOR).of(carton)
 
 
-def test_peaks_are_local_maxima_above_the_noise_of_their_range_bin(carton):
-    margin_db, pose = 12.0, carton.poses[1]
-    found = collect_peaks(carton, PRIOR, COARSE, margin_db, planes=[1], reach_m=(0.0, 0.0))
-    span = box_spans(carton.poses, PRIOR)[1]
-    focus = PRIOR.bounds.mean(axis=0)
-    expected = [
-        (number, value, noise, image.ranges_m[position[2]])
-        for number, image in enumerate(
-            subaperture_images(pose, carton.waveform, focus, tuple(span), COARSE)
-        )
-        for position, _, value, noise in twin.find_peaks(
-            image.magnitude, image.wraps, 200.0, margin_db
-        )
-    ]
-    assert len(found) == len(expected) > 10
-    number, magnitudes, noise, ranges = np.array(expected).T
-    assert (found.subapertures == number).all()
-    np.testing.assert_allclose(found.magnitudes, magnitudes, rtol=1e-5)
-    np.testing.assert_allclose(found.noise, noise, rtol=1e-5)
-    assert np.abs(found.ranges_m - ranges).max() < 0.5 * WAVEFORM.range_cell_m
-    assert found.margins_db.min() > margin_db
-
-
 def test_peaks_are_lines_of_sight_to_reflectors(points):
     found = collect_peaks(points, BOX, SubapertureConfig(), 12.0)
     strong = found.select(found.levels_db > -1.0)
@@ -66,36 +40,6 @@ def test_peaks_are_lines_of_sight_to_reflectors(points):
     assert set(strong.planes) == {0, 1}
     assert off.max() < 0.004
     np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1.0)
-
-
-def test_levels_refer_to_the_strongest_peak_in_the_span(peaks):
-    spans = np.tile([0.3, 0.36], (3, 1))
-    near = peaks.within(spans)
-    assert 0 < len(near) < len(peaks)
-    for number in range(len(near.tops)):
-        own = [
-            magnitude
-            for magnitude, sub, distance in zip(
-                peaks.magnitudes, peaks.subapertures, peaks.ranges_m, strict=True
-            )
-            if sub == number and 0.3 < distance < 0.36
-        ]
-        assert near.tops[number] == max(own, default=0.0)
-    assert near.levels_db.max() == 0.0
-
-
-@pytest.mark.parametrize("step_m", [0.02, 0.03, 0.04, 1.0])
-def test_thinned_sub_apertures_are_a_step_apart_and_reach_both_ends(peaks, step_m):
-    kept = np.unique(peaks.thinned(step_m).subapertures)
-    for plane in range(3):
-        every = peaks.subaperture_coordinates[peaks.subaperture_planes == plane]
-        chosen = peaks.subaperture_coordinates[kept[peaks.subaperture_planes[kept] == plane]]
-        for axis in range(2):
-            lines = np.unique(np.round(chosen[:, axis], 6))
-            ends = np.round([every[:, axis].min(), every[:, axis].max()], 6)
-            assert lines[[0, -1]] == pytest.approx(ends)
-            assert np.diff(lines).max() <= max(step_m, 0.02) * 1.51 or len(lines) == 2
-    assert len(peaks.thinned(0.02)) == len(peaks)
 
 
 def test_joined_sets_keep_their_sub_apertures(peaks):

@@ -103,23 +103,6 @@ def point_at(depth, *, n=24, step=0.004, waveform=WAVEFORM):
     )
 
 
-def propagated(pose, waveform, depth, n, step):
-    """The image at one depth, wave by wave with matrices in place of the FFT."""
-    shape = (n, n - 3)
-    image = np.zeros(shape, dtype=complex)
-    waves = [np.fft.fftfreq(2 * size, step) * 2 * np.pi for size in shape]
-    positions = [step * np.arange(size) for size in shape]
-    to_h, to_v = (np.exp(-1j * np.outer(k, x)) for k, x in zip(waves, positions, strict=True))
-    for number, frequency in enumerate(waveform.frequencies_hz):
-        k = 4 * np.pi * frequency / 299792458.0
-        spectrum = to_h @ pose.signal[:, number].reshape(shape) @ to_v.T
-        square = k**2 - waves[0][:, None] ** 2 - waves[1] ** 2
-        delay = np.exp(0.5j * k * waveform.path_bias_m)
-        spectrum = np.where(square > 0, spectrum * np.exp(1j * np.sqrt(abs(square)) * depth), 0)
-        image += delay * (to_h.conj().T @ spectrum @ to_v.conj())
-    return np.abs(image).astype(np.float32)
-
-
 @pytest.mark.parametrize("n_samples", [1, 3, 40])
 def test_a_point_is_sharpest_at_its_depth(n_samples):
     waveform = replace(WAVEFORM, n_samples=n_samples, chirp_slope_hz_per_s=4e13)
@@ -127,22 +110,6 @@ def test_a_point_is_sharpest_at_its_depth(n_samples):
     best = int(sharpness.argmax())
     assert depths[best] == pytest.approx(0.08, abs=0.25 * waveform.center_wavelength_m + 1e-3)
     assert sharpness[best] > 5 * np.median(sharpness)
-
-
-def test_every_depth_has_the_image_of_its_plane_waves():
-    waveform = replace(WAVEFORM, path_bias_m=0.13)
-    pose = point_at(0.1, waveform=waveform)
-    depths, sharpness = search_depth(pose, waveform, 10.0)
-    wavelength, width = waveform.center_wavelength_m, 23 * 0.004
-    assert depths[0] == pytest.approx(2 * wavelength)
-    assert depths[-1] <= 0.25 * width**2 / wavelength < depths[-1] + wavelength
-    steps = np.diff(depths)
-    assert steps[0] == pytest.approx(0.5 * wavelength)
-    assert (steps <= 0.5 * wavelength * np.maximum(1, (depths[:-1] / width) ** 2) + 1e-12).all()
-    for number in (0, int(sharpness.argmax()), len(depths) - 1):
-        image = propagated(pose, waveform, depths[number], 24, 0.004)
-        assert sharpness[number] == pytest.approx(depth_sharpness(image[None], 0)[0], rel=1e-3)
-    assert depths[sharpness.argmax()] == pytest.approx(0.1, abs=0.5 * wavelength)
 
 
 def test_a_coarse_raster_gives_no_depth():

@@ -1,5 +1,3 @@
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -8,17 +6,13 @@ from geraf2.fields import BoxSolid
 from geraf2.learned.fields import (
     CubeDomain,
     LearnedSdfGrid,
-    Power,
     ReflectivityGrid,
     ReflectivityMlp,
     SdfMlp,
     SdfMlpConfig,
     SdfMlpGrid,
-    Sharpness,
-    positional_encoding,
     sdf_mlp,
 )
-from geraf2.learned.fields.encoding import octave_weights
 
 DOMAIN = CubeDomain(center_m=(0.3, -0.1, 0.2), half_side_m=0.15)
 SMALL_MLP = SdfMlpConfig(n_layers=3, width=32, skip=2, n_octaves=2, softplus_beta=10.0)
@@ -201,80 +195,3 @@ def test_reflectivity_is_one_at_first_and_learns(module):
         loss.backward()
         optimiser.step()
     assert loss < 0.1
-
-
-def test_power_and_sharpness_are_positive_numbers():
-    power, sharpness = Power(2.5), Sharpness(100.0, max_inv_s=300.0)
-    assert power().item() == pytest.approx(2.5)
-    assert sharpness().item() == pytest.approx(100.0)
-    sharpness.set(1000.0)
-    assert sharpness().item() == pytest.approx(300.0)
-    power().backward()
-    assert power.log_value.grad.item() == pytest.approx(2.5)
-    with pytest.raises(ValueError, match="value must be finite and positive, got -1"):
-        Power(-1)
-
-
-def test_the_encoding_is_that_of_the_equation():
-    got = positional_encoding(torch.tensor([[0.25, -0.5, 0.0]], dtype=torch.float64), 2)
-    y = np.array([0.25, -0.5, 0.0])
-    parts = [y, np.sin(np.pi * y), np.cos(np.pi * y), np.sin(2 * np.pi * y), np.cos(2 * np.pi * y)]
-    np.testing.assert_allclose(got.numpy()[0], np.concatenate(parts), atol=1e-15)
-
-
-def test_octaves_open_one_after_another():
-    weights = octave_weights(torch.tensor(2.25, dtype=torch.float64), 4)
-    np.testing.assert_allclose(weights.numpy(), [1.0, 1.0, 0.5 - math.sqrt(0.125), 0.0])
-    points = torch.tensor([[0.25, -0.5, 0.0]], dtype=torch.float64)
-    got = positional_encoding(points, 4, weights)[0, 3:].reshape(4, 6)
-    whole = positional_encoding(points, 4)[0, 3:].reshape(4, 6)
-    torch.testing.assert_close(got, weights[:, None] * whole)
-
-
-def test_weights_of_a_closed_octave_have_no_effect_and_no_gradient():
-    points = random_points(8, dtype=torch.float32)
-    shut, without = (SdfMlp(DOMAIN, SMALL_MLP, seed=1) for _ in range(2))
-    shut.open_octaves(1.0)
-    n_closed = 6  # of two octaves the last: sines and cosines of three coordinates
-    with torch.no_grad():
-        for number, layer in enumerate(shut.layers):
-            generator = torch.Generator().manual_seed(number)
-            weight = torch.randn(layer.weight.shape, generator=generator)
-            layer.weight = 0.1 * weight
-            if number in (0, SMALL_MLP.skip):
-                weight[:, -n_closed:] = 0.0
-            without.layers[number].weight = 0.1 * weight
-    torch.testing.assert_close(shut.value(points), without.value(points))
-    fresh = SdfMlp(DOMAIN, SMALL_MLP, seed=1)
-    fresh.open_octaves(1.0)
-    directions = [layer.parametrizations.weight.original1 for layer in fresh.layers]
-    sample = fresh(points)
-    found = torch.autograd.grad(sample.value.sum() + sample.gradient.square().sum(), directions)
-    for number in (0, SMALL_MLP.skip):
-        assert not found[number][:, -n_closed:].any()
-        assert found[number][:, :-n_closed].any()
-    with pytest.raises(ValueError, match=r"n_open must be from 0 to n_octaves = 2, got 2\.5"):
-        fresh.open_octaves(2.5)
-
-
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"n_layers": 0}, "n_layers must be at least 1, got 0"),
-        ({"skip": 8}, "skip must be from 0 to n_layers - 1 = 7, got 8"),
-        ({"width": 60}, "width must exceed the 63 numbers"),
-        ({"init_radius": 0.0}, "init_radius must be finite and positive"),
-    ],
-)
-def test_sizes_that_make_no_network_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        SdfMlpConfig(**settings)
-
-
-def test_points_of_another_shape_or_type_are_refused():
-    field = LearnedSdfGrid(DOMAIN, n_per_side=4)
-    with pytest.raises(ValueError, match=r"points must have shape \(\*, 3\), got \(3,\)"):
-        field(torch.zeros(3))
-    with pytest.raises(TypeError, match=r"got torch\.int64"):
-        field(torch.zeros((2, 3), dtype=torch.int64))
-    assert field(torch.zeros((0, 3))).gradient.shape == (0, 3)

@@ -1,12 +1,10 @@
 """The zero level is moved to the depth of the glints: on spheres of geometrical optics."""
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from geraf2.fields import SdfGrid
 from geraf2.learned import glint_level
@@ -44,13 +42,6 @@ def test_depths_of_two_spots_are_resolved_to_a_part_of_a_millimetre(behind_m):
     assert found == pytest.approx(behind_m, abs=1e-4)
 
 
-def test_the_peaks_beside_the_middle_count():
-    measured = spot(0.001, 0.004) + 5.0 * spot(-0.024, 0.004)
-    assert depth_difference(spot(0.003, 0.004), measured) == pytest.approx(0.002, abs=1e-4)
-    assert depth_difference(np.ones_like(DEPTHS_M), measured) is None
-    assert depth_difference(measured, np.arange(len(DEPTHS_M), dtype=float)) is None
-
-
 def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
     first = GlintShift().after([0.001, 0.003, 0.002, 0.05], MAX_M)
     assert first.inward_m == pytest.approx(-0.0025)
@@ -58,19 +49,6 @@ def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
     assert both.inward_m == pytest.approx(-0.0005)
     assert both.outside_m == pytest.approx((-0.0025, 0.002))
     assert both.n_glints == 3
-
-
-def test_too_few_glints_move_nothing():
-    shift = GlintShift().after([0.001, 0.003], MAX_M)
-    assert (shift.inward_m, shift.outside_m, shift.n_glints) == (0.0, (0.0,), 2)
-
-
-def test_inward_a_surface_is_moved_by_a_bound_at_most():
-    deep = GlintShift().after([-0.009, -0.010, -0.011], MAX_M)
-    assert deep.inward_m == pytest.approx(MAX_M)
-    assert deep.outside_m == pytest.approx((0.010,))
-    assert deep.after([0.001, 0.001, 0.001], MAX_M).inward_m == pytest.approx(0.001)
-    assert GlintShift().after([0.009, 0.010, 0.011], MAX_M).inward_m == pytest.approx(-0.010)
 
 
 def ball(radius_m, n_per_side=41):
@@ -96,44 +74,6 @@ def test_a_thick_part_is_moved_wholly_and_a_thin_one_by_half_of_its_depth():
     assert radius_of(shifted(ball(0.03), -0.002)) == pytest.approx(0.032, abs=1e-4)
     assert radius_of(shifted(ball(0.006), 0.005)) == pytest.approx(0.003, abs=3e-4)
     assert radius_of(shifted(ball(0.006), -0.005)) == pytest.approx(0.011, abs=1e-4)
-
-
-def test_a_neck_between_thick_parts_stays_where_a_plain_shift_takes_it_away():
-    """A rod of 3 mm between two balls of 15 mm."""
-    grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 81)
-    points = grid.points()
-    rod = np.maximum(np.hypot(points[:, 1], points[:, 2]) - 0.003, np.abs(points[:, 0]) - 0.03)
-    balls = [np.linalg.norm(points - [x, 0.0, 0.0], axis=1) - 0.015 for x in (-0.03, 0.03)]
-    values = np.min([rod, *balls], axis=0).reshape(grid.shape).astype(np.float32)
-    assert radius_of(SdfGrid(grid=grid, values=values)) == pytest.approx(0.003, abs=1e-4)
-    assert values[40, 40, 40] + 0.0032 > 0.0
-    kept = shifted(SdfGrid(grid=grid, values=values), 0.0032)
-    assert radius_of(kept) == pytest.approx(0.0015, abs=1e-4)
-    ball_end = kept.sample(np.array([[0.03 + 0.015 - 0.0032, 0.0, 0.0]]))
-    assert ball_end == pytest.approx(0.0, abs=2e-4)
-
-
-def test_depths_of_parts_are_those_of_small_steps():
-    """Against a loop over voxels, on a field of blobs; nothing inside has depth 0."""
-    grid = Grid.cube((0.0, 0.0, 0.0), 0.02, 13)
-    values = gaussian_filter(np.random.default_rng(3).normal(size=grid.shape), 1.0)
-    values = (0.02 * values / values.std()).astype(np.float32)
-    depths = part_depths(SdfGrid(grid=grid, values=values))
-    steps = [np.array(s) for s in itertools.product((-1, 0, 1), repeat=3) if any(s)]
-    for start in np.ndindex(*grid.shape):
-        here = np.array(start)
-        while True:
-            beside = [here + s for s in steps]
-            beside = [k for k in beside if ((k >= 0) & (k < 13)).all()]
-            rises = [
-                (values[tuple(here)] - values[tuple(k)]) / np.linalg.norm(k - here) for k in beside
-            ]
-            if max(rises) <= 0.5 * grid.spacing_m:
-                break
-            here = beside[int(np.argmax(rises))]
-        assert depths[start] == pytest.approx(max(0.0, -values[tuple(here)]), abs=1e-7)
-    assert len(np.unique(depths)) > 10
-    assert not part_depths(SdfGrid(grid=grid, values=np.abs(values) + 0.1)).any()
 
 
 @pytest.fixture(scope="module")

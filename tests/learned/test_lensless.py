@@ -9,7 +9,6 @@ from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clust
 from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.scene import LosPrior
 from helpers.synthetic import WAVEFORM, point_pose
-from reference import lensless as reference
 
 SIDE_M = 0.16
 PRIOR = LosPrior.from_box((SIDE_M, SIDE_M, SIDE_M))
@@ -65,29 +64,6 @@ def test_rays_are_parallel_jittered_and_within_the_scene():
     torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
 
 
-def test_samples_of_an_inner_box_lie_in_it_and_their_rays_still_start_at_the_scene():
-    inner = PRIOR.crop(0.02)
-    lensless = sampler(inner=inner)
-    assert lensless.radius_m == pytest.approx(1.05 * (0.5 * SIDE_M - 0.02))
-    rays = rays_of(lensless)
-    within = BoxSolid(size_m=inner.size_m).signed_distance(rays.points.reshape(-1, 3).numpy())
-    assert within.max() < 1e-6
-    grown = BoxSolid(size_m=(1.1 * SIDE_M,) * 3)
-    np.testing.assert_allclose(grown.signed_distance(rays.starts.numpy()), 0.0, atol=1e-6)
-    along = (rays.points - rays.starts[:, None]) @ rays.direction
-    torch.testing.assert_close(along[:, 0] - 0.5 * rays.step[:, 0], rays.offset)
-    # A ray near the middle of a plane turned by 30 degrees crosses it aslant.
-    across = (SIDE_M - 0.04) / np.cos(np.deg2rad(30.0))
-    assert rays.step.sum(dim=1).max() == pytest.approx(across, rel=2.0 / 16)
-
-
-def test_cells_can_be_left_out():
-    lensless = sampler()
-    keep = np.zeros(lensless.n_rays, dtype=bool)
-    keep[[3, 17, 20]] = True
-    assert rays_of(lensless, keep=keep).cells.tolist() == [3, 17, 20]
-
-
 @pytest.mark.parametrize(
     ("two_way", "spreading", "lobe_power"),
     [("squared", "none", 1.0), ("unbiased", "none", 1.0), ("unbiased", "two-way", 8.0)],
@@ -137,35 +113,6 @@ def test_the_amplitude_is_equation_4_or_its_corrected_form(two_way, spreading, l
     )
 
 
-@pytest.mark.parametrize(
-    "config",
-    [
-        {"lobe_power": 4.0, "n_looks": 3},
-        {"two_way": "unbiased", "spreading": "two-way", "lobe_power": 8.0, "n_clusters": 2},
-        {"n_clusters": 0, "normal_gradient": False},
-    ],
-)
-def test_the_fused_form_equals_the_separate_steps(config):
-    """Signal and gradients to the field, power and sharpness; blocks of points are within rtol."""
-    field, lensless = ball_field(), sampler(6, 12)
-    rays, antennas = rays_of(lensless), np.arange(0, 144, 9)
-    config = RenderConfig(**{"lobe_power": 1.0, "n_looks": 1, **config})
-    renderer = LenslessRenderer(lensless, vision(), WAVEFORM, config)
-    tx, rx = POSE.tx_positions[antennas], POSE.rx_positions[antennas]
-    groups = antenna_clusters(0.5 * (tx + rx), config.n_clusters)
-    found = []
-    for is_long in (False, True):
-        inputs = [torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (2.0, 120.0)]
-        if is_long:
-            signal = reference.render(renderer, field, *inputs, rays, tx, rx, groups)
-        else:
-            signal = renderer.render(field, None, *inputs, rays, tx, rx).signal
-        slopes = torch.autograd.grad(signal.abs().square().sum(), [*inputs, field.values])
-        found.append([signal.detach(), *slopes])
-    for got, want in zip(*found, strict=True):
-        assert float((got - want).norm()) < 1e-3 * float(want.norm())
-
-
 def echo_powers(field, rays, inv_s, lensless, **config):
     """Points and |amplitude|^2 of samples: the signal is linear in reflectivity, so its slope."""
     seen = {}
@@ -203,51 +150,6 @@ def test_equation_4_echoes_of_a_plate_lie_five_sixths_of_1_over_s_in_front(two_w
     density = power / rays.step.numpy()[0]
     in_front = -(density * (points @ axis)).sum() / density.sum()
     assert in_front == pytest.approx(want / inv_s, abs=0.03 / inv_s)
-
-
-@pytest.mark.parametrize("lobe_power", [4.0, 8.0, 16.0])
-def test_the_lobe_puts_the_echo_of_a_ball_an_eighth_of_its_radius_over_its_power_too_deep(
-    lobe_power,
-):
-    """docs/math/ray-march-and-lensless.md#lensless-level: the mean depth behind the pole, by
-    quadrature and in short."""
-    radius, lensless = 0.05, sampler(48, 96)
-    field = ball_field(radius)
-    rays = rays_of(lensless)
-    form = {"two_way": "unbiased", "lobe_power": lobe_power}
-    points, power = echo_powers(field, rays, 1500.0, lensless, **form)
-    depth = points @ POSE.axes[0] + radius
-    angle = np.linspace(0.0, np.pi / 4, 2001)
-    share = np.cos(2.0 * angle) ** (2.0 * lobe_power) * np.cos(angle) ** 2 * np.sin(angle)
-    want = (share * radius * (1.0 - np.cos(angle))).sum() / share.sum()
-    assert want == pytest.approx(radius / (8.0 * lobe_power), rel=0.2)
-    assert (power * depth).sum() / power.sum() == pytest.approx(want, abs=2e-4)
-
-
-@pytest.mark.parametrize(
-    ("two_way", "m", "plate", "variance"),
-    [("unbiased", 1, 0.0, 1.290), ("squared", 2, 5.0 / 6.0, 0.929)],
-)
-@pytest.mark.parametrize("inv_s", [150.0, 300.0])
-def test_a_soft_ball_echoes_farther_out_by_twice_the_variance_over_its_radius(
-    two_way, m, plate, variance, inv_s
-):
-    """docs/math/ray-march-and-lensless.md#lensless-level: an outer shell shows more area; by
-    quadrature and in short."""
-    radius, lensless = 0.05, sampler(48, 200)
-    field, form = ball_field(radius), {"two_way": two_way, "lobe_power": 2.0}
-    outward = total = 0.0
-    for seed in range(3):
-        points, power = echo_powers(field, rays_of(lensless, seed=seed), inv_s, lensless, **form)
-        outward += (power * (np.linalg.norm(points, axis=1) - radius)).sum()
-        total += power.sum()
-    distance = np.linspace(-0.05, 0.15, 4001)
-    phi = 1.0 / (1.0 + np.exp(-inv_s * distance))
-    share = phi ** (2 * m) * (1.0 - phi) ** 2 * (radius + distance) ** 2
-    want = (share * distance).sum() / share.sum()
-    curved = 2.0 * variance / (inv_s**2 * radius)
-    assert want == pytest.approx(plate / inv_s + curved, abs=0.1 * curved)
-    assert outward / total == pytest.approx(want, abs=2.5e-4)
 
 
 def test_a_distance_that_falls_nowhere_gives_no_signal():

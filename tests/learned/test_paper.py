@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
@@ -13,10 +12,10 @@ from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
 from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlpGrid
-from geraf2.learned.heatmaps import TargetChooser, heat_maps
+from geraf2.learned.heatmaps import heat_maps
 from geraf2.learned.model import PaperModel, domain_of
-from geraf2.learned.optimiser import blur, make_optimiser, set_rates
-from geraf2.learned.plane_loss import charbonnier, depth_loss, eikonal_loss, heatmap_loss
+from geraf2.learned.optimiser import make_optimiser
+from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
 from geraf2.ops import _tensors, matched_filter
@@ -72,24 +71,6 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
         assert (seen[1][name] != seen[2][name]).any(), name
     assert reports[0].inv_s == pytest.approx(SMALL.inv_s_start)
     assert reports[-1].inv_s == pytest.approx(SMALL.inv_s_end)
-
-
-def test_stage_2_continues_with_the_state_of_adam(capture, maps):
-    trainer = PaperTrainer(capture, PRIOR, SMALL, maps=maps)
-    run_steps(trainer, max_steps=SMALL.stage1.n_steps)
-    before = dict(trainer.optimiser.state[trainer.model.sdf.values])
-    squares = before["exp_avg_sq"].clone()
-    trainer.advance()
-    assert trainer.stages.stage == 2
-    state = {
-        g["name"]: trainer.optimiser.state[g["params"][0]] for g in trainer.optimiser.param_groups
-    }
-    distance = state.pop("sdf.values")
-    assert float(distance["step"]) == float(before["step"]) + 1.0
-    gradient = trainer.model.sdf.values.grad
-    torch.testing.assert_close(distance["exp_avg_sq"], 0.999 * squares + 0.001 * gradient**2)
-    new = [float(s["step"]) for name, s in state.items() if name.startswith("reflectivity")]
-    assert new == [1.0]  # of what stage 1 did not train, nothing is known
 
 
 def test_training_lowers_the_heat_map_loss(capture, maps):
@@ -182,27 +163,6 @@ def test_a_missing_gpu_is_refused_and_a_run_of_one_continues(monkeypatch):
         for device in ("cuda", "auto")
     )
     assert with_gpu == without
-
-
-def test_a_step_of_several_planes_takes_the_mean_of_their_gradients(capture, maps):
-    def trainer(n_planes):
-        return PaperTrainer(capture, PRIOR, replace(SMALL, bank=1, n_planes=n_planes), maps=maps)
-
-    several, single = trainer(3), trainer(1)
-    values, one = several.model.sdf.values, single.model.sdf.values
-    state = several.draws.generator.get_state()
-    several.advance()
-    single.draws.generator.set_state(state)
-    single.model.sharpness.set(single.stages.inv_s)
-    n = len(capture.poses)
-    first = int(torch.randint(n, (1,), generator=single.draws.generator))
-    planes = [(first + shift) % n for shift in (0, n // 3, 2 * n // 3)]
-    gradients = []
-    for plane in planes:
-        found = single.loss.gradient(single.draws.draw(plane), single.leaves, 1)
-        gradients.append(dict(zip(single.leaves, found.gradients, strict=True))[one])
-    assert len(set(planes)) == 3
-    torch.testing.assert_close(values.grad, sum(gradients) / 3.0, rtol=1e-4, atol=1e-9)
 
 
 def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
@@ -333,24 +293,6 @@ def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
     assert trainer.stages.is_done
 
 
-def test_the_vision_depth_of_a_training_of_the_content_is_that_of_the_box(capture):
-    """Its samples begin below the wall; the depth compared with is still that of the outer face."""
-    depths = {}
-    for region in ("scene", "content"):
-        config = replace(CONTENT, region=region, n_cells=16, n_samples=64)
-        trainer = PaperTrainer(capture, PRIOR, config)
-        trainer.model.sharpness.set(2000.0)
-        rays = trainer.draws.sampler.sample(capture.poses[0].axes, trainer.draws.generator)
-        nothing = trainer.loss.render_with_remembered(trainer.draws.draw(0))[0]._replace(
-            depth=torch.zeros(len(rays.cells))
-        )
-        depths[region] = float(trainer.loss.depth_alignment(nothing, rays))
-    # From the grown box to the box, of a plane that looks squarely at a wall.
-    grown_m = 0.05 * PRIOR.size_m[0]
-    assert depths["scene"] == pytest.approx(grown_m, abs=0.001)
-    assert depths["content"] == pytest.approx(grown_m, abs=0.001)
-
-
 def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
     grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 51)
     points = grid.points()
@@ -403,18 +345,6 @@ def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
     assert (reached > 0.9 * np.ptp(positions, axis=0)).all()
 
 
-def test_targets_are_drawn_as_torch_draws_them(capture, maps):
-    within = np.random.default_rng(0).uniform(size=maps.grid.shape) < 0.4
-    chooser = TargetChooser(maps, within, 1.0)
-    ours, theirs = (torch.Generator().manual_seed(3) for _ in range(2))
-    got = chooser.choose(1, 100, ours)
-    density = torch.from_numpy(maps.volumes[1][within]).double().square()
-    drawn = torch.multinomial(density, 100, replacement=True, generator=theirs)
-    positions = torch.from_numpy(maps.grid.points()[within.reshape(-1)])[drawn]
-    jitter = torch.rand(positions.shape, generator=theirs, dtype=torch.float64) - 0.5
-    assert torch.equal(got, positions + maps.grid.spacing_m * jitter)
-
-
 @pytest.mark.parametrize("n_fresh", [None, 9])
 def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fresh):
     """One image for each draw, powers added; gradients to the fresh antennas alone."""
@@ -452,51 +382,6 @@ def test_dark_rays_are_left_out(capture, maps):
     assert masked.draws.bright[0].all()
     free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
     assert not free.draws.bright
-
-
-def test_the_losses_are_those_of_the_equations():
-    d = torch.tensor([0.0, 1e-5, -2.0], dtype=torch.float64)
-    width = 1e-3
-    want = (np.sqrt(d.numpy() ** 2 + width**2) - width).mean()
-    assert charbonnier(d, width).item() == pytest.approx(want)
-    gradient = torch.tensor([[0.6, 0.0, 0.8], [0.0, 0.0, 0.5]])
-    assert eikonal_loss(gradient).item() == pytest.approx(0.125)
-    assert depth_loss(torch.tensor([0.1, 0.3]), torch.tensor([0.2, 0.2])).item() == pytest.approx(
-        0.1
-    )
-
-
-def test_blurring_is_that_of_scipy():
-    volume = np.random.default_rng(0).standard_normal((9, 11, 13))
-    want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
-    np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("n_steps", "shape_rate", "share"),
-    [(0, 1.0, 1.0), (3000, 1.0, 1.0), (12000, 1.0, 0.25), (6, 0.25, 0.25)],
-)
-def test_longer_trainings_and_a_stage_may_slow_the_distance_alone(n_steps, shape_rate, share):
-    rates = []
-    for steps, shape in ((6, 1.0), (n_steps, shape_rate)):
-        config = replace(SMALL, stage1=StageConfig(n_steps=steps))
-        model = PaperModel(domain_of(PRIOR, config), config)
-        stage = StageConfig(train_reflectivity=True, shape_rate=shape)
-        groups = make_optimiser(model, config, stage).param_groups
-        rates.append({group["name"]: group["base_rate"] for group in groups})
-    usual, other = rates
-    assert usual["sdf.values"] == pytest.approx(SMALL.grid_rate)
-    assert other.pop("sdf.values") == pytest.approx(share * usual.pop("sdf.values"))
-    assert other == usual
-
-
-def test_rates_fall_along_a_cosine():
-    optimiser = torch.optim.SGD([{"params": [torch.zeros(1)], "lr": 2.0, "base_rate": 2.0}])
-    rates = []
-    for progress in (0.0, 0.5, 1.0, 1.5):
-        set_rates(optimiser, progress, 0.05)
-        rates.append(optimiser.param_groups[0]["lr"])
-    np.testing.assert_allclose(rates, [2.0, 2.0 * 0.525, 0.1, 0.1])
 
 
 @pytest.mark.parametrize(

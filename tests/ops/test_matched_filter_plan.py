@@ -57,15 +57,6 @@ def test_threads_may_share_a_plan():
         np.testing.assert_array_equal(image, plan.execute(signal))
 
 
-def test_positions_are_copied():
-    tx, points = TX.copy(), LIST.copy()
-    plan = geraf2.MatchedFilterPlan(tx, RX, points, WAVEFORM)
-    signal = white_noise(plan.signal_shape, np.complex64)
-    before = plan.execute(signal)
-    tx[:], points[:] = 7.0, 9.0
-    np.testing.assert_array_equal(plan.execute(signal), before)
-
-
 def test_wrong_use_is_named():
     plan = make_plan(GRID)
     signal, image = (

@@ -24,17 +24,3 @@ def f1(mesh_points, truth_points, tau):
     if precision + recall == 0:
         return precision, recall, 0.0
     return precision, recall, 2 * precision * recall / (precision + recall)
-
-
-def volume(corners):
-    """Sum of the signed tetrahedra between the origin and the triangles, (n, 3, 3) -> [m^3]."""
-    total = 0.0
-    for (ax, ay, az), (bx, by, bz), (cx, cy, cz) in corners:
-        total += ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    return total / 6.0
-
-
-def extents(corners):
-    """Largest less smallest coordinate along each axis [m]."""
-    points = [corner for triangle in corners for corner in triangle]
-    return [max(p[axis] for p in points) - min(p[axis] for p in points) for axis in range(3)]

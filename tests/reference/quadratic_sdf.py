@@ -70,13 +70,6 @@ def minimise(shape, spacing, points, normals, weights, terms, pulls):
     return np.linalg.lstsq(matrix, np.array(right), rcond=None)[0].reshape(shape)
 
 
-def hessian(shape, spacing, points, weights, terms):
-    """Matrix of the energy without pulls, (n_voxels, n_voxels)."""
-    pulls = (np.zeros(0, dtype=int), np.zeros(0))
-    rows = [_residuals(f, spacing, points, weights, terms, pulls) for f in _basis(shape)]
-    return np.array(rows) @ np.array(rows).T
-
-
 def covariance(shape, spacing, points, weights, terms, sigmas, bend_density):
     """Covariance of the minimum, (n_voxels, n_voxels) [cm^2], when data and bend are random.
 

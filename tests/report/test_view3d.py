@@ -8,9 +8,8 @@ import trimesh
 
 from geraf2.io.mesh import Evidence
 from geraf2.report.answer import answer_of
-from geraf2.report.run_sections import level_moved, losses, read_log
+from geraf2.report.run_sections import losses, read_log
 from geraf2.report.view3d import (
-    MAX_CONTENT_FACES,
     Around,
     Attribute,
     content_attributes,
@@ -21,7 +20,7 @@ from geraf2.report.view3d import (
 from geraf2.report.view_layers import heat_map
 from geraf2.scene import Grid
 from helpers.glint_sets import glints_on_sphere
-from helpers.solids import ball, joined, triangles
+from helpers.solids import ball, joined
 
 
 def unpacked(stored):
@@ -57,17 +56,6 @@ def test_a_thinned_surface_is_nearly_the_same_one(max_faces):
     longest = made.edges_unique_length.max()
     depth = 0.03 - np.linalg.norm(made.triangles_center, axis=1)
     assert depth.max() < longest**2 / (6 * 0.03) + 1e-5
-
-
-def test_a_large_mesh_takes_a_megabyte_with_a_note():
-    mesh = triangles(trimesh.creation.uv_sphere(radius=0.05, count=[230, 230]))
-    assert len(mesh.faces) > 100_000
-    error = Attribute(label="error", values=mesh.vertices[:, 2])
-    scene = view_scene(mesh, [error, error, error])
-    note = scene["meshes"][0]["note"]
-    assert note.endswith(f"of the {len(mesh.faces):,} triangles of the content.")
-    assert int(note.split()[2].replace(",", "")) <= MAX_CONTENT_FACES
-    assert len(scene_json(scene)) < 1.3e6
 
 
 def test_json_cannot_end_the_script_that_holds_it():
@@ -161,15 +149,3 @@ def test_losses_are_read_from_a_log_with_broken_lines(tmp_path):
     lines = [json.dumps({"event": "training", "step": s, "heatmap": v}) for s, v in steps]
     (tmp_path / "log.jsonl").write_text("\n".join([*lines, "{broken", "[]"]))
     assert losses(read_log(tmp_path)) == {"heatmap": [(10, 1.0), (20, 0.4)]}
-
-
-def test_a_report_gives_the_shift_of_the_level():
-    first = {"event": "glint_level", "inward_mm": 0.2, "glints": 12}
-    last = {"event": "glint_level", "inward_mm": -1.44, "glints": 36}
-    assert level_moved([first, last, {"event": "done"}]) == (
-        "After the training the surface was moved outward by 1.4 mm, to the depth of the 36 "
-        "brightest echoes."
-    )
-    assert "inward by 0.2 mm, thin parts by less, to the" in level_moved([first])
-    assert level_moved([{"event": "training", "step": 3}]) == ""
-    assert level_moved([{"event": "glint_level", "inward_mm": 0.0, "glints": 0}]) == ""

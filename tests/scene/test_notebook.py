@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 import geraf2
-from geraf2.scene.capture import LazyPoses
 from geraf2.scene.notebook import mesh_outline
 
 
@@ -27,17 +26,6 @@ def test_a_capture_shows_its_planes_around_its_box():
     middles = np.array([plane.mean(axis=0) for plane in planes])
     assert np.allclose(middles.mean(axis=0), box.mean(axis=0), atol=1.0)
     assert all((abs(m - box.mean(axis=0)) > np.ptp(box, axis=0) / 2).any() for m in middles)
-
-
-def test_poses_that_are_not_in_memory_are_not_read():
-    capture, _ = geraf2.examples.small_capture()
-
-    def read(index):
-        raise AssertionError(index)
-
-    html = replace(capture, poses=LazyPoses(capture.pose_sizes, read))._repr_html_()
-    assert "<th>antennas</th><td>2646, 441 to 441 each</td>" in html
-    assert "<svg" not in html
 
 
 def test_names_from_files_are_text():

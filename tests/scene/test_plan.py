@@ -8,9 +8,7 @@ from geraf2.scene.plan import (
     PlanePlan,
     ScanPlan,
     depth_of_focus_m,
-    nyquist_spacing_m,
     suggested_planes,
-    suggested_standoff_m,
 )
 from helpers.synthetic import WAVEFORM
 
@@ -84,26 +82,6 @@ def test_suggested_planes_see_every_horizontal_normal_twice():
     assert count.min() >= 2
     fewer = received_normals(replace(PLAN, n_planes=n // 2 - 2).apertures, normals, np.zeros(3))
     assert not fewer.any(axis=1).all()
-
-
-def test_numbers_of_a_scan():
-    assert PLAN.rows_columns == (51, 29)
-    assert PLAN.n_antennas == 51 * 29 * 36
-    assert PLAN.n_bytes == 8 * 32 * PLAN.n_antennas
-    # 0.14 m at 0.2 m/s is slower than 29 frames of 3 ms
-    assert PLAN.seconds == pytest.approx(36 * (51 * 0.7 + 3.0))
-    assert replace(PLAN, frame_period_s=0.1).seconds == pytest.approx(36 * (51 * 2.9 + 3.0))
-    assert PLAN.farthest_m == pytest.approx(
-        np.hypot(0.4 + 0.22 * np.sqrt(3) / 2, 0.1433) + 0.075, abs=1e-3
-    )
-
-
-def test_suggestions_follow_the_box():
-    assert suggested_standoff_m(BOX) == pytest.approx(0.39)
-    assert suggested_standoff_m((0.05, 0.05, 0.05)) == pytest.approx(0.24)
-    wavelength = WAVEFORM.center_wavelength_m
-    assert nyquist_spacing_m(BOX, 0.4, wavelength) == pytest.approx(wavelength * 0.4 / 0.44)
-    assert nyquist_spacing_m((5.0, 1.0, 1.0), 0.4, wavelength) == pytest.approx(wavelength / 4)
 
 
 @pytest.mark.parametrize(

@@ -83,13 +83,6 @@ def test_a_changing_speed_is_recorded_by_the_encoder_alone():
     assert np.abs(true - nominal)[:, 0].max() == pytest.approx(0.5 * 0.1 * 0.1**2 / 0.2, rel=0.03)
 
 
-def test_boards_in_a_line_continue_their_channels():
-    tx, rx, _ = BeltArraySpec(side="left", n_boards=3).channels()
-    middles = np.sort(0.5 * (tx + rx)[:, 0])
-    assert np.diff(middles) == pytest.approx(np.diff(middles)[0], abs=1e-6)
-    assert np.ptp(middles) > 0.24
-
-
 def test_a_simulated_belt_is_a_scene_with_its_arrays(tmp_path):
     table = {"arrays": [{"side": "left", "row_m": 0.02}], "travel_m": 0.1, "frame_m": 0.02}
     spec = parse_spec(SMALL | {"belt": table})

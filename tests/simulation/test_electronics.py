@@ -126,11 +126,6 @@ def test_what_lies_above_full_scale_is_cut_off():
     assert (np.abs(plain.real) > limit).any()
 
 
-def test_silence_is_not_divided_by():
-    silent = np.zeros((2, 3), np.complex64)
-    assert not convert(WorldSpec(converter_bits=8), [silent], 0)[0].any()
-
-
 def test_an_effect_changes_no_draw_of_another():
     drawn = signals(snr_db=10.0) - signals()
     loud = WorldSpec(leakage_db=3.0, edge_energy_fraction=0.1)
@@ -142,9 +137,3 @@ def test_an_effect_changes_no_draw_of_another():
         product = product * receiver_gains(world, (8, 32), 7, 2)
     together = receiver_gains(WorldSpec(preset="hard", effects=effects), (8, 32), 7, 2)
     assert together == pytest.approx(product)
-
-
-def test_a_capture_holds_its_world():
-    spec = replace(FREE, world=WorldSpec(leakage_db=10.0, random_plane_phase=True))
-    assert simulate(spec, seed=0)[0].provenance["world"] == "leakage_db 10, random_plane_phase 1"
-    assert "world" not in simulate(FREE, seed=0)[0].provenance

@@ -35,26 +35,6 @@ def test_figure_is_closed_outward_and_as_high_as_asked(name):
     assert 0.5 * (low + high) == pytest.approx([0.01, 0.02, 0.03])
 
 
-def test_the_llama_is_one_piece_that_stands_on_four_feet_with_two_ears():
-    mesh = build_solid(FigureSpec(name="llama", height_m=0.13))
-    z = mesh.vertices[:, 2] + 0.065
-
-    def n_pieces(part):
-        from scipy.sparse import coo_matrix  # noqa: PLC0415 - only used here
-        from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-        faces = mesh.faces[part[mesh.faces].all(axis=1)]
-        pairs = faces[:, [0, 1, 1, 2]].reshape(-1, 2)
-        n = len(z)
-        graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(n, n))
-        _, labels = connected_components(graph, directed=False)
-        return len(np.unique(labels[np.unique(faces)]))
-
-    assert n_pieces(z > -1) == 1
-    assert n_pieces(z < 0.025) == 4
-    assert n_pieces(z > 0.125) == 2
-
-
 @pytest.mark.parametrize("name", sorted(GENUS))
 def test_thin_figures_are_one_piece_with_their_holes(name):
     mesh = trimesh.Trimesh(figure(name).vertices, figure(name).faces)

@@ -42,16 +42,6 @@ def test_the_silhouette_is_that_of_the_object(scene):
         assert (picture.radiance >= 0.0).all()
 
 
-def test_paint_follows_positions_and_the_seed(scene):
-    points = BALL.vertices[::7]
-    albedo = scene.albedo(points)
-    assert (albedo > 0.0).all()
-    assert (albedo < 1.0).all()
-    assert albedo.std(axis=0).min() > 0.1
-    assert np.array_equal(albedo, ObjectScene(BALL, seed=1).albedo(points))
-    assert np.abs(albedo - ObjectScene(BALL, seed=2).albedo(points)).max() > 0.1
-
-
 def test_photos_need_what_they_show():
     photos = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=BALL, num_threads=1)
     again = simulate_photos(replace(SPEC, n_photos=1), (), seed=0, content=BALL, num_threads=2)

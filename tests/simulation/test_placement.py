@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
+from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, WorldSpec
 from geraf2.simulation.placement import position_error, true_plane
 from geraf2.simulation.scan import scan_planes
 
@@ -52,34 +52,3 @@ def test_a_tilt_turns_every_plane_alike_in_its_own_axes():
         # horizontal and vertical are a left-handed set: the product has the other sign in it.
         expected = -tilt * np.stack([up, -up, across - forward], axis=1)
         assert moved == pytest.approx(expected, abs=2.0 * tilt**2)
-
-
-def test_what_the_spec_has_elsewhere_is_the_same_from_the_world_and_yields_to_it():
-    scan = replace(SPEC.scan, n_poses=1, axis_offset_m=(0.01, 0.0))
-    world = WorldSpec(
-        axis_offset_m=0.002,
-        position_white_rms_m=1e-4,
-        position_drift_rms_m=3e-4,
-        pattern_exponent=3,
-        roughness_rms_m=2e-4,
-        roughness_length_m=0.004,
-        channel_phase_rms_deg=20.0,
-    )
-    part = 0.002 / np.sqrt(2.0)
-    old_scan = replace(
-        scan,
-        axis_offset_m=(part, part),
-        position_jitter_rms_m=1e-4,
-        position_drift_rms_m=3e-4,
-        pattern_exponent=3,
-    )
-    figure = replace(SPEC.figure, roughness_rms_m=2e-4, roughness_length_m=0.004)
-    disturbance = replace(SPEC.disturbance, channel_phase_rms_deg=20.0, n_channels=4)
-    one, other = (
-        simulate(spec, seed=2)[0].poses[0].signal
-        for spec in (
-            replace(SPEC, scan=scan, world=world),
-            replace(SPEC, scan=old_scan, figure=figure, disturbance=disturbance),
-        )
-    )
-    assert np.array_equal(one, other)

@@ -7,16 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
-from geraf2.ops.physical_optics import physical_optics
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
-from geraf2.simulation.elements import rough_displacement, wall_elements
+from geraf2.simulation.elements import rough_displacement
 from geraf2.simulation.placement import position_error
-from geraf2.simulation.scan import antenna_blocks, block_centers, scan_planes
-from geraf2.simulation.solids import build_solid
-from geraf2.simulation.spec import AWR1843, RingSpec
-from helpers.antennas import blocks_of
+from geraf2.simulation.scan import scan_planes
+from geraf2.simulation.spec import RingSpec
 
 C = 299792458.0
 FREE = SceneSpec(
@@ -146,54 +142,11 @@ def test_the_object_hides_the_far_wall():
     assert hidden < 0.1 * free
 
 
-def test_without_far_walls_their_flash_alone_is_missing():
-    spec = replace(FREE, walls=(CARTON,))
-    plane, mesh = scan_planes(spec.scan)[0], build_solid(spec.figure)
-    blocker = MeshScene(mesh.vertices, mesh.faces)
-    order, offsets = antenna_blocks(plane, spec.numerics.antenna_block_m)
-    antennas = blocks_of(plane.tx[order], plane.rx[order], offsets=offsets, boresight=plane.axes[0])
-    lined = replace(spec, disturbance=replace(spec.disturbance, far_walls=False))
-    # The flash by itself, straight from the patches of the inner sides.
-    middles = block_centers(antennas)
-    flash = 0.0
-    pair, areas = wall_elements(CARTON, spec.numerics.wall_patch_m, inside=True)
-    for elements in pair:
-        seen = np.stack(
-            [~blocker.occluded(elements.points, m + 0 * elements.points) for m in middles]
-        )
-        flash = flash + physical_optics(
-            elements, (seen * areas).astype(np.complex64), antennas, AWR1843, walls=(CARTON,)
-        )
-    whole, rest = (simulate(s, seed=0)[0].poses[0].signal[order] for s in (spec, lined))
-    # Captures are of unit power: both scales are found with the sum.
-    parts = np.stack([rest.ravel(), flash.ravel()], axis=1)
-    scales, *_ = np.linalg.lstsq(parts, whole.ravel(), rcond=None)
-    assert np.linalg.norm(parts @ scales - whole.ravel()) < 1e-3 * np.linalg.norm(whole)
-    assert np.linalg.norm(scales[1] * flash) > 0.1 * np.linalg.norm(whole)
-    assert abs(np.vdot(flash, rest)) < 0.1 * np.linalg.norm(flash) * np.linalg.norm(rest)
-
-
 def test_without_far_walls_nothing_echoes_over_them():
     noisy = DisturbanceSpec(snr_db=np.inf, far_walls=False)
     spec = replace(FREE, walls=(CARTON,), disturbance=noisy)
     waves = replace(spec, world=WorldSpec(preset="plausible", effects=("waves",)))
     assert np.array_equal(signals(spec), signals(waves))
-
-
-def test_progress_counts_planes():
-    reported = []
-    simulate(FREE, seed=0, progress=reported.append)
-    assert reported == [0.5, 1.0]
-
-
-def test_channels_turn_the_phase_of_their_antennas():
-    options = {"channel_phase_rms_deg": 30.0, "n_channels": 4}
-    turned = signals(replace(FREE, disturbance=DisturbanceSpec(snr_db=np.inf, **options)))
-    ratio = turned / signals(FREE)
-    phase = np.angle(ratio[:, 5]).reshape(2, 9, 4)
-    assert np.abs(ratio) == pytest.approx(1.0, abs=1e-4)
-    assert np.ptp(phase, axis=(0, 1)) == pytest.approx(0.0, abs=1e-4)
-    assert 0.1 < np.ptp(phase[0, 0]) < 3.0
 
 
 def recorded_and_true(**errors):
@@ -215,16 +168,6 @@ def test_a_radar_stands_nearer_when_the_axis_does():
     assert error @ plane.axes.T == pytest.approx(np.tile([0.002, -0.003, 0.0], (36, 1)))
 
 
-def test_reflectivity_scales_the_object_against_the_walls():
-    spec = replace(FREE, walls=(CARTON,))
-    metal, plastic = (
-        signals(replace(spec, figure=replace(spec.figure, reflectivity=r))) for r in (1.0, 0.25)
-    )
-    bare = signals(FREE)
-    shares = [abs(np.vdot(bare, s)) / power(s) ** 0.5 for s in (metal, plastic)]
-    assert shares[1] < 0.6 * shares[0]
-
-
 def test_roughness_displaces_by_its_rms_and_keeps_neighbours_joined():
     displace = rough_displacement(3e-4, 0.003, np.random.default_rng(0))
     positions = np.random.default_rng(1).uniform(-0.05, 0.05, (20000, 3))
@@ -234,14 +177,6 @@ def test_roughness_displaces_by_its_rms_and_keeps_neighbours_joined():
     assert np.abs(near - moved).max() < 2e-5
     correlation = np.mean(displace(positions + np.array([0.003, 0.0, 0.0])) * moved) / 9e-8
     assert correlation == pytest.approx(np.exp(-0.5), abs=0.15)
-
-
-def test_a_rough_surface_changes_the_echo_and_not_the_truth():
-    rough = replace(FREE, figure=replace(FREE.figure, roughness_rms_m=5e-4))
-    (one, truth), (two, same_truth) = (simulate(spec, seed=0) for spec in (FREE, rough))
-    assert np.array_equal(truth.vertices, same_truth.vertices)
-    a, b = one.poses[0].signal, two.poses[0].signal
-    assert abs(np.vdot(a, b)) < 0.9 * np.linalg.norm(a) * np.linalg.norm(b)
 
 
 def test_a_raised_plane_is_a_turned_one_and_a_tilt_turns_where_it_stands():

@@ -1,5 +1,4 @@
 from dataclasses import fields
-from importlib.resources import files
 from pathlib import Path
 
 from geraf2.io.toml import read_table
@@ -16,13 +15,6 @@ def test_annotated_spec_holds_exactly_the_defaults():
     assert spec == SceneSpec(figure=figure, walls=walls, photos=PhotosSpec())
     table = read_table(CONFIGS / "simulate.toml")["world"]
     assert set(table) == {entry.name for entry in fields(WorldSpec)}
-
-
-def test_demo_spec_is_a_figure_in_a_carton():
-    spec = load_spec(Path(str(files("geraf2.simulation") / "demo.toml")))
-    assert spec.figure.name is not None
-    assert all(spec.figure.height_m < min(wall.size_m) for wall in spec.walls)
-    assert spec.walls
 
 
 def test_mesh_paths_are_relative_to_the_file(tmp_path):

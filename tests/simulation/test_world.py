@@ -1,7 +1,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from geraf2.io.toml import write_toml
 from geraf2.simulation import WorldSpec, load_spec, parse_spec
@@ -24,15 +23,6 @@ def test_a_spec_without_the_table_is_off_and_a_preset_switches_on_all_but_the_di
     assert everything.settings == WorldSpec(preset="plausible", effects=others).settings
     assert dielectric.figure_permittivity > 1.0
     assert everything.figure_permittivity == WorldSpec().figure_permittivity
-
-
-@pytest.mark.parametrize("effect", EFFECTS)
-def test_each_effect_is_on_alone_and_its_hard_level_is_another_or_a_switch(effect):
-    one, other = (WorldSpec(preset=preset, effects=(effect,)) for preset in ("plausible", "hard"))
-    assert one.settings
-    assert set(one.settings) == set(other.settings)
-    if not all(isinstance(value, bool) for value in one.settings.values()):
-        assert one.settings != other.settings
 
 
 def test_single_values_override_the_preset_and_replace_keeps_the_others():

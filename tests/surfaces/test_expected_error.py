@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import (
-    SupportModel,
     bounded_factor,
-    conformal_factor,
     nearness,
     quality_numbers,
     seen_vertices,
@@ -28,34 +25,6 @@ def plane():
     return TriangleMesh(vertices=np.array(sheet.vertices), faces=np.array(sheet.faces))
 
 
-def test_support_follows_its_equation():
-    rng = np.random.default_rng(1)
-    mesh, model = plane(), SupportModel()
-    points = mesh.vertices[rng.integers(0, len(mesh.vertices), 40)] + rng.normal(0, 2e-3, (40, 3))
-    tilted = rng.normal((0, 0, 1), 0.4, (40, 3))
-    tilted /= np.linalg.norm(tilted, axis=1, keepdims=True)
-    glints = replace(glints_at(points, tilted), strengths=rng.uniform(0.1, 2.0, 40))
-    strong = np.quantile(glints.strengths, 0.98)
-    shares = rng.uniform(0.0, 1.0, 40)
-    found = nearness(mesh, glints, model, shares)
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    for vertex in range(0, len(mesh.vertices), 37):
-        support = 0.0
-        for p, n, a, w in zip(points, tilted, glints.strengths, shares, strict=True):
-            square = np.sum((mesh.vertices[vertex] - p) ** 2)
-            agreeing = w * max(0.0, normals[vertex] @ n) * min(1.0, a / strong)
-            support += agreeing * np.exp(-square / (2 * model.reach_m**2))
-        assert found.support[vertex] == pytest.approx(support, rel=1e-6)
-
-
-def test_the_factor_falls_with_support_and_is_one_where_it_is_full():
-    model = SupportModel()
-    factor = conformal_factor(np.array([0.0, 0.1, 1.0, model.full - model.least, 100.0]))
-    assert (np.diff(factor) < 0).all()
-    assert factor[3] == pytest.approx(1.0)
-    assert np.isfinite(factor).all()
-
-
 def test_a_direct_return_nearby_bounds_the_error():
     """The factor is that of draws, of which a share p is redrawn until it is within the bound."""
     rng = np.random.default_rng(0)
@@ -65,15 +34,6 @@ def test_a_direct_return_nearby_bounds_the_error():
         variance = p * np.mean(within**2) + (1.0 - p) * spread_m**2
         factor = bounded_factor(np.array([spread_m]), np.array([bound_m]), np.array([p]))[0]
         assert factor * spread_m == pytest.approx(np.sqrt(variance), rel=0.01)
-
-
-def test_a_bound_of_no_use_changes_nothing():
-    spread_m = np.array([1e-3, 2e-3, 5e-2])
-    np.testing.assert_array_equal(bounded_factor(spread_m, np.full(3, 1e-3), np.zeros(3)), 1.0)
-    far = bounded_factor(spread_m, np.full(3, 1.0), np.ones(3))
-    np.testing.assert_allclose(far, 1.0)
-    tight = spread_m * bounded_factor(spread_m, np.full(3, 1e-4), np.ones(3))
-    np.testing.assert_allclose(tight, 1e-4 / np.sqrt(3.0), rtol=0.02)
 
 
 def test_seen_requires_a_similar_normal():
@@ -96,11 +56,6 @@ def test_no_glints_and_no_mesh_are_not_errors():
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
     assert nearness(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).support.shape == (0,)
     assert quality_numbers(empty) == {}
-
-
-def test_coefficients_are_checked():
-    with pytest.raises(ValueError, match="reach_m must be finite and positive, got 0"):
-        SupportModel(reach_m=0.0)
 
 
 def test_the_typical_error_is_the_median_over_the_area():

@@ -129,11 +129,3 @@ def test_no_facets_make_no_echo_and_wrong_shares_are_refused():
         renderer(nothing()).render(POSE, np.zeros((1, 3)))
     with pytest.raises(ValueError, match="n_clusters must be finite and positive"):
         renderer(nothing(), n_clusters=0)
-
-
-def test_triangles_without_an_area_are_left_out():
-    corner = np.zeros((1, 3, 3))
-    assert len(Facets.of_triangles(corner).areas) == 0
-    one = Facets.of_triangles(np.array([[[0.0, 0, 0], [2, 0, 0], [0, 1, 0]]]))
-    assert one.areas == pytest.approx([1.0])
-    np.testing.assert_allclose(one.normals, [[0.0, 0.0, 1.0]])

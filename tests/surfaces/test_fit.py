@@ -68,46 +68,10 @@ def test_unseen_top_and_bottom_are_closed():
     assert 0.5 * RADIUS_M + 5e-3 < reach[2] < RADIUS_M + 5e-3
 
 
-def test_wide_caps_are_flatter_than_domes():
-    # A drum of radius 5 cm and height 6 cm, of which only the mantle is seen.
-    angle = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-    around = np.stack([np.cos(angle), np.sin(angle), np.zeros(72)], axis=1)
-    heights = np.linspace(-0.03, 0.03, 13)
-    normals = np.tile(around, (13, 1))
-    positions = 0.05 * normals + np.repeat(heights, 72)[:, None] * np.array([0.0, 0.0, 1.0])
-    glints = glints_at(positions, normals)
-    tops = []
-    for slope in (0.0, 1.0):
-        sdf = fit_sdf(glints, FitConfig(cap_slope=slope))
-        vertices, _ = zero_level(sdf)
-        middle = np.hypot(vertices[:, 0], vertices[:, 1]) < 0.01
-        tops.append(vertices[middle, 2].max())
-        mantle = sdf.sample(positions[np.abs(positions[:, 2]) < 0.02])
-        assert np.abs(mantle).max() < 2e-3
-    dome, cap = tops
-    assert 0.025 < cap < dome - 0.003
-
-
 def test_two_runs_are_bit_identical():
     glints = glints_on(seen_from_the_side())
     first, second = (fit_sdf(glints, COARSE, num_threads=n) for n in (1, 2))
     np.testing.assert_array_equal(first.values, second.values)
-
-
-def test_weak_outliers_hardly_move_the_surface():
-    directions = fibonacci_sphere(1500)
-    strengths = np.ones(1500)
-    strengths[::15] = 0.02
-    clean = glints_on(directions, strengths)
-    strewn = glints_on(directions, strengths)
-    strewn.positions[::15] += 0.003 * directions[::15]
-    moved = [
-        errors_near(fit_sdf(glints, COARSE), fibonacci_sphere(997)) for glints in (clean, strewn)
-    ]
-    # One in fifteen stands off by 3 mm: 0.2 mm on the mean if all counted alike; the strengths
-    # to the power 0.5 leave 0.03 mm, their normals add some.
-    assert abs(np.mean(moved[1] - moved[0])) < 1.2e-4
-    assert np.abs(moved[1]).max() < 1.5e-3
 
 
 def test_progress_rises_to_one():
@@ -135,15 +99,6 @@ def test_a_field_without_a_zero_level_is_a_user_error():
     with pytest.raises(UserError, match="do not enclose anything") as caught:
         zero_level(SdfGrid(grid=grid, values=values))
     assert "values from 0.0200 to 0.0200 m" in str(caught.value)
-
-
-def test_glints_that_enclose_nothing_are_a_user_error():
-    # All at one point, facing every direction: the field is smallest there and positive.
-    directions = fibonacci_sphere(60)
-    point = glints_on(directions)
-    point.positions[:] = CENTER
-    with pytest.raises(UserError, match="do not enclose anything"):
-        fit_sdf(point, FitConfig(spacing_m=0.006))
 
 
 def test_the_zero_level_of_a_sphere_is_wound_outward():

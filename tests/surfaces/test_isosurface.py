@@ -50,14 +50,6 @@ def test_a_plane_is_exact_for_any_gradient(axis):
     assert not surface_report(mesh).is_watertight  # it runs into the grid's border
 
 
-def test_other_levels_and_no_level():
-    field = sdf(ball(GRID, np.zeros(3), 0.03))
-    mesh = extract_surface(field, 0.005)
-    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 0.035, atol=1e-4)
-    assert extract_surface(field, 1.0).faces.shape == (0, 3)
-    assert surface_report(extract_surface(field, 1.0)).n_components == 0
-
-
 def test_an_open_or_badly_wound_surface_is_not_watertight():
     cube = LosPrior.from_box((1.0, 1.0, 1.0))
     assert surface_report(TriangleMesh(vertices=cube.vertices, faces=cube.faces)).is_watertight
@@ -105,19 +97,6 @@ def test_redistancing_gives_unit_gradient_and_leaves_the_zero_level():
 def test_redistancing_without_a_zero_level_is_refused():
     with pytest.raises(ValueError, match="must have a zero level"):
         redistance(sdf(np.ones(GRID.shape)))
-
-
-def test_redistancing_to_a_given_surface_drops_the_rest():
-    values = np.minimum(ball(GRID, [0, 0, 0.02], 0.03), ball(GRID, [0, 0, -0.05], 0.006))
-    kept = largest_components(extract_surface(sdf(values)))
-    assert surface_report(kept).n_components == 2  # 4 % of the area
-    kept = largest_components(extract_surface(sdf(values)), min_area_fraction=0.1)
-    assert surface_report(kept).n_components == 1
-    field = redistance(sdf(values), kept)
-    assert field.sample(np.array([[0, 0, -0.05]]))[0] > 0.03
-    again = extract_surface(field)
-    assert surface_report(again).n_components == 1
-    assert abs(signed_distances(kept, again.vertices).mean()) < 2e-6
 
 
 def test_voids_are_dropped_since_a_radar_cannot_see_them():

@@ -83,29 +83,6 @@ def test_the_solution_is_that_of_the_dense_twin(with_target):
     np.testing.assert_allclose(100.0 * found.values, expected, atol=1e-5 * np.ptp(expected))
 
 
-def test_a_start_at_the_solution_takes_no_iteration():
-    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(14, 12, 11))
-    points = OrientedPoints(
-        positions=np.array([[0.055, 0.055, 0.055]]),
-        normals=np.array([[0.0, 0.0, 1.0]]),
-        position_weights=np.ones(1),
-        normal_weights=np.ones(1),
-    )
-    system = LinearSdf(SdfGrid(grid=grid, values=np.zeros(grid.shape, np.float32)), points, TERMS)
-    counts = [0, 0]
-
-    def counter(which):
-        def count():
-            counts[which] += 1
-
-        return count
-
-    first = system.solve(on_iteration=counter(0), tolerance=1e-6)
-    system.solve(start=first, on_iteration=counter(1), tolerance=1e-4)
-    assert counts[0] > 3
-    assert counts[1] <= 1
-
-
 @pytest.mark.parametrize(("spacing_m", "n"), [(0.005, 17), (0.02, 5), (0.01, 9)])
 def test_resampling_keeps_a_linear_field(spacing_m, n):
     grid = Grid(origin_m=(0.1, -0.2, 0.3), spacing_m=0.01, shape=(9, 9, 9))
@@ -118,9 +95,3 @@ def test_resampling_keeps_a_linear_field(spacing_m, n):
     assert fine.grid.shape == (n, n, n)
     assert fine.grid.origin_m == grid.origin_m
     np.testing.assert_allclose(fine.values, plane(fine.grid), atol=1e-7)
-
-
-def test_resampling_requires_a_positive_spacing():
-    grid = Grid(origin_m=(0.0, 0.0, 0.0), spacing_m=0.01, shape=(3, 3, 3))
-    with pytest.raises(ValueError, match=r"spacing_m.*-0\.01"):
-        resample(SdfGrid(grid=grid, values=np.zeros((3, 3, 3), np.float32)), -0.01)

@@ -3,11 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.cli._outcome import found_lines
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.report.answer import answer_of
-from geraf2.scene.checks import format_mm
 from geraf2.surfaces.pieces import (
     LIKELY,
     ghost_texts,
@@ -89,11 +87,6 @@ def test_a_large_piece_with_few_glints_bridges_air(n_on_other, n_kept):
     assert found.content.vertices[:, 0].max() > 0.019
 
 
-def test_without_glints_the_largest_piece_is_left():
-    found = separate_pieces(ball(0.03), glints_on_sphere(0.03, 4).select(np.zeros(4, dtype=bool)))
-    assert len(pieces_of(found.content)) == 1
-
-
 def test_the_report_lists_likely_ghosts_separately():
     found, _ = scene(planes=[0] * 12)
     stage = {"likely_ghosts": [piece.numbers() for piece in pieces_of(found.ghosts)]}
@@ -116,11 +109,3 @@ def test_confidence_is_read_back_only_from_own_files(tmp_path):
     data = (tmp_path / "m.ply").read_bytes()
     (tmp_path / "other.ply").write_bytes(data.replace(b"uchar evidence", b"uchar elsewise"))
     assert read_mesh(tmp_path / "other.ply").confidence is None
-
-
-def test_a_centre_just_below_zero_has_no_sign():
-    off = ball(0.03, 2, (-0.0002, -0.0002, -0.0003))
-    texts = dict(found_lines(piece_numbers(off)))
-    assert texts["found"] == "one object, 60 x 60 x 60 mm, centre at (0, 0, 0) mm"
-    assert answer_of(off, None, {}, {}).found.endswith("its centre at (0, 0, 0) mm.")
-    assert format_mm([-0.0004, 0.0, 0.001]) == "(0, 0, 1)"

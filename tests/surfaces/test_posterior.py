@@ -18,7 +18,6 @@ from geraf2.surfaces.posterior import (
     bending_force,
     draw_displacements,
     faces_met,
-    local_misfit,
     point_noise,
 )
 from geraf2.surfaces.samples import SurfaceSamples
@@ -72,16 +71,6 @@ def sample_covariance(posterior, n_samples=3000):
     rng = np.random.default_rng(3)
     drawn = 100.0 * np.stack([posterior.draw(rng) for _ in range(n_samples)])
     return drawn.T @ drawn / n_samples
-
-
-def test_weights_that_are_precisions_give_the_inverse_hessian():
-    posterior, index, weights, terms, *_ = small_posterior(outside=0.0)
-    rows = twin.hessian(SHAPE, 100.0 * SPACING_M, index, weights, terms)
-    expected = np.linalg.inv(rows)
-    found = sample_covariance(posterior)
-    # An entry of the sample covariance errs by at most sqrt(2 / n) of both deviations.
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs((found - expected) / scale).max() < 5.0 * np.sqrt(2.0 / 3000)
 
 
 def test_other_errors_give_the_covariance_of_the_dense_twin():
@@ -151,18 +140,6 @@ def test_glints_belong_to_the_face_that_their_normal_meets():
     np.testing.assert_array_equal(faces_met(glints, BOX), [1, 0, 3, 2, 5, 4])
 
 
-def test_misfit_is_that_of_the_neighbours_with_the_same_normal():
-    glints, model = ball_glints(), NoiseModel()
-    off = glints.positions[:, 2] > 0.0
-    moved = replace(glints, positions=glints.positions * (1.0 + off[:, None] * 0.05))
-    misfit = local_misfit(moved, ball_field(), model)
-    far = np.abs(glints.normals[:, 2]) > 0.7
-    assert np.median(misfit[off & far]) == pytest.approx(0.0015, rel=0.2)
-    assert np.median(misfit[~off & far]) < 0.0003
-    none = glints_at(np.zeros((0, 3)), np.zeros((0, 3)))
-    assert local_misfit(none, ball_field(), model).shape == (0,)
-
-
 def test_a_surface_without_glints_has_a_larger_error():
     glints = ball_glints()
     half = glints.select(glints.normals[:, 2] < 0.2)
@@ -179,31 +156,6 @@ def test_the_expected_error_is_the_spread_of_the_samples():
     found = extract_meshes(ball_field(), ball_glints(), BOX)
     spread_m = np.sqrt((found.samples.displacements_m**2).mean(axis=0))
     np.testing.assert_allclose(spread_m, found.mesh_content.expected_error_m, rtol=1e-4)
-
-
-def test_no_vertex_errs_by_more_than_its_distance_to_a_sure_glint():
-    glints = ball_glints()
-    half = glints.select(glints.normals[:, 2] < 0.2)
-    error_m = {}
-    for p in (1.0, 0.5):
-        known = Evidence(glints=replace(half, probability=np.full(len(half), p)))
-        mesh = extract_meshes(ball_field(), known, BOX).mesh_content
-        error_m[p] = mesh.expected_error_m
-    length_m = np.linalg.norm(mesh.vertices[:, None] - half.positions, axis=2).min(axis=1)
-    model = NoiseModel()
-    off_m = np.hypot(model.common_sigma_m, 2.0 * model.point_sigma_m)
-    # A uniform distribution within the bound has this deviation; a normal one there, a smaller.
-    assert (error_m[1.0] <= np.hypot(length_m, off_m) / np.sqrt(3.0)).all()
-    assert (error_m[0.5] >= error_m[1.0]).all()
-    assert (error_m[0.5] > error_m[1.0]).mean() > 0.5
-
-
-def test_tangent_points_have_no_plane_offset():
-    noise = point_noise(ball_glints(n=30), 4, ball_field(), BOX)
-    assert noise.groups.shape == (34, 2)
-    assert (noise.groups[30:] == -1).all()
-    assert (noise.groups[:30] >= 0).all()
-    assert noise.position_sigma_m[30:] == pytest.approx(NoiseModel().outline_sigma_m)
 
 
 def test_the_spread_covers_fits_of_simulated_errors():

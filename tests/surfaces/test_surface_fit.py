@@ -10,9 +10,6 @@ from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.surface_fit import (
     SurfaceEcho,
-    _MagnitudeFit,
-    _PlaneImages,
-    departure_rows,
     fit_surface_echo,
     make_surface_renderer,
     node_shares,
@@ -71,63 +68,6 @@ def test_the_fit_recovers_a_simulated_echo(surface, truth, poses):
 def test_stiffness_makes_reflectivity_uniform(surface, poses):
     found = fit_surface_echo(surface, poses[:2], GRID, replace(CONFIG, stiffness=(100.0,)))
     np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
-
-
-def test_the_stiffness_with_the_least_left_out_error_is_chosen(surface, truth, poses):
-    both = replace(CONFIG, stiffness=(100.0, 1e-4))
-    painted = fit_surface_echo(surface, poses, GRID, both)
-    np.testing.assert_allclose(painted.reflectivity, truth.reflectivity, atol=0.1)
-    # Of one reflectivity and noise: what a soft fit finds besides is the noise.
-    uniform = replace(truth, reflectivity=np.ones(4))
-    rng = np.random.default_rng(0)
-    noisy = []
-    for pose in poses:
-        parts = surface.render(pose, uniform.reflectivity_at(surface.content.points)[None])
-        signal = np.tensordot(uniform.power * np.r_[1.0, uniform.walls], parts, axes=1)
-        noise = rng.normal(size=(*signal.shape, 2)) @ [1.0, 1j]
-        signal = signal + 3.0 * np.abs(signal).std() * noise
-        noisy.append(replace(pose, signal=signal.astype(np.complex64)))
-    found = fit_surface_echo(surface, tuple(noisy), GRID, both)
-    np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
-
-
-def test_the_leave_one_out_error_equals_that_of_refits():
-    rng = np.random.default_rng(5)
-    truth = np.r_[rng.uniform(0.5, 1.5, 6), 0.4 + 0.2j, -0.3 + 0.1j]
-    planes = []
-    for _ in range(6):
-        parts = rng.normal(size=(8, 400)) + 1j * rng.normal(size=(8, 400))
-        noise = rng.normal(size=400) + 1j * rng.normal(size=400)
-        measured = np.abs(truth @ parts + 0.3 * noise)
-        planes.append(_PlaneImages(parts.astype(np.complex64), measured.astype(np.float32)))
-    rows = 0.3 * departure_rows(rng.uniform(0.0, 0.05, (6, 3)), 0.02)
-
-    def error(kept, plane):
-        problem = _MagnitudeFit(kept, 6)
-        echo = problem.echo(problem.solve(rows), np.zeros((6, 3)))
-        factors = echo.power * np.r_[echo.reflectivity, echo.walls]
-        return float(np.square(np.abs(factors @ plane.parts) - plane.measured).sum())
-
-    whole = _MagnitudeFit(planes, 6)
-    left_out = whole.left_out_error(whole.solve(rows))
-    seen = sum(error(planes, plane) for plane in planes)
-    refitted = sum(error(planes[:k] + planes[k + 1 :], plane) for k, plane in enumerate(planes))
-    assert refitted > 1.005 * seen  # what was fitted to is explained better
-    assert left_out - seen == pytest.approx(refitted - seen, rel=0.05)
-
-
-def test_departure_rows_whiten_the_covariance():
-    rng = np.random.default_rng(3)
-    nodes, x, length = rng.uniform(0, 0.06, (7, 3)), rng.uniform(0, 2, 7), 0.02
-    covariance = np.empty((7, 7))
-    for k in range(7):
-        for other in range(7):
-            squared = sum((a - b) ** 2 for a, b in zip(nodes[k], nodes[other], strict=True))
-            covariance[k, other] = np.exp(-squared / (2 * length**2)) + 0.05 * (k == other)
-    off = x - x.mean()
-    wanted = off @ np.linalg.solve(covariance, off)
-    assert np.square(departure_rows(nodes, length) @ x).sum() == pytest.approx(wanted)
-    np.testing.assert_allclose(departure_rows(nodes, length) @ np.ones(7), 0.0, atol=1e-9)
 
 
 def test_arrays_restore_the_echo(truth):

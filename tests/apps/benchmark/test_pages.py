@@ -1,13 +1,8 @@
 """Pages of a benchmark: pictures and tables."""
 
-from dataclasses import replace
-
 import pytest
 
-from geraf2.apps.benchmark import RowResult, Runner, rows_of, write_pages
-from geraf2.report.html import part
-from geraf2.simulation import WorldSpec
-from geraf2.simulation.spec import RingSpec
+from geraf2.apps.benchmark import RowResult, rows_of, write_pages
 
 VERSUS = """
 [scenes.a]
@@ -60,21 +55,6 @@ def test_published_values_are_beside_their_method(versus):
     other = next(line for line in markdown.splitlines() if line.startswith("| a | other method"))
     assert other.endswith("| 0.500 |")
     assert markdown.count("0.500") == 1
-
-
-def test_a_group_names_what_it_shares_once_and_text_is_escaped():
-    text = part(
-        "grouped_table",
-        ("scene", "method", "F1"),
-        [("<a>", "x", "1"), ("<a>", "y", "2"), ("b", "x", "3")],
-        n_names=2,
-        n_group=1,
-        best={(1, 2)},
-    )
-    assert text.count("&lt;a&gt;") == 1
-    assert text.count('<tr class="start">') == 2
-    assert "<td><b>2</b></td>" in text
-    assert "<a>" not in text
 
 
 @pytest.mark.parametrize(("n_known", "drawn"), [(2, False), (3, True)])
@@ -163,18 +143,3 @@ def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
     assert {(s.scan.spacing_m, s.world.wall_bulge_m) for s in bent} == {(0.01, 0.003)}
     assert [row.how.run_options(3).trust_los for row in rows[:2]] == [True, False]
     assert rows[0].how.run_options(3).seed == 3
-
-
-def test_scenes_without_a_world_keep_the_folders_they_had(rungs):
-    out, suite = rungs
-    (row,) = rows_of(suite)
-    assert Runner(out=out).folders(row).scene.name == "a-e4e15c3142"
-    same = replace(row, spec=replace(row.spec, world=WorldSpec(n_channels=4)))
-    other = replace(row, spec=replace(row.spec, world=WorldSpec(wall_bulge_m=0.001)))
-    raised = replace(row.spec.scan, rings=(RingSpec(elevation_deg=40.0),))
-    above = replace(row, spec=replace(row.spec, scan=raised))
-    dark = replace(row.spec.disturbance, far_walls=False)
-    without = replace(row, spec=replace(row.spec, disturbance=dark))
-    scenes = [Runner(out=out).folders(r).scene for r in (row, same, other, above, without)]
-    assert scenes[0] == scenes[1]
-    assert len(set(scenes)) == 4

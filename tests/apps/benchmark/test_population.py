@@ -19,7 +19,6 @@ from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.scene import LosPrior
 from geraf2.simulation import FigureSpec, SceneSpec
-from geraf2.simulation.population import DrawnScene
 
 
 def result(seed, f1, *, preset="fast", version="v", error=None):
@@ -91,66 +90,6 @@ def test_an_error_counts_as_zero_and_as_a_failure():
     assert lines[-1] == "  failed: 9, 8"
     cpu = next(line for line in lines if "CPU" in line)
     assert cpu.endswith("9")  # of nine runs only
-
-
-def test_right_sizes_are_shares_of_all_scenes_and_an_error_is_a_miss():
-    sizes = [(1.04, 1.9, 0.3), (0.94, 1.0, -0.5), (1.0, -2.1, 0.1)]
-    results = [
-        replace(
-            result(seed, 0.9),
-            scores={
-                "volume_ratio": volume,
-                "extent_x_mm": x,
-                "extent_y_mm": 0.0,
-                "extent_z_mm": -1.0,
-                "offset_mm": offset,
-            },
-        )
-        for seed, (volume, x, offset) in enumerate(sizes)
-    ]
-    lines = preset_table("fast", [*results, result(3, 0.0, error="it broke")])
-
-    def value(title):
-        (line,) = (line for line in lines if line.strip().startswith(title))
-        return float(line.split(title)[1].split()[0])
-
-    assert value("share with volume within 5%") == 0.5
-    assert value("share of extents within 2 mm") == pytest.approx(8 / 12, abs=1e-3)
-    assert value("share with all three within 2 mm") == 0.5
-    assert value("median of |offset| [mm]") == 0.3
-
-
-def test_coverage_is_split_by_world_and_material():
-    drawn = [("none", "metal"), ("plausible", "metal"), ("plausible", "plastic")]
-    records = {seed: {"world": w, "material": m} for seed, (w, m) in enumerate(drawn)}
-    results = [
-        replace(result(seed, 0.9), scores={"within_one": one, "within_two": 0.9, "offset_mm": -one})
-        for seed, one in enumerate((0.6, 0.5, 0.3))
-    ]
-    lines = preset_table("fast", [*results, result(3, 0.8)], records)
-    rows = {" ".join(line.split()[:2]): line.split()[2:] for line in lines}
-    for group, (one, offset, n) in {
-        "world none": ("0.600", "0.60", "1"),
-        "world plausible": ("0.400", "0.40", "2"),
-        "material metal": ("0.550", "0.55", "2"),
-        "material plastic": ("0.300", "0.30", "1"),
-    }.items():
-        assert (rows[group][0], rows[group][1], rows[group][3], rows[group][-1]) == (
-            *(one, "0.900", offset),
-            n,
-        )
-    assert "world hard" not in rows
-    assert not any("world" in line for line in preset_table("fast", results))
-
-
-def test_records_of_seeds_are_those_that_scenes_were_drawn_with(tmp_path, monkeypatch):
-    drawn = DrawnScene(
-        spec=SceneSpec(figure=FigureSpec(name="llama")), record={"world": "hard", "seed": 4}
-    )
-    monkeypatch.setattr(population, "draw_scene", lambda seed: drawn)
-    assert population.records_of(tmp_path) == {}
-    population.scene_of(tmp_path, 4)
-    assert population.records_of(tmp_path) == {4: {"world": "hard", "seed": 4}}
 
 
 def test_scores_of_a_cube_that_is_too_large():

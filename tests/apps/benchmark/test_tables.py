@@ -32,11 +32,6 @@ def test_a_case_changes_constants_of_its_method_alone(suite):
     assert replace(changed, stage2=preset.paper.stage2, ulos=True) == preset.paper
 
 
-def test_some_methods_are_coarser_in_the_short_form(suite):
-    short, whole = (one.config("matched-filter").matched_filter for one in (suite, load_suite()))
-    assert short.spacing_m > whole.spacing_m
-
-
 ONE_FAILED = {"fast": (0.9, 0.01), "matched_filter": (0.5, 0.2), "back_projection": (None, None)}
 
 
@@ -51,40 +46,3 @@ def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
     ]
     assert len(table.failures) == 2
     assert all(len(row) == len(table.head) for row in table.rows)
-
-
-def test_pieces_and_holes_are_shown_beside_those_of_the_truth_without_a_mean(suite):
-    shown = [
-        (row, replace(r, same_topology=float(r.f1_5mm == 0.9), topology="1, 0 (1, 2)"))
-        for row, r in results_of(suite, **ONE_FAILED)
-        if r.error is None
-    ]
-    table = make_table("table1", suite.experiments["table1"], suite, shown)
-    column = table.head.index("pieces, holes (true)")
-    assert {row[column] for row in table.rows} == {"1, 0 (1, 2)", ""}
-    assert all(row[column] == "" for row in table.rows if row[0].startswith("mean"))
-    assert not {of for _, of in table.best} & {column}
-    rights = [row[column - 1] for row in table.rows if row[0].startswith("mean")]
-    assert rights == ["1.00", "0.00"]
-
-
-def test_sizes_are_beside_f1_and_the_best_is_the_nearest_to_the_truth(suite):
-    sizes = {"fast": (1.02, -0.0012, 3e-4), "matched-filter": (0.90, 0.0014, -4e-4)}
-    shown = []
-    for row, r in results_of(suite, **ONE_FAILED):
-        if r.error is None:
-            volume, extent, offset = sizes[row.method]
-            more = {"f1_2mm": r.f1_5mm - 0.1, "volume_ratio": volume, "offset_m": offset}
-            shown.append((row, replace(r, extent_x_m=extent, extent_z_m=2 * extent, **more)))
-    table = make_table("table1", suite.experiments["table1"], suite, shown)
-    names = ("F1 2 mm", "volume / true", "extent x [mm]", "extent z [mm]", "offset [mm]")
-    columns = [table.head.index(name) for name in names]
-    numbers = [[row[c] for c in columns] for row in table.rows[:2]]
-    assert numbers == [
-        ["0.800", "1.020", "-1.2", "-2.4", "0.30"],
-        ["0.400", "0.900", "1.4", "2.8", "-0.40"],
-    ]
-    assert {(0, column) for column in columns} <= table.best
-    assert not {(1, column) for column in columns} & table.best
-    assert shown[0][1].extent_m == 2 * 0.0012
-    assert RowResult().extent_m is None
