@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.evaluation import evaluate_mesh
-from geraf2.freespace.specular import specular_visibility
 from geraf2.io.mesh import TriangleMesh
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 from helpers import solids
 
@@ -25,39 +23,6 @@ def plane(angle_deg):
 
 def ball(center=(0.0, 0.0, 0.0), radius=RADIUS, subdivisions=4):
     return solids.ball(radius, subdivisions, center)
-
-
-def in_sight(points, normals, planes, surface):
-    blocker = MeshScene(surface.vertices, surface.faces)
-    return (specular_visibility(points, normals, planes, blocker) >= 0.0).any(axis=1)
-
-
-def directions(n=400, seed=0):
-    drawn = np.random.default_rng(seed).normal(size=(n, 3))
-    return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
-
-
-@pytest.mark.parametrize("angles", [(0.0,), (0.0, 50.0, 200.0)])
-def test_a_ball_is_seen_where_its_centre_sees_the_antennas_in_that_direction(angles):
-    u = directions()
-    expected = np.zeros(len(u), dtype=bool)
-    for angle in np.deg2rad(angles):
-        towards = -(u[:, 0] * np.cos(angle) + u[:, 1] * np.sin(angle))
-        across = -u[:, 0] * np.sin(angle) + u[:, 1] * np.cos(angle)
-        inside = (np.abs(across) * AWAY <= HALF[0] * towards) & (
-            np.abs(u[:, 2]) * AWAY <= HALF[1] * towards
-        )
-        expected |= inside & (towards > 0)
-    seen = in_sight(RADIUS * u, u, [plane(angle) for angle in angles], ball())
-    assert 0 < expected.sum() < len(u)
-    np.testing.assert_array_equal(seen, expected)
-
-
-def test_an_obstacle_hides_it_and_a_ball_behind_does_not():
-    point, normal = np.array([[-RADIUS, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]])
-    for x, seen in ((-0.2, False), (0.2, True)):
-        surface = TriangleMesh.joined([ball(), ball((x, 0.0, 0.0), 0.02)])
-        assert in_sight(point, normal, [plane(0.0)], surface)[0] == seen
 
 
 def test_scores_of_both_parts_locate_the_error():

@@ -6,7 +6,6 @@ from geraf2.scene import Pose
 from helpers.aperture_images import find_peaks, subaperture_images
 from helpers.specular import STANDOFF_M, antennas, raster
 from helpers.synthetic import WAVEFORM, point_signal
-from reference import subaperture as twin
 
 WAVELENGTH = WAVEFORM.center_wavelength_m
 ORIGIN = np.zeros(3)
@@ -41,39 +40,6 @@ def test_a_point_peaks_at_its_range_and_direction(cosines):
     # 0.1 mm of range is 1/400 cell; 1e-3 in a cosine is 0.4 mm sideways.
     assert peaks.ranges_m[0] == pytest.approx(0.387, abs=4e-4)
     np.testing.assert_allclose(peaks.cosines[0], cosines, atol=1e-3)
-
-
-def test_a_unit_point_straight_ahead_at_the_focus_has_magnitude_one():
-    pose = pose_at(raster(27), ORIGIN)
-    (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, SPAN, ONE)
-    at_range = np.abs(image.ranges_m - STANDOFF_M).argmin()
-    middle = [np.abs(axis).argmin() for axis in (image.horizontal_cosines, image.vertical_cosines)]
-    off = image.ranges_m[at_range] - STANDOFF_M
-    assert abs(off) <= 0.26 * WAVEFORM.range_cell_m
-    assert image.magnitude[middle[0], middle[1]].max() > 0.9
-    assert image.magnitude.max() <= 1.0 + 1e-5
-
-
-@pytest.mark.parametrize("baseline_m", [0.0, 0.02])
-def test_the_raster_image_is_the_direct_sum(baseline_m):
-    target = target_at((0.04, 0.02), 0.39)
-    pose = pose_at(raster(7), target, baseline_m)
-    config = SubapertureConfig(size_m=0.021, max_cosine=0.2, direction_oversampling=2.0)
-    (image,) = subaperture_images(pose, WAVEFORM, ORIGIN, (0.37, 0.41), config)
-    bins = (image.horizontal_cosines, image.vertical_cosines, image.ranges_m)
-    line = twin.cosine_squared(7)
-    expected = twin.image(
-        pose.signal,
-        pose.tx_positions,
-        pose.rx_positions,
-        pose.axes,
-        np.outer(line, line).ravel(),
-        image.center,
-        ORIGIN,
-        WAVEFORM,
-        bins,
-    )
-    np.testing.assert_allclose(image.magnitude, expected, atol=2e-5)
 
 
 def jittered(positions):

@@ -124,16 +124,6 @@ def test_a_network_gives_the_same_in_parts(monkeypatch):
         torch.testing.assert_close(parts, whole)
 
 
-def test_features_stand_beside_the_distance():
-    field = SdfMlp(DOMAIN, SdfMlpConfig(n_layers=2, width=16, skip=0, n_octaves=1, n_features=5))
-    points = random_points(7, dtype=torch.float32)
-    value, gradient, features = field.forward_with_features(points)
-    assert (value.shape, gradient.shape, features.shape) == ((7,), (7, 3), (7, 5))
-    torch.testing.assert_close(value, field(points).value)
-    features.sum().backward()
-    assert field.layers[0].bias.grad.abs().sum() > 0
-
-
 def box_distance(points):
     return BoxSolid(size_m=(0.2, 0.16, 0.2), center_m=DOMAIN.center_m).signed_distance(points)
 

@@ -97,13 +97,3 @@ def test_wrong_arguments_are_named(change, message):
     arguments.update(change)
     with pytest.raises(ValueError, match=message):
         GridEnergy(arguments.pop("shape"), arguments.pop("spacing"), **arguments)
-
-
-def test_wrong_fields_are_named():
-    made, _ = energy((5, 6, 4))
-    with pytest.raises(TypeError, match="float64, got float32"):
-        made.apply(np.zeros(made.n_voxels, np.float32))
-    with pytest.raises(ValueError, match="field"):
-        made.apply(np.zeros(7))
-    with pytest.raises(ValueError, match="degree"):
-        made.smooth(np.zeros(120), np.zeros(120), degree=0, low=0.1, high=1.0)

@@ -4,7 +4,7 @@ import pytest
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report import canvas, error_curves, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.report import canvas, glint_overview, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
@@ -88,13 +88,6 @@ def test_slices_draw_the_zero_level_at_its_radius(tmp_path, drawn):
     assert [panel.get_xlabel() for panel in drawn[0].axes[:3]] == ["x [mm]", "x [mm]", "y [mm]"]
 
 
-def test_only_glints_near_the_cut_are_drawn(tmp_path, drawn):
-    sdf_slices(sdf(), tmp_path / "s.png", glints=glints(), center_m=(0, 0, 0))
-    panel = drawn[0].axes[0]
-    near = np.abs(glints().positions[:, 2]) <= 0.005
-    assert len(panel.collections[-1].get_offsets()) == near.sum()
-
-
 def test_mesh_views_have_a_row_for_mesh_truth_and_error(tmp_path, drawn):
     mesh = ball()
     mesh_views(mesh, tmp_path / "a.png")
@@ -110,14 +103,6 @@ def test_glint_overview_counts_every_glint(tmp_path, drawn):
     strength, per_pose = drawn[0].axes[-2:]
     assert sum(bar.get_height() for bar in strength.patches) == 30
     assert [bar.get_height() for bar in per_pose.patches] == [6] * 5
-
-
-def test_error_curves_reach_every_sample(tmp_path, drawn):
-    distances = np.array([0.001, -0.002, 0.003, 0.004])
-    error_curves({"mesh to truth": distances}, tmp_path / "e.png", thresholds_m=(0.003,))
-    (line,) = [line for line in drawn[0].axes[0].lines if line.get_label() == "mesh to truth"]
-    np.testing.assert_allclose(line.get_xdata(), [1, 2, 3, 4])
-    np.testing.assert_allclose(line.get_ydata(), [25, 50, 75, 100])
 
 
 def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):

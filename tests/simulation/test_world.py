@@ -2,8 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from geraf2.io.toml import write_toml
-from geraf2.simulation import WorldSpec, load_spec, parse_spec
+from geraf2.simulation import WorldSpec, parse_spec
 from geraf2.simulation.world import EFFECTS
 
 FIGURE = {"figure": {"name": "dog"}}
@@ -32,12 +31,3 @@ def test_single_values_override_the_preset_and_replace_keeps_the_others():
     assert got.settings == {"wall_bulge_m": 0.002, **of_iq}
     assert world(leakage_db=3.0).settings == {"leakage_db": 3.0}
     assert replace(got, wall_bulge_m=0.0).settings == of_iq
-
-
-def test_a_spec_that_is_written_out_is_read_back_as_it_was(tmp_path):
-    table = FIGURE | {"world": {"preset": "hard", "effects": ["leakage", "bulge"]}}
-    spec = parse_spec(table)
-    write_toml(tmp_path / "spec.toml", spec)
-    assert load_spec(tmp_path / "spec.toml") == spec
-    write_toml(tmp_path / "off.toml", parse_spec(FIGURE))
-    assert load_spec(tmp_path / "off.toml").world.is_off

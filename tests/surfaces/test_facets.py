@@ -9,26 +9,12 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 from geraf2.surfaces.facets import Facets, SurfaceRenderer
+from helpers.solids import ball
 from helpers.synthetic import WAVEFORM, point_pose
 
 PRIOR = LosPrior.from_box((0.16, 0.16, 0.16))
 POSE = point_pose(0.0, n_side=5, spacing_m=0.01)
 FAR_AWAY = MeshScene(np.eye(3) + 9.0, [[0, 1, 2]])
-
-
-def sphere(radius_m, n=40):
-    """Latitude and longitude, outward."""
-    theta, phi = np.linspace(0.0, np.pi, n), np.linspace(0.0, 2 * np.pi, 2 * n + 1)
-    t, p = (a.ravel() for a in np.meshgrid(theta, phi, indexing="ij"))
-    vertices = radius_m * np.stack(
-        [np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1
-    )
-    row = 2 * n + 1
-    corner = (np.arange(n - 1)[:, None] * row + np.arange(2 * n)[None]).ravel()
-    quads = np.stack([corner, corner + row, corner + row + 1, corner + 1], axis=1)
-    return TriangleMesh(
-        vertices=vertices, faces=np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]])
-    )
 
 
 def facets(mesh, edge_m=0.002):
@@ -86,7 +72,7 @@ def test_a_sphere_echoes_as_its_highlight():
     # to the antenna, D away; here relative to the middle, D + a away.
     radius, standoff = 0.04, 0.4
     pose = point_pose(0.0, n_side=1, standoff_m=standoff)
-    mesh = sphere(radius, 80)
+    mesh = ball(radius, 5)
     blocker = MeshScene(mesh.vertices, mesh.faces)
     content = facets(mesh, 0.0015)
     signal = renderer(content, blocker=blocker).render(pose, np.ones((1, len(content.areas))))[0]
@@ -101,7 +87,7 @@ def test_a_blocker_hides_content_and_far_wall_but_not_the_near_wall():
         vertices=np.array([[0.05, -1.0, -1.0], [0.05, 1.0, -1.0], [0.05, 0.0, 2.0]]),
         faces=np.array([[0, 1, 2]]),
     )
-    content = facets(sphere(0.02), 0.004)
+    content = facets(ball(0.02), 0.004)
     outside = facets(TriangleMesh(vertices=PRIOR.vertices, faces=PRIOR.faces), 0.01)
     share = np.ones((1, len(content.areas)))
     free = renderer(content, outside).render(POSE, share)
