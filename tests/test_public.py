@@ -4,8 +4,6 @@ import ast
 import doctest
 import inspect
 import re
-import subprocess
-import sys
 import textwrap
 
 import numpy as np
@@ -61,25 +59,6 @@ def test_the_examples_of_a_public_name_run(name, tmp_path, monkeypatch):
     results = [doctest.DocTestRunner(verbose=False).run(t, out=stated.append) for t in tests]
     assert sum(result.attempted for result in results) > 0
     assert sum(result.failed for result in results) == 0, "".join(stated)
-
-
-LISTED = """
-import sys
-import geraf2
-assert set(geraf2.__all__) <= set(dir(geraf2))
-assert "geraf2.scene" not in sys.modules
-geraf2.Grid, geraf2.reconstruct, geraf2.examples
-assert "torch" not in sys.modules and "matplotlib" not in sys.modules
-"""
-
-
-def test_names_are_listed_at_once_and_loaded_when_used():
-    subprocess.run([sys.executable, "-c", LISTED], check=True, timeout=60)
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="attribute reconstrukt"):
-        _ = geraf2.reconstrukt
 
 
 def test_a_mesh_that_is_exported_keeps_its_expected_errors(tmp_path):

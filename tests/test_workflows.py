@@ -61,14 +61,6 @@ def test_actions_are_pinned_by_digest_with_their_version(folder):
                 )
 
 
-def test_every_job_is_bounded_in_time(jobs):
-    # A job that calls another workflow has no steps; GitHub allows no limit there.
-    without = [
-        name for name, job in jobs.items() if "uses" not in job and "timeout-minutes" not in job
-    ]
-    assert without == []
-
-
 def test_permissions_are_the_least(workflows, jobs):
     for name, content in workflows.items():
         assert content["permissions"] == {"contents": "read"}, name

@@ -70,23 +70,6 @@ def test_errors_are_collected_with_what_to_do(site):
     assert "| no such scene |  | make one with 'geraf2 import' |" in messages.errors_page()
 
 
-def test_arguments_of_a_docstring_become_fields(site):
-    docstrings = site("docstrings")
-    lines = [
-        "Image.",
-        "",
-        "tx, rx: positions [m].",
-        "    As |x| is.",
-        "rtol: error.",
-        "",
-        "Returns it.",
-    ]
-    assert docstrings.as_fields(docstrings.without_substitutions(lines), {"tx", "rx", "rtol"}) == [
-        *("Image.", "", ":param tx: positions [m].", r"    As \|x\| is.", ":param rx: as `tx`"),
-        *(":param rtol: error.", "", "Returns it.", ""),
-    ]
-
-
 def _resolves(name: str, module: str) -> bool:
     """Whether a cross-reference of a module's docstring names something that is there."""
     if name.startswith("geraf2."):

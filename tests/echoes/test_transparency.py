@@ -69,10 +69,3 @@ def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():
     assert len(pairs.thickness_m) > 90
     np.testing.assert_allclose(pairs.thickness_m, 2.0 * RADIUS_M, rtol=2e-3)
     np.testing.assert_allclose(pairs.optical_m, 2.0 * INDEX * RADIUS_M, rtol=2e-3)
-
-
-def test_an_unknown_permittivity_is_reported():
-    assert describe({"n_glints": 3}) == ""
-    stated = describe({"n_back_faces": 5, "back_face_share": 0.25})
-    assert "25 %" in stated
-    assert "permittivity is unknown" in stated

@@ -9,14 +9,12 @@ from functools import cache
 
 import numpy as np
 import pytest
-from scipy.special import erf
 
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.freespace.silhouettes import (
     Silhouettes,
     find_silhouettes,
-    sharpened,
 )
 from geraf2.scene import Capture, Pose, Wall
 from helpers.shadows import shadows
@@ -142,12 +140,6 @@ def test_the_reason_for_no_outline_is_stated():
         assert (found.free_distance(np.zeros((3, 3))) == -np.inf).all()
 
 
-def test_a_small_tilt_of_the_box_is_corrected():
-    straight = find_silhouettes(shadow_capture("body", "geometric_flash"))
-    tilted = find_silhouettes(shadow_capture("body", "geometric_flash", tilt=np.radians(1.0)))
-    np.testing.assert_allclose(edges(tilted, "body"), edges(straight, "body"), atol=1e-3)
-
-
 def test_the_delay_of_an_inner_box_is_subtracted():
     capture = shadow_capture("body", "geometric_flash")
     # A quarter of a turn of phase on the path there and back, of what its walls cover.
@@ -172,13 +164,6 @@ def test_planes_from_both_sides_agree_and_cover_more():
     np.testing.assert_allclose(edges(found, "top"), [0.03], atol=1.5e-3)
     assert found.disagreement.item() < 0.03
     assert find_silhouettes(one).disagreement.item() == 1.0  # from one side alone
-
-
-def test_sides_that_show_different_outlines_disagree():
-    one = shadow_capture("top", "geometric_flash", side=-1.0)
-    other = shadow_capture("body", "geometric_flash", side=1.0)
-    both = find_silhouettes(replace(one, poses=(one.poses[0], other.poses[0])))
-    assert both.disagreement.item() > 0.1
 
 
 def made(transmission, *, axis=1, known=None):
@@ -211,27 +196,6 @@ def test_a_hole_with_the_full_flash_is_free():
         hole, transmission=np.where(disc(0.02)[None] < 0.9, 0.75, 1.0) * hole.transmission
     )
     np.testing.assert_allclose(dim.free_distance(points), r - 0.03, atol=7e-4)
-
-
-def test_sharpening_keeps_edges_and_the_width_of_strips():
-    """Against closed forms: a blurred half plane and strips are error functions."""
-    blur_m, cell_m = 0.0034, 0.0005
-    x = cell_m * np.arange(-80, 81)
-
-    def step(at_m):
-        return 0.5 + 0.5 * erf((x - at_m) / (np.sqrt(2.0) * blur_m))
-
-    def width_m(seen):
-        return cell_m * np.count_nonzero(sharpened(np.tile(seen, (3, 1)), blur_m / cell_m)[1] < 0.5)
-
-    assert width_m(step(0.0)) == pytest.approx(0.04, abs=cell_m)
-    for strip_m in (0.005, 0.010):
-        shadow = 1.0 - step(-0.5 * strip_m) + step(0.5 * strip_m)
-        assert width_m(shadow) == pytest.approx(strip_m, abs=2.0 * cell_m)
-    # Without it, a strip of 4 mm would be free.
-    thin = 1.0 - step(-0.002) + step(0.002)
-    assert thin.min() > 0.5
-    assert width_m(thin) > 0.002
 
 
 def test_unknown_cells_may_hold_content():

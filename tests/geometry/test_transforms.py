@@ -18,17 +18,6 @@ TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 SHIFT = np.array([0.1, -0.2, 0.3])
 
 
-def test_apply_rigid_equals_a_loop_over_points():
-    points = np.random.default_rng(0).normal(size=(4, 5, 3))
-    got = apply_rigid(rigid(TURN, SHIFT), points)
-    for index in np.ndindex(4, 5):
-        want = [
-            sum(TURN[row, k] * points[index][k] for k in range(3)) + SHIFT[row] for row in range(3)
-        ]
-        assert got[index] == pytest.approx(want)
-    assert apply_rigid(rigid(TURN, SHIFT), np.zeros((0, 3))).shape == (0, 3)
-
-
 def test_the_inverse_brings_points_back():
     points = np.random.default_rng(0).normal(size=(7, 3))
     moved = apply_rigid(rigid(TURN, SHIFT), points)

@@ -102,26 +102,6 @@ def test_barycentric_weights_outside_and_without_area():
     np.testing.assert_allclose(barycentric(FLAT[:, 0], FLAT), np.full((2, 3), 1.0 / 3.0))
 
 
-def split_slowly(triangle, limit):
-    edges = [math.dist(triangle[k], triangle[(k + 1) % 3]) for k in range(3)]
-    if max(edges) <= limit:
-        return [triangle]
-    first = edges.index(max(edges))
-    a, b, c = (triangle[(first + k) % 3] for k in range(3))
-    middle = 0.5 * (a + b)
-    halves = (np.stack([a, middle, c]), np.stack([middle, b, c]))
-    return [piece for half in halves for piece in split_slowly(half, limit)]
-
-
-def test_split_triangles_equals_a_recursion(corners):
-    got = split_triangles(corners, 0.7)
-    want = np.stack([piece for triangle in corners for piece in split_slowly(triangle, 0.7)])
-    assert len(want) > 2 * len(corners)
-    order, wanted = (np.lexsort(pieces.reshape(-1, 9).T) for pieces in (got, want))
-    np.testing.assert_array_equal(got[order], want[wanted])
-    assert face_areas(got).sum() == pytest.approx(face_areas(corners).sum())
-
-
 def test_short_flat_and_no_triangles_split_into_themselves(corners):
     np.testing.assert_array_equal(split_triangles(corners, 100.0), corners)
     assert split_triangles(corners[:0], 1.0).shape == (0, 3, 3)

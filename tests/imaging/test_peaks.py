@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
-from geraf2.imaging.peaks import KeptPeaks, collect_peaks, grating_lobes, join_peaks
+from geraf2.imaging.peaks import KeptPeaks, collect_peaks, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
 from helpers.carton import PRIOR, carton_capture, with_bias
@@ -40,15 +40,6 @@ def test_peaks_are_lines_of_sight_to_reflectors(points):
     assert set(strong.planes) == {0, 1}
     assert off.max() < 0.004
     np.testing.assert_allclose(np.linalg.norm(found.directions, axis=1), 1.0)
-
-
-def test_joined_sets_keep_their_sub_apertures(peaks):
-    parts = [peaks.of_plane(number) for number in range(3)]
-    joined = join_peaks(parts)
-    np.testing.assert_array_equal(joined.points, peaks.points)
-    np.testing.assert_array_equal(joined.levels_db, peaks.levels_db)
-    np.testing.assert_array_equal(joined.planes, peaks.planes)
-    assert len(join_peaks([])) == 0
 
 
 def nearest_of_sub_aperture(first, second):

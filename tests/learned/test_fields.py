@@ -128,15 +128,6 @@ def box_distance(points):
     return BoxSolid(size_m=(0.2, 0.16, 0.2), center_m=DOMAIN.center_m).signed_distance(points)
 
 
-def test_a_grid_takes_a_box_exactly_at_its_voxels():
-    field = LearnedSdfGrid(DOMAIN, n_per_side=9)
-    field.initialise(box_distance)
-    voxels = field.grid.points()
-    with torch.no_grad():
-        got = field.value(torch.from_numpy(voxels).float())
-    np.testing.assert_allclose(got.numpy(), box_distance(voxels), atol=1e-7)
-
-
 def test_a_network_is_fitted_to_a_box():
     config = SdfMlpConfig(
         n_layers=3, width=48, skip=0, n_octaves=2, fit_steps=120, fit_points=512, fit_rate=3e-3

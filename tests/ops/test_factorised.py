@@ -216,14 +216,6 @@ def test_an_interrupt_ends_a_long_call(method):
         signals.signal(signals.SIGINT, before)
 
 
-def test_a_list_of_points_is_refused():
-    signal, tx, rx, waveform = make_case(4)
-    with pytest.raises(TypeError, match=r"'factorised' needs points on a geraf2.scene.Grid"):
-        matched_filter(signal, tx, rx, GRID.points(), waveform, method="factorised")
-    with pytest.raises(ValueError, match="max_memory must be a positive number of bytes, got 0"):
-        image_of(make_case(4), max_memory=0)
-
-
 def sparse_points(_):
     return np.random.default_rng(0).uniform(-0.3, 0.3, (50, 3))
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 import geraf2
-from geraf2.scene.notebook import mesh_outline
 
 
 def _polygons(html):
@@ -33,11 +32,3 @@ def test_names_from_files_are_text():
     html = replace(capture, provenance={"source": "<script>"})._repr_html_()
     assert "&lt;script&gt;" in html
     assert "<script>" not in html
-
-
-def test_a_prior_shows_its_size_and_outline():
-    prior = geraf2.LosPrior.from_box((0.2, 0.1, 0.3), center_m=(0.0, 0.0, 0.05))
-    (outline,) = _polygons(prior._repr_html_())
-    assert np.allclose(np.ptp(outline, axis=0)[0] / np.ptp(outline, axis=0)[1], 2.0, atol=0.01)
-    assert repr(prior) == "LosPrior(200 x 100 x 300 mm, 12 triangles, 0 walls)"
-    assert len(mesh_outline(prior.vertices)) == 4

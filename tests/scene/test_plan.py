@@ -5,7 +5,6 @@ import pytest
 
 from geraf2.freespace.specular import received_normals, seen_share
 from geraf2.scene.plan import (
-    PlanePlan,
     ScanPlan,
     depth_of_focus_m,
     suggested_planes,
@@ -84,14 +83,6 @@ def test_suggested_planes_see_every_horizontal_normal_twice():
     assert not fewer.any(axis=1).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "value"), [("standoff_m", 0.0), ("n_planes", 0), ("elevations_deg", (90.0,))]
-)
-def test_impossible_plans_name_what_is_wrong(name, value):
-    with pytest.raises(ValueError, match=name):
-        replace(PLAN, **{name: value})
-
-
 def test_a_plane_is_in_focus_until_its_edge_is_half_a_wave_off():
     depth, width, wavelength = 1.0, 0.1, WAVEFORM.center_wavelength_m
     off = depth_of_focus_m(depth, width, wavelength)
@@ -102,19 +93,3 @@ def test_a_plane_is_in_focus_until_its_edge_is_half_a_wave_off():
     assert sag(depth) - sag(depth + off) == pytest.approx(0.5 * wavelength, rel=1.0)
     assert sag(depth) - sag(depth + 1e-3 * off) == pytest.approx(0.5e-3 * wavelength, rel=0.02)
     assert depth_of_focus_m(0.01, 1.0, wavelength) == 2 * wavelength
-
-
-def test_the_numbers_of_a_single_plane():
-    plane = PlanePlan(waveform=WAVEFORM, depth_m=0.4, aperture_m=(0.2, 0.1), spacing_m=0.01)
-    wavelength = WAVEFORM.center_wavelength_m
-    assert plane.rows_columns == (11, 21)
-    assert plane.n_bytes == 8 * 32 * 231
-    assert plane.seconds == pytest.approx(11 * 1.0)
-    assert plane.across_m == pytest.approx((wavelength, 2 * wavelength))
-    assert plane.depth_of_focus_m == pytest.approx(8 * wavelength)
-    # Two ends of a scene 0.2 m wide, seen from an end of the plane: phases of neighbours pi apart.
-    positions = np.array([[0.1, 0.0], [0.1 - plane.nyquist_spacing_m, 0.0]])
-    far = np.linalg.norm(positions - [-0.1, 0.4], axis=1)
-    assert 4 * np.pi * np.diff(far)[0] / wavelength == pytest.approx(-np.pi, rel=0.01)
-    with pytest.raises(ValueError, match="aperture_m"):
-        replace(plane, aperture_m=(0.2, 0.0))

@@ -3,7 +3,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.scene import Wall
 from geraf2.scene.checks import check_capture
 from geraf2.scene.summary import summarize_capture, summarize_in_parts, summarize_pose
 from helpers.synthetic import WAVEFORM, point_capture, point_pose
@@ -24,14 +23,6 @@ def test_a_single_plane_looks_at_its_strongest_echo():
     # To half a range cell.
     assert np.abs(summary.focus).max() < 0.5 * WAVEFORM.range_cell_m
     assert summary.echo_range_m(summary.poses[0]) == pytest.approx(0.4, abs=0.021)
-
-
-def test_the_nyquist_spacing_follows_the_width_of_the_scene():
-    wall = Wall(size_m=(0.2, 0.1, 0.1), thickness_m=0.004, permittivity=1.6)
-    summary = summarize_capture(replace(point_capture(4), walls=(wall,)))
-    wavelength = WAVEFORM.center_wavelength_m
-    assert summary.nyquist_spacing_m == pytest.approx(wavelength * 0.4 / 0.4)
-    assert summarize_capture(point_capture(4)).nyquist_spacing_m == pytest.approx(wavelength / 4)
 
 
 @pytest.mark.parametrize("size", [36, 7])

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
-import geraf2
 from geraf2.ops.visibility import MeshScene
-from geraf2.simulation import FigureSpec, build_solid
 from geraf2.simulation.population import RADARS, draw_scene
 from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.random_objects import random_object
@@ -62,15 +60,6 @@ def test_the_same_seed_gives_the_same_bytes_and_another_another_object():
     shapes = {thing(seed).mesh.vertices.tobytes() for seed in SEEDS}
     assert len(shapes) == len(SEEDS)
     assert len({str(scene(seed).spec) for seed in SEEDS}) == len(SEEDS)
-
-
-def test_the_name_of_a_spec_is_the_object_of_its_seed():
-    drawn = thing(6)
-    height_m = float(drawn.extents_m[2])
-    mesh = build_solid(FigureSpec(name="random-6", height_m=height_m))
-    assert mesh.vertices == pytest.approx(drawn.mesh.vertices, abs=1e-9)
-    with pytest.raises(geraf2.UserError, match="unknown object 'random-x'"):
-        build_solid(FigureSpec(name="random-x"))
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -77,18 +77,6 @@ def test_scatterers_have_the_asked_fraction_of_the_objects_energy():
     assert fraction == pytest.approx(0.2, rel=0.15)  # less what correlates by chance, 1 / 50
 
 
-def test_jitter_moves_the_echo_not_the_record():
-    still, shaken = (
-        simulate(replace(FREE, scan=replace(FREE.scan, position_jitter_rms_m=rms)), seed=0)[0]
-        for rms in (0.0, 2e-4)
-    )
-    assert np.array_equal(still.poses[0].tx_positions, shaken.poses[0].tx_positions)
-    ratio = shaken.poses[0].signal / still.poses[0].signal
-    strong = np.abs(still.poses[0].signal) > 0.5 * np.abs(still.poses[0].signal).max()
-    # Two-way phase error 2 k 0.2 mm = 0.65 rad rms, seen through a mixture of echoes.
-    assert 0.3 < np.angle(ratio[strong]).std() < 1.2
-
-
 def range_profile(signal, waveform, ranges):
     """Mean power over antennas against one-way range, instrument delay subtracted."""
     window = np.hanning(waveform.n_samples + 2)[1:-1]
@@ -120,26 +108,6 @@ def test_near_and_far_wall_arrive_when_they_should():
     drop_db = 20 * np.log10(0.25 / 0.546 * (1 - r2) ** 2)
     got_db = 10 * np.log10(profile[far].max() / profile[near].max())
     assert got_db == pytest.approx(drop_db, abs=1.5)  # edges of the plates ripple by 1 dB
-
-
-def test_the_object_hides_the_far_wall():
-    scan = ScanSpec(n_poses=1, aperture_m=(0.006, 0.006), spacing_m=0.006)
-    profiles = []
-    ranges = np.arange(0.45, 0.6, 0.001)
-    for center in ((0.0, 0.0, 0.0), (0.0, 0.0, 0.3)):
-        figure = FigureSpec(name="shoe", height_m=0.2, up="+x", center_m=center)
-        spec = SceneSpec(
-            figure=figure,
-            walls=(replace(CARTON, size_m=(0.22, 0.22, 0.9)),),
-            scan=scan,
-            disturbance=DisturbanceSpec(snr_db=np.inf),
-        )
-        capture, _ = simulate(spec, seed=0)
-        signal = capture.poses[0].signal
-        near = range_profile(signal, capture.waveform, np.array([0.2925])).max()
-        profiles.append(range_profile(signal, capture.waveform, ranges).max() / near)
-    hidden, free = profiles
-    assert hidden < 0.1 * free
 
 
 def test_without_far_walls_nothing_echoes_over_them():

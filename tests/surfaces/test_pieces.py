@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from geraf2.geometry.triangles import vertex_normals
-from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.io.mesh import TriangleMesh
 from geraf2.report.answer import answer_of
 from geraf2.surfaces.pieces import (
     LIKELY,
@@ -93,19 +93,3 @@ def test_the_report_lists_likely_ghosts_separately():
     answer = answer_of(found.content, None, {"mesh": stage}, {})
     assert answer.found.startswith("One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm.")
     assert f"Likely ghosts, not counted: {ghost_texts(stage)[0]}." in answer.found
-
-
-def test_confidence_is_read_back_only_from_own_files(tmp_path):
-    found, _n = scene(planes=[0, 1, 2, 3, 4, 5] * 2)
-    n_vertices = len(found.content.vertices)
-    mesh = replace(
-        found.content,
-        expected_error_m=np.full(n_vertices, 5e-4),
-        evidence=np.full(n_vertices, 2, dtype=np.uint8),
-    )
-    write_mesh(mesh, tmp_path / "m.ply")
-    again = read_mesh(tmp_path / "m.ply")
-    assert again.confidence == pytest.approx(mesh.confidence, abs=1e-6)
-    data = (tmp_path / "m.ply").read_bytes()
-    (tmp_path / "other.ply").write_bytes(data.replace(b"uchar evidence", b"uchar elsewise"))
-    assert read_mesh(tmp_path / "other.ply").confidence is None

@@ -12,7 +12,6 @@ from geraf2.surfaces.surface_fit import (
     SurfaceEcho,
     fit_surface_echo,
     make_surface_renderer,
-    node_shares,
     spread_nodes,
 )
 from helpers.synthetic import WAVEFORM, point_pose
@@ -68,24 +67,6 @@ def test_the_fit_recovers_a_simulated_echo(surface, truth, poses):
 def test_stiffness_makes_reflectivity_uniform(surface, poses):
     found = fit_surface_echo(surface, poses[:2], GRID, replace(CONFIG, stiffness=(100.0,)))
     np.testing.assert_allclose(found.reflectivity, 1.0, atol=0.02)
-
-
-def test_arrays_restore_the_echo(truth):
-    again = SurfaceEcho.of_arrays(truth.arrays())
-    for name in ("nodes", "reflectivity", "walls"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
-    assert again.power == truth.power
-
-
-def test_shares_of_a_point_sum_to_one_and_a_node_has_its_own():
-    nodes = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
-    points = np.concatenate([nodes, [[0.5, 0.5, 0.0]]])
-    shares = node_shares(nodes, points)
-    np.testing.assert_allclose(shares.sum(axis=0), 1.0)
-    np.testing.assert_allclose(shares[:, :4], np.eye(4), atol=1e-9)
-    assert shares[3, 4] == 0.0
-    np.testing.assert_allclose(node_shares(nodes[:1], points), 1.0)
-    assert len(spread_nodes(np.zeros((5, 3)), 3)) == 1  # all at one point
 
 
 def test_an_impossible_fit_is_a_user_error(surface, poses):
