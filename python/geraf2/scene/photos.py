@@ -152,7 +152,7 @@ class Camera:
 
 
 def bin_pixels(image: NDArray[np.generic], step: int) -> Floats:
-    """Mean of blocks of step x step pixels, (height, width, ...); see :meth:`Camera.join_pixels`."""
+    """Mean of step x step pixels, (height, width, ...); see :meth:`Camera.join_pixels`."""
     height, width = image.shape[0] // step, image.shape[1] // step
     rows = image[: height * step, : width * step].reshape(height, step, width, step, -1)
     blocks = rows.mean(axis=(1, 3), dtype=np.float64)
