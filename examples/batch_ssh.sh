@@ -9,7 +9,6 @@ set -eu
 host=${SCHEDULER_HOST:-$(hostname)}
 port=${SCHEDULER_PORT:-8786}
 address=tcp://$host:$port
-export DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES=0 # the batch itself decides what is tried again
 dask scheduler --host "$host" --port "$port" --no-dashboard &
 trap 'kill $(jobs -p) 2>/dev/null || true; wait' EXIT # the workers end when their scheduler is gone
 for one in $HOSTS; do

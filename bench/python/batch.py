@@ -27,7 +27,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import distributed
 
 import geraf2
-from geraf2.apps.batch import BatchOptions, read_jobs, run, running
+from geraf2.apps.batch import BatchJob, BatchOptions, read_jobs, run, running
 from geraf2.apps.batch.cluster import local_cluster
 from geraf2.apps.batch.folder import JobPaths, JobResult
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
@@ -51,12 +51,11 @@ def make_scenes(folder: Path, count: int, spacing_m: float = 0.004) -> list[Path
     return [folder / f"scan_{i:04d}" for i in range(count)]
 
 
-def noop_job(table: dict, out: str, key: str, **_: object) -> dict:
+def noop_job(job: BatchJob, paths: JobPaths, *_: object) -> JobResult:
     """Write the record of a job that took nothing."""
-    scene = Path(table["scene"]).name
-    done = JobResult(key=key, scene=scene, preset="fast", state="done")
-    JobPaths(Path(out), key, scene).write(done)
-    return {"state": "done", "error": ""}
+    result = JobResult(key=paths.key, scene=job.scene.name, preset="fast", state="done")
+    paths.write(result)
+    return result
 
 
 def one_after_the_other(what: tuple[list[Path], str]) -> None:
@@ -158,7 +157,7 @@ def kills(count: int, n_scenes: int = 12) -> None:
             wanted.append(file_digest(result.path / CONTENT_NAME))
         rng, killed, ended = random.Random(0), [], threading.Event()
         with (
-            local_cluster(2, MEMORY_BYTES) as cluster,
+            local_cluster(2, MEMORY_BYTES, retries=count) as cluster,
             distributed.Client(cluster) as client,
         ):
 
@@ -175,14 +174,14 @@ def kills(count: int, n_scenes: int = 12) -> None:
             while killer.is_alive() or not batches:  # the same jobs into new folders
                 out = folder / f"out_{batches}"
                 jobs = read_jobs(sources, box=BOX, config=FAST, options=OPTIONS)
-                results = run(jobs, out, client, options=BatchOptions(retries=count))
+                results = run(jobs, out, client)
                 runs = [next((out / "runs").glob(f"{r.scene}-*")) for r in results]
                 found = [file_digest(run_folder / CONTENT_NAME) for run_folder in runs]
                 same = sum(a == b for a, b in zip(found, wanted, strict=True))
                 batches += 1
                 print(
                     f"{len(killed)} workers killed so far, batch {batches}: {same} of {n_scenes} "
-                    f"meshes as of single runs, most attempts {max(r.attempts for r in results)}"
+                    "meshes as of single runs"
                 )
             ended.set()
             killer.join()

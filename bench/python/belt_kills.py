@@ -104,7 +104,7 @@ def results_of(out: Path) -> tuple[dict[str, bytes], dict[str, tuple[str, str]]]
         for path in out.glob("runs/*/mesh_content.ply")
     }
     with (out / "parcels.csv").open(newline="") as file:
-        rows = {row["parcel"]: (row["state"], row["length_m"]) for row in csv.DictReader(file)}
+        rows = {row["scene"]: (row["state"], row["length_m"]) for row in csv.DictReader(file)}
     return meshes, rows
 
 

@@ -27,8 +27,8 @@ from typing import Any
 import tomli_w
 
 from geraf2.apps.batch import BatchOptions
-from geraf2.apps.batch.cluster import connected, require_workers
-from geraf2.apps.batch.engine import Task, drive
+from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.engine import Failure, Task, drive
 from reconstruct import Measurement, geraf2_command, measure
 
 CARTON: dict[str, Any] = {"size_m": [0.22, 0.22, 0.22]}  # 4 mm of permittivity 1.6
@@ -244,15 +244,14 @@ def scores_of(bench: Bench, cases: list[Case], options: BatchOptions) -> Iterato
     """Scores in the order of the cases, by workers; scenes first, each once."""
     scenes = {case.of or case.name: case for case in cases}
     found: dict[str, Score] = {}
-    with connected(options, 0.0) as client:
-        require_workers(client)
+    with connected(options) as client:
         for function, some in ((make_scene, list(scenes.values())), (score, cases)):
             tasks = (Task(name=case.name, arguments=(bench, case)) for case in some)
-            for task, answer in drive(client, function, tasks):
-                if isinstance(answer, BaseException):
-                    sys.exit(f"{task.name}: {answer}")
+            for name, answer in drive(client, function, tasks):
+                if isinstance(answer, Failure):
+                    sys.exit(f"{name}: {answer.error}")
                 if answer is not None:
-                    found[task.name] = answer
+                    found[name] = answer
     for case in cases:
         yield found[case.name]
 

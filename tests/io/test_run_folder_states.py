@@ -10,7 +10,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from geraf2.apps.batch.folder import DONE, FAILED, JobPaths, JobResult
+from geraf2.apps.batch.engine import FAILED
+from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.run_folder import LOCK_NAME, RunFolder
@@ -33,7 +34,7 @@ class Folders(RuleBasedStateMachine):
         self.records = {}  # stage: key and content when it was done
         self.files = {}  # stage: content on the disk
         self.job = JobPaths(self.position / "batch", "k" * 16, "scene")
-        self.begins, self.result = 0, None
+        self.result = None
 
     def teardown(self):
         self.held.close()
@@ -93,16 +94,10 @@ class Folders(RuleBasedStateMachine):
         self._file(stage).unlink(missing_ok=True)
         self.files.pop(stage, None)
 
-    @rule(worker=st.sampled_from(["w1", "w2"]))
-    def begin_job(self, worker):
-        self.job.begin(worker)
-        self.begins += 1
-
     @rule(state=st.sampled_from([DONE, FAILED]))
     def finish_job(self, state):
         self.result = JobResult(key=self.job.key, scene="scene", preset="fast", state=state)
         self.job.write(self.result)
-        self.begins = 0
 
     @rule(cut=st.booleans())
     def lose_result(self, cut):
@@ -139,7 +134,6 @@ class Folders(RuleBasedStateMachine):
     @invariant()
     def a_job_is_in_the_state_of_its_last_whole_record(self):
         assert self.job.read() == self.result
-        assert len(self.job.begins()) == self.begins
 
 
 Folders.TestCase.settings = settings(

@@ -4,19 +4,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Arg
-from geraf2.apps.batch import BatchFolder, BatchRequest, run
-from geraf2.apps.batch.plan import Plan
+from geraf2._bounds import Arg, Sides
+from geraf2.apps.batch import BatchFolder, BatchOptions, read_jobs, run
+from geraf2.apps.batch.running import Plan
 from geraf2.cli._console import err, rows
 from geraf2.cli._fields import Positional
 from geraf2.cli.reconstruct import defaults
 from geraf2.pipeline.presets import BestPreset, PresetConfig
+from geraf2.pipeline.run_record import RunRecord
 
 __all__ = ["Config", "defaults", "main"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Config(BatchRequest):
+class Config(BatchOptions):
     """Reconstruct many scenes; run it again to continue where it stopped.
 
     For example: geraf2 batch scans/* out --box 0.22 0.22 0.22
@@ -26,14 +27,29 @@ class Config(BatchRequest):
     """Scene folders, patterns of them, CSV tables: scene, box, prior, truth, preset, settings."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for runs/, results/, batch.html and batch.csv."""
+    los: Path | None = None
+    """Outside of all boxes, as of `geraf2 reconstruct`. When not given, it is a scene's own
+    los.ply, or else found by radar."""
+    box: Sides | None = None
+    """Or the outer side lengths of all boxes [m]."""
+    preset: str = "best"
+    """As of `geraf2 reconstruct`, and so are its constants."""
+    config: Path | None = None
+    """config.toml of a run, for all settings but its scene; flags override it."""
+    list: bool = False
+    """List finished and remaining jobs with the remaining processor time, and stop."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
 
 
 def main(config: Config) -> int:
     """Run the command; exit code 2 if a scene failed."""
-    jobs = config.jobs(config.scenes, config.settings)
+    options = None if config.config is None else RunRecord.read(config.config).options
+    jobs = read_jobs(
+        config.scenes, los=config.los, box=config.box, config=config.settings, options=options
+    )
     if not config.list:
         run(jobs, config.out, on_result=lambda result: err.print(result.line), options=config)
     plan = Plan.of(jobs, BatchFolder(config.out), report=config.report)
-    rows(plan.listed() if config.list else plan.outcome())
+    page = ("page", str(config.out / "batch.html"))
+    rows(plan.listed() if config.list else [*plan.listed()[-1:], page])
     return 2 if plan.n_failed else 0

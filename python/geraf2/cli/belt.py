@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
-from geraf2.apps.belt.running import BeltOptions, run_belt
-from geraf2.apps.belt.store import PAGE_NAME, TABLE_NAME
+from geraf2.apps.belt.running import STEM, BeltOptions, run_belt
 from geraf2.cli._console import keep, rows, say
 from geraf2.cli._fields import Positional
 
@@ -21,7 +20,7 @@ class Config(BeltOptions):
     stream: Positional[Annotated[Path, Arg(metavar="STREAM")]]
     """Scene folder with belt.json, as of `geraf2 simulate` with [belt]; it may grow."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    """Folder for parcels/, runs/, parcels.csv, parcels.sqlite and parcels.html."""
+    """Folder for parcels/, runs/, results/, parcels.csv and parcels.html."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """As of `geraf2 reconstruct`."""
 
@@ -39,8 +38,8 @@ def main(config: Config) -> int:
                 f"{found.per_hour:.0f} an hour here; {found.cpu_seconds:.1f} CPU s each, "
                 f"{found.cores:.0f} cores for 6,000 an hour",
             ),
-            ("table", str(config.out / TABLE_NAME)),
-            ("page", str(config.out / PAGE_NAME)),
+            ("table", str(config.out / f"{STEM}.csv")),
+            ("page", str(config.out / f"{STEM}.html")),
         ]
     )
     return 2 if found.n_failed else 0

@@ -89,7 +89,7 @@ def _tiled(config: Config) -> TiledImage:
         from geraf2.apps.batch.options import BatchOptions  # noqa: PLC0415 - an extra
         from geraf2.apps.batch.tiles import slab_workers  # noqa: PLC0415 - as above
 
-        workers = slab_workers(BatchOptions(scheduler=config.scheduler), config.threads or 1)
+        workers = slab_workers(BatchOptions(scheduler=config.scheduler, threads=config.threads))
     with workers as run_slabs:
         made = image_tiles(
             config.scene,

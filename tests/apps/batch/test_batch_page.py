@@ -1,6 +1,5 @@
-"""The page of a batch in a real browser: rows, filter, order, trend, links, sizes."""
+"""The page of a batch in a real browser: rows, filter, order, links, sizes."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import unquote, urlparse
@@ -10,8 +9,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from geraf2.apps.batch.folder import MARKER_NAME, BatchFolder, JobResult
-from geraf2.apps.batch.page import write_pages
+from geraf2.apps.batch.folder import JobPaths, JobResult
+from geraf2.apps.batch.page import Pages
 from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
 
 pytestmark = pytest.mark.browser
@@ -33,11 +32,8 @@ def result(scene, **more):
 def page_url(tmp_path_factory):
     out = tmp_path_factory.mktemp("night")
     names = [f"box {n}" for n in range(1, 12)] + [LONG, "broken"]
-    jobs = {f"{name}/settings": f"{n:040x}" for n, name in enumerate(names)}
-    marker = {"format": "geraf2-batch", "version": 1, "jobs": jobs}
-    (out / MARKER_NAME).write_text(json.dumps(marker))
-    folder = BatchFolder(out)
-    for n, paths in enumerate(folder.all_paths()):
+    jobs = [JobPaths(out, f"{n:040x}", name) for n, name in enumerate(names)]
+    for n, paths in enumerate(jobs):
         done = result(paths.scene, numbers={"typical_error_mm": 0.1 * (n + 1)})
         if paths.scene == "broken":
             error = "the first plane holds numbers that are not finite: " + 20 * "really "
@@ -48,15 +44,8 @@ def page_url(tmp_path_factory):
             shade = np.full((288, 288), 20 * n, dtype=np.uint8)
             paths.picture.parent.mkdir(exist_ok=True)
             Image.fromarray(shade).save(paths.picture)
-        if n == 3:
-            models = [{"deviation": {"rms_m": 0.00042}}, {"deviation": None}]
-            inspection = {"verdict": "fail", "models": models}
-            (paths.run / "inspection.json").write_text(json.dumps(inspection))
-            (paths.run / "inspection.html").write_text("<!doctype html>")
-        if n == 4:
-            (paths.run / "inspection.json").write_text("[")  # as one that is being written
         paths.write(done)
-    write_pages(folder, {})
+    Pages(out, "a night").draw(jobs, {})
     return (out / "batch.html").as_uri()
 
 
@@ -70,38 +59,29 @@ def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, 
     assert page.trouble == []
     require_readable(page, size)
     assert serious_findings(page, axe) == []
-    cut = """[...document.querySelectorAll("#jobs td, #jobs th, .trend")].filter(e =>
+    cut = """[...document.querySelectorAll("#jobs td, #jobs th")].filter(e =>
       e.getClientRects().length && e.getBoundingClientRect().left > -9000 &&
       (e.getBoundingClientRect().right > innerWidth + 0.5 || e.scrollWidth > e.clientWidth + 1)
     ).map(e => e.textContent)"""
     assert page.evaluate(cut) == []
     links = page.locator("#jobs a[href]").evaluate_all("all => all.map(a => a.href)")
-    assert len(links) == 13
+    assert len(links) == 12
     for link in links:
         assert Path(url2pathname(unquote(urlparse(link).path))).exists()
     picture = page.locator("#jobs img").first.bounding_box()
     assert picture["width"] >= 144
 
 
-def test_rows_are_filtered_and_ordered_with_their_trend(open_page, page_url):
+def test_rows_are_filtered_and_ordered(open_page, page_url):
     page = open_page(page_url)
     assert shown(page)[0] == "broken"  # failed ones first
     assert len(shown(page)) == 13
-    assert page.locator("#trend a").count() == 13
     page.locator("#state").select_option("bad input")
     assert shown(page) == ["broken"]
     page.locator("#state").select_option("")
     page.get_by_role("searchbox").fill("box 1")
     assert shown(page) == ["box 1", "box 10", "box 11"]
-    text = page.locator("#trend-text")
-    assert text.inner_text() == (
-        "3 of 13 scenes. typical error [mm], scenes by name: 0.1 to 1.1, median 1."
-    )
-    bars = page.locator("#trend a")
-    heights = bars.evaluate_all("all => all.map(a => parseFloat(a.style.height))")
-    np.testing.assert_allclose(heights, [100 / 11, 1000 / 11, 100], atol=0.1)
-    page.locator("#number").select_option("time [s]")
-    assert "31.4 to 31.4" in text.inner_text()
+    assert page.locator("#shown").inner_text() == "3 of 13 scenes"
     page.get_by_role("searchbox").fill("")
     head = page.get_by_role("button", name="typical error [mm]")
     head.click()
@@ -110,11 +90,3 @@ def test_rows_are_filtered_and_ordered_with_their_trend(open_page, page_url):
     assert shown(page)[-1] == "broken"  # rows without the number stay last
     column = page.locator("#jobs th", has=head)
     assert column.get_attribute("aria-sort") == "descending"
-
-
-def test_an_inspection_has_its_columns(open_page, page_url):
-    page = open_page(page_url)
-    row = page.locator("#jobs tr", has=page.get_by_text("box 4", exact=True))
-    assert row.get_by_role("link", name="fail").get_attribute("href").endswith("inspection.html")
-    assert row.locator('[data-head="rms from CAD [mm]"]').inner_text() == "0.42"
-    assert page.get_by_text("did not pass").is_visible()

@@ -3,7 +3,6 @@
 import os
 import shutil
 import socket
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,11 +10,10 @@ import pytest
 
 import geraf2
 from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
+from geraf2.apps.batch.engine import state_of
 from geraf2.apps.batch.folder import JobPaths
-from geraf2.apps.batch.plan import Plan
 from geraf2.cli.main import main
 from geraf2.io.run_folder import LOCK_NAME
-from geraf2.io.toml import to_table
 from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
 from helpers.console import the_error
@@ -137,7 +135,9 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     out, one = BatchFolder(scans / "out"), read_jobs([scans / "one"], box=BOX)
 
     def claim(jobs):
-        out.keep(out.merged(Plan.of(jobs, out).jobs))
+        by_key = {job.key: job for job in jobs}
+        out.require_own(by_key)
+        out.add(by_key)
 
     claim(one)
     both = read_jobs([scans / "one", scans / "two"], box=BOX)
@@ -145,12 +145,8 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
     claim(one)  # a part of it
     assert [paths.scene for paths in out.all_paths()] == ["one", "two"]
     before = (scans / "out" / "batch.json").read_bytes()
-    for others in (
-        read_jobs([scans / "three"], box=BOX),
-        [replace(both[0], config=FastPreset())],
-    ):
-        with pytest.raises(geraf2.UserError, match="out: holds another batch"):
-            claim(others)
+    with pytest.raises(geraf2.UserError, match="out: holds scene 'one' with other settings"):
+        claim([replace(both[0], config=FastPreset())])
     assert (scans / "out" / "batch.json").read_bytes() == before
     # A scan that was mended is another one of the same batch.
     (scans / "one" / "scene.toml").write_text("mended")
@@ -162,16 +158,16 @@ def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsy
         assert "holds files but no batch" in error or "is a file" in error
 
 
-def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
+def test_a_key_follows_scene_prior_truth_and_settings(scans):
     (job,) = read_jobs([scans / "one"])
     assert job.key == read_jobs([scans / "one"])[0].key
     other = [
         replace(job, config=FastPreset()),
         replace(job, options=geraf2.RunOptions(seed=1)),
         replace(job, prior=replace(job.prior, los=None, box=BOX)),
+        replace(job, truth=None),
     ]
-    assert len({job.key, *(changed.key for changed in other)}) == 4
-    assert replace(job, truth=None).key == job.key  # of its scores alone
+    assert len({job.key, *(changed.key for changed in other)}) == 5
     before = job.key
     (scans / "one" / "los.ply").write_text("hsem, longer")
     after = job.key
@@ -180,55 +176,26 @@ def test_a_key_follows_scene_prior_settings_and_nothing_else(scans):
     assert job.key != after
 
 
-@pytest.fixture
-def in_place(monkeypatch):
-    """Jobs are done in this process, not in one that is lent."""
-
-    class Here:
-        def call(self, function, *arguments, **_):
-            return function(*arguments)
-
-        def tail(self):
-            return []
-
-    @contextmanager
-    def lent(_):
-        yield Here()
-
-    monkeypatch.setattr(work, "child", lent)
-    monkeypatch.setattr(work, "_worker", lambda: "here")
-
-
-def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans, in_place):
-    capture, _ = geraf2.examples.small_capture()
-    geraf2.save_capture(capture, scans / "two", overwrite=True)
-    plain = geraf2.RunOptions(calibrate="no")
+def test_a_run_that_another_process_writes_is_waited_for_until_its_host_is_gone(scans, monkeypatch):
+    geraf2.save_capture(geraf2.examples.small_capture()[0], scans / "two", overwrite=True)
     tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
-    (job,) = read_jobs([scans / "two"], box=tiny, options=plain)
+    (job,) = read_jobs([scans / "two"], box=tiny, options=geraf2.RunOptions(calibrate="no"))
     paths = JobPaths(scans / "out", job.key, "two")
-
-    def done():
-        return work.do_job(to_table(job), str(scans / "out"), job.key)["state"]
-
     paths.run.mkdir(parents=True)
-    lock = paths.run / LOCK_NAME
-    lock.write_text("1\nanother-host\n")
-    assert done() == "busy"
-    assert paths.read() is None
-    assert paths.begins() == []
-    os.utime(lock, (1.0, 1.0))
-    assert done() == "bad input"
-    assert not lock.exists()
-    # Killed before the run folder had its first record: only a file that was half written.
-    paths.result.unlink()
-    shutil.rmtree(paths.run)
-    paths.run.mkdir()
+    # What a process that was killed before its first record left, and the lock of another host.
     (paths.run / ".run-abcdefgh.tmp.json").write_text("{")
-    paths.begin("a worker that died")
-    assert done() == "bad input"
-    assert paths.read().attempts == 2
-    assert paths.begins() == []
-    assert "holds files" not in paths.read().error
+    lock, waited = paths.run / LOCK_NAME, []
+    lock.write_text("1\nanother-host\n")
+
+    def wait(seconds):
+        waited.append(seconds)
+        os.utime(lock, (1.0, 1.0))  # nobody touched it for long
+
+    monkeypatch.setattr(work.time, "sleep", wait)
+    with pytest.raises(geraf2.UserError, match="box"):
+        work.do_job(job, paths)
+    assert waited
+    assert not lock.exists()
 
 
 @pytest.mark.parametrize(
@@ -243,8 +210,8 @@ def test_a_run_that_another_process_writes_is_busy_until_its_host_is_gone(scans,
     ],
 )
 def test_errors_have_their_states(error, state):
-    assert work.state_of(error) == state
+    assert state_of(error) == state
     raised = geraf2.UserError("cannot be read")
     raised.__context__ = error  # as after `raise ... from None` within `except`
     is_repeated = state in ("out of memory", "lost files")
-    assert work.state_of(raised) == (state if is_repeated else "bad input")
+    assert state_of(raised) == (state if is_repeated else "bad input")

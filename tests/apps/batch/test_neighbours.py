@@ -15,7 +15,7 @@ import geraf2
 
 distributed = pytest.importorskip("distributed")
 
-from geraf2.apps.batch.child import child  # noqa: E402
+
 from geraf2.apps.batch.cluster import local_cluster  # noqa: E402
 from helpers.batch_tasks import square  # noqa: E402
 
@@ -71,12 +71,6 @@ def test_a_batch_runs_nothing_of_the_working_directory(trapped, small_scan):
     )
     assert done.returncode == 0, done.stderr
     assert list(Path("out").glob("runs/*/report.html"))
-    assert not trapped.exists(), trapped.read_text()
-
-
-def test_calls_in_processes_run_nothing_of_the_working_directory(trapped):
-    with child(1) as process:
-        assert process.call(os.getcwd) == str(trapped.parent / "scans")
     assert not trapped.exists(), trapped.read_text()
 
 

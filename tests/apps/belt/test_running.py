@@ -3,7 +3,6 @@
 import csv
 import os
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -11,7 +10,6 @@ import time
 import pytest
 
 from geraf2.apps.belt.running import BeltOptions, run_belt
-from geraf2.apps.belt.store import ParcelStore
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from helpers.belt_stream import stream_planes, write_stream
@@ -48,18 +46,17 @@ def test_each_parcel_is_a_row_and_a_good_one_a_run(done):
     _, out, outcome, lines = done
     assert (outcome.n_done, outcome.n_failed) == (1, 1)
     assert outcome.cores == pytest.approx(outcome.cpu_seconds * 6000 / 3600)
-    assert any("frames of array above are missing" in line for line in lines)
-    with sqlite3.connect(out / "parcels.sqlite") as one:
-        rows = one.execute("SELECT parcel, state, run, cpu_seconds FROM parcels").fetchall()
-    assert [row[:2] for row in rows] == [("parcel-00001", "bad input"), ("parcel-00002", "done")]
-    assert (out / rows[1][2] / "mesh_content.ply").is_file()
-    # The motion was estimated from whole arrays.
-    assert "positions" not in (out / rows[1][2] / "run.json").read_text()
-    assert rows[1][3] > 0.0
     with (out / "parcels.csv").open(newline="") as file:
-        table = list(csv.DictReader(file))
-    assert [row["parcel"] for row in table] == ["parcel-00001", "parcel-00002"]
-    assert float(table[1]["position_m"]) == pytest.approx(-0.6, abs=0.02)
+        bad, good = csv.DictReader(file)
+    assert (bad["scene"], bad["state"]) == ("parcel-00001", "bad input")
+    assert "frames of array above are missing" in bad["error"]
+    assert f"parcel-00001: bad input: {bad['error']}" in lines
+    assert (good["scene"], good["state"]) == ("parcel-00002", "done")
+    assert float(good["position_m"]) == pytest.approx(-0.6, abs=0.02)
+    assert abs(float(good["travel_percent"])) < 0.5
+    assert (out / good["run"] / "mesh_content.ply").is_file()
+    # The motion was estimated from whole arrays.
+    assert "positions" not in (out / good["run"] / "run.json").read_text()
     page = (out / "parcels.html").read_text()
     assert "geraf2 belt" in page
     assert "the latest first" in page
@@ -88,7 +85,7 @@ def test_a_command_that_is_killed_continues_to_the_same_bytes(done, tmp_path):
 @pytest.mark.slow
 def test_other_settings_of_one_folder_are_refused(done):
     stream, out, *_ = done
-    with pytest.raises(UserError, match="holds another batch"):
+    with pytest.raises(UserError, match="of another stream or of other settings"):
         run_belt(stream, out, "best", options=BeltOptions(workers=1, idle_s=2.0, threads=1))
 
 
@@ -106,42 +103,3 @@ def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
     assert "holds files" in error
     assert "\n" not in error
     assert (tmp_path / "out" / "mine.txt").read_text() == "kept"
-
-
-def test_rows_keep_what_was_known(tmp_path):
-    store = ParcelStore(tmp_path)
-    store.put("parcel-00002", {"length_m": 0.2})
-    store.put("parcel-00001", {"length_m": 0.3})
-    store.put("parcel-00002", {"state": "done", "attempts": 2})
-    rows = ParcelStore(tmp_path).rows()
-    assert [(r["parcel"], r["length_m"], r["state"], r["attempts"]) for r in rows] == [
-        ("parcel-00001", 0.3, None, None),
-        ("parcel-00002", 0.2, "done", 2),
-    ]
-    head, _, second = (tmp_path / "parcels.csv").read_text().splitlines()
-    assert head.startswith("parcel,position_m,length_m,state")
-    assert second.startswith("parcel-00002,,0.2,done")
-
-
-def test_a_result_is_one_more_line_and_a_torn_line_is_mended(tmp_path):
-    table = tmp_path / "parcels.csv"
-    store = ParcelStore(tmp_path)
-    store.put("parcel-00002", {"state": "done"})
-    before = table.read_bytes()
-    store.put("parcel-00001", {"length_m": 0.3})
-    assert table.read_bytes() == before
-    store.put("parcel-00001", {"state": "failed", "error": "cut, at the end"})
-    after = table.read_bytes()
-    assert after.startswith(before)
-    assert after[len(before) :].decode() == 'parcel-00001,,0.3,failed,,,,,,,,,"cut, at the end",\n'
-    table.write_bytes(after[:-5])  # killed while it wrote
-    ParcelStore(tmp_path)
-    with table.open(newline="") as file:
-        rows = [(row["parcel"], row["error"]) for row in csv.DictReader(file)]
-    assert rows == [("parcel-00001", "cut, at the end"), ("parcel-00002", "")]
-
-
-def test_a_file_that_is_no_table_is_refused(tmp_path):
-    (tmp_path / "parcels.sqlite").write_text("no table of anything, but long enough to be read")
-    with pytest.raises(UserError, match="no table of parcels"):
-        ParcelStore(tmp_path)

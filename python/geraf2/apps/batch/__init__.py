@@ -13,14 +13,13 @@ True
 
 from geraf2.apps.batch.folder import BatchFolder, JobResult
 from geraf2.apps.batch.jobs import BatchJob, read_jobs
-from geraf2.apps.batch.options import BatchOptions, BatchRequest
+from geraf2.apps.batch.options import BatchOptions
 from geraf2.apps.batch.running import run
 
 __all__ = [
     "BatchFolder",
     "BatchJob",
     "BatchOptions",
-    "BatchRequest",
     "JobResult",
     "read_jobs",
     "run",

@@ -1,9 +1,8 @@
-"""Workers of this machine or of a running scheduler, and checks of their version and memory."""
+"""Workers of this machine or of a running scheduler."""
 
 import asyncio
 import logging
-import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -16,18 +15,40 @@ from geraf2.errors import UserError
 from geraf2.pipeline.estimates import n_threads
 
 if TYPE_CHECKING:
-    from distributed import Client
+    from distributed import Client, LocalCluster
 
 _CONNECT_S = 10.0
 _WORKERS_S = 60.0
 """Time to wait for the first worker [s]: a queue may start them later."""
+_REPAIR_S = 2.0
+# Besides security, these reduce dask's own monitoring, up to a hundred calls a second: overhead
+# falls from 5.3 % to 1.5 % of two cores.
+_SETTINGS = {
+    # One running task for each thread of a worker: its death blames no other task.
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "10s",
+    "distributed.scheduler.work-stealing-interval": "1s",
+    # Pages of dask have no password.
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.nanny.pre-spawn-environ": {
+        "OMP_NUM_THREADS": 1,  # kernels are told their number
+        "OPENBLAS_NUM_THREADS": 1,
+        "OMP_WAIT_POLICY": "PASSIVE",  # as on the command line
+        "PYTHONSAFEPATH": 1,  # modules of the working directory are not imported
+    },
+}
 
 
 @contextmanager
-def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
+def connected(options: BatchOptions, memory_bytes: float = 0.0) -> Iterator["Client"]:
     """Yield a client of the given scheduler, or of processes of this machine.
 
     memory_bytes: of the largest job; limits the default number of processes.
+
+    Raises UserError where no scheduler answers, or a worker has not the same geraf2.
     """
     try:
         import cryptography  # noqa: F401, PLC0415 - an extra, for the certificates
@@ -48,15 +69,17 @@ def connected(options: BatchOptions, memory_bytes: float) -> Iterator["Client"]:
                 what=f"no dask scheduler answers: {error}", where=options.scheduler
             ) from None
         with client:
+            require_workers(client)
             yield client
         return
     free = available_memory_bytes() or float("inf")
     fitting = max(1, min(n_threads(), int(free // max(memory_bytes, 1.0))))
     n_workers = options.workers or fitting
     with (
-        local_cluster(n_workers, free / n_workers) as cluster,
+        local_cluster(n_workers, free / n_workers, options.retries) as cluster,
         distributed.Client(cluster) as client,
     ):
+        require_workers(client)
         yield client
 
 
@@ -70,33 +93,25 @@ async def _answer_of(address: str) -> None:
 
 
 @contextmanager
-def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
+def local_cluster(
+    n_workers: int, memory_bytes: float, retries: int = 2
+) -> Iterator["LocalCluster"]:
     """Yield a cluster of single-threaded processes of this machine that declare memory.
+
+    retries: of a task whose worker died.
 
     A scheduler executes what it is sent: certificates of this cluster keep other users of the
     machine out.
     """
     import dask  # noqa: PLC0415 - an extra
     from distributed import LocalCluster, Security  # noqa: PLC0415 - as above
+    from tornado.ioloop import PeriodicCallback  # noqa: PLC0415 - of distributed
 
-    # A lost worker fails its tasks at once: the batch decides which of them caused it, since a
-    # scheduler blames all tasks of that worker. The other settings reduce dask's own monitoring, up
-    # to a hundred calls a second: overhead falls from 5.3 % to 1.5 % of two cores.
-    settings = {
-        "distributed.scheduler.allowed-failures": 0,
-        "distributed.worker.profile.enabled": False,
-        "distributed.admin.tick.interval": "1s",
-        "distributed.admin.system-monitor.interval": "10s",
-        "distributed.scheduler.work-stealing-interval": "1s",
-        # Pages of dask have no password.
-        "distributed.scheduler.http.routes": [],
-        "distributed.worker.http.routes": [],
-    }
-    os.environ["PYTHONSAFEPATH"] = "1"  # modules of the working directory are not imported
+    failures = {"distributed.scheduler.allowed-failures": retries}
     with (
         # dask imports modules of its scratch folder, which by default all users share
         TemporaryDirectory(prefix="geraf2-", ignore_cleanup_errors=True) as scratch,
-        dask.config.set(settings | {"temporary-directory": scratch}),
+        dask.config.set(_SETTINGS | failures | {"temporary-directory": scratch}),
         LocalCluster(
             n_workers=n_workers,
             threads_per_worker=1,
@@ -104,26 +119,40 @@ def local_cluster(n_workers: int, memory_bytes: float) -> Iterator[object]:
             dashboard_address=None,
             # None alone leaves a server on dask's default port, on all interfaces
             scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,  # dask measures the worker, not the processes of its jobs
+            memory_limit=0,  # the machine's memory is shared by jobs of different sizes
             silence_logs=logging.CRITICAL,
             resources={MEMORY_RESOURCE: memory_bytes},
             security=Security.temporary(),
         ) as cluster,
     ):
-        yield cluster
+        repairs = PeriodicCallback(lambda: _repair(cluster), 1e3 * _REPAIR_S)
+        cluster.loop.add_callback(repairs.start)
+        try:
+            yield cluster
+        finally:
+            cluster.loop.add_callback(repairs.stop)
+
+
+def _repair(cluster: "LocalCluster") -> None:
+    """Start a process again that died during its start: its nanny has given up."""
+    from distributed import Status  # noqa: PLC0415 - an extra
+
+    gone = (Status.closed, Status.failed)
+    for name in [n for n, worker in cluster.workers.items() if worker.status in gone]:
+        del cluster.workers[name]
+    cluster.scale(len(cluster.worker_spec))
 
 
 def require_workers(client: "Client") -> None:
-    """Wait for a worker; UserError for one without the same version of geraf2."""
+    """Wait for a worker; UserError for one of several threads, or without the same geraf2."""
+    where = client.scheduler.address
     try:
         client.wait_for_workers(1, timeout=_WORKERS_S)
     except TimeoutError:
-        raise UserError(
-            what="the dask scheduler has no workers",
-            where=client.scheduler.address,
-            hint="start some with 'dask worker'",
-        ) from None
-    for worker, version in client.run(_version_function()).items():
+        hint = "start some with 'dask worker'"
+        raise UserError(what="the dask scheduler has no workers", where=where, hint=hint) from None
+    for worker, known in client.get_versions(packages=["geraf2"])["workers"].items():
+        version = known["packages"].get("geraf2")
         if version != __version__:
             raise UserError(
                 what="has no geraf2" if version is None else "has another geraf2",
@@ -131,53 +160,8 @@ def require_workers(client: "Client") -> None:
                 expected=__version__,
                 got=version or "none",
             )
-
-
-def _version_function() -> Callable[[], str | None]:
-    # A nested function is sent by value, so that workers without geraf2 can run it.
-    def version() -> str | None:
-        try:
-            import geraf2  # noqa: PLC0415
-        except ImportError:
-            return None
-        return geraf2.__version__
-
-    return version
-
-
-def tend(client: "Client") -> None:
-    """Replace failed processes of this machine.
-
-    A nanny restarts a process that dies, but not one that dies during its start.
-    """
-    from distributed import LocalCluster, Status  # noqa: PLC0415 - an extra
-
-    cluster = client.cluster
-    if isinstance(cluster, LocalCluster):
-        gone = (Status.closed, Status.failed)
-        for name in [n for n, worker in cluster.workers.items() if worker.status in gone]:
-            del cluster.workers[name]
-        cluster.scale(len(cluster.worker_spec))
-
-
-def require_memory(client: "Client", n_bytes: float, *, where: object, hint: str) -> None:
-    """Raise UserError for a task that exceeds the memory of every worker."""
-    most, _ = worker_memory(client)
-    if most is not None and n_bytes > most:
-        raise UserError(
-            what="no worker has enough memory",
-            where=where,
-            expected=f"about {n_bytes / 2**30:.1f} GiB",
-            got=f"{most / 2**30:.1f} GiB on the largest worker",
-            hint=hint,
-        )
-
-
-def worker_memory(client: "Client") -> tuple[float | None, bool]:
-    """Memory of the largest worker [bytes] or None, and whether it is declared as a resource."""
-    # client.scheduler_info() may hold no workers: the client updates it without them.
-    workers = client.sync(client.scheduler.identity, n_workers=-1)["workers"].values()
-    declared = [float(w.get("resources", {}).get(MEMORY_RESOURCE, 0.0)) for w in workers]
-    limits = [float(w.get("memory_limit") or 0.0) for w in workers]
-    most = max(declared, default=0.0) or max(limits, default=0.0)
-    return most or None, any(declared)
+    for worker, n in client.nthreads().items():
+        if n > 1:
+            hint = "start it with 'dask worker --nworkers N --nthreads 1'"
+            what = f"does {n} jobs in one process, which may disturb each other"
+            raise UserError(what=what, where=f"worker {worker}", hint=hint)

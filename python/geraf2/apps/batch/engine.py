@@ -1,134 +1,194 @@
-"""Execution of tasks on the workers of dask.distributed, a few for each worker at a time.
+"""Tasks on the workers of dask.distributed.
 
-Results of tasks are small. Tasks are created when workers have room and released when done, so that
-the memory of a client does not grow with their number.
+A worker does one task at a time and reports errors by their kind. dask repeats a task whose files
+or memory were not available, and one whose worker died; other errors would come again.
 """
 
-import time
-import uuid
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from geraf2 import __version__
 from geraf2.errors import UserError
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-WINDOW = 4
-"""Short tasks submitted for each thread of a worker, so that no thread waits."""
 MEMORY_RESOURCE = "MEMORY"
-"""Bytes that a worker may use, by `dask worker --resources MEMORY=...`."""
+"""Bytes that a worker may use, as in `dask worker --resources MEMORY=...`."""
+BAD_INPUT, FAILED, KILLED, LOST, MEMORY = (
+    *("bad input", "failed", "killed"),
+    *("lost files", "out of memory"),
+)
 _CHECK_S = 2.0
-"""Time between two checks of the workers [s]."""
-_POLL_S = (0.001, 0.2)
-"""Shortest and longest time between two polls for an answer [s]; doubled each time."""
+"""Time between two looks for new workers [s]."""
+_N_TAIL = 20
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One call of a function; its arguments are plain values, no arrays."""
+    """One call of a function; its arguments are small."""
 
     name: str
     arguments: tuple[Any, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
     memory_bytes: float = 0.0
-    attempt: int = 1
-    losses: int = 0
-    """Number of workers that died with the task."""
-    rest_s: float = 0.0
-    """Delay before a repeated task is submitted [s]."""
 
 
-Answer = Any
-"""Result of a task, or the exception raised by it or by the loss of its worker."""
+_END = Task(name="")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """Why a task has no result."""
+
+    state: str
+    """bad input, failed, killed, lost files, or out of memory."""
+    error: str
+    """One line."""
+    log_tail: tuple[str, ...] = ()
+    """End of the traceback of a defect."""
+
+
+class RepeatError(Exception):
+    """Tells dask to repeat a task; its argument is the Failure."""
 
 
 def drive(
     client: "Client",
     function: Callable[..., Any],
-    tasks: Iterable[Task],
-    again: Callable[[Task, Answer], Task | None] = lambda task, answer: None,
+    tasks: Iterable[Task | None],
     *,
-    per_thread: int = WINDOW,
-    declare_memory: bool = False,
-    tend: Callable[[], None] = lambda: None,
-) -> Iterator[tuple[Task, Answer]]:
-    """Yield tasks and their answers as they end.
+    retries: int = 0,
+) -> Iterator[tuple[str, Any]]:
+    """Yield the name of each task, and its result or Failure, as they end.
 
-    again: a task to be submitted after this answer instead of yielding it; None to yield it.
-    per_thread: tasks submitted for each thread of a worker. One where tasks take minutes: waiting
-        tasks do not move to idle workers.
-    declare_memory: limit tasks by the memory that workers declare.
-    tend: called regularly, to maintain the workers.
+    tasks: may yield None where there is none at present.
+    retries: of a task after lost files or lack of memory.
 
-    Raises UserError where the scheduler is lost.
+    Each thread of a worker has one task, so that dask blames no other task for the death of a
+    worker, and the client's memory does not grow with their number. Raises UserError where the
+    scheduler is lost.
     """
-    from distributed.client import (  # noqa: PLC0415 - an extra
-        FutureCancelledError,
-        as_completed,
-    )
+    from distributed import wait  # noqa: PLC0415 - an extra
+    from distributed.client import FutureCancelledError  # noqa: PLC0415 - as above
     from distributed.comm import CommClosedError  # noqa: PLC0415 - as above
 
-    waiting, resting, running = iter(tasks), deque[tuple[float, Task]](), dict["Future", Task]()
-    done, room, checked_s, has_more = as_completed(), per_thread, -_CHECK_S, True
-    poll_s = _POLL_S[0]
-
+    waiting, running, has_more = iter(tasks), dict["Future", str](), True
+    declared = declared_bytes(client)
     try:
-        while has_more or running or resting:
-            if time.monotonic() - checked_s > _CHECK_S:
-                tend()
-                n_threads = max(1, sum(client.nthreads().values()))
-                room, checked_s = per_thread * n_threads, time.monotonic()
-            while len(running) < room:
-                is_rested = resting and resting[0][0] <= time.monotonic()
-                task = resting.popleft()[1] if is_rested else next(waiting, None)
-                has_more = task is not None
-                if task is None:
+        while has_more or running:
+            room = max(1, sum(client.nthreads().values()))
+            while has_more and len(running) < room:
+                task = next(waiting, _END)
+                has_more = task is not _END
+                if task is None or task is _END:
                     break
-                future = _submit(client, function, task, declare_memory=declare_memory)
-                running[future] = task
-                done.add(future)
-            if not done.has_ready():
-                time.sleep(poll_s)
-                poll_s = min(2.0 * poll_s, _POLL_S[1])
+                if declared and task.memory_bytes > declared:
+                    yield task.name, _too_large(task.memory_bytes, declared)
+                    continue
+                running[_submit(client, function, task, retries, declared)] = task.name
+            if not running:
                 continue
-            poll_s = _POLL_S[0]
-            future = next(done)
-            task, answer = running.pop(future), _answer(future)
-            repeated = again(task, answer)
-            if repeated is None:
-                yield task, answer
-            else:
-                resting.append((time.monotonic() + repeated.rest_s, repeated))
-    except (CommClosedError, FutureCancelledError, TimeoutError):  # cancelled while it is read
-        raise _lost() from None
+            with suppress(TimeoutError):
+                wait(list(running), timeout=_CHECK_S, return_when="FIRST_COMPLETED")
+            for future in [future for future in running if future.done()]:
+                yield running.pop(future), _answer(future)
+    except (CommClosedError, FutureCancelledError):
+        hint = "finished work is kept, the same command continues"
+        raise UserError(what="the scheduler was lost", hint=hint) from None
     finally:
         if client.status == "running":
             client.cancel(list(running))
 
 
+def declared_bytes(client: "Client") -> float:
+    """Memory that the largest worker declares as a resource; 0 where none does [bytes]."""
+    # client.scheduler_info() may hold no workers: the client updates it without them.
+    workers = client.sync(client.scheduler.identity, n_workers=-1)["workers"].values()
+    found = [float(w.get("resources", {}).get(MEMORY_RESOURCE, 0.0)) for w in workers]
+    return max(found, default=0.0)
+
+
+def _too_large(n_bytes: float, declared: float) -> Failure:
+    error = UserError(
+        what="no worker has enough memory",
+        expected=f"about {n_bytes / 2**30:.1f} GiB",
+        got=f"{declared / 2**30:.1f} GiB on the largest worker",
+        hint="take fewer --workers, larger ones, or a smaller --slab-gib of an image",
+    )
+    return Failure(state=MEMORY, error=str(error))
+
+
 def _submit(
-    client: "Client", function: Callable[..., Any], task: Task, *, declare_memory: bool
+    client: "Client", function: Callable[..., Any], task: Task, retries: int, declared: float
 ) -> "Future":
     return client.submit(
+        attempt,
         function,
+        __version__,
         *task.arguments,
-        **task.options,
-        key=f"{task.name}-{uuid.uuid4().hex}",
         pure=False,
-        resources={MEMORY_RESOURCE: task.memory_bytes} if declare_memory else None,
+        retries=retries,
+        resources={MEMORY_RESOURCE: task.memory_bytes} if declared else None,
     )
 
 
-def _answer(future: "Future") -> Answer:
-    if future.status == "cancelled":
-        raise _lost()
+def attempt(function: Callable[..., Any], version: str, *arguments: Any) -> Any:
+    """Call a function on a worker; its result, a Failure, or RepeatError.
+
+    version: of the client's geraf2; workers that came later may have another one.
+    """
+    if version != __version__:
+        error = f"the worker has geraf2 {__version__}, the client {version}"
+        return Failure(state=FAILED, error=error)
+    try:
+        return function(*arguments)
+    except Exception as error:
+        failure = _failure_of(error)
+        if failure.state in (LOST, MEMORY):
+            raise RepeatError(failure) from None
+        return failure
+
+
+def _answer(future: "Future") -> Any:
+    from distributed import KilledWorker  # noqa: PLC0415 - an extra
+
     error = future.exception()
-    return future.result() if error is None else error
+    if error is None:
+        return future.result()
+    if isinstance(error, RepeatError):
+        return error.args[0]
+    if isinstance(error, KilledWorker):
+        n_died = error.allowed_failures + 1
+        return Failure(state=KILLED, error=f"its worker died {n_died} times while it ran")
+    return _failure_of(error)
 
 
-def _lost() -> UserError:
-    hint = "finished work is kept, the same command continues"
-    return UserError(what="the scheduler was lost", hint=hint)
+def _failure_of(error: BaseException) -> Failure:
+    state, line = state_of(error), " ".join(str(error).split())
+    if state != FAILED:
+        return Failure(state=state, error=line or type(error).__name__)
+    tail = "".join(traceback.format_exception(error)).splitlines()[-_N_TAIL:]
+    line = f"internal error: {type(error).__name__}: {line}"
+    return Failure(state=FAILED, error=line, log_tail=tuple(tail))
+
+
+def state_of(error: BaseException) -> str:
+    """State of a task that raised an exception."""
+    causes = list(_causes(error))
+    if any(isinstance(e, MemoryError) or "can't allocate memory" in str(e) for e in causes):
+        return MEMORY
+    # Parsers may raise OSError, too; system errors have a number.
+    if any(isinstance(e, OSError) and e.errno is not None for e in causes):
+        return LOST
+    if any(type(e).__module__.startswith("obstore") for e in causes):  # read by zarr itself
+        return LOST
+    return BAD_INPUT if isinstance(error, UserError) else FAILED
+
+
+def _causes(error: BaseException | None) -> Iterator[BaseException]:
+    while error is not None:
+        yield error
+        error = error.__cause__ or error.__context__

@@ -34,7 +34,7 @@ from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
 
 # Increased when the same job gives another record.
-_RESULT_VERSION = 1
+_RESULT_VERSION = 2
 COLUMNS = ("scene", "box", "prior", "truth", "preset", "settings")
 """Columns of a table of scans; only the first is required."""
 
@@ -73,7 +73,7 @@ class BatchJob:
 
     @property
     def key(self) -> str:
-        """Hash of all inputs of the run: scene, prior, settings, versions of the stages.
+        """Hash of all inputs: scene, prior, truth, settings, versions of the stages.
 
         Files are identified by name, size and modification time: reading all samples would take
         longer than submitting the jobs. The run folder identifies its scene by content.
@@ -83,6 +83,7 @@ class BatchJob:
             version=_RESULT_VERSION,
             scene=[self.scene.name, fingerprint(self.scene)],
             prior=[prior, None if self.prior.los is None else fingerprint(self.prior.los)],
+            truth=None if self.truth is None else fingerprint(self.truth),
             settings=self.settings,
             stages=versions_of(self.config),
         )

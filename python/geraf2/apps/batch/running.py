@@ -1,47 +1,78 @@
 """Run of a batch: remaining jobs go to the workers, which write the results."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geraf2 import __version__
-from geraf2.apps.batch.cluster import (
-    connected,
-    require_memory,
-    require_workers,
-    tend,
-    worker_memory,
-)
-from geraf2.apps.batch.engine import Answer, Task, drive
-from geraf2.apps.batch.folder import (
-    BUSY,
-    FAILED,
-    KILLED,
-    TRIED_AGAIN,
-    BatchFolder,
-    JobPaths,
-    JobResult,
-    asked_of,
-)
+from geraf2.apps.batch.cluster import connected, require_workers
+from geraf2.apps.batch.engine import Failure, Task, drive
+from geraf2.apps.batch.folder import DONE, BatchFolder, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob, distinct
 from geraf2.apps.batch.options import BatchOptions
-from geraf2.apps.batch.plan import Plan
-from geraf2.apps.batch.work import do_job, state_of
-from geraf2.errors import UserError
-from geraf2.io.toml import to_table
+from geraf2.apps.batch.page import Pages
+from geraf2.apps.batch.work import do_job, is_answer
 from geraf2.pipeline.estimates import n_threads
 
 if TYPE_CHECKING:
     from distributed import Client
 
-# Share of the time of a running batch that is spent on its page.
-_PAGE_SHARE = 0.02
-_BUSY_S = 2.0
-# Most losses of a waiting task, which is lost with each worker where it waits: beyond that the
-# cluster is broken. Jobs wait in larger numbers than the tasks of `if_lost`.
-_MAX_LOSSES, MAX_LOSSES = 50, 10
+
+@dataclass(frozen=True)
+class Plan:
+    """Jobs of a batch and their results, by key."""
+
+    folder: BatchFolder
+    jobs: dict[str, BatchJob]
+    """In the order of the request."""
+    known: dict[str, JobResult]
+    """Results, also of failed jobs that would be repeated."""
+    remaining: dict[str, BatchJob]
+
+    @classmethod
+    def of(cls, jobs: Iterable[BatchJob], folder: BatchFolder, *, report: bool = False) -> "Plan":
+        """Plan of some jobs with their results in a folder."""
+        by_key = {job.key: job for job in jobs}
+        paths = {key: folder.paths(key, job) for key, job in by_key.items()}
+        read = {key: own.read() for key, own in paths.items()}
+        known = {key: result for key, result in read.items() if result is not None}
+        remaining = {
+            key: job
+            for key, job in by_key.items()
+            if key not in known or not is_answer(known[key], paths[key], report=report)
+        }
+        return cls(folder, by_key, known, remaining)
+
+    @property
+    def n_failed(self) -> int:
+        """Number of failed jobs."""
+        return sum(result.state != DONE for result in self.known.values())
+
+    def listed(self) -> list[tuple[str, str]]:
+        """Lines of `--list`: state of each scene, and totals with the remaining time."""
+        lines = []
+        for key, job in self.jobs.items():
+            _, _, state = (self.known[key].line if key in self.known else "").partition(": ")
+            lines.append((job.scene.name, state or "to do"))
+        n_done = sum(result.state == DONE for result in self.known.values())
+        text = f"{len(self.jobs)} scenes, {n_done} done, {self.n_failed} failed"
+        if self.remaining:
+            minutes = self._seconds_remaining() / 60.0
+            text += f", {len(self.remaining)} to do in about {minutes:.1f} CPU minutes"
+        return [*lines, ("all", text)]
+
+    def _seconds_remaining(self) -> float:
+        """Processor time of the remaining jobs: mean of finished ones, else by size [s]."""
+        spent: dict[str, list[float]] = {}
+        for result in self.known.values():
+            if result.state == DONE:
+                spent.setdefault(result.preset, []).append(result.cpu_seconds)
+        total = 0.0
+        for job in self.remaining.values():
+            own, estimate = spent.get(job.config.preset), job.estimate
+            total += sum(own) / len(own) if own else estimate.seconds if estimate else 0.0
+        return total
 
 
 def run(
@@ -51,15 +82,13 @@ def run(
     on_result: Callable[[JobResult], None] = lambda result: None,
     *,
     options: BatchOptions | None = None,
-    is_part: bool = False,
 ) -> list[JobResult]:
     """Do all jobs that are not done yet, and write batch.html and batch.csv.
 
     jobs: of distinct scenes. out: folder of the batch, on a disk shared by all workers.
     client: of a dask scheduler; None: processes of this machine, or options.scheduler.
     on_result: called with each result, first with those of earlier runs.
-    options: workers, retries, time limit. is_part: of a batch that grows; results of other jobs are
-    not read, and no page is written.
+    options: workers and retries.
 
     Returns the results in the order of the jobs. A failed job is a result, no error. Raises
     UserError before any work for unusable jobs, folder or workers.
@@ -67,132 +96,68 @@ def run(
     options = options or BatchOptions()
     resolved = distinct(job.resolved() for job in jobs)
     plan = Plan.of(resolved, BatchFolder(out), report=options.report)
-    entries, remaining = plan.folder.merged(plan.jobs, is_part=is_part), plan.remaining()
+    plan.folder.require_own(plan.jobs)
+    sizes = {key: _memory_bytes(job) for key, job in plan.remaining.items()}
     connection: AbstractContextManager[Client | None] = nullcontext(client)
-    if remaining and client is None:
-        connection = connected(options, max(map(_memory_bytes, remaining.values())))
+    if sizes and client is None:
+        connection = connected(options, max(sizes.values()))
     with connection as one:
-        results: Iterator[JobResult] = iter(())
-        if remaining and one is not None:
+        if sizes and one is not None:
             require_workers(one)
-            largest = max(remaining.values(), key=_memory_bytes)
-            hint = "take fewer --workers, or larger ones"
-            require_memory(one, _memory_bytes(largest), where=largest.scene, hint=hint)
-            results = _results(one, plan, options, is_local=client is None)
-        plan.folder.keep(entries)
-        for result in plan.known.values():
-            on_result(result)
+        plan.folder.add(plan.jobs)
+        for key in (key for key in plan.jobs if key not in sizes):
+            on_result(plan.known[key])
+        pages = Pages(plan.folder.out, f"geraf2 batch {plan.folder.out.name}")
         try:
-            for result in results:
-                plan.known[result.key] = result
-                on_result(result)
-                if not is_part:
-                    plan.draw(_PAGE_SHARE)
+            if sizes and one is not None:
+                threads = threads_of(one, options)
+                tasks = (
+                    Task(
+                        name=key,
+                        arguments=(job, plan.folder.paths(key, job), threads, options.report),
+                        memory_bytes=sizes[key],
+                    )
+                    for key, job in plan.remaining.items()
+                )
+                for key, answer in drive(one, do_job, tasks, retries=options.retries):
+                    job = plan.jobs[key]
+                    result = record_answer(answer, plan.folder.paths(key, job), job.config.preset)
+                    plan.known[key] = result
+                    on_result(result)
+                    pages.draw_sometimes(plan.folder.all_paths, plan.known)
         finally:
-            if not is_part:
-                plan.draw()
+            pages.draw(plan.folder.all_paths(), plan.known)
     return [plan.known[key] for key in plan.jobs]
 
 
-def _results(
-    client: "Client", plan: Plan, options: BatchOptions, *, is_local: bool
-) -> Iterator[JobResult]:
-    """Yield the results of the remaining jobs."""
-    remaining, is_declared = plan.remaining(), worker_memory(client)[1]
-    num_threads = options.threads or 1
-    if options.threads is None and is_local and options.scheduler is None:
-        num_threads = max(1, n_threads() // max(1, len(client.nthreads())))
-    settings = {
-        "num_threads": num_threads,
-        "timeout_s": options.timeout_s,
-        "report": options.report,
-        "version": __version__,
-    }
-
-    def tasks() -> Iterator[Task]:
-        for key, job in remaining.items():
-            plan.paths(key).forget_begins()  # of an earlier client
-            yield Task(
-                name=key,
-                arguments=(to_table(job), str(plan.folder.out), key),
-                options={**settings, "attempt": 1},
-                memory_bytes=_memory_bytes(job),
-            )
-
-    def again(task: Task, answer: Answer) -> Task | None:
-        return _again(task, answer, plan.paths(task.name), options.retries)
-
-    answers = drive(
-        client,
-        do_job,
-        tasks(),
-        again,
-        declare_memory=is_declared,
-        tend=lambda: tend(client),
-    )
-    for task, answer in answers:
-        yield _result(plan.paths(task.name), remaining[task.name], task, answer)
+def threads_of(client: "Client", options: BatchOptions) -> int:
+    """Threads of each job: as asked for, else the share of a process of this machine."""
+    if options.threads is not None:
+        return options.threads
+    is_local = client.cluster is not None
+    return max(1, n_threads() // max(1, len(client.nthreads()))) if is_local else 1
 
 
-def _again(task: Task, answer: Answer, paths: JobPaths, retries: int) -> Task | None:
-    """Task to be repeated after an answer; None where that would not help."""
-    if isinstance(answer, dict) and answer["state"] == BUSY:
-        return replace(task, rest_s=_BUSY_S)
-    if is_killed(answer):
-        # Its worker died, possibly by another task: the number of starts decides.
-        if len(paths.begins()) > retries or task.losses >= _MAX_LOSSES:
-            return None
-        return replace(task, losses=task.losses + 1, rest_s=0.0)
-    if task.attempt > retries or _state(answer) not in TRIED_AGAIN:
-        return None
-    n = task.attempt + 1
-    return replace(task, attempt=n, options={**task.options, "attempt": n}, rest_s=0.0)
-
-
-def _result(paths: JobPaths, job: BatchJob, task: Task, answer: Answer) -> JobResult:
-    """Record of a finished job, written here where its worker could not."""
-    found = paths.read()
-    if isinstance(answer, dict) and found is not None and found.state == answer["state"]:
-        return found
-    begins = paths.begins()
-    line = answer["error"] if isinstance(answer, dict) else " ".join(str(answer).split())
-    if is_killed(answer):
-        line = f"its worker died {len(begins)} times while it ran"
+def record_answer(
+    answer: JobResult | Failure,
+    paths: JobPaths,
+    preset: str,
+    numbers: Mapping[str, float] | None = None,
+) -> JobResult:
+    """Return the result of a job; that of a failure is written here."""
+    if isinstance(answer, JobResult):
+        return answer
     result = JobResult(
         key=paths.key,
         scene=paths.scene,
-        preset=job.config.preset,
-        state=_state(answer),
-        asked=asked_of(job),
-        error=line,
-        attempts=max(task.attempt, len(begins)),
-        worker=begins[-1] if begins else "",
+        preset=preset,
+        state=answer.state,
+        error=answer.error,
+        numbers=dict(numbers or {}),
+        log_tail=answer.log_tail,
     )
-    if not isinstance(answer, dict):  # else the worker has written it, not yet visible here
-        paths.write(result)
+    paths.write(result)
     return result
-
-
-def _state(answer: Answer) -> str:
-    if isinstance(answer, dict):
-        return str(answer["state"])
-    if is_killed(answer):
-        return KILLED
-    return state_of(answer) if isinstance(answer, (OSError, UserError)) else FAILED
-
-
-def is_killed(answer: Answer) -> bool:
-    """Whether a task was lost with its worker."""
-    from distributed import KilledWorker  # noqa: PLC0415 - an extra
-
-    return isinstance(answer, KilledWorker)
-
-
-def if_lost(task: Task, answer: Answer) -> Task | None:
-    """Return a task lost with its worker for repetition, at most MAX_LOSSES times."""
-    if is_killed(answer) and task.losses < MAX_LOSSES:
-        return replace(task, losses=task.losses + 1)
-    return None
 
 
 def _memory_bytes(job: BatchJob) -> float:

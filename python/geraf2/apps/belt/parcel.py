@@ -1,18 +1,15 @@
 """One parcel of a recording as an ordinary scan: planes in the frame of the parcel."""
 
 import json
-import time
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from geraf2.apps.belt.cutting import travel_of
+from geraf2.apps.belt.cutting import Span, travel_of
 from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
 from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
 from geraf2.apps.belt.vibration import steadied
-from geraf2.errors import UserError
 from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
@@ -89,38 +86,27 @@ def along_path(pose: Pose) -> Pose:
     return replace(pose, axes=pose.axes @ turn.T)
 
 
-def cut_parcel(
-    stream: str, out: str, window_m: list[float], planes: list[int], num_threads: int
-) -> dict[str, Any]:
-    """Write one parcel of a stream as a scene; arguments and result are plain values.
+def cut_parcel(stream: Path, folder: Path, span: Span, *, num_threads: int | None = None) -> Motion:
+    """Write one parcel of a stream as a scene, unless it is there; its motion.
 
-    window_m: lower end, middle and upper end of its frames in the frame of the belt [m].
-    planes: of the stream that hold them.
-
-    Returns the motion and the processor time, or an error line.
+    span: which frames belong to it.
     """
-    start, folder = time.process_time(), Path(out)
     if is_scene(folder):  # by a process that was stopped
-        found = SceneReader(folder).manifest.provenance[MOTION_KEY]
-        return {"motion": parse_json(found), "cpu_seconds": 0.0}
-    record, (low, middle, high) = read_belt(Path(stream)), window_m
-    reader = SceneReader(Path(stream))
+        return Motion(**parse_json(SceneReader(folder).manifest.provenance[MOTION_KEY]))
+    record, reader = read_belt(stream), SceneReader(stream)
     last: dict[str, float] = {}
     poses = []
-    try:
-        for number in planes:
-            pose = reader.read_pose(number)
-            array = record.of_plane(pose.name)
-            x, kept = travel_of(pose, array, record, last.get(array.name))
-            own = kept & (x >= low) & (x <= high)
-            if kept.any():
-                last[array.name] = float(x[kept][-1])
-            index = np.arange(pose.n_antennas).reshape(-1, array.n_channels)[own].ravel()
-            if len(index):
-                poses.append(pose.select(index).moved(np.array([-middle, 0.0, 0.0])))
-        recorded = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
-        scan, motion = parcel_scan(recorded, record, num_threads=num_threads)
-        save_capture(scan, folder)
-    except UserError as error:
-        return {"error": str(error), "cpu_seconds": time.process_time() - start}
-    return {"motion": asdict(motion), "cpu_seconds": time.process_time() - start}
+    for number in span.planes:
+        pose = reader.read_pose(number)
+        array = record.of_plane(pose.name)
+        x, kept = travel_of(pose, array, record, last.get(array.name))
+        own = kept & (x >= span.low_m) & (x <= span.high_m)
+        if kept.any():
+            last[array.name] = float(x[kept][-1])
+        index = np.arange(pose.n_antennas).reshape(-1, array.n_channels)[own].ravel()
+        if len(index):
+            poses.append(pose.select(index).moved(np.array([-span.middle_m, 0.0, 0.0])))
+    recorded = replace(capture_without_poses(reader.manifest), poses=tuple(poses))
+    scan, motion = parcel_scan(recorded, record, num_threads=num_threads)
+    save_capture(scan, folder)
+    return motion

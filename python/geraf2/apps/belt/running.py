@@ -2,40 +2,48 @@
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import LengthM
-from geraf2.apps.batch import BatchJob, BatchOptions, JobResult, run
-from geraf2.apps.batch.child import ChildEndedError, child
-from geraf2.apps.batch.cluster import connected, require_workers, tend
-from geraf2.apps.batch.engine import Answer, Task, drive
-from geraf2.apps.batch.folder import BAD_INPUT, DONE, KILLED, BatchFolder, JobPaths
-from geraf2.apps.batch.page import write_last
-from geraf2.apps.batch.running import if_lost
+from geraf2.apps.batch import BatchJob, BatchOptions, JobResult
+from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.engine import BAD_INPUT, Failure, Task, drive
+from geraf2.apps.batch.folder import DONE, JobPaths
+from geraf2.apps.batch.page import NUMBERS, Pages
+from geraf2.apps.batch.running import record_answer, threads_of
+from geraf2.apps.batch.work import do_job, is_answer
 from geraf2.apps.belt.cutting import Cutter, Span
 from geraf2.apps.belt.monostatic import far_apart
 from geraf2.apps.belt.parcel import cut_parcel
-from geraf2.apps.belt.store import DATABASE_NAME, PAGE_NAME, ParcelStore
 from geraf2.apps.live.sources import SceneSource
 from geraf2.errors import UserError
+from geraf2.io.atomic import write_json_atomic
 from geraf2.io.belt_file import is_belt, read_belt
 from geraf2.io.container import SceneReader, is_scene
 from geraf2.io.outputs import require_folder
-from geraf2.pipeline.presets import PresetConfig, preset_type
+from geraf2.io.run_folder import stage_key
+from geraf2.io.text import read_object
+from geraf2.pipeline.presets import PresetConfig, preset_type, versions_of
 
-if TYPE_CHECKING:
-    from distributed import Client
-
-PARCELS_FOLDER = "parcels"
+PARCELS_FOLDER, STEM, MARKER_NAME = "parcels", "parcels", "parcels.json"
 _POLL_S = 0.2
-_N_ON_PAGE = 20
+_N_ON_PAGE = 200
 _GOAL_PER_HOUR = 6000
+_NUMBERS = (
+    ("position_m", "position [m]", 3),
+    ("length_m", "length [m]", 3),
+    ("travel_percent", "travel [%]", 2),
+    ("travel_sigma_percent", "", 2),
+    ("yaw_deg_per_m", "yaw [degrees/m]", 2),
+    ("cutting_cpu_seconds", "", 1),
+    *NUMBERS,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,27 +89,131 @@ def run_belt(
     """Cut a stream of parcels apart and reconstruct each on a worker.
 
     stream: scene folder with belt.json, which may grow. out: folder for parcels/, runs/, results/,
-    parcels.csv, parcels.sqlite and parcels.html. on_line: receives a line for each parcel, and for
-    each plane or parcel that cannot be used.
+    parcels.csv and parcels.html. on_line: receives a line for each parcel, and for each plane or
+    parcel that cannot be used.
 
     Parcels that came while others were reconstructed wait in the stream. Finished ones are kept:
     after a stop the same call continues. Raises UserError where the stream is none, or has no
     parcel.
     """
-    options = options or BeltOptions()
+    options, stream, out = options or BeltOptions(), stream.absolute(), out.absolute()
     config = preset_type(preset)() if isinstance(preset, str) else preset
-    require_folder(out, "belt", own=(out / DATABASE_NAME).is_file())
-    with ExitStack() as stack:
-        line = _Line(stream, out, config, options, on_line, stack)
-        for spans in _sets(stream, options, on_line):
-            line.take(spans)
-        return line.outcome()
+    settings = stage_key(
+        stream=stream, config=config, stages=versions_of(config), longest_m=options.longest_m
+    )
+    _require_own(out, settings)
+    spans = _spans(stream, options, on_line)
+    first = next(span for span in spans if span)  # errors of the stream leave no folder
+    write_json_atomic(out / MARKER_NAME, {"settings": settings})
+    for line in far_apart(read_belt(stream), SceneReader(stream).manifest.waveform):
+        on_line(line)
+    table = _Table(out, config.preset, on_line)
+
+    def tasks(threads: int) -> Iterator[Task | None]:
+        for span in chain([first], spans):
+            if span is None:
+                yield None
+                continue
+            name = f"parcel-{span.number:05d}"
+            paths = table.paths(stage_key(settings=settings, span=span), name)
+            known = paths.read()
+            if known is not None and is_answer(known, paths, report=options.report):
+                table.take(paths.key, known)
+            elif span.problem:
+                failure = Failure(state=BAD_INPUT, error=span.problem)
+                table.take(paths.key, failure, _place(span))
+            else:
+                job = BatchJob(scene=out / PARCELS_FOLDER / name, config=config)
+                arguments = stream, span, job, paths, threads, options.report
+                yield Task(name=paths.key, arguments=arguments)
+
+    with connected(options) as client:
+        waiting = tasks(threads_of(client, options))
+        try:
+            for key, answer in drive(client, do_parcel, waiting, retries=options.retries):
+                table.take(key, answer)
+        finally:
+            table.draw()
+    return table.outcome()
 
 
-def _sets(
+def do_parcel(
+    stream: Path, span: Span, job: BatchJob, paths: JobPaths, num_threads: int, report: bool
+) -> JobResult:
+    """Cut a parcel out of a stream and reconstruct it, on a worker."""
+    start = time.process_time()
+    motion = cut_parcel(stream, job.scene, span, num_threads=num_threads)
+    numbers = {**_place(span), "cutting_cpu_seconds": round(time.process_time() - start, 3)}
+    if motion.n_pairs:
+        numbers |= {
+            "travel_percent": round(100.0 * motion.scale, 4),
+            "travel_sigma_percent": round(100.0 * motion.scale_sigma, 4),
+            "yaw_deg_per_m": round(float(np.rad2deg(motion.turn_rad_per_m)), 3),
+        }
+    return do_job(job, paths, num_threads, report, numbers)
+
+
+def _place(span: Span) -> dict[str, float]:
+    return {
+        "position_m": round(span.middle_m, 4),
+        "length_m": round(span.end_m - span.start_m, 4),
+    }
+
+
+def _require_own(out: Path, settings: str) -> None:
+    """Raise UserError where a folder holds something else, or parcels of another call."""
+    marker = out / MARKER_NAME
+    require_folder(out, "belt", own=marker.is_file())
+    if marker.is_file() and read_object(marker).get("settings") != settings:
+        what = "holds parcels of another stream or of other settings"
+        raise UserError(what=what, where=out, hint="choose another folder")
+
+
+class _Table:
+    """Results of the parcels, as they come."""
+
+    def __init__(self, out: Path, preset: str, on_line: Callable[[str], None]) -> None:
+        self.out, self.preset, self.on_line = out, preset, on_line
+        self._pages = Pages(out, f"geraf2 belt {out.name}", STEM, _NUMBERS, _N_ON_PAGE)
+        self._paths, self._results = dict[str, JobPaths](), dict[str, JobResult]()
+        self._start = time.monotonic()
+
+    def paths(self, key: str, name: str) -> JobPaths:
+        """Paths of a parcel's files."""
+        self._paths[key] = JobPaths(self.out, key, name)
+        return self._paths[key]
+
+    def take(
+        self, key: str, answer: JobResult | Failure, numbers: dict[str, float] | None = None
+    ) -> None:
+        """Keep a result."""
+        result = record_answer(answer, self._paths[key], self.preset, numbers)
+        self._results[key] = result
+        error = result.numbers.get("typical_error_mm")
+        text = "" if error is None else f", typical error {error:.1f} mm"
+        self.on_line(f"{result.line}{text}")
+        self._pages.draw_sometimes(lambda: list(self._paths.values()), self._results)
+
+    def draw(self) -> None:
+        """Write page and table."""
+        self._pages.draw(list(self._paths.values()), self._results)
+
+    def outcome(self) -> BeltOutcome:
+        """Totals."""
+        done = [result for result in self._results.values() if result.state == DONE]
+        spent = [r.cpu_seconds + r.numbers["cutting_cpu_seconds"] for r in done]
+        return BeltOutcome(
+            n_done=len(done),
+            n_failed=len(self._results) - len(done),
+            seconds=time.monotonic() - self._start,
+            cpu_seconds=float(np.mean(spent)) if spent else 0.0,
+        )
+
+
+def _spans(
     stream: Path, options: BeltOptions, on_line: Callable[[str], None]
-) -> Iterator[list[Span]]:
-    """Yield the parcels that came since the last ones, until no more come."""
+) -> Iterator[Span | None]:
+    """Yield parcels as they come, until no more come; None where there is none at present."""
     last, source, cutter = time.monotonic(), None, None
     while True:
         is_last = time.monotonic() - last > options.idle_s
@@ -125,10 +237,10 @@ def _sets(
                 on_line(f"{error}; left out")
         is_last = is_last or bool(source.ending)
         spans = list(cutter.ready(is_last=is_last))
-        if spans:
-            yield spans
-            last = time.monotonic()
-        elif is_last:
+        for span in spans:
+            yield span
+            last = time.monotonic()  # while all workers are busy, nobody looks for planes
+        if is_last and not spans:
             if not cutter.n_found:
                 raise UserError(
                     what="no parcel is seen",
@@ -136,145 +248,5 @@ def _sets(
                     expected="power of the arrays that rises by 6 dB above the empty belt",
                 )
             return
-        else:
-            time.sleep(_POLL_S)
-
-
-class _Line:
-    """Parcels of a stream on their path through the workers."""
-
-    def __init__(
-        self,
-        stream: Path,
-        out: Path,
-        config: PresetConfig,
-        options: BeltOptions,
-        on_line: Callable[[str], None],
-        stack: ExitStack,
-    ) -> None:
-        self.stream, self.out, self.config, self.options = stream, out, config, options
-        self.on_line, self.stack, self.store = on_line, stack, ParcelStore(out)
-        self.client: Client | None = None
-        self.last: list[JobPaths] = []
-        self.cut_s: dict[str, float] = {}
-        self.cpu_s: list[float] = []
-        self.n_failed, self.start = 0, time.monotonic()
-        folder = BatchFolder(out)
-        folder.keep(folder.jobs() or {})
-
-    def take(self, spans: list[Span]) -> None:
-        """Cut and reconstruct some parcels."""
-        if self.client is None:
-            self.start = time.monotonic()
-            waveform = SceneReader(self.stream).manifest.waveform
-            for line in far_apart(read_belt(self.stream), waveform):
-                self.on_line(line)
-            self.client = self.stack.enter_context(connected(self.options, 0.0))
-            require_workers(self.client)
-        for span in spans:
-            values = {"position_m": span.middle_m, "length_m": span.end_m - span.start_m}
-            self.store.put(_name(span), {name: round(x, 4) for name, x in values.items()})
-        usable = {_name(span): span for span in spans if not span.problem}
-        for span in (span for span in spans if span.problem):
-            self._failed(_name(span), span.problem)
-        for name, answer in self._cut(self.client, usable):
-            self._is_cut(name, answer)
-        folder = self.out / PARCELS_FOLDER
-        jobs = [
-            BatchJob(scene=folder / name, config=self.config)
-            for name in sorted(usable)
-            if is_scene(folder / name)
-        ]
-        if jobs:
-            given = self.options
-            run(jobs, self.out, self.client, self._is_done, options=given, is_part=True)
-
-    def _cut(self, client: "Client", spans: dict[str, Span]) -> Iterator[tuple[str, Answer]]:
-        tasks = (
-            Task(
-                name=name,
-                arguments=(
-                    str(self.stream.absolute()),
-                    str((self.out / PARCELS_FOLDER / name).absolute()),
-                    [span.low_m, span.middle_m, span.high_m],
-                    list(span.planes),
-                    self.options.threads or 1,
-                ),
-            )
-            for name, span in spans.items()
-        )
-
-        def again(task: Task, answer: Answer) -> Task | None:
-            is_killed = isinstance(answer, dict) and answer.get("state") == KILLED
-            if is_killed and task.attempt <= self.options.retries:
-                return replace(task, attempt=task.attempt + 1)
-            return if_lost(task, answer)
-
-        for task, answer in drive(client, _in_child, tasks, again, tend=lambda: tend(client)):
-            yield task.name, answer
-
-    def _is_cut(self, name: str, answer: Answer) -> None:
-        if not isinstance(answer, dict) or "error" in answer:
-            known = answer["error"] if isinstance(answer, dict) else answer
-            self._failed(name, " ".join(str(known).split()))
-            return
-        motion, self.cut_s[name] = answer["motion"], answer["cpu_seconds"]
-        if motion["n_pairs"]:
-            found = {
-                "travel_percent": round(100.0 * motion["scale"], 4),
-                "travel_sigma_percent": round(100.0 * motion["scale_sigma"], 4),
-                "yaw_deg_per_m": round(float(np.rad2deg(motion["turn_rad_per_m"])), 3),
-            }
-            self.store.put(name, found)
-
-    def _is_done(self, result: JobResult) -> None:
-        """Keep the result of a parcel."""
-        name = result.scene
-        if result.state != DONE:
-            self._failed(name, result.error, result.state)
-            return
-        cpu_s = self.cut_s.get(name, 0.0) + result.cpu_seconds
-        self.cpu_s.append(cpu_s)
-        numbers = {**result.numbers, **result.scores}
-        values: dict[str, Any] = {
-            key: numbers[key]
-            for key in ("typical_error_mm", "not_seen_percent", "f1_5mm")
-            if key in numbers
-        }
-        paths = JobPaths(self.out, result.key, name)
-        values |= {"state": DONE, "cpu_seconds": round(cpu_s, 2), "attempts": result.attempts}
-        values |= {"run": str(paths.run.relative_to(self.out)), "error": ""}
-        self.store.put(name, values)
-        error = values.get("typical_error_mm")
-        text = "" if error is None else f"  typical error {error:.1f} mm"
-        self.on_line(f"{name}  done{text}  {cpu_s:.1f} CPU s")
-        self.last = sorted([*self.last, paths], key=lambda own: own.scene)[-_N_ON_PAGE:]
-        write_last(self.out, PAGE_NAME, self.last)
-
-    def _failed(self, name: str, error: str, state: str = BAD_INPUT) -> None:
-        self.n_failed += 1
-        self.store.put(name, {"state": state, "error": error})
-        self.on_line(f"{name}: {error}")
-
-    def outcome(self) -> BeltOutcome:
-        """Totals of this call, after the last parcel."""
-        self.store.write_table()
-        return BeltOutcome(
-            n_done=len(self.cpu_s),
-            n_failed=self.n_failed,
-            seconds=time.monotonic() - self.start,
-            cpu_seconds=float(np.mean(self.cpu_s)) if self.cpu_s else 0.0,
-        )
-
-
-def _name(span: Span) -> str:
-    return f"parcel-{span.number:05d}"
-
-
-def _in_child(*arguments: Any) -> dict[str, Any]:
-    """Cut a parcel in a process of its own, which may die."""
-    try:
-        with child(arguments[-1]) as process:
-            return process.call(cut_parcel, *arguments)
-    except ChildEndedError as error:
-        return {"state": KILLED, "error": f"its process was ended: {error}"}
+        time.sleep(_POLL_S)
+        yield None

@@ -1,17 +1,18 @@
 """Runs rows; scenes and results are stored by a hash of their inputs."""
 
 import os
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
+from multiprocessing import Pipe, current_process, get_context
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from geraf2.apps.batch.child import Child, ChildEndedError
-from geraf2.apps.batch.cluster import connected, require_workers, tend
-from geraf2.apps.batch.engine import Answer, Task, drive
+from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.engine import Failure, Task, drive
 from geraf2.apps.batch.options import BatchOptions
-from geraf2.apps.batch.running import if_lost
 from geraf2.apps.benchmark.making import copy_with_walls, make_row, make_scene
 from geraf2.apps.benchmark.rows import Row, RowResult
 from geraf2.errors import UserError
@@ -99,14 +100,27 @@ class Runner:
         return result
 
     def _call(self, function: Callable[..., _T], *arguments: Any) -> tuple[_T, float]:
-        """Call a function in a process of its own -> result, processor time of the process [s]."""
-        process = Child(self.num_threads)
+        """Call a function in a process of its own -> result, its processor time [s]."""
+        if current_process().daemon:  # a worker of dask, which starts no processes
+            return time_call(function, *arguments)
+        ours, theirs = Pipe(duplex=False)
+        process = get_context("spawn").Process(
+            target=send_answer, args=(theirs, function, *arguments), daemon=True
+        )
+        process.start()
+        theirs.close()
         try:
-            return process.call(function, *arguments), process.cpu_seconds
-        except ChildEndedError as error:
-            raise UserError(what=f"its process was ended: {error}") from None
+            answer = ours.recv()
+        except EOFError:
+            process.join()
+            raise UserError(what=f"its process was ended: {process.exitcode}") from None
         finally:
-            process.close()
+            process.terminate()
+            process.join()
+        if isinstance(answer, str):
+            raise UserError(what=answer)
+        found: tuple[_T, float] = answer
+        return found
 
     def known(self, row: Row) -> RowResult | None:
         """Return the stored result of a row; None without one."""
@@ -184,6 +198,23 @@ class Runner:
         self._call(copy_with_walls, true_scene, scene, permittivity)
 
 
+def time_call(function: Callable[..., _T], *arguments: Any) -> tuple[_T, float]:
+    """Return the result of a function, and the processor time of the call [s]."""
+    start = time.process_time()
+    return function(*arguments), time.process_time() - start
+
+
+def send_answer(connection: Connection, function: Callable[..., Any], *arguments: Any) -> None:
+    """Send the result of a call with its processor time, or its error as one line."""
+    try:
+        answer: Any = time_call(function, *arguments)
+    except UserError as error:
+        answer = error.args[0]
+    except Exception as error:
+        answer = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    connection.send(answer)
+
+
 def with_true_walls(row: Row) -> Row:
     """Return the same row with the true walls recorded in its scene."""
     return replace(row, case=replace(row.case, given_permittivity="true"))
@@ -218,28 +249,25 @@ def run_on_workers(
         if result is not None:
             report(run, result)
     if remaining:
-        with connected(options, 0.0) as client:
-            require_workers(client)
+        with connected(options) as client:
             for scenes in (true_scenes, others):  # others are copies of true scenes
                 missing = [row for scene, row in scenes.items() if not scene.is_dir()]
                 for _ in _answers(client, Runner.simulate, runner, missing):
                     pass  # a failed scene fails again with its row, which reports the reason
             for row, answer in _answers(client, Runner.run, runner, remaining):
-                is_lost = isinstance(answer, BaseException)
-                result = RowResult(error=" ".join(str(answer).split())) if is_lost else answer
+                is_lost = isinstance(answer, Failure)
+                result = RowResult(error=answer.error) if is_lost else answer
                 report(runner.folders(row).run, result)
     return [(row, found[runner.folders(row).run] or RowResult()) for row in rows]
 
 
 def _answers(
     client: "Client", function: Callable[..., Any], runner: Runner, rows: Sequence[Row]
-) -> Iterator[tuple[Row, Answer]]:
+) -> Iterator[tuple[Row, Any]]:
     named = {f"{number}-{row.name}": row for number, row in enumerate(rows)}
     tasks = (Task(name=name, arguments=(runner, row)) for name, row in named.items())
-
-    answers = drive(client, function, tasks, if_lost, per_thread=1, tend=lambda: tend(client))
-    for task, answer in answers:
-        yield named[task.name], answer
+    for name, answer in drive(client, function, tasks):
+        yield named[name], answer
 
 
 def read_record(path: Path) -> dict[str, Any]:
