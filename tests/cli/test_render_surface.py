@@ -8,7 +8,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline.presets import MatchedFilterPreset, PaperPreset
+from geraf2.pipeline.presets import MatchedFilterPreset
 from geraf2.pipeline.run_record import RunRecord
 from helpers.console import the_error
 from helpers.small_scene import BOX, COARSE_RENDER, FAST
@@ -43,9 +43,7 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns != before
 
 
-def test_planes_left_out_are_the_ones_rendered_with_and_without_a_residual_field(
-    built_scene, tmp_path, capsys
-):
+def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
     out = tmp_path / "out"
     fast = [*FAST, "--no-report"]
     options = [*BOX, *fast, "--hold-out", "0"]
@@ -53,18 +51,6 @@ def test_planes_left_out_are_the_ones_rendered_with_and_without_a_residual_field
     assert main(["render", str(out), *COARSE_RENDER]) == 0
     assert set(psnr(out)["psnr_db"]) == {"0"}
     assert "(seen in training)" not in capsys.readouterr().out
-    alone = psnr(out)["psnr_db"]["0"]
-    options = ["--residual", "--matter.n-points", "20", "--matter.n-targets", "100"]
-    assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
-    stated, stage = capsys.readouterr().out, RunFolder.read(out).stages["residual"]
-    if stage.numbers["n_voxels"]:
-        assert "without the matter beside the surface" in stated
-        assert psnr(out)["surface_psnr_db"]["0"] == pytest.approx(alone, abs=1e-3)
-    else:
-        assert "dropped" in stated
-    made = (out / "residual.safetensors").stat().st_mtime_ns
-    assert main(["render", str(out), *COARSE_RENDER, *options]) == 0
-    assert (out / "residual.safetensors").stat().st_mtime_ns == made
 
 
 def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys):
@@ -72,14 +58,6 @@ def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys)
     replace(RunRecord.read(config), config=MatchedFilterPreset()).write(config)
     assert main(["render", str(finished_run)]) == 2
     assert "expected a run of the preset fast, best, paper or paper-corrected" in the_error(capsys)
-
-
-def test_nothing_is_fitted_beside_trained_fields(finished_run, capsys):
-    config = finished_run / "config.toml"
-    replace(RunRecord.read(config), config=PaperPreset()).write(config)
-    assert main(["render", str(finished_run), "--residual"]) == 2
-    assert "--residual" in (error := the_error(capsys))
-    assert "expected a run of the preset fast or best" in error
 
 
 @pytest.mark.parametrize("what", ["file", "stage"])

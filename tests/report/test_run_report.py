@@ -189,10 +189,6 @@ def test_rendered_heat_maps_of_this_mesh_are_shown(run):
     text = text_with()
     assert "33.2" in text
     assert "Heat map of the plane at 60 degrees, rendered." in text
-    assert "of the surface alone" not in text
-    text = text_with(surface_psnr_db={"60": 31.5})
-    assert "of the surface alone [dB]" in text
-    assert "31.5" in text
     assert 'id="rendered"' not in text_with(mesh_digest=32 * "0")
 
 

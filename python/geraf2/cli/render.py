@@ -19,8 +19,7 @@ class Config:
 
     out: Positional[Annotated[Path, Arg(metavar="RUN")]]
     """Run folder of `geraf2 reconstruct` with the preset fast, best or paper. The surface of the
-    first two gets its reflectivity here, from the planes that the run did not leave out, and with
-    `--residual` matter beside it."""
+    first two gets its reflectivity here, from the planes that the run did not leave out."""
     scene: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Scene folder, if it was moved after the run."""
     threads: Threads = None
@@ -42,11 +41,6 @@ def main(config: Config) -> int:
         for plane in planes
     ]
     rows([*table, ("mean", f"{np.mean([plane.psnr_db for plane in planes]):.2f} dB")])
-    alone = [plane.surface_psnr_db for plane in planes if plane.surface_psnr_db is not None]
-    if alone:
-        say(f"without the matter beside the surface: mean {np.mean(alone):.2f} dB")
-    elif config.options.residual:
-        say("matter beside the surface does not help planes left out of its fit: dropped")
     say("PSNR: 10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled")
     say(f"views    {config.out / VIEWS_FOLDER}")
     return 0

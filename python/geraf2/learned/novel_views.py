@@ -12,7 +12,6 @@ from geraf2.learned.model import PaperModel
 from geraf2.ops import MatchedFilterPlan
 from geraf2.scene import Grid, Pose, Waveform
 from geraf2.surfaces.facets import SurfaceRenderer
-from geraf2.surfaces.residual_field import ResidualField, field_power, surface_image
 from geraf2.surfaces.surface_fit import SurfaceEcho
 
 
@@ -25,8 +24,6 @@ class PlaneView(NamedTuple):
     """|P|, grid.shape."""
     psnr_db: float
     """See :func:`psnr_db`."""
-    surface_psnr_db: float | None = None
-    """The same for the surface without the added field; None without a field."""
 
 
 def render_plane(
@@ -75,25 +72,18 @@ def render_surface_plane(
     pose: Pose,
     grid: Grid,
     *,
-    field: ResidualField | None = None,
-    seed: int = 0,
     num_threads: int | None = None,
 ) -> PlaneView:
-    """Heat map of a plane's antennas, rendered from a surface and measured.
+    """Heat map of a plane's antennas, rendered from a surface and its box, and measured.
 
     renderer, echo: the surface, and its reflectivity.
     pose, grid, num_threads: as those of :func:`render_plane`.
-    field: additional sources; their powers are added.
-    seed: of the field's phases.
     """
-    rendered = np.abs(surface_image(renderer, echo, pose, grid, num_threads=num_threads))
+    shares = echo.reflectivity_at(renderer.content.points)[None]
+    factors = echo.power * np.concatenate([[1.0], echo.walls])
+    signal = np.tensordot(factors, renderer.render(pose, shares), axes=1).astype(np.complex64)
     plan = _plan(pose, grid, renderer.waveform, num_threads)
-    alone = _beside_measured(rendered, plan.execute(pose.signal))
-    if field is None:
-        return alone
-    added = field_power(renderer, field, pose, grid, seed=seed, num_threads=num_threads)
-    both = np.sqrt(rendered.astype(np.float64) ** 2 + added).astype(np.float32)
-    return PlaneView(both, alone.measured, psnr_db(both, alone.measured), alone.psnr_db)
+    return _beside_measured(np.abs(plan.execute(signal)), plan.execute(pose.signal))
 
 
 def _plan(pose: Pose, grid: Grid, waveform: Waveform, num_threads: int | None) -> MatchedFilterPlan:

@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics
 from geraf2.io.digests import file_digest
 from geraf2.io.toml import from_table
@@ -20,7 +19,6 @@ class _Metrics(MeshMetrics):
 @dataclass(frozen=True, kw_only=True)
 class _Psnr:
     psnr_db: dict[float, float]
-    surface_psnr_db: dict[float, float] | None = None
     mesh_digest: str
 
 
@@ -31,11 +29,7 @@ def read_metrics(path: Path, mesh: Path | None) -> dict[str, Any]:
 
 def read_psnr(path: Path, mesh: Path) -> dict[str, Any]:
     """Content of psnr.json; {} where there is none, or it is of another mesh."""
-    stored = _read(path, mesh, _Psnr)
-    alone = stored.get("surface_psnr_db")
-    if alone is not None and alone.keys() != stored["psnr_db"].keys():
-        raise UserError(what="its planes are not the same", where=path)
-    return stored
+    return _read(path, mesh, _Psnr)
 
 
 def _read(path: Path, mesh: Path | None, kind: type[_Metrics | _Psnr]) -> dict[str, Any]:

@@ -1,22 +1,14 @@
-"""Settings of the fits to heat maps that follow a finished surface."""
+"""Settings of the fit of reflectivity to heat maps, which follows a finished surface."""
 
 from dataclasses import dataclass
 from typing import Annotated
 
 from annotated_types import Interval, MinLen
 
-from geraf2._bounds import (
-    Bounded,
-    CellM,
-    Count,
-    Few,
-    Positive,
-)
+from geraf2._bounds import Bounded, CellM, Count, Few, Positive
 
 ECHO_VERSION = 3
 """Increase when the same surface and planes give another echo or another image of it."""
-RESIDUAL_VERSION = 1
-"""Increase when the same surface, echo and planes give another residual field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,15 +30,3 @@ class SurfaceFitConfig(Bounded):
     """Number of planes whose heat maps are fitted, spread evenly over the scan."""
     n_targets: Annotated[int, Interval(ge=10, le=10**8)] = 3000
     """Samples of a plane's heat map: half drawn by power, half uniformly."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ResidualFieldConfig(Bounded):
-    """Settings of the residual field beside a surface (`geraf2 render --residual`)."""
-
-    n_points: Few = 1500
-    """Number of voxels that may hold residual echoes: those with most unexplained power."""
-    n_planes: Count = 18
-    """Number of planes whose heat maps are fitted, spread evenly over the scan."""
-    n_targets: Annotated[int, Interval(ge=10, le=10**5)] = 1000
-    """Voxels at which a plane is compared: half drawn by unexplained power, half uniformly."""

@@ -74,18 +74,6 @@ class LitFacets:
     """Area times spreading factor, (n_lit,) [m^2]."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LitPoints:
-    """Points in line of sight of a group of antennas."""
-
-    index: Ints
-    """Ascending indices of the points, (n_lit,)."""
-    points: Floats
-    """Apparent positions, farther by the walls' excess path, (n_lit, 3) [m]."""
-    spreading: Floats
-    """Spreading factor of the amplitude, 1 in the middle of the scene, (n_lit,)."""
-
-
 class SurfaceRenderer:
     """Signals that a content and its box scatter back, one for each part.
 
@@ -134,7 +122,7 @@ class SurfaceRenderer:
         n_parts = len(shares)
         shape = (n_parts + N_WALL_PARTS, pose.n_antennas, self.waveform.n_samples)
         out = np.zeros(shape, dtype=np.complex64)
-        for group in self.groups(pose):
+        for group in antenna_clusters(pose.phase_centers, self._n_clusters):
             middle = pose.phase_centers[group].mean(axis=0)
             content = self.lit_content(middle)
             for number, share in enumerate(shares):
@@ -148,21 +136,6 @@ class SurfaceRenderer:
     def lit_content(self, middle: Floats) -> LitFacets:
         """Facets of the content in line of sight of antennas around a position (3,) [m]."""
         return self._lit(self.content, middle, side=1.0, is_inside=True)
-
-    def lit_points(self, points: Floats, middle: Floats) -> LitPoints:
-        """Points (n, 3) [m] in the box in line of sight of antennas around a position (3,) [m]."""
-        index = np.flatnonzero(
-            ~self._blocker.occluded(points, np.broadcast_to(middle, points.shape))
-        )
-        seen = points[index]
-        direction = middle - seen
-        length = np.linalg.norm(direction, axis=1)
-        apparent = self._apparent(middle, seen, direction, length) if index.size else seen
-        return LitPoints(index=index, points=apparent, spreading=self._spreading(middle, length))
-
-    def groups(self, pose: Pose) -> list[Ints]:
-        """Group a plane's antennas that share visibility, spreading and excess path."""
-        return antenna_clusters(pose.phase_centers, self._n_clusters)
 
     def _trace(
         self, lit: LitFacets, share: Floats | float, pose: Pose, group: Ints

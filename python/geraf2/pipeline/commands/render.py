@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
-from geraf2._memory import require_memory
-from geraf2._types import Array
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -21,7 +19,6 @@ from geraf2.io.run_folder import (
     FIELDS_NAME,
     PSNR_NAME,
     REPORT_FILES,
-    RESIDUAL_NAME,
     VIEWS_FOLDER,
     RunFolder,
     mesh_digest,
@@ -34,23 +31,14 @@ from geraf2.pipeline.presets import BestPreset, CorrectedPaperPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import Capture, Grid, LosPrior, Pose
-from geraf2.surfaces.config import (
-    ECHO_VERSION,
-    RESIDUAL_VERSION,
-    ResidualFieldConfig,
-    SurfaceFitConfig,
-)
+from geraf2.surfaces.config import ECHO_VERSION, SurfaceFitConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from geraf2.learned.novel_views import PlaneView
     from geraf2.surfaces.facets import SurfaceRenderer
-    from geraf2.surfaces.residual_field import ResidualField
     from geraf2.surfaces.surface_fit import SurfaceEcho
-
-# Powers of points at targets in single precision: of all planes, of a fold, and joined twice.
-_BYTES_PER_CELL = 16.0
 
 View: TypeAlias = "Callable[[Pose], PlaneView]"
 """Renders the heat map of a plane."""
@@ -75,11 +63,6 @@ class RenderOptions(Bounded):
     """Of the draws, and of the points at which reflectivity is fitted."""
     echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
     """Rendering of a surface, and the fit of its reflectivity."""
-    residual: bool = False
-    """Also fit scatterers beside the surface to the residual of its echo; dropped unless planes
-    left out of their fit are explained better."""
-    matter: ResidualFieldConfig = field(default_factory=ResidualFieldConfig)
-    """Bounds of the scatterers beside the surface."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,8 +75,6 @@ class RenderedPlane:
     """10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled [dB]."""
     held_out: bool
     """Whether the run left it out."""
-    surface_psnr_db: float | None = None
-    """That of the surface alone, where matter was added to it [dB]."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,8 +109,7 @@ def render(
     listener: hears progress.
 
     Returns how near each map is to the measured one [dB], in the order of the angles. Raises
-    UserError for another preset, an unfinished run, another scene, an angle without a plane, or
-    `residual` with a run of the preset paper.
+    UserError for another preset, an unfinished run, another scene, or an angle without a plane.
 
     >>> from geraf2.surfaces.config import SurfaceFitConfig
     >>> echo = SurfaceFitConfig(max_edge_m=0.006, wall_edge_m=0.01, n_planes=1, n_targets=200)
@@ -142,12 +122,12 @@ def render(
     result = run if isinstance(run, Reconstruction) else load_run(run)
     options = options or RenderOptions()
     is_paper = isinstance(result.record.config, PaperPreset | CorrectedPaperPreset)
-    _require_rendered(result, options, is_paper=is_paper)
+    _require_rendered(result, is_paper=is_paper)
     capture = capture_of(result, scene)
     hold_out, name = result.record.options.hold_out, result.run.scene_name
     asked = options.angles or hold_out
     planes = planes_at(capture, asked, name) if asked else quarter_planes(capture, name)
-    _require_room(result, capture, options)
+    require_renderable(result.prior, capture, options.spacing_m, options.echo)
     held_out = set(planes_at(capture, hold_out, name))
     chosen = [(capture.poses[plane], plane in held_out) for plane in planes]
     half = 0.5 * max(result.prior.size_m)
@@ -174,21 +154,14 @@ def render(
     return tuple(rendered)
 
 
-def _require_rendered(result: Reconstruction, options: RenderOptions, *, is_paper: bool) -> None:
-    """Refuse a run that cannot be rendered, or not with these options."""
+def _require_rendered(result: Reconstruction, *, is_paper: bool) -> None:
+    """Refuse a run that cannot be rendered."""
     config = result.record.config
     if not is_paper and not isinstance(config, FastPreset | BestPreset):
         raise UserError(
             what="neither fields nor a surface with glints can be rendered from this run",
             where=result.path,
             expected="a run of the preset fast, best, paper or paper-corrected",
-            got=config.preset,
-        )
-    if is_paper and options.residual:
-        raise UserError(
-            what="trained fields explain all that they can: nothing is fitted beside them",
-            where="--residual",
-            expected="a run of the preset fast or best",
             got=config.preset,
         )
     needed = FIELDS_NAME if is_paper else CONTENT_NAME
@@ -198,15 +171,6 @@ def _require_rendered(result: Reconstruction, options: RenderOptions, *, is_pape
             where=result.path,
             hint="finish it with 'geraf2 reconstruct ... --resume'",
         )
-
-
-def _require_room(result: Reconstruction, capture: Capture, options: RenderOptions) -> None:
-    """Refuse voxels and points that would not fit into memory."""
-    require_renderable(result.prior, capture, options.spacing_m, options.echo)
-    if options.residual:
-        n_planes = min(options.matter.n_planes, len(capture.poses))
-        cells = n_planes * options.matter.n_targets * options.matter.n_points
-        require_memory(_BYTES_PER_CELL * cells, "lower --matter.n-points or --matter.n-targets")
 
 
 def _render(
@@ -225,7 +189,6 @@ def _render(
                 angle_deg=float(pose.angle_deg or 0.0),
                 psnr_db=view.psnr_db,
                 held_out=held_out,
-                surface_psnr_db=view.surface_psnr_db,
             )
             values.append(plane)
             name = f"angle_{pose.angle_deg:05.1f}"
@@ -240,12 +203,8 @@ def _render(
                 title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
                 projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
             progress(number / len(chosen))
-    record: dict[str, Any] = {}
-    for name in ("psnr_db", "surface_psnr_db"):
-        found = {f"{plane.angle_deg:g}": getattr(plane, name) for plane in values}
-        if None not in found.values():
-            record[name] = found
-            record[f"mean_{name}"] = float(np.mean([*found.values()]))
+    found = {f"{plane.angle_deg:g}": plane.psnr_db for plane in values}
+    record: dict[str, Any] = {"psnr_db": found, "mean_psnr_db": float(np.mean([*found.values()]))}
     text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
     write_text_atomic(folder / PSNR_NAME, text)
     views.run.keep(f"{VIEWS_FOLDER}/*")
@@ -291,15 +250,8 @@ def _of_surface(views: _Views, result: Reconstruction) -> View:
         num_threads=views.num_threads,
     )
     echo = _echo(views, renderer)
-    added = _residual(views, renderer, echo) if views.options.residual else None
     return lambda pose: render_surface_plane(
-        renderer,
-        echo,
-        pose,
-        views.grid,
-        field=added,
-        seed=views.options.seed,
-        num_threads=views.num_threads,
+        renderer, echo, pose, views.grid, num_threads=views.num_threads
     )
 
 
@@ -316,86 +268,30 @@ def _echo_key(views: _Views) -> str:
     )
 
 
-_ECHO = ("echo", ECHO_NAME, "surface-echo", ECHO_VERSION)
-_RESIDUAL = ("residual", RESIDUAL_NAME, "residual-field", RESIDUAL_VERSION)
-
-
-def _kept_fit(
-    views: _Views,
-    record: tuple[str, str, str, int],
-    key: str,
-    config: SurfaceFitConfig | ResidualFieldConfig,
-    fit: "Callable[[], tuple[dict[str, Array], dict[str, Any]]]",
-) -> dict[str, Array]:
-    """Arrays of a fit that a run keeps: of an earlier one of this key, else of a new one.
-
-    record: its name and its file in the run, kind and version in the file.
-    fit: makes arrays and numbers.
-    """
-    name, file, kind, version = record
-    run, path = views.run, views.run.path / file
-    if run.is_done(name, key):
-        return load_checkpoint(path, kind=kind, version=version).arrays
-    run.forget([name])
-    start = time.perf_counter()
-    arrays, numbers = fit()
-    header = {"config": asdict(config)}
-    save_checkpoint(path, Checkpoint(kind=kind, version=version, arrays=arrays, header=header))
-    run.mark_done(name, key, [file], time.perf_counter() - start, numbers=numbers)
-    run.log(name, level="info", **numbers)
-    return arrays
-
-
 def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
-    """Read the fitted echo of the surface, or fit it to the planes."""
+    """Read the echo of the surface that an earlier call fitted, or fit it to the planes."""
     from geraf2.surfaces.surface_fit import SurfaceEcho, fit_surface_echo  # noqa: PLC0415 - needs torch
 
-    options = views.options
-
-    def fit() -> tuple[dict[str, Array], dict[str, Any]]:
-        with views.listener.step("fitting reflectivity") as progress:
-            echo = fit_surface_echo(
-                renderer,
-                views.capture.poses,
-                views.grid,
-                options.echo,
-                seed=options.seed,
-                num_threads=views.num_threads,
-                progress=progress,
-            )
-        walls, reflectivity = np.abs(echo.walls).tolist(), echo.reflectivity.tolist()
-        numbers = {"power": echo.power, "walls": walls, "reflectivity": reflectivity}
-        return dict(echo.arrays()), numbers
-
-    return SurfaceEcho.of_arrays(_kept_fit(views, _ECHO, _echo_key(views), options.echo, fit))
-
-
-def _residual(
-    views: _Views, renderer: "SurfaceRenderer", echo: "SurfaceEcho"
-) -> "ResidualField | None":
-    """Read or fit scatterers beside the surface; None where they explain nothing."""
-    from geraf2.surfaces.residual_field import ResidualField, fit_residual_field  # noqa: PLC0415 - needs torch
-
-    options = views.options
-
-    def fit() -> tuple[dict[str, Array], dict[str, Any]]:
-        with views.listener.step("fitting matter beside the surface") as progress:
-            fitted = fit_residual_field(
-                renderer,
-                echo,
-                views.capture.poses,
-                views.grid,
-                options.matter,
-                seed=options.seed,
-                num_threads=views.num_threads,
-                progress=progress,
-            )
-        n_voxels = int((fitted.field.power > 0.0).sum())
-        return dict(fitted.field.arrays()), {
-            "n_voxels": n_voxels,
-            "left_out_gain_db": fitted.gain_db,
-        }
-
-    key = stage_key(version=RESIDUAL_VERSION, echo=_echo_key(views), config=options.matter)
-    found = ResidualField.of_arrays(_kept_fit(views, _RESIDUAL, key, options.matter, fit))
-    return found if len(found.points) else None
+    run, options, key = views.run, views.options, _echo_key(views)
+    path, kind = run.path / ECHO_NAME, "surface-echo"
+    if run.is_done("echo", key):
+        return SurfaceEcho.of_arrays(load_checkpoint(path, kind=kind, version=ECHO_VERSION).arrays)
+    run.forget(["echo"])
+    start = time.perf_counter()
+    with views.listener.step("fitting reflectivity") as progress:
+        echo = fit_surface_echo(
+            renderer,
+            views.capture.poses,
+            views.grid,
+            options.echo,
+            seed=options.seed,
+            num_threads=views.num_threads,
+            progress=progress,
+        )
+    walls, reflectivity = np.abs(echo.walls).tolist(), echo.reflectivity.tolist()
+    numbers = {"power": echo.power, "walls": walls, "reflectivity": reflectivity}
+    arrays, header = dict(echo.arrays()), {"config": asdict(options.echo)}
+    save_checkpoint(path, Checkpoint(kind=kind, version=ECHO_VERSION, arrays=arrays, header=header))
+    run.mark_done("echo", key, [ECHO_NAME], time.perf_counter() - start, numbers=numbers)
+    run.log("echo", level="info", **numbers)
+    return echo
