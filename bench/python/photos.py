@@ -4,7 +4,8 @@
     python bench/python/photos.py PHOTOS [--mask-threshold 60] [--box X Y Z] [--bounds X0 .. Z1]
 
 `carton` photographs a simulated carton of 0.22 m (48 photos of 640 x 480, with the simulator's pose
-errors and noise); PHOTOS is any set that geraf2 reads. --box are the true sides of a carton about
+errors and noise); PHOTOS is any set that geraf2 reads, or one of Middlebury's, such as
+`../shared/data/temple_photos`. --box are the true sides of a carton about
 the origin, with which the mesh is compared: distances of points spread evenly over it, for the
 faces that photos show and for the bottom that they do not. --bounds are published ones that the
 mesh is compared with. The training knows neither. Every eighth photo is held out. PSNR is over
@@ -17,9 +18,11 @@ import argparse
 import json
 import os
 import resource
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -37,6 +40,9 @@ from geraf2.scene import Wall
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
 from geraf2.surfaces.isosurface import largest_components, surface_report
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from helpers.middlebury import convert_middlebury
 
 SIDE_M = 0.22
 HOLD_OUT = 8
@@ -125,8 +131,11 @@ def read(options):
     if options.source == "carton":
         wall = Wall(size_m=(SIDE_M,) * 3, thickness_m=0.004, permittivity=1.6)
         return simulate_photos(PhotosSpec(), (wall,), seed=options.seed)
-    read_options = LosOptions(mask_threshold=options.mask_threshold)
-    return load_photos(Path(options.source), read_options).photos
+    source, read_options = Path(options.source), LosOptions(mask_threshold=options.mask_threshold)
+    if not any(source.glob("*_par.txt")):
+        return load_photos(source, read_options).photos
+    with TemporaryDirectory() as folder:
+        return load_photos(convert_middlebury(source, Path(folder)), read_options).photos
 
 
 def parse_arguments():

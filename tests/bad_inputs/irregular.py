@@ -27,7 +27,6 @@ evaluate run --truth truth.ply|run/planes.json
 evaluate run --truth truth.ply|run/mesh_content.ply.json
 los colmap_text out|colmap_text/sparse/0/cameras.txt|no camera poses
 los nerf out|nerf/transforms.json
-los ring out|ring/ring_par.txt
 los nerf out --unit m --to-radar to.txt|to.txt
 batch scans.csv out|scans.csv
 """
@@ -37,8 +36,6 @@ verify run|run/prior.npz
 verify run|run/mesh_content.ply
 render run|run/sdf_fit.npz
 los colmap out|colmap/sparse/0/images.bin|no camera poses
-los llff out|llff/poses_bounds.npy
-los neus out|neus/cameras_sphere.npz
 los box.ply out --unit m|box.ply
 import geraf-sens frames out|frames/mf/1_120_0/adcr.npy
 import mat scan.mat out|scan.mat

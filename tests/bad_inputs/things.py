@@ -20,7 +20,7 @@ from helpers.raw_capture import (
     scan_signal,
     words_of,
 )
-from helpers.scene_photos import write_colmap, write_llff, write_middlebury, write_neus
+from helpers.scene_photos import write_colmap
 from helpers.synthetic import WAVEFORM, point_capture, write_geraf_sens
 
 BOX = (0.16, 0.16, 0.16)
@@ -87,9 +87,6 @@ def make_foreign(root):
         antenna_locations=pose.tx_positions[:, [1, 2, 0]] * [1, 1, 0],
     )
     write_planar(root / "planar")
-    for name, write in {"neus": write_neus, "llff": write_llff, "ring": write_middlebury}.items():
-        (root / name).mkdir()
-        write(root / name)
     write_colmap(root / "colmap", binary=True)
     write_colmap(root / "colmap_text", binary=False)
     _nerf(root)

@@ -177,9 +177,6 @@ READERS = {
     "colmap": (_photos, "sparse/0/cameras.bin", "sparse/0/images.bin"),
     "colmap_text": (_photos, "sparse/0/cameras.txt", "sparse/0/images.txt"),
     "nerf": (_photos, "transforms.json", "images/photo0.png"),
-    "neus": (_photos, "cameras_sphere.npz"),
-    "llff": (_photos, "poses_bounds.npy"),
-    "ring": (_photos, "ring_par.txt"),
     "safetensors": (
         lambda folder, file: load_checkpoint(file, kind="paper", version=1),
         "a.safetensors",

@@ -1,13 +1,12 @@
 """Small photo sets on disk, in the formats that are read."""
 
 import struct
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from geraf2.io.photo_files import write_image
-from geraf2.scene.photos import Camera
+from geraf2.scene.photos import Camera, PhotoSet, save_photos
 from geraf2.simulation.photos import look_at
 
 SIZE = (64, 48)
@@ -40,18 +39,12 @@ def write_images(folder, n_photos):
         write_image(folder / f"photo{index}.png", image_of(*SIZE, seed=index))
 
 
-def write_middlebury(folder, n_photos=6, **options):
-    """A `_par.txt` with images; returns the cameras."""
+def write_photo_set(folder, n_photos=6, **options):
+    """A transforms.json with images; returns the cameras."""
     cameras = ring_of_cameras(n_photos, **options)
-    lines = [str(n_photos)]
-    for index, camera in enumerate(cameras):
-        rotation = camera.camera_to_world[:3, :3].T
-        intrinsics = camera.intrinsics.copy()
-        intrinsics[:2, 2] -= 0.5
-        values = [*intrinsics.ravel(), *rotation.ravel(), *(-rotation @ camera.position)]
-        lines.append(f"photo{index}.png " + " ".join(f"{value:.15g}" for value in values))
-    (folder / "ring_par.txt").write_text("\n".join(lines) + "\n")
-    write_images(folder, n_photos)
+    names = tuple(f"photo{index}.png" for index in range(n_photos))
+    images = tuple(image_of(*SIZE, seed=index) for index in range(n_photos))
+    save_photos(PhotoSet(names=names, cameras=tuple(cameras), images=images), folder)
     return cameras
 
 
@@ -102,39 +95,3 @@ def _write_text(sparse, model, parameters, poses):
         lines.append(f"{image_id} " + " ".join(f"{v:.17g}" for v in values) + f" 42 {name}")
         lines.append("" if number % 2 else "1.0 2.0 -1 3.0 4.0 17")
     (sparse / "images.txt").write_text("\n".join(lines) + "\n")
-
-
-def write_neus(folder, n_photos=5, scale=1000.0):
-    """A NeuS folder in millimetres, projections of any sign and scale; returns the cameras."""
-    cameras = ring_of_cameras(n_photos)
-    (folder / "image").mkdir()
-    write_images(folder / "image", n_photos)
-    arrays = {}
-    for index, camera in enumerate(cameras):
-        rotation = camera.camera_to_world[:3, :3].T
-        intrinsics = camera.intrinsics.copy()
-        intrinsics[:2, 2] -= 0.5
-        translation = -rotation @ (scale * camera.position)
-        projection = intrinsics @ np.concatenate([rotation, translation[:, None]], axis=1)
-        factor = (-1.0) ** index * (1.0 + index)
-        arrays[f"world_mat_{index}"] = np.concatenate([factor * projection, [[0, 0, 0, 1]]])
-        arrays[f"scale_mat_{index}"] = np.diag([200.0, 200.0, 200.0, 1.0])
-    np.savez(folder / "cameras_sphere.npz", **arrays)
-    return cameras
-
-
-def write_llff(folder, n_photos=5, scale=1):
-    """Poses of images `scale` times as large as those in `images`; returns the cameras."""
-    cameras, rows = [], []
-    for camera in ring_of_cameras(n_photos):
-        intrinsics = camera.intrinsics.copy()
-        intrinsics[:2, 2] = 0.5 * SIZE[0], 0.5 * SIZE[1]  # LLFF has no principal point
-        cameras.append(replace(camera, intrinsics=intrinsics))
-        right, down, forward, eye = camera.camera_to_world[:3].T
-        size = [scale * SIZE[1], scale * SIZE[0], scale * 60.0]
-        matrix = np.stack([down, right, -forward, eye, size], axis=1)
-        rows.append([*matrix.ravel(), 0.1, 2.0])
-    (folder / "images").mkdir()
-    write_images(folder / "images", n_photos)
-    np.save(folder / "poses_bounds.npy", np.array(rows))
-    return cameras

@@ -17,9 +17,9 @@ class Config:
     """Make the line-of-sight prior: closed mesh and signed distance of the outside of the box."""
 
     source: Positional[Annotated[tuple[str, ...], Arg(metavar="PHOTOS|MESH|X Y Z|SCENE")]]
-    """Photos with poses (transforms.json, COLMAP, LLFF, NeuS, Middlebury), a mesh (closed, or a
-    scan with holes), three outer side lengths in metres, as 0.22 0.22 0.22 or 0.22x0.22x0.22, or
-    with --from-radar a scene."""
+    """Photos with poses (transforms.json or COLMAP), a mesh (closed, or a scan with holes), three
+    outer side lengths in metres, as 0.22 0.22 0.22 or 0.22x0.22x0.22, or with --from-radar a
+    scene."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
     from_radar: bool = False

@@ -28,7 +28,7 @@ class PhotoRecord:
     """One photo and its camera; the image itself is not read yet.
 
     Image coordinates have the middle of the upper left pixel at (0.5, 0.5), as those of COLMAP and
-    nerfstudio; readers of formats that put it at (0, 0) add the half.
+    nerfstudio.
     """
 
     name: str

@@ -1,19 +1,17 @@
 """Only what is implausible about photos is reported, in one line."""
 
+import json
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from geraf2.apps.photos.photo_checks import (
-    check_photos,
-    require_photos_in_view,
-)
+from geraf2.apps.photos.photo_checks import check_photos, require_photos_in_view
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
 from geraf2.scene.photos import PhotoSet
-from helpers.scene_photos import SIZE, ring_of_cameras, write_middlebury
+from helpers.scene_photos import SIZE, ring_of_cameras, write_photo_set
 
 
 def photo_set(n_photos=16, *, brightness=100, **options):
@@ -74,25 +72,21 @@ def test_what_is_implausible_is_one_line(photos, severity, words):
     assert re.search(words, message)
 
 
-def test_poses_of_another_handedness(tmp_path):
-    write_middlebury(tmp_path, n_photos=4)
-    path = tmp_path / "ring_par.txt"
-    lines = path.read_text().splitlines()
-    for index in range(1, 5):
-        parts = lines[index].split()
-        for column in range(10, 13):  # first row of R
-            parts[column] = str(-float(parts[column]))
-        lines[index] = " ".join(parts)
-    path.write_text("\n".join(lines))
-    with pytest.raises(UserError, match="another handedness"):
-        load_photos(tmp_path)
-    # One such pose alone is left out.
-    write_middlebury(tmp_path, n_photos=4)
-    good = path.read_text().splitlines()
-    path.write_text("\n".join([*good[:4], lines[4]]))
-    loaded = load_photos(tmp_path)
-    assert len(loaded.photos) == 3
-    assert "another handedness" in loaded.notes[0]
+@pytest.mark.parametrize("n_wrong", [1, 4])
+def test_poses_of_another_handedness_are_left_out(tmp_path, n_wrong):
+    write_photo_set(tmp_path, n_photos=4)
+    path = tmp_path / "transforms.json"
+    values = json.loads(path.read_text())
+    for frame in values["frames"][:n_wrong]:
+        frame["transform_matrix"][0] = [-value for value in frame["transform_matrix"][0]]
+    path.write_text(json.dumps(values))
+    if n_wrong == 4:
+        with pytest.raises(UserError, match="another handedness"):
+            load_photos(tmp_path)
+    else:
+        loaded = load_photos(tmp_path)
+        assert len(loaded.photos) == 3
+        assert "another handedness" in loaded.notes[0]
 
 
 def test_one_side_is_seen_where_cameras_stand_above_each_other():

@@ -7,13 +7,14 @@ from geraf2.apps.photos.photo_checks import check_photos
 from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions
-from helpers.scene_photos import image_of, write_middlebury
+from helpers.middlebury import convert_middlebury
+from helpers.scene_photos import write_photo_set
 
 TEMPLE_BOUNDS = np.array([[-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]])
 
 
 def test_a_missing_and_a_broken_photo_are_left_out(tmp_path):
-    cameras = write_middlebury(tmp_path, n_photos=5)
+    cameras = write_photo_set(tmp_path, n_photos=5)
     (tmp_path / "photo1.png").unlink()
     whole = (tmp_path / "photo3.png").read_bytes()
     (tmp_path / "photo3.png").write_bytes(whole[: len(whole) // 2])
@@ -29,7 +30,7 @@ def test_a_missing_and_a_broken_photo_are_left_out(tmp_path):
 
 
 def test_unit_and_frame(tmp_path):
-    cameras = write_middlebury(tmp_path, n_photos=2)
+    cameras = write_photo_set(tmp_path, n_photos=2)
     move = np.array([[0.0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]])
     np.savetxt(tmp_path / "move.txt", move)
     options = LosOptions(unit="mm", to_radar=tmp_path / "move.txt")
@@ -38,17 +39,9 @@ def test_unit_and_frame(tmp_path):
     np.testing.assert_allclose(photos.cameras[1].position, expected, atol=1e-9)
 
 
-def test_photos_may_differ_in_size(tmp_path):
-    cameras = write_middlebury(tmp_path, n_photos=2)
-    write_image(tmp_path / "photo1.png", image_of(32, 24))
-    photos = load_photos(tmp_path).photos
-    # Middlebury names no size: the intrinsics are of the image as it is.
-    assert (photos.cameras[0].width, photos.cameras[1].width) == (cameras[0].width, 32)
-
-
 def test_large_photos_are_read_smaller(tmp_path, monkeypatch):
     monkeypatch.setattr("geraf2.apps.photos.photo_store._MAX_SIDE_PX", 32)
-    cameras = write_middlebury(tmp_path, n_photos=2)
+    cameras = write_photo_set(tmp_path, n_photos=2)
     photos = load_photos(tmp_path, LosOptions(mask_threshold=1.0)).photos
     assert photos.images[0].shape == (24, 32, 3)
     assert photos.masks[0].shape == (24, 32)
@@ -59,7 +52,7 @@ def test_large_photos_are_read_smaller(tmp_path, monkeypatch):
 
 
 def test_masks_from_a_folder(tmp_path):
-    cameras = write_middlebury(tmp_path, n_photos=2)
+    cameras = write_photo_set(tmp_path, n_photos=2)
     height, width = cameras[0].height, cameras[0].width
     half = np.zeros((height, width, 3), np.uint8)
     half[: height // 2] = 255
@@ -74,9 +67,9 @@ def test_masks_from_a_folder(tmp_path):
 
 
 @pytest.mark.data
-def test_the_temple_s_masks_fill_its_published_box(shared_data):
+def test_the_temple_s_masks_fill_its_published_box(shared_data, tmp_path):
     options = LosOptions(mask_threshold=46.0, bounds=tuple(TEMPLE_BOUNDS.ravel().tolist()))
-    loaded = load_photos(shared_data / "temple_photos", options)
+    loaded = load_photos(convert_middlebury(shared_data / "temple_photos", tmp_path), options)
     photos = loaded.photos
     assert len(photos) == 16
     assert loaded.notes == ()

@@ -92,7 +92,7 @@ def _unit(source: PhotoSource, given_m: float | None) -> tuple[float, list[str]]
     known_m = source.unit_m if given_m is None else given_m
     if known_m is not None:
         return known_m, []
-    if source.format in ("colmap", "llff"):
+    if source.format == "colmap":
         return 1.0, ["poses of COLMAP have an arbitrary scale; --unit sets their unit in metres"]
     return 1.0, ["the poses name no unit; metres are assumed (--unit sets another)"]
 

@@ -3,9 +3,6 @@
 from pathlib import Path
 
 from geraf2.apps.photos.formats.colmap import find_colmap, read_colmap
-from geraf2.apps.photos.formats.llff import find_llff, read_llff
-from geraf2.apps.photos.formats.middlebury import find_middlebury, read_middlebury
-from geraf2.apps.photos.formats.neus import find_neus, read_neus
 from geraf2.apps.photos.formats.records import PhotoSource
 from geraf2.apps.photos.formats.transforms import find_transforms, read_transforms
 from geraf2.errors import UserError
@@ -13,19 +10,8 @@ from geraf2.io.photo_files import PhotoRecord
 
 __all__ = ["PhotoRecord", "PhotoSource", "find_photos", "open_photos"]
 
-# The first that finds its file reads the folder. Some folders hold both transforms.json and a
-# COLMAP model, or a COLMAP model and LLFF poses, which lack the lens.
-_READERS = (
-    (find_transforms, read_transforms),
-    (find_colmap, read_colmap),
-    (find_llff, read_llff),
-    (find_neus, read_neus),
-    (find_middlebury, read_middlebury),
-)
-_EXPECTED = (
-    "transforms.json, a COLMAP model (sparse/0), poses_bounds.npy (LLFF), cameras_sphere.npz "
-    "(NeuS) or NAME_par.txt (Middlebury)"
-)
+# The first that finds its file reads the folder: some hold both.
+_READERS = ((find_transforms, read_transforms), (find_colmap, read_colmap))
 
 
 def find_photos(source: Path) -> Path | None:
@@ -52,6 +38,6 @@ def open_photos(source: Path) -> PhotoSource:
     raise UserError(
         what="holds no camera poses",
         where=source,
-        expected=_EXPECTED,
+        expected="transforms.json or a COLMAP model (sparse/0)",
         hint="photos alone are not enough: run COLMAP on them first",
     )

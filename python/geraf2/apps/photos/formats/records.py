@@ -1,12 +1,9 @@
-"""Common parts of the readers of photo sets: their result, and lists of images."""
+"""Common parts of the readers of photo sets: their result, and files in any capitals."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from geraf2.errors import UserError
 from geraf2.io.photo_files import PhotoRecord
-
-_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,21 +35,3 @@ def found(folder: Path, name: str | Path) -> Path | None:
             return None
         here = there
     return here
-
-
-def images_in(folder: Path) -> list[Path]:
-    """PNG and JPEG files of a folder, sorted by name."""
-    return sorted(entry for entry in folder.iterdir() if entry.suffix.lower() in _SUFFIXES)
-
-
-def listed_images(folder: Path, names: tuple[str, ...]) -> list[Path]:
-    """Images of the first of the folder's subfolders `names` that has any; an error if none has."""
-    for name in names:
-        there = found(folder, name)
-        if there is not None and there.is_dir() and (images := images_in(there)):
-            return images
-    raise UserError(
-        what="no images beside the camera poses",
-        where=folder,
-        expected="a folder " + " or ".join(names) + " with PNG or JPEG files",
-    )
