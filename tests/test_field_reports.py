@@ -176,6 +176,6 @@ def test_the_largest_model_of_colmap_is_read(reports):
     assert any("'1' (16 photos) is read, not 0 (3)" in note for note in loaded.notes)
 
 
-def test_photos_that_are_stored_upside_down_are_turned(reports):
+def test_photos_that_are_stored_upside_down_are_named(reports):
     loaded = load_photos(reports / "photo_upside_down", LosOptions(unit="m"))
-    assert any("8 photos were turned" in note for note in loaded.notes)
+    assert any("8 photos with an EXIF orientation" in note for note in loaded.notes)

@@ -1,6 +1,5 @@
 """Photo sets from files, in the capture frame and in metres."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from geraf2._types import Array, Bools, Floats
 from geraf2.apps.photos.formats import PhotoSource, open_photos
-from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask, read_orientation
+from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import SIGNS
@@ -54,11 +53,10 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
     cameras: list[Camera] = []
     images: list[Array] = []
     masks: list[Bools | None] = []
-    turns, turn_notes = exif_turns(source.records)
-    notes = [*source.notes, *unit_notes, *turn_notes]
-    for record, turn in zip(source.records, turns, strict=True):
+    notes, tagged = [*source.notes, *unit_notes], list[str]()
+    for record in source.records:
         try:
-            image = read_image(record.path, record.size, turn=turn)
+            image = read_image(record.path, record.size)
             camera = _camera(record, image, unit_m, rigid, source.format, options.camera_axes)
             mask = _mask(record, image, camera, options)
         except UserError as error:
@@ -66,6 +64,7 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
             continue
         step = -(-max(image.colour.shape[:2]) // _MAX_SIDE_PX)
         names.append(record.name)
+        tagged += [record.name] if image.is_tagged else []
         cameras.append(camera.join_pixels(step))
         images.append(bin_pixels(image.colour, step).round().astype(np.uint8))
         masks.append(None if mask is None else bin_pixels(mask, step) >= 0.5)
@@ -74,6 +73,12 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
             what=f"none of the {len(source.records)} photos can be used",
             where=path,
             hint=notes[-1] if notes else None,
+        )
+    if tagged:
+        notes.append(
+            f"{len(tagged)} photos with an EXIF orientation were taken as stored (e.g. "
+            f"{tagged[0]}); if their poses are of the upright pictures, turn the pixels first, for "
+            "example with ImageMagick's 'mogrify -auto-orient'"
         )
     known = [mask for mask in masks if mask is not None]
     if known and len(known) < len(masks):
@@ -192,58 +197,3 @@ def _mask_file(folder: Path, record: PhotoRecord) -> Path:
         if candidate.is_file():
             return candidate
     raise UserError(what="no mask for this photo", where=folder, expected=candidates[1].name)
-
-
-_UPRIGHT, _ON_ITS_SIDE = (1, 2), (5, 6, 7, 8)
-# Least part of a camera's up direction that points along that of the others, or against it.
-_MIN_COMMON = 0.5
-
-
-def exif_turns(records: Sequence[PhotoRecord]) -> tuple[list[bool | None], list[str]]:
-    """Whether each photo is turned as its tag states; None where its size decides. And notes."""
-    tags, squares = [], []
-    for record in records:
-        try:
-            tag, (width, height) = read_orientation(record.path)
-        except UserError:  # its reader states what is wrong
-            tag, width, height = 1, 0, 0
-        tags.append(tag)
-        squares.append(width == height)
-    turns: list[bool | None] = []
-    turned: list[str] = []
-    kept: list[str] = []
-    ups = [_up(record) for record, tag in zip(records, tags, strict=True) if tag in _UPRIGHT]
-    common = np.mean(ups, axis=0) if ups else None
-    for record, tag, square in zip(records, tags, squares, strict=True):
-        if tag == 1 or (tag in _ON_ITS_SIDE and not square):
-            turns.append(None)
-            continue
-        upright = tag == 2 or _stands_upright(record, common)
-        turns.append(upright)
-        (turned if upright else kept).append(f"{record.name} ({tag})")
-    notes = []
-    if turned:
-        notes.append(
-            f"{len(turned)} photos were turned as their EXIF orientation states, since their "
-            f"cameras stand upright: {', '.join(turned[:3])}"
-        )
-    if kept:
-        notes.append(
-            f"{len(kept)} photos with an EXIF orientation were taken as stored, since their "
-            f"cameras do not stand upright as the others: {', '.join(kept[:3])}"
-        )
-    return turns, notes
-
-
-def _up(record: PhotoRecord) -> Floats:
-    return np.asarray(-record.camera_to_world[:3, 1], dtype=np.float64)
-
-
-def _stands_upright(record: PhotoRecord, common: Floats | None) -> bool:
-    """Whether the picture's up direction is that of the upright pictures, as far as it shows."""
-    if common is None or not np.linalg.norm(common) > _MIN_COMMON:
-        return False
-    looking = np.asarray(record.camera_to_world[:3, 2], dtype=np.float64)
-    expected = common - (common @ looking) * looking
-    length = float(np.linalg.norm(expected))
-    return length > 0.0 and float(_up(record) @ expected) > _MIN_COMMON * length

@@ -23,27 +23,27 @@ class ReadImage(NamedTuple):
     """(height, width, 3), sRGB."""
     alpha: NDArray[np.uint8] | None
     """(height, width), None where the file has none."""
+    is_tagged: bool
+    """Whether the file has an EXIF orientation that was not applied."""
 
 
-def read_image(
-    path: Path, size: tuple[int, int] | None = None, *, turn: bool | None = None
-) -> ReadImage:
+def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
     """Read an image of `PICTURE_FORMATS`; UserError if it is missing or broken.
 
     size: width and height of the picture that poses and intrinsics belong to. A stored picture of
         the other orientation is turned if its EXIF tag states so; else pixels stay as stored.
-    turn: whether the picture is turned as its EXIF tag states; None: as `size` decides.
     """
     with opened_picture(path) as stored:
         try:
             stored.load()
-            image = _turned(stored, size, turn)
+            image = _turn_to_size(stored, size)
+            is_tagged = image is stored and image.getexif().get(_ORIENTATION, 1) in range(2, 9)
             if image.mode in ("I", "I;16", "I;16B", "F"):
                 grey = np.asarray(image, dtype=np.float64)
                 # 16-bit files are full scale at 65535; floats at 1.
                 scale = 65535.0 if grey.max(initial=0.0) > 1.0 else 1.0
                 colour = np.clip(_EIGHT_BITS * grey / scale, 0, 255).round().astype(np.uint8)
-                return ReadImage(np.repeat(colour[:, :, None], 3, axis=2), None)
+                return ReadImage(np.repeat(colour[:, :, None], 3, axis=2), None, is_tagged)
             has_alpha = "A" in image.getbands() or "transparency" in image.info
             array = np.asarray(image.convert("RGBA" if has_alpha else "RGB"), dtype=np.uint8)
         except (OSError, ValueError, SyntaxError, EOFError) as error:
@@ -51,6 +51,7 @@ def read_image(
     return ReadImage(
         np.ascontiguousarray(array[:, :, :3]),
         np.ascontiguousarray(array[:, :, 3]) if has_alpha else None,
+        is_tagged,
     )
 
 
@@ -62,25 +63,13 @@ def read_mask(path: Path) -> Bools:
     return np.asarray(image.colour.max(axis=2) >= 128)
 
 
-def read_orientation(path: Path) -> tuple[int, tuple[int, int]]:
-    """EXIF orientation, 1 where there is none, and size as stored; UserError as `read_image`."""
-    with opened_picture(path) as image:
-        try:
-            tag = image.getexif().get(_ORIENTATION, 1)
-        except (OSError, ValueError, SyntaxError, EOFError) as error:
-            raise broken_picture(path, error) from error
-        return tag if tag in range(1, 9) else 1, (image.width, image.height)
-
-
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height of an image as stored; UserError as :func:`read_image`."""
     with opened_picture(path) as image:
         return image.width, image.height
 
 
-def _turned(image: Image.Image, size: tuple[int, int] | None, turn: bool | None) -> Image.Image:
-    if turn is not None:
-        return ImageOps.exif_transpose(image) if turn else image
+def _turn_to_size(image: Image.Image, size: tuple[int, int] | None) -> Image.Image:
     if size is None or image.getexif().get(_ORIENTATION) not in _ON_ITS_SIDE:
         return image
     lies = (image.width - image.height) * (size[0] - size[1]) < 0
