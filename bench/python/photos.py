@@ -27,9 +27,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import torch
 
+from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_store import load_photos
-from geraf2.apps.photos.training import GridPhotoConfig, train_neural_surface
+from geraf2.apps.photos.training import train_neural_surface
 from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.geometry.triangles import face_areas
@@ -159,7 +160,7 @@ def main():
     if options.no_masks:
         photos = replace(photos, masks=None)
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
-    config = replace(GridPhotoConfig(), seed=options.seed)
+    config = PhotoConfig(seed=options.seed)
 
     def show(trainer, losses):
         if trainer.step_number % 100 == 0:

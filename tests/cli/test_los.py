@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from geraf2.apps.photos import los, los_views, training
-from geraf2.apps.photos.config import GridPhotoConfig, GridStage
+from geraf2.apps.photos.config import GridStage, PhotoConfig
 from geraf2.apps.photos.formats.images import read_image
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.apps.photos.photo_store import load_photos
@@ -96,7 +96,7 @@ def tiny_training(monkeypatch):
     def tiny(preset, seed):
         del preset
         stages = (GridStage(n_longest=24, n_steps=20),)
-        return GridPhotoConfig(stages=stages, rays_per_step=256, seed=seed)
+        return PhotoConfig(stages=stages, rays_per_step=256, seed=seed)
 
     real, calls = training.train_neural_surface, []
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.apps.photos.config import PhotoConfig
 from geraf2.calibration.driver import CalibrationConfig
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
@@ -23,8 +23,7 @@ CONFIGS = [
     PriorSource(los=Path("a b/los.ply")),
     RunOptions(hold_out=(0.0, 1e-300)),
     CalibrationConfig(),
-    GridPhotoConfig(),
-    MlpPhotoConfig(),
+    PhotoConfig(),
     SurfaceFitConfig(),
     SceneSpec(
         figure=FigureSpec(name="dog"),

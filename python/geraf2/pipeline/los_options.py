@@ -16,7 +16,7 @@ from geraf2.io.transform_file import read_transform
 
 Bounds = tuple[float, float, float, float, float, float]
 CameraAxes = Literal["format", "opencv", "opengl"]
-PhotoPreset = Literal["quick", "default", "paper"]
+PhotoPreset = Literal["quick", "default"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class LosOptions(Bounded):
     """Coordinates x0 y0 z0 x1 y1 z1 of the capture frame around the box [m]; `-inf` and `inf` leave
     a side open. The rest is cut off, for example the table below z0."""
     preset: PhotoPreset = "default"
-    """Trained model: a grid (minutes), a coarser one (quick), or the paper's networks (days)."""
+    """Grids of the training: fine ones (minutes), or coarse ones for a first look (quick)."""
     hold_out: CountOrZero = 0
     """Exclude every N-th photo from the training and compare it with the surface; 0: none."""
     keep_surface: bool = False

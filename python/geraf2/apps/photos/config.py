@@ -5,7 +5,6 @@ from dataclasses import dataclass, field
 from geraf2._validation import require_each, require_least, require_positive
 from geraf2.apps.photos.neus.background import BackgroundConfig
 from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
-from geraf2.apps.photos.neus.coloured_mlp import ColouredMlpConfig
 from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 
 
@@ -43,8 +42,8 @@ class AgreementRound:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GridPhotoConfig:
-    """The default: a grid from coarse to fine, for CPUs."""
+class PhotoConfig:
+    """Settings of a training on grids from coarse to fine."""
 
     stages: tuple[GridStage, ...] = (
         GridStage(n_longest=64, n_steps=400),
@@ -63,17 +62,9 @@ class GridPhotoConfig:
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
     """Size of the colour's part."""
-    background: BackgroundConfig = field(
-        default_factory=lambda: BackgroundConfig(
-            n_layers=3, width=64, skip=0, n_octaves=6, n_direction_octaves=2, n_samples=16
-        )
-    )
+    background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Network behind the region, for photos without masks."""
-    sampling: PhotoSamplingConfig = field(
-        default_factory=lambda: PhotoSamplingConfig(
-            n_coarse=64, n_fine=16, n_rounds=2, keep_all=False
-        )
-    )
+    sampling: PhotoSamplingConfig = field(default_factory=PhotoSamplingConfig)
     """Samples of a ray: only those near the surface are rendered."""
     first_sharpness: float = 1.0
     """Sharpness at the start, over the voxel; later stages continue from the last."""
@@ -109,43 +100,3 @@ class GridPhotoConfig:
         sharpness = ("first_sharpness", "last_sharpness", "final_sharpness")
         rates = ("distance_rate", "feature_rate", "network_rate", "final_rate")
         require_each(require_positive, self, "rays_per_step", *sharpness, *rates)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MlpPhotoConfig:
-    """NeuS as published and as the paper uses it: networks, schedule and weights."""
-
-    n_steps: int = 300_000
-    """Steps of the optimiser."""
-    rays_per_step: int = 512
-    """Rays drawn for a step."""
-    model: ColouredMlpConfig = field(default_factory=ColouredMlpConfig)
-    """Both networks."""
-    background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Network behind the region, for photos without masks."""
-    sampling: PhotoSamplingConfig = field(default_factory=PhotoSamplingConfig)
-    """64 even samples and 64 more in four rounds."""
-    rate: float = 5e-4
-    """Largest learning rate, after the warm-up."""
-    warmup_steps: int = 5000
-    """Steps in which the rate rises from zero."""
-    final_rate: float = 0.05
-    """Final over largest rate; the rate falls as a cosine."""
-    anneal_steps: int = 50_000
-    """Steps of the annealed cosine where there are no masks."""
-    first_inv_s: float = 20.1
-    """Sharpness at the start, over the region's radius: exp(10 * 0.3). It is learned."""
-    eikonal_weight: float = 0.1
-    """Weight of mean (|gradient| - 1)^2."""
-    mask_weight: float = 0.1
-    """Weight of the cross entropy of opacity and silhouette, where there are masks."""
-    seed: int = 0
-    """Of rays, samples and networks."""
-
-    def __post_init__(self) -> None:
-        names = ("n_steps", "rays_per_step", "rate", "final_rate", "first_inv_s")
-        require_each(require_positive, self, *names)
-        require_least(self, warmup_steps=0, anneal_steps=0)
-
-
-PhotoConfig = GridPhotoConfig | MlpPhotoConfig

@@ -48,7 +48,7 @@ REFUSED_NAME = "refused.png"
 """Views of a surface that does not explain its photos; it becomes no prior."""
 
 # Raised when the same photos and settings give another surface.
-PHOTOS_VERSION = 2
+PHOTOS_VERSION = 3
 _N_LONGEST = 128
 _MAX_NOTES = 8
 """Largest number of notes that are printed."""
@@ -61,15 +61,13 @@ _SIDES = re.compile(r"(?:x|,\s*|\s+)".join([r"([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+
 
 
 def photo_config(preset: PhotoPreset, seed: int = 0) -> "PhotoConfig":
-    """Return the settings of a training: a coarse grid, a fine one, or the paper's networks."""
+    """Return the settings of a training on fine grids, or on coarse ones for a first look."""
     from geraf2.apps.photos import config  # noqa: PLC0415 - torch takes 2 s
 
-    if preset == "paper":
-        return config.MlpPhotoConfig(seed=seed)
     if preset == "default":
-        return config.GridPhotoConfig(seed=seed)
+        return config.PhotoConfig(seed=seed)
     stages = tuple(config.GridStage(n_longest=n, n_steps=k) for n, k in ((48, 200), (80, 300)))
-    return config.GridPhotoConfig(stages=stages, seed=seed)
+    return config.PhotoConfig(stages=stages, seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)

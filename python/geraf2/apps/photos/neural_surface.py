@@ -10,13 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from geraf2._types import AnyPath, Array
-from geraf2.apps.photos.config import GridPhotoConfig, MlpPhotoConfig
+from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
-from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
-from geraf2.apps.photos.neus.ray_samples import intersect_ball, intersect_box
-from geraf2.apps.photos.neus.rendering import ColouredField, Rendering, render_rays, sample_edges
+from geraf2.apps.photos.neus.ray_samples import intersect_box
+from geraf2.apps.photos.neus.rendering import Rendering, render_rays, sample_edges
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
@@ -29,13 +28,11 @@ from geraf2.scene.photos import Camera
 from geraf2.surfaces.isosurface import extract_surface
 
 KIND = "photos"
-VERSION = 1
+VERSION = 2
 _MISSED_SPAN = 1e-3
 """Rendered length of a ray that misses the region, in radii of it."""
 _CHUNK_SAMPLES = 1 << 18
 """Samples rendered at once: some 100 MB with the largest networks."""
-_MESH_VOXELS = 256
-"""Voxels along the longest side for the mesh of a network."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,9 +59,9 @@ class NeuralSurface:
 
     def __init__(
         self,
-        config: GridPhotoConfig | MlpPhotoConfig,
+        config: PhotoConfig,
         region: Region,
-        field: ColouredField,
+        field: ColouredGrid,
         background: NerfBackground | None,
         *,
         inv_s: float,
@@ -72,19 +69,10 @@ class NeuralSurface:
     ) -> None:
         self.config, self.region, self.frame = config, region, frame
         self.field, self.background = field, background
-        self.log_inv_s = nn.Parameter(torch.tensor(float(np.log(inv_s))))
-
-    @property
-    def inv_s(self) -> float:
-        """Sharpness of the logistic density [1/m]."""
-        return float(self.log_inv_s.detach().exp())
-
-    def set_inv_s(self, inv_s: float) -> None:
-        """Set the sharpness [1/m]."""
-        self.log_inv_s.data.fill_(float(np.log(inv_s)))
+        self.inv_s = inv_s
 
     def modules(self) -> nn.ModuleDict:
-        """All modules with parameters; the sharpness is separate."""
+        """All modules with parameters."""
         parts: dict[str, nn.Module] = {"field": self.field}
         if self.background is not None:
             parts["background"] = self.background
@@ -92,18 +80,12 @@ class NeuralSurface:
 
     def span(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Entry and exit of rays (n, 3) in the region, (n,) each [m]; entry >= exit: missed."""
-        if isinstance(self.field, ColouredMlp):
-            center = torch.tensor(self.region.center_m)
-            return intersect_ball(origins, directions, center, self.region.radius_m)
         low, high = torch.tensor(self.region.low_m), torch.tensor(self.region.high_m)
         return intersect_box(origins, directions, low, high)
 
     def render_rays(
         self,
         rays: tuple[Tensor, Tensor],
-        *,
-        inv_s: Tensor | None = None,
-        anneal: float = 1.0,
         generator: torch.Generator | None = None,
     ) -> Rendering:
         """Render rays by :func:`geraf2.apps.photos.neus.rendering.render_rays`."""
@@ -114,20 +96,11 @@ class NeuralSurface:
         missed = far <= near
         near = torch.where(missed, 0.0, near)
         far = torch.where(missed, _MISSED_SPAN * radius_m, far)
-        first_inv_s = sampling.first_inv_s / radius_m
-        if isinstance(self.field, ColouredGrid):
-            # No sharper than the coarse intervals are long, or one of them gets all samples.
-            first_inv_s = min(self.inv_s, 0.5 * sampling.n_coarse / radius_m)
+        # No sharper than the coarse intervals are long, or one of them gets all samples.
+        first_inv_s = min(self.inv_s, 0.5 * sampling.n_coarse / radius_m)
         inv_s_range = (first_inv_s, self.inv_s)
         edges = sample_edges(self.field, rays, (near, far), sampling, inv_s_range, generator)
-        return render_rays(
-            self.field,
-            rays,
-            edges,
-            self.inv_s if inv_s is None else inv_s,
-            anneal=anneal,
-            background=self.background,
-        )
+        return render_rays(self.field, rays, edges, self.inv_s, background=self.background)
 
     @torch.no_grad()
     def render(self, camera: Camera) -> RenderedView:
@@ -169,10 +142,10 @@ class NeuralSurface:
 
     @torch.no_grad()
     def _closed(self, n_longest: int | None) -> SdfGrid:
-        if n_longest is None and isinstance(self.field, ColouredGrid):
+        if n_longest is None:
             grid, values = self.field.grid, self.field.distance.values.detach()
         else:
-            grid = self.region.grid(_MESH_VOXELS if n_longest is None else n_longest)
+            grid = self.region.grid(n_longest)
             points = torch.from_numpy(grid.points()).to(torch.float32)
             parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
             values = torch.cat(parts).reshape(grid.shape)
@@ -181,40 +154,32 @@ class NeuralSurface:
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays by name and plain values, the input of `from_state`."""
         arrays = {k: v.detach().numpy() for k, v in self.modules().state_dict().items()}
-        arrays["log_inv_s"] = self.log_inv_s.detach().numpy()
         header: dict[str, Any] = {
-            "model": type(self.config).__name__,
             "config": asdict(self.config),
             "region": asdict(self.region),
+            "grid": asdict(self.field.grid),
+            "inv_s": self.inv_s,
             "frame": self.frame,
         }
-        if isinstance(self.field, ColouredGrid):
-            header["grid"] = asdict(self.field.grid)
         return arrays, header
 
     @classmethod
     def from_state(cls, arrays: dict[str, Array], header: dict[str, Any]) -> "NeuralSurface":
         """Surface of a `state`."""
-        kinds = {kind.__name__: kind for kind in (GridPhotoConfig, MlpPhotoConfig)}
-        model = header["model"]
-        config: Any = from_table(header["config"], kinds[model], f"stored {model}")
+        config = from_table(header["config"], PhotoConfig, "stored config")
         region = from_table(header["region"], Region, "stored region")
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
-        field: ColouredField
-        if isinstance(config, GridPhotoConfig):
-            grid = from_table(header["grid"], Grid, "stored grid")
-            field = ColouredGrid(
-                cube_about(region), grid, tensors["field.distance.values"], config.model
-            )
-            field.features.restore(tensors["field.features.rows"])
-        else:
-            field = ColouredMlp(cube_about(region), config.model)
+        grid = from_table(header["grid"], Grid, "stored grid")
+        field = ColouredGrid(
+            cube_about(region), grid, tensors["field.distance.values"], config.model
+        )
+        field.features.restore(tensors["field.features.rows"])
         background = None
         if any(name.startswith("background.") for name in arrays):
             background = NerfBackground(region.center_m, region.radius_m, config.background)
-        inv_s = float(tensors["log_inv_s"].exp())
-        surface = cls(config, region, field, background, inv_s=inv_s, frame=header["frame"])
-        surface.log_inv_s.data.copy_(tensors["log_inv_s"].reshape(()))
+        surface = cls(
+            config, region, field, background, inv_s=header["inv_s"], frame=header["frame"]
+        )
         modules = surface.modules()
         modules.load_state_dict({name: tensors[name] for name in modules.state_dict()})
         return surface

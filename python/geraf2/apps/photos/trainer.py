@@ -1,51 +1,72 @@
-"""Trainers of a surface from photos: their base class, and NeuS's networks and schedule."""
+"""Training of a surface on a grid that grows finer."""
 
 import math
-from abc import ABC, abstractmethod
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy
 
-from geraf2._types import Array
-from geraf2.apps.photos.config import MlpPhotoConfig
+from geraf2._types import Array, Bools
+from geraf2.apps.photos.config import PhotoConfig
+from geraf2.apps.photos.consistency import refine_by_agreement
+from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.apps.photos.neus.rendering import Rendering
-from geraf2.apps.photos.rays import PhotoRays, RayBatch
+from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
+from geraf2.apps.photos.unseen import RIM_VOXELS, close_unseen
+from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
+from geraf2.ops import sdf_grid
+from geraf2.scene import Grid
+from geraf2.scene.photos import Camera, PhotoSet
 
 _OPACITY_RIM = 1e-3
 """Keeps the logarithms of the cross entropy finite, as NeuS does."""
+_N_FREE_POINTS = 2048
+"""Points of the eikonal term, uniform in the region."""
+_BENDING_EVERY = 4
+"""Steps between pulls towards the neighbours' mean."""
+_MARGIN_VOXELS = 3.0
+"""Margin around the surface when the region shrinks, in voxels of the coarser grid."""
+_UNSEEN_VOXELS = 64
+"""Voxels along the longest side of the grid on which unseen parts are closed."""
 
 
-class PhotoTrainer(ABC):
-    """Losses, optimiser and random numbers; subclasses define the update of the field."""
+class PhotoTrainer:
+    """Stages of growing resolution; sharpness by schedule, gradients smoothed.
 
-    optimiser: torch.optim.Optimizer
-    n_steps: int
+    Sharpness grows within each stage from `first_sharpness` to `last_sharpness` over the voxel. The
+    gradient to the values is smoothed by a binomial filter, which turns many small dents into one
+    move of the surface (a Sobolev gradient; Renka and Neuberger 1995).
+    """
 
-    def __init__(self, rays: PhotoRays, surface: NeuralSurface, seed: int) -> None:
-        self.rays, self.surface = rays, surface
-        self.step_number = 0
-        self.generator = torch.Generator().manual_seed(seed)
+    def __init__(
+        self, photos: PhotoSet, region: Region, surface: NeuralSurface, config: PhotoConfig
+    ) -> None:
+        self.config, self._photos, self._rays_stage = config, photos, -1
+        self.n_steps = sum(stage.n_steps for stage in config.stages)
+        self.surface, self.step_number = surface, 0
+        self._photos_agree = False
+        self.rays = self._rays_of(0, region)
+        self.generator = torch.Generator().manual_seed(config.seed)
+        self._enter(surface)
 
-    @abstractmethod
-    def prepare(self) -> None:
-        """Set grid, rates and sharpness for the step to come."""
+    def _rays_of(self, number: int, region: Region) -> PhotoRays:
+        """Rays of photos whose pixels match the stage's feature spacing; full size in the last."""
+        self._rays_stage, factor = number, 1
+        if number + 1 < len(self.config.stages):
+            apart = self.surface.field.grid.spacing_m / self.config.model.nodes_per_voxel
+            factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
+        return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
 
-    @abstractmethod
-    def losses(self, batch: RayBatch) -> dict[str, Tensor]:
-        """Weighted terms of the loss, by name."""
-
-    def precondition(self) -> None:  # noqa: B027 - some trainers change nothing
-        """Change gradients and parameters before the optimiser does."""
-
-    def step(self, n_rays: int) -> dict[str, float]:
+    def step(self) -> dict[str, float]:
         """Make one step; returns the terms of its loss."""
-        self.prepare()
-        terms = self.losses(self.rays.batch(n_rays, self.generator))
+        self._prepare()
+        terms = self._losses(self.rays.batch(self.config.rays_per_step, self.generator))
         values = {name: float(term.detach()) for name, term in terms.items()}
         for name, value in values.items():
             if not math.isfinite(value):
@@ -56,44 +77,10 @@ class PhotoTrainer(ABC):
                 )
         self.optimiser.zero_grad()
         torch.autograd.backward(torch.stack(list(terms.values())).sum())
-        self.precondition()
+        self._precondition()
         self.optimiser.step()
         self.step_number += 1
         return values
-
-    def photo_terms(
-        self,
-        rendering: Rendering,
-        batch: RayBatch,
-        mask_weight: float,
-        *,
-        solid: bool,
-        lenient: bool = False,
-    ) -> dict[str, Tensor]:
-        """Colour, and silhouette where it is known.
-
-        solid: the colour is divided by the opacity before the comparison, and weighted by it
-            without gradient: otherwise a soft rim would be pushed outwards. Without, as in NeuS,
-            the colour is compared directly.
-        lenient: silhouettes pull only where a ray is on the wrong side of one half: a ray that
-            grazes a face is never opaque while the density is soft.
-        """
-        if not self.rays.has_masks:
-            return {"colour": (rendering.colour - batch.colours).abs().mean()}
-        colour, opacity, share = rendering.colour, rendering.opacity, batch.inside
-        if solid:
-            colour = colour / opacity.clamp(min=_OPACITY_RIM)[:, None]
-            share = share * opacity.detach()
-        difference = (colour - batch.colours).abs().mean(dim=1)
-        terms = {"colour": (difference * share).sum() / batch.inside.sum().clamp(min=1.0)}
-        # Scaled, not clamped as in NeuS: a clamp has no gradient where the background is opaque,
-        # and the surface would stay outside.
-        bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * opacity.clamp(max=1.0)
-        wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
-        if lenient:
-            wrong = torch.relu(wrong - math.log(2.0))
-        terms["mask"] = mask_weight * wrong.mean()
-        return terms
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays and plain values from which `restore` continues bit by bit."""
@@ -103,12 +90,17 @@ class PhotoTrainer(ABC):
             for name, value in entry.items():
                 arrays[f"optimiser.{index}.{name}"] = torch.as_tensor(value).numpy()
         # the region of the surface may have shrunk since the rays were chosen
-        return arrays, header | {"step": self.step_number, "rays_region": asdict(self.rays.region)}
+        return arrays, header | {
+            "step": self.step_number,
+            "rays_region": asdict(self.rays.region),
+            "photos_agree": self._photos_agree,
+        }
 
     def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
         """Restore the state of a run with the same settings."""
         self.step_number = int(header["step"])
         self._enter(NeuralSurface.from_state(arrays, header))
+        self._photos_agree = bool(header["photos_agree"])
         self.generator.set_state(torch.from_numpy(arrays["generator"]))
         parameters = [p for group in self.optimiser.param_groups for p in group["params"]]
         state: dict[int, dict[str, Tensor]] = {}
@@ -121,57 +113,177 @@ class PhotoTrainer(ABC):
         groups = self.optimiser.state_dict()["param_groups"]
         self.optimiser.load_state_dict({"state": state, "param_groups": groups})
 
-    @abstractmethod
     def _enter(self, surface: NeuralSurface) -> None:
         """Continue with this surface and a new optimiser."""
+        self.surface = surface
+        config, field = self.config, surface.field
+        networks = list(field.view.parameters())
+        if surface.background is not None:
+            networks += list(surface.background.parameters())
+        self._rates = (
+            config.distance_rate * field.grid.spacing_m,
+            config.feature_rate,
+            config.network_rate,
+        )
+        groups: list[dict[str, Any]] = [
+            {"params": [field.distance.values]},
+            {"params": [field.features.table]},
+            {"params": networks},
+        ]
+        self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
+    def _stage(self) -> tuple[int, int]:
+        """Return the current stage, and the step within it."""
+        step = self.step_number
+        for number, stage in enumerate(self.config.stages):
+            if step < stage.n_steps:
+                return number, step
+            step -= stage.n_steps
+        msg = f"step {self.step_number} is beyond the last, {self.n_steps}"
+        raise ValueError(msg)
 
-_SHARPNESS_RATE = 10.0
-"""The sharpness is exp(10 v): log s moves ten times as fast as v."""
+    def _prepare(self) -> None:
+        """Enter the next stage where one begins; set rates and sharpness."""
+        number, step = self._stage()
+        stages, config = self.config.stages, self.config
+        if step == 0 and number > 0:
+            self._refine(number)
+        elif step == 0 and self.rays.has_masks:
+            self._start()
+        if number != self._rays_stage:
+            self.rays = self._rays_of(number, self.rays.region)
+        is_last = number == len(stages) - 1
+        share = step / stages[number].n_steps
+        last = config.final_sharpness if is_last else config.last_sharpness
+        first = config.first_sharpness
+        if number > 0:  # where the one before has ended, unless that is too sharp for this grid
+            before = self.surface.region.grid(stages[number - 1].n_longest).spacing_m
+            first = min(last, config.last_sharpness * self.surface.field.grid.spacing_m / before)
+        sharpness = first * (last / first) ** share
+        self.surface.inv_s = sharpness / self.surface.field.grid.spacing_m
+        # The colour common to all directions is trained first: with few photos, a view-dependent
+        # colour fits any shape.
+        self.surface.field.view_dependent = number > 0 or len(stages) == 1
+        falling = config.final_rate**share if is_last else 1.0
+        for group, rate in zip(self.optimiser.param_groups, self._rates, strict=True):
+            group["lr"] = rate * falling
+        if number == 0 and share < config.colour_first:
+            self.optimiser.param_groups[0]["lr"] = 0.0
 
+    @torch.no_grad()
+    def _start(self) -> None:
+        """Move the visual hull to where the photos agree."""
+        field = self.surface.field
+        hull = field.distance.values.detach().numpy()
+        values = self._agreed(hull, field.grid)
+        self._photos_agree = values is not hull
+        field.regrid(field.grid, torch.from_numpy(values), is_first=True)
+        self._enter(self.surface)
 
-class MlpTrainer(PhotoTrainer):
-    """Adam with a warm-up and a cosine; the sharpness is learned.
-
-    Wang et al., NeuS, 2021, section 4.1 and appendix, which the paper adopts unchanged.
-    """
-
-    def __init__(self, rays: PhotoRays, surface: NeuralSurface, config: MlpPhotoConfig) -> None:
-        super().__init__(rays, surface, config.seed)
-        self.config, self.n_steps = config, config.n_steps
+    @torch.no_grad()
+    def _refine(self, number: int) -> None:
+        n_longest = self.config.stages[number].n_longest
+        surface, before = self.surface, self.surface.field.grid
+        body = (
+            close_body(self.surface.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
+        )
+        if self.rays.has_masks and body.any():
+            surface.region = _around(body, before, surface.region)
+        grid = surface.region.grid(n_longest)
+        values = self._values_at(grid)
+        coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
+        rough = self._values_at(coarse)
+        mended = rough
+        if self.rays.has_masks:
+            rim_voxels = RIM_VOXELS if self._photos_agree else 0
+            mended = close_unseen(rough, coarse, self.rays.cameras, rim_voxels)
+        elif number == 1:  # the first grid has turned the ball into a surface
+            mended = self._agreed(rough, coarse)
+        change = mended - rough
+        values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
+        self.surface.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
 
-    def _enter(self, surface: NeuralSurface) -> None:
-        self.surface = surface
-        self.optimiser = torch.optim.Adam(
-            [{"params": list(surface.modules().parameters())}, {"params": [surface.log_inv_s]}]
-        )
+    def _agreed(self, values: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
+        """Signed distance moved to where the photos agree."""
+        footprint_m = _footprint_m(self._photos.cameras, self.rays.region)
+        return refine_by_agreement(values, grid, self._photos, self.config.agreement, footprint_m)
 
-    def prepare(self) -> None:
-        """Set the rates."""
-        config, step = self.config, self.step_number
-        if step < config.warmup_steps:
-            factor = step / config.warmup_steps
-        else:
-            n_falling = max(config.n_steps - config.warmup_steps, 1)
-            cosine = 0.5 * (1.0 + math.cos(math.pi * (step - config.warmup_steps) / n_falling))
-            factor = config.final_rate + (1.0 - config.final_rate) * cosine
-        for group, scale in zip(self.optimiser.param_groups, (1.0, _SHARPNESS_RATE), strict=True):
-            group["lr"] = config.rate * factor * scale
+    def _values_at(self, grid: Grid) -> NDArray[np.float32]:
+        """Tricubic signed distance at the nodes of another grid [m]."""
+        values, own = self.surface.field.distance.values.detach().numpy(), self.surface.field.grid
+        found = sdf_grid(values, own, grid.points(), interpolation="cubic").value
+        return np.asarray(found, dtype=np.float32).reshape(grid.shape)
 
-    def losses(self, batch: RayBatch) -> dict[str, Tensor]:
-        """Colour, silhouette, and the eikonal term at the samples within the ball."""
+    def _losses(self, batch: RayBatch) -> dict[str, Tensor]:
+        """Colour, silhouette, and the eikonal term at samples and all over the region."""
         config = self.config
-        anneal = 1.0
-        if not self.rays.has_masks and config.anneal_steps > 0:
-            anneal = min(1.0, self.step_number / config.anneal_steps)
-        rendering = self.surface.render_rays(
-            (batch.origins, batch.directions),
-            inv_s=self.surface.log_inv_s.exp(),
-            anneal=anneal,
-            generator=self.generator,
-        )
-        terms = self.photo_terms(rendering, batch, config.mask_weight, solid=False)
-        slope = rendering.gradient.norm(dim=2)
-        terms["eikonal"] = config.eikonal_weight * ((slope - 1.0) ** 2).mean()
+        rays = (batch.origins, batch.directions)
+        if self.rays.has_masks:
+            near, far = self.surface.span(*rays)
+            batch = batch.subset(far > near)
+            rays = (batch.origins, batch.directions)
+        rendering = self.surface.render_rays(rays, generator=self.generator)
+        # Silhouettes may be lenient where the photos already fix the surface.
+        terms = self.photo_terms(rendering, batch, lenient=self._photos_agree)
+        region = self.surface.region
+        low, high = torch.tensor(region.low_m), torch.tensor(region.high_m)
+        unit = torch.rand((_N_FREE_POINTS, 3), generator=self.generator)
+        free = self.surface.field.surface_sample(low + (high - low) * unit).gradient
+        slopes = rendering.gradient.reshape(-1, 3).norm(dim=1), free.norm(dim=1)
+        eikonal = sum(((slope - 1.0) ** 2).mean() for slope in slopes)
+        terms["eikonal"] = config.eikonal_weight * torch.as_tensor(eikonal)
         return terms
+
+    def photo_terms(
+        self, rendering: Rendering, batch: RayBatch, *, lenient: bool
+    ) -> dict[str, Tensor]:
+        """Colour, and silhouette where it is known.
+
+        The colour is divided by the opacity before the comparison, and weighted by it without
+        gradient: otherwise a soft rim would be pushed outwards.
+
+        lenient: silhouettes pull only where a ray is on the wrong side of one half: a ray that
+            grazes a face is never opaque while the density is soft.
+        """
+        if not self.rays.has_masks:
+            return {"colour": (rendering.colour - batch.colours).abs().mean()}
+        colour = rendering.colour / rendering.opacity.clamp(min=_OPACITY_RIM)[:, None]
+        share = batch.inside * rendering.opacity.detach()
+        difference = (colour - batch.colours).abs().mean(dim=1)
+        terms = {"colour": (difference * share).sum() / batch.inside.sum().clamp(min=1.0)}
+        # Scaled, not clamped as in NeuS: a clamp has no gradient where the background is opaque,
+        # and the surface would stay outside.
+        bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * rendering.opacity.clamp(max=1.0)
+        wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
+        if lenient:
+            wrong = torch.relu(wrong - math.log(2.0))
+        terms["mask"] = self.config.mask_weight * wrong.mean()
+        return terms
+
+    @torch.no_grad()
+    def _precondition(self) -> None:
+        """Smooth the gradient of the values, and draw them to their neighbours' mean."""
+        values, config = self.surface.field.distance.values, self.config
+        if values.grad is not None:
+            values.grad = binomial_blur(values.grad, config.blur_passes)
+        bends = config.bending > 0.0 and self.optimiser.param_groups[0]["lr"] > 0.0
+        if bends and self.step_number % _BENDING_EVERY == 0:
+            values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
+
+
+def _around(body: Bools, grid: Grid, region: Region) -> Region:
+    """Box about a body with a margin, within the region; empty space needs no refinement."""
+    found = np.argwhere(body)
+    low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
+    high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)
+    return Region.between(np.maximum(low, region.low_m), np.minimum(high, region.high_m))
+
+
+def _footprint_m(cameras: tuple[Camera, ...], region: Region) -> float:
+    """Size of a pixel at the middle of the region, the median over the photos [m]."""
+    sizes = [
+        float(np.linalg.norm(camera.position - region.center_m)) / float(camera.intrinsics[0, 0])
+        for camera in cameras
+    ]
+    return float(np.median(sizes))

@@ -13,16 +13,14 @@ from typing import Any
 import torch
 
 from geraf2._types import AnyPath
-from geraf2.apps.photos.config import GridPhotoConfig, PhotoConfig
+from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import quick_redistance
-from geraf2.apps.photos.grid_trainer import GridTrainer
 from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
-from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.photo_checks import MIN_PHOTOS
-from geraf2.apps.photos.rays import PhotoRays, fit_resolution
-from geraf2.apps.photos.trainer import MlpTrainer, PhotoTrainer
+from geraf2.apps.photos.rays import fit_resolution
+from geraf2.apps.photos.trainer import PhotoTrainer
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -49,7 +47,7 @@ def train_neural_surface(
     """Surface of a photo set, trained by volume rendering.
 
     photo_set: photos with cameras, at least three; masks are used where it has them.
-    config: GridPhotoConfig (the default), or MlpPhotoConfig for the networks of the paper.
+    config: PhotoConfig() when None.
     region: box in which the surface lies; else found from the silhouettes or the common view.
     progress: receives the trainer and the weighted terms of its loss after every step.
     checkpoint: file that is written every minute and at the end.
@@ -58,7 +56,7 @@ def train_neural_surface(
     Returns NeuralSurface in the frame of the cameras, in metres. Raises UserError for photos
     without a common object, a loss that is not finite, or a checkpoint of other settings.
     """
-    config = GridPhotoConfig() if config is None else config
+    config = PhotoConfig() if config is None else config
     if len(photo_set) < MIN_PHOTOS:
         raise UserError(
             what="too few photos for a surface",
@@ -77,15 +75,10 @@ def train_neural_surface(
     else:
         surface = NeuralSurface.from_state(stored.arrays, stored.header)
         rays_region = from_table(stored.header["rays_region"], Region, path)
-    trainer: PhotoTrainer
-    if isinstance(config, GridPhotoConfig):
-        trainer = GridTrainer(photos, rays_region, surface, config)
-    else:
-        rays = PhotoRays(photos, rays_region, seed=config.seed)
-        trainer = MlpTrainer(rays, surface, config)
+    trainer = PhotoTrainer(photos, rays_region, surface, config)
     if stored is not None:
         trainer.restore(stored.arrays, stored.header)
-    _run(trainer, config.rays_per_step, progress, path, photos.names)
+    _run(trainer, progress, path, photos.names)
     return trainer.surface
 
 
@@ -96,22 +89,17 @@ def start_surface(
     torch.manual_seed(config.seed)
     hull = None if photos.masks is None else VisualHull(photos)
     region = find_region(photos, hull) if region is None else region
-    field: ColouredGrid | ColouredMlp
-    if isinstance(config, GridPhotoConfig):
-        grid = region.grid(config.stages[0].n_longest)
-        points = grid.points()
-        if hull is None:
-            radius = _START_BALL * 0.5 * min(region.sides_m)
-            offset = torch.from_numpy(points) - torch.tensor(region.center_m, dtype=torch.float64)
-            values = offset.norm(dim=1) - radius
-        else:
-            distance = hull.distance(points).reshape(grid.shape)
-            values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
-        field = ColouredGrid(cube_about(region), grid, values.reshape(grid.shape), config.model)
-        inv_s = config.first_sharpness / grid.spacing_m
+    grid = region.grid(config.stages[0].n_longest)
+    points = grid.points()
+    if hull is None:
+        radius = _START_BALL * 0.5 * min(region.sides_m)
+        offset = torch.from_numpy(points) - torch.tensor(region.center_m, dtype=torch.float64)
+        values = offset.norm(dim=1) - radius
     else:
-        field = ColouredMlp(cube_about(region), config.model, seed=config.seed)
-        inv_s = config.first_inv_s / region.radius_m
+        distance = hull.distance(points).reshape(grid.shape)
+        values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
+    field = ColouredGrid(cube_about(region), grid, values.reshape(grid.shape), config.model)
+    inv_s = config.first_sharpness / grid.spacing_m
     background = None
     if hull is None:
         background = NerfBackground(
@@ -122,7 +110,6 @@ def start_surface(
 
 def _run(
     trainer: PhotoTrainer,
-    n_rays: int,
     progress: Progress | None,
     path: Path | None,
     names: Sequence[str],
@@ -130,7 +117,7 @@ def _run(
     saved_s = time.monotonic()
     with _between_steps() as stops:
         while trainer.step_number < trainer.n_steps and not stops:
-            losses = trainer.step(n_rays)
+            losses = trainer.step()
             if path is not None and time.monotonic() - saved_s >= _CHECKPOINT_EVERY_S:
                 _save(path, trainer, names)
                 saved_s = time.monotonic()
@@ -172,7 +159,6 @@ def _between_steps() -> Iterator[list[int]]:
 
 def _require_same(path: Path, stored: Checkpoint, config: PhotoConfig, photos: PhotoSet) -> None:
     wanted: dict[str, Any] = {
-        "model": type(config).__name__,
         "config": parse_json(json.dumps(asdict(config))),
         "photos": list(photos.names),
     }

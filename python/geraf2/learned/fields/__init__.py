@@ -4,13 +4,12 @@ from geraf2.fields.sdf_field import CubeDomain, Distance, SdfField, SdfSample
 from geraf2.learned.fields.encoding import positional_encoding
 from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
 from geraf2.learned.fields.reflectivity import Power, ReflectivityGrid, ReflectivityMlp, Sharpness
-from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlp, SdfMlpConfig
+from geraf2.learned.fields.sdf_mlp import SdfMlp, SdfMlpConfig
 from geraf2.learned.fields.sdf_mlp_grid import SdfMlpGrid
 
 __all__ = [
     "CubeDomain",
     "Distance",
-    "FeatureSample",
     "LearnedSdfGrid",
     "Power",
     "ReflectivityGrid",

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -27,13 +26,11 @@ class SdfMlpConfig:
     skip: int = 4
     """Hidden layer to which the encoded point is appended again; 0 for none."""
     n_octaves: int = 10
-    """Octaves of the positional encoding; 10 for radar, 6 for photos."""
+    """Octaves of the positional encoding."""
     softplus_beta: float = 100.0
     """Sharpness of the activation; infinite would be a rectifier."""
     init_radius: float = 0.5
     """Radius of the sphere that the network starts from, in units of the domain's half side."""
-    n_features: int = 0
-    """Further outputs, for a colour or reflectivity network."""
     fit_steps: int = 400
     """Steps of the fit of `initialise`."""
     fit_points: int = 4096
@@ -42,7 +39,7 @@ class SdfMlpConfig:
     """Learning rate of that fit."""
 
     def __post_init__(self) -> None:
-        require_least(self, n_layers=1, width=1, n_octaves=0, n_features=0)
+        require_least(self, n_layers=1, width=1, n_octaves=0)
         if not 0 <= self.skip < self.n_layers:
             msg = f"skip must be from 0 to n_layers - 1 = {self.n_layers - 1}, got {self.skip}"
             raise ValueError(msg)
@@ -53,17 +50,6 @@ class SdfMlpConfig:
             )
             raise ValueError(msg)
         require_each(require_positive, self, "softplus_beta", "init_radius")
-
-
-class FeatureSample(NamedTuple):
-    """Signed distance with features."""
-
-    value: Tensor
-    """(n,) [m]."""
-    gradient: Tensor
-    """(n, 3)."""
-    features: Tensor
-    """(n, n_features)."""
 
 
 class SdfMlp(SdfField):
@@ -94,7 +80,7 @@ class SdfMlp(SdfField):
         n_in = size
         for number in range(self.config.n_layers + 1):
             is_last = number == self.config.n_layers
-            n_out = 1 + self.config.n_features if is_last else self.config.width
+            n_out = 1 if is_last else self.config.width
             if number + 1 == self.config.skip:
                 n_out -= size
             layer = nn.Linear(n_in, n_out)
@@ -156,12 +142,7 @@ class SdfMlp(SdfField):
         return hidden
 
     def forward(self, points: Tensor) -> SdfSample:
-        """Value and gradient at points (n, 3) [m]."""
-        value, gradient, _ = self.forward_with_features(points)
-        return SdfSample(value, gradient)
-
-    def forward_with_features(self, points: Tensor) -> FeatureSample:
-        """Value, gradient and the features at points (n, 3) [m].
+        """Value and gradient at points (n, 3) [m].
 
         The gradient may be differentiated, except under `torch.no_grad`.
         """
@@ -170,23 +151,19 @@ class SdfMlp(SdfField):
         # 1.4 times the time of their matrix products.
         with parametrize.cached():
             parts = [self._sample(part) for part in torch.split(points, _POINTS_AT_ONCE)]
-        return (
-            parts[0]
-            if len(parts) == 1
-            else FeatureSample(*map(torch.cat, zip(*parts, strict=True)))
-        )
+        if len(parts) == 1:
+            return parts[0]
+        return SdfSample(*map(torch.cat, zip(*parts, strict=True)))
 
-    def _sample(self, points: Tensor) -> FeatureSample:
+    def _sample(self, points: Tensor) -> SdfSample:
         record = torch.is_grad_enabled()
         with torch.enable_grad():
             positions = points if points.requires_grad else points.detach().requires_grad_()
-            output = self._evaluate(positions)
-            value = output[:, 0] * self.domain.half_side_m
+            value = self._evaluate(positions)[:, 0] * self.domain.half_side_m
             (gradient,) = torch.autograd.grad(value.sum(), positions, create_graph=record)
-        features = output[:, 1:]
         if not record:
-            value, gradient, features = value.detach(), gradient.detach(), features.detach()
-        return FeatureSample(value, gradient, features)
+            value, gradient = value.detach(), gradient.detach()
+        return SdfSample(value, gradient)
 
     def value(self, points: Tensor) -> Tensor:
         """Value alone at points (n, 3) [m] -> (n,) [m]."""

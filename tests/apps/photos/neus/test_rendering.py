@@ -8,24 +8,11 @@ from hypothesis import strategies as st
 
 from geraf2.apps.photos.neus.background import BackgroundConfig, NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid, ColouredGridConfig
-from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp, ColouredMlpConfig
-from geraf2.apps.photos.neus.rendering import (
-    PhotoSamplingConfig,
-    annealed_cosine,
-    render_rays,
-    sample_edges,
-)
-from geraf2.fields.sdf_field import CubeDomain
-from geraf2.learned.fields.sdf_mlp import FeatureSample, SdfMlpConfig
+from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig, render_rays, sample_edges
+from geraf2.fields.sdf_field import CubeDomain, SdfSample
 from reference.neus import render_ray
 
 DOMAIN = CubeDomain(center_m=(0.0, 0.0, 0.0), half_side_m=1.0)
-SMALL_MLP = ColouredMlpConfig(
-    sdf=SdfMlpConfig(n_layers=2, width=24, skip=0, n_octaves=1, n_features=4, softplus_beta=10.0),
-    n_layers=1,
-    width=8,
-    n_octaves=1,
-)
 
 
 class Plane(torch.nn.Module):
@@ -37,14 +24,10 @@ class Plane(torch.nn.Module):
     def surface_sample(self, points):
         gradient = torch.zeros_like(points)
         gradient[:, 2] = 1.0
-        return FeatureSample(points[:, 2], gradient, points[:, :0])
+        return SdfSample(points[:, 2], gradient)
 
     def shade(self, points, directions, sample, weight):
         return weight.sum(dim=1, keepdim=True).expand(-1, 3)
-
-
-def small_mlp():
-    return ColouredMlp(DOMAIN, SMALL_MLP, seed=3).double()
 
 
 def small_grid(dtype=torch.float64):
@@ -91,27 +74,18 @@ def test_the_weight_of_a_plane_is_unbiased(height, slant, inv_s, shift):
     assert peak == pytest.approx(hit, abs=2 * hit / n)
 
 
-def colours_of_samples(field, points, direction, sample, weight):
-    """Colour of each sample of a ray, (n, 3)."""
-    n = points.shape[0]
-    if isinstance(field, ColouredMlp):  # a ray a sample, with all of the weight on it
-        one = torch.ones((n, 1), dtype=torch.float64)
-        return field.shade(points[:, None], direction.expand(n, 3), sample, one)
-    # the colour of the ray over its opacity stands for all of its samples
-    whole = field.shade(points[None], direction[None], sample, weight[None])
-    return (whole / weight.sum()).expand(n, 3)
-
-
-@pytest.mark.parametrize("make", [small_mlp, small_grid])
-def test_rendering_is_that_of_the_slow_twin(make):
-    field, (rays, edges) = make(), rays_and_edges()
+def test_rendering_is_that_of_the_slow_twin():
+    field, (rays, edges) = small_grid(), rays_and_edges()
     behind = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
     seen = render_rays(field, rays, edges, 20.0, background=lambda o, _: behind.expand(len(o), 3))
     middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
     points = rays[0][:, None] + middles[:, :, None] * rays[1][:, None]
     for ray in range(edges.shape[0]):
         sample, direction = field.surface_sample(points[ray]), rays[1][ray]
-        colours = colours_of_samples(field, points[ray], direction, sample, seen.weight[ray])
+        weight = seen.weight[ray]
+        # the colour of the ray over its opacity stands for all of its samples
+        whole = field.shade(points[ray][None], direction[None], sample, weight[None])
+        colours = (whole / weight.sum()).expand(len(weight), 3)
         colour, opacity, depth = render_ray(
             sample.value.tolist(),
             sample.gradient.tolist(),
@@ -133,45 +107,36 @@ class Rendered(torch.nn.Module):
         super().__init__()
         self.field = field
 
-    def forward(self, rays, edges, inv_s):
-        seen = render_rays(self.field, rays, edges, inv_s)
+    def forward(self, rays, edges):
+        seen = render_rays(self.field, rays, edges, 8.0)
         slope = seen.gradient.norm(dim=2).reshape(-1)
         return torch.cat([seen.colour.reshape(-1), seen.opacity, seen.depth, slope])
 
 
 @pytest.mark.gradient
-@pytest.mark.parametrize("make", [small_mlp, small_grid])
-def test_rendering_is_differentiable_in_field_and_sharpness(make):
-    field, (rays, edges) = make(), rays_and_edges(n_rays=2, n=6)
+def test_rendering_is_differentiable_in_the_field():
+    field, (rays, edges) = small_grid(), rays_and_edges(n_rays=2, n=6)
     # by choice the grid's colour sends no gradient to the normal
     field.view_dependent = False
     rendered = Rendered(field)
     names = [name for name, _ in rendered.named_parameters()]
 
-    def evaluate(inv_s, *parameters):
+    def evaluate(*parameters):
         values = dict(zip(names, parameters, strict=True))
-        return torch.func.functional_call(rendered, values, (rays, edges, inv_s))
+        return torch.func.functional_call(rendered, values, (rays, edges))
 
-    inv_s = torch.tensor(8.0, dtype=torch.float64, requires_grad=True)
     parameters = [p.detach().clone().requires_grad_() for p in rendered.parameters()]
     assert torch.autograd.gradcheck(
-        evaluate, (inv_s, *parameters), eps=1e-6, atol=1e-6, fast_mode=True
+        evaluate, tuple(parameters), eps=1e-6, atol=1e-6, fast_mode=True
     )
 
 
-def test_annealing_ends_at_the_plain_cosine():
-    cos = torch.linspace(-1.0, 1.0, 21)
-    assert torch.equal(annealed_cosine(cos, 1.0), -torch.relu(-cos))
-    torch.testing.assert_close(annealed_cosine(cos, 0.0), 0.5 * cos - 0.5)
-    assert (annealed_cosine(cos, 0.5) <= 0.0).all()
-
-
 @pytest.mark.parametrize(
-    ("n_rounds", "keep_all", "n_edges"),
-    [(0, True, 17), (2, True, 27), (0, False, 17), (1, False, 9), (3, False, 9)],
+    ("n_rounds", "n_edges"),
+    [(0, 17), (1, 9), (3, 9)],
 )
-def test_samples_of_every_number_of_rounds_rise(n_rounds, keep_all, n_edges):
-    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds, keep_all=keep_all)
+def test_samples_of_every_number_of_rounds_rise(n_rounds, n_edges):
+    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds)
     rays, _ = rays_and_edges(dtype=torch.float32)
     span = torch.full((5,), 1.0), torch.full((5,), 3.0)
     field, generator = small_grid(torch.float32), torch.Generator().manual_seed(0)
@@ -185,7 +150,7 @@ def test_samples_of_every_number_of_rounds_rise(n_rounds, keep_all, n_edges):
 @pytest.mark.parametrize("n_rounds", [2, 3])
 def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
     """16 samples of 64 coarse ones, the density a tenth as wide as a coarse interval."""
-    config = PhotoSamplingConfig(n_coarse=64, n_fine=16, n_rounds=n_rounds, keep_all=False)
+    config = PhotoSamplingConfig(n_coarse=64, n_fine=16, n_rounds=n_rounds)
     origins = torch.tensor([[0.1 * i, 0.0, 1.0 + 0.003 * i] for i in range(20)])
     directions = torch.nn.functional.normalize(torch.tensor([[0.3, 0.1, -1.0]]), dim=1)
     rays = origins, directions.expand(20, 3).contiguous()
@@ -198,9 +163,7 @@ def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
 
 
 def small_background():
-    config = BackgroundConfig(
-        n_layers=2, width=8, skip=1, n_octaves=2, n_direction_octaves=1, n_samples=9
-    )
+    config = BackgroundConfig(n_layers=2, width=8, n_octaves=2, n_direction_octaves=1, n_samples=9)
     return NerfBackground((0.1, 0.0, 0.0), 0.5, config, seed=1)
 
 

@@ -17,23 +17,21 @@ _LAST_STEP = 1e10
 
 @dataclass(frozen=True, kw_only=True)
 class BackgroundConfig:
-    """Size of the network of the background; NeRF's by default."""
+    """Size of the network of the background, a small one of NeRF's kind."""
 
-    n_layers: int = 8
+    n_layers: int = 3
     """Hidden layers of the density."""
-    width: int = 256
+    width: int = 64
     """Neurons of each; the colour has one more layer of half as many."""
-    skip: int = 4
-    """Hidden layer to which the encoded position is appended again; 0 for none."""
-    n_octaves: int = 10
+    n_octaves: int = 6
     """Octaves of the position."""
-    n_direction_octaves: int = 4
+    n_direction_octaves: int = 2
     """Octaves of the direction."""
-    n_samples: int = 32
+    n_samples: int = 16
     """Samples of a ray outside the ball."""
 
     def __post_init__(self) -> None:
-        require_least(self, n_layers=self.skip + 1, n_samples=1, width=2)
+        require_least(self, n_layers=1, n_samples=1, width=2)
 
 
 class NerfBackground(nn.Module):
@@ -61,9 +59,8 @@ class NerfBackground(nn.Module):
         n_direction = 3 + 6 * config.n_direction_octaves
         self.layers = nn.ModuleList()
         n_in = n_encoded
-        for number in range(config.n_layers):
-            extra = n_encoded if number and number == config.skip else 0
-            self.layers.append(nn.Linear(n_in + extra, config.width))
+        for _ in range(config.n_layers):
+            self.layers.append(nn.Linear(n_in, config.width))
             n_in = config.width
         self.density = nn.Linear(n_in, 1)
         self.bridge = nn.Linear(n_in, config.width)
@@ -105,11 +102,8 @@ class NerfBackground(nn.Module):
 
     def _radiance(self, position: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         n_rays, n, _ = position.shape
-        encoded = _encode(position.reshape(-1, 4), self.config.n_octaves)
-        hidden = encoded
-        for number, layer in enumerate(self.layers):
-            if number and number == self.config.skip:
-                hidden = torch.cat([hidden, encoded], dim=1)
+        hidden = _encode(position.reshape(-1, 4), self.config.n_octaves)
+        for layer in self.layers:
             hidden = torch.relu(layer(hidden))
         density = torch.nn.functional.softplus(self.density(hidden)).reshape(n_rays, n)
         towards = positional_encoding(directions, self.config.n_direction_octaves)

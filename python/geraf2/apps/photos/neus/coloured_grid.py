@@ -9,9 +9,8 @@ from torch.nn.functional import normalize
 
 from geraf2._validation import require_each, require_least, require_positive
 from geraf2.apps.photos.neus.feature_grid import FeatureGrid
-from geraf2.fields.sdf_field import CubeDomain
+from geraf2.fields.sdf_field import CubeDomain, SdfSample
 from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
-from geraf2.learned.fields.sdf_mlp import FeatureSample
 from geraf2.ops import sdf_grid
 from geraf2.scene import Grid
 
@@ -101,15 +100,25 @@ class ColouredGrid(nn.Module):
         """Trilinear signed distance (n_points,) [m]; no gradient, half the time of tricubic."""
         return torch.as_tensor(sdf_grid(self.distance.values.detach(), self.grid, points).value)
 
-    def surface_sample(self, points: Tensor) -> FeatureSample:
-        """Tricubic signed distance [m] and gradient; the features stay for `shade`."""
-        value, gradient = self.distance(points)
-        return FeatureSample(value, gradient, value.new_empty((value.shape[0], 0)))
+    def surface_sample(self, points: Tensor) -> SdfSample:
+        """Tricubic signed distance [m] and gradient at points (n, 3) [m]."""
+        sample: SdfSample = self.distance(points)
+        return sample
 
     def shade(
-        self, points: Tensor, directions: Tensor, sample: FeatureSample, weight: Tensor
+        self, points: Tensor, directions: Tensor, sample: SdfSample, weight: Tensor
     ) -> Tensor:
-        """Colour of each ray, as of `ColouredMlp`; the normal has no gradient from the colour."""
+        """Colour of rays, not yet composed with the background.
+
+        The colour sends no gradient to the normal.
+
+        points: samples of each ray, (n_rays, n, 3) [m].
+        directions: unit vectors from the camera, (n_rays, 3).
+        sample: `surface_sample` at these points, ray by ray.
+        weight: weight of each sample, (n_rays, n).
+
+        Returns (n_rays, 3), each at most the sum of the ray's weights.
+        """
         n_rays, n_samples = weight.shape
         flat = weight.reshape(-1)
         kept = torch.nonzero(flat.detach() > _MIN_WEIGHT)[:, 0]

@@ -6,17 +6,14 @@ from typing import NamedTuple
 
 import torch
 
-from geraf2._validation import require_least, require_positive
+from geraf2._validation import require_least
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
-from geraf2.apps.photos.neus.coloured_mlp import ColouredMlp
 from geraf2.apps.photos.neus.ray_samples import even_edges, importance_edges, middle_and_step
 from geraf2.ops import ray_march
 
 _LAST_ROUND = 0.5
 """Sharpness of the last round over that of the rendering: samples reach to 7 / s."""
 
-ColouredField = ColouredGrid | ColouredMlp
-"""Signed distance with a view-dependent colour, a torch module."""
 Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 """Colour (n_rays, 3) behind the scene for origins and directions (n_rays, 3)."""
 
@@ -27,19 +24,13 @@ class PhotoSamplingConfig:
 
     n_coarse: int = 64
     """Even intervals at which only the signed distance is evaluated."""
-    n_fine: int = 64
-    """Samples placed by importance, in all rounds together."""
-    n_rounds: int = 4
+    n_fine: int = 16
+    """Samples placed by importance in each round; those of the last round are rendered."""
+    n_rounds: int = 2
     """Rounds of sampling by importance; 0: the even intervals are rendered."""
-    first_inv_s: float = 64.0
-    """Sharpness of the first round, over the region's radius."""
-    keep_all: bool = True
-    """NeuS: the samples of all rounds are rendered; else each round has `n_fine`, and only the
-    last is rendered."""
 
     def __post_init__(self) -> None:
         require_least(self, n_coarse=1, n_fine=1, n_rounds=0)
-        require_positive("first_inv_s", self.first_inv_s)
 
 
 class Rendering(NamedTuple):
@@ -59,22 +50,8 @@ class Rendering(NamedTuple):
     """(n_rays, n_samples)."""
 
 
-def annealed_cosine(cos: torch.Tensor, anneal: float) -> torch.Tensor:
-    r"""Slope of the signed distance along a ray, opaque from all sides at the start.
-
-    .. math:: c' = -(1 - a) \max(0, (1 - c) / 2) - a \max(0, -c)
-
-    With a = 0 also a surface seen from behind is opaque, so that a wrong start can recover; with
-    a = 1 it is -max(0, -c). NeuS (Wang et al. 2021), "cos_anneal_ratio" of the authors' program.
-    """
-    sharp = -torch.relu(-cos)
-    if anneal >= 1.0:
-        return sharp
-    return -(1.0 - anneal) * torch.relu(0.5 - 0.5 * cos) + anneal * sharp
-
-
 def sample_edges(
-    field: ColouredField,
+    field: ColouredGrid,
     rays: tuple[torch.Tensor, torch.Tensor],
     span: tuple[torch.Tensor, torch.Tensor],
     config: PhotoSamplingConfig,
@@ -88,8 +65,6 @@ def sample_edges(
     """
     with torch.no_grad():
         edges = even_edges(*span, config.n_coarse, generator)
-        if config.keep_all:
-            return _grow(field, rays, edges, config, inv_s[0], generator)
         first, last = inv_s[0], max(inv_s[0], _LAST_ROUND * inv_s[1])
         for number in range(config.n_rounds):
             sharpness = first * (last / first) ** (number / max(config.n_rounds - 1, 1))
@@ -98,25 +73,8 @@ def sample_edges(
     return edges
 
 
-def _grow(
-    field: ColouredField,
-    rays: tuple[torch.Tensor, torch.Tensor],
-    edges: torch.Tensor,
-    config: PhotoSamplingConfig,
-    inv_s: float,
-    generator: torch.Generator | None,
-) -> torch.Tensor:
-    """Edges with the samples of all rounds, as in NeuS."""
-    for number in range(config.n_rounds):
-        sdf = _sdf_along(field, *rays, edges)
-        share = config.n_fine // config.n_rounds
-        new = importance_edges(edges, sdf, inv_s * 2.0**number, share, generator)
-        edges = torch.cat([edges, new], dim=1).sort(dim=1).values
-    return edges
-
-
 def _sdf_along(
-    field: ColouredField, origins: torch.Tensor, directions: torch.Tensor, edges: torch.Tensor
+    field: ColouredGrid, origins: torch.Tensor, directions: torch.Tensor, edges: torch.Tensor
 ) -> torch.Tensor:
     middles, _ = middle_and_step(edges)
     points = origins[:, None] + middles[:, :, None] * directions[:, None]
@@ -124,12 +82,11 @@ def _sdf_along(
 
 
 def render_rays(
-    field: ColouredField,
+    field: ColouredGrid,
     rays: tuple[torch.Tensor, torch.Tensor],
     edges: torch.Tensor,
-    inv_s: torch.Tensor | float,
+    inv_s: float,
     *,
-    anneal: float = 1.0,
     background: Background | None = None,
 ) -> Rendering:
     r"""Colour, opacity, normal and depth along rays.
@@ -140,10 +97,9 @@ def render_rays(
     rays: origins and unit directions, (n_rays, 3) [m].
     edges: of contiguous intervals along each ray, (n_rays, n + 1) [m]. Not differentiable.
     inv_s: sharpness of the logistic density [1/m].
-    anneal: see `annealed_cosine`.
     background: colour behind the region; none: black.
 
-    Returns rendering, differentiable in the parameters of field and background, and in inv_s.
+    Returns rendering, differentiable in the parameters of field and background.
     docs/photos-method.md.
     """
     origins, directions = rays
@@ -152,7 +108,7 @@ def render_rays(
     points = origins[:, None] + middles[:, :, None] * directions[:, None]
     sample = field.surface_sample(points.reshape(-1, 3))
     gradient = sample.gradient.reshape(n_rays, n, 3)
-    cos = annealed_cosine((gradient * directions[:, None]).sum(dim=2), anneal)
+    cos = -torch.relu(-(gradient * directions[:, None]).sum(dim=2))
     march = ray_march(sample.value.reshape(n_rays, n), cos, steps, inv_s, two_way="none")
     weight = torch.as_tensor(march.weight)
     opacity = weight.sum(dim=1)
