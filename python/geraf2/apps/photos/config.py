@@ -22,26 +22,6 @@ class GridStage:
 
 
 @dataclass(frozen=True, kw_only=True)
-class AgreementRound:
-    """One search along the normals, see `geraf2.apps.photos.consistency`.
-
-    Lengths are in pixels of the photos, measured on the surface.
-    """
-
-    factor: int
-    """Pixels of the photos that become one."""
-    node_px: float
-    """Distance of the samples of the square that is compared."""
-    reach_px: float
-    """Largest displacement of the surface to either side."""
-    step_px: float
-    """Distance of the candidate positions."""
-
-    def __post_init__(self) -> None:
-        require_each(require_positive, self, "factor", "node_px", "reach_px", "step_px")
-
-
-@dataclass(frozen=True, kw_only=True)
 class PhotoConfig:
     """Settings of a training on grids from coarse to fine."""
 
@@ -51,13 +31,6 @@ class PhotoConfig:
         GridStage(n_longest=176, n_steps=400),
     )
     """Grids one after the other."""
-    agreement: tuple[AgreementRound, ...] = (
-        AgreementRound(factor=3, node_px=3.0, reach_px=18.0, step_px=1.5),
-        AgreementRound(factor=2, node_px=2.0, reach_px=8.0, step_px=0.8),
-        AgreementRound(factor=1, node_px=1.5, reach_px=3.0, step_px=0.3),
-    )
-    """Searches along the normals: before the first grid with silhouettes, else before the
-    second."""
     rays_per_step: int = 2048
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
@@ -87,7 +60,7 @@ class PhotoConfig:
     mask_weight: float = 0.3
     """Weight of the cross entropy of opacity and silhouette."""
     bending: float = 0.006
-    """Strength of the pull of the values to the mean of their neighbours, see GridTrainer."""
+    """Strength of the pull of the values to the mean of their neighbours, see PhotoTrainer."""
     blur_passes: int = 2
     """Passes of the binomial filter over the gradient to the values."""
     seed: int = 0

@@ -12,12 +12,10 @@ from torch.nn.functional import binary_cross_entropy
 
 from geraf2._types import Array, Bools
 from geraf2.apps.photos.config import PhotoConfig
-from geraf2.apps.photos.consistency import refine_by_agreement
 from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.apps.photos.neus.rendering import Rendering
 from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
-from geraf2.apps.photos.unseen import RIM_VOXELS, close_unseen
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
 from geraf2.ops import sdf_grid
@@ -32,8 +30,6 @@ _BENDING_EVERY = 4
 """Steps between pulls towards the neighbours' mean."""
 _MARGIN_VOXELS = 3.0
 """Margin around the surface when the region shrinks, in voxels of the coarser grid."""
-_UNSEEN_VOXELS = 64
-"""Voxels along the longest side of the grid on which unseen parts are closed."""
 
 
 class PhotoTrainer:
@@ -50,7 +46,6 @@ class PhotoTrainer:
         self.config, self._photos, self._rays_stage = config, photos, -1
         self.n_steps = sum(stage.n_steps for stage in config.stages)
         self.surface, self.step_number = surface, 0
-        self._photos_agree = False
         self.rays = self._rays_of(0, region)
         self.generator = torch.Generator().manual_seed(config.seed)
         self._enter(surface)
@@ -93,14 +88,12 @@ class PhotoTrainer:
         return arrays, header | {
             "step": self.step_number,
             "rays_region": asdict(self.rays.region),
-            "photos_agree": self._photos_agree,
         }
 
     def restore(self, arrays: dict[str, Array], header: dict[str, Any]) -> None:
         """Restore the state of a run with the same settings."""
         self.step_number = int(header["step"])
         self._enter(NeuralSurface.from_state(arrays, header))
-        self._photos_agree = bool(header["photos_agree"])
         self.generator.set_state(torch.from_numpy(arrays["generator"]))
         parameters = [p for group in self.optimiser.param_groups for p in group["params"]]
         state: dict[int, dict[str, Tensor]] = {}
@@ -148,8 +141,6 @@ class PhotoTrainer:
         stages, config = self.config.stages, self.config
         if step == 0 and number > 0:
             self._refine(number)
-        elif step == 0 and self.rays.has_masks:
-            self._start()
         if number != self._rays_stage:
             self.rays = self._rays_of(number, self.rays.region)
         is_last = number == len(stages) - 1
@@ -171,16 +162,6 @@ class PhotoTrainer:
             self.optimiser.param_groups[0]["lr"] = 0.0
 
     @torch.no_grad()
-    def _start(self) -> None:
-        """Move the visual hull to where the photos agree."""
-        field = self.surface.field
-        hull = field.distance.values.detach().numpy()
-        values = self._agreed(hull, field.grid)
-        self._photos_agree = values is not hull
-        field.regrid(field.grid, torch.from_numpy(values), is_first=True)
-        self._enter(self.surface)
-
-    @torch.no_grad()
     def _refine(self, number: int) -> None:
         n_longest = self.config.stages[number].n_longest
         surface, before = self.surface, self.surface.field.grid
@@ -191,23 +172,8 @@ class PhotoTrainer:
             surface.region = _around(body, before, surface.region)
         grid = surface.region.grid(n_longest)
         values = self._values_at(grid)
-        coarse = surface.region.grid(min(n_longest, _UNSEEN_VOXELS))
-        rough = self._values_at(coarse)
-        mended = rough
-        if self.rays.has_masks:
-            rim_voxels = RIM_VOXELS if self._photos_agree else 0
-            mended = close_unseen(rough, coarse, self.rays.cameras, rim_voxels)
-        elif number == 1:  # the first grid has turned the ball into a surface
-            mended = self._agreed(rough, coarse)
-        change = mended - rough
-        values = values + sdf_grid(change, coarse, grid.points()).value.reshape(grid.shape)
         self.surface.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
-
-    def _agreed(self, values: NDArray[np.float32], grid: Grid) -> NDArray[np.float32]:
-        """Signed distance moved to where the photos agree."""
-        footprint_m = _footprint_m(self._photos.cameras, self.rays.region)
-        return refine_by_agreement(values, grid, self._photos, self.config.agreement, footprint_m)
 
     def _values_at(self, grid: Grid) -> NDArray[np.float32]:
         """Tricubic signed distance at the nodes of another grid [m]."""
@@ -224,8 +190,7 @@ class PhotoTrainer:
             batch = batch.subset(far > near)
             rays = (batch.origins, batch.directions)
         rendering = self.surface.render_rays(rays, generator=self.generator)
-        # Silhouettes may be lenient where the photos already fix the surface.
-        terms = self.photo_terms(rendering, batch, lenient=self._photos_agree)
+        terms = self.photo_terms(rendering, batch)
         region = self.surface.region
         low, high = torch.tensor(region.low_m), torch.tensor(region.high_m)
         unit = torch.rand((_N_FREE_POINTS, 3), generator=self.generator)
@@ -235,16 +200,14 @@ class PhotoTrainer:
         terms["eikonal"] = config.eikonal_weight * torch.as_tensor(eikonal)
         return terms
 
-    def photo_terms(
-        self, rendering: Rendering, batch: RayBatch, *, lenient: bool
-    ) -> dict[str, Tensor]:
+    def photo_terms(self, rendering: Rendering, batch: RayBatch) -> dict[str, Tensor]:
         """Colour, and silhouette where it is known.
 
         The colour is divided by the opacity before the comparison, and weighted by it without
         gradient: otherwise a soft rim would be pushed outwards.
 
-        lenient: silhouettes pull only where a ray is on the wrong side of one half: a ray that
-            grazes a face is never opaque while the density is soft.
+        Silhouettes pull only where a ray is on the wrong side of one half: a ray that grazes a face
+        is never opaque while the density is soft.
         """
         if not self.rays.has_masks:
             return {"colour": (rendering.colour - batch.colours).abs().mean()}
@@ -256,9 +219,7 @@ class PhotoTrainer:
         # and the surface would stay outside.
         bounded = _OPACITY_RIM + (1.0 - 2.0 * _OPACITY_RIM) * rendering.opacity.clamp(max=1.0)
         wrong = binary_cross_entropy(bounded, batch.inside, batch.known, reduction="none")
-        if lenient:
-            wrong = torch.relu(wrong - math.log(2.0))
-        terms["mask"] = self.config.mask_weight * wrong.mean()
+        terms["mask"] = self.config.mask_weight * torch.relu(wrong - math.log(2.0)).mean()
         return terms
 
     @torch.no_grad()

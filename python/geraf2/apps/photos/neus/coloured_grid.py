@@ -84,16 +84,14 @@ class ColouredGrid(nn.Module):
         near = np.abs(distance) < band_voxels * self.grid.spacing_m
         return FeatureGrid(nodes, near.reshape(nodes.shape), self.config.n_features)
 
-    def regrid(self, grid: Grid, values: Tensor, *, is_first: bool = False) -> None:
+    def regrid(self, grid: Grid, values: Tensor) -> None:
         """Replace grid and values, and carry the colour over to nodes about the new surface.
 
-        `is_first`: nodes reach as far from the surface as at the start. Parameters are replaced;
-        create a new optimiser.
+        Parameters are replaced; create a new optimiser.
         """
         old = self.features
         self.distance.regrid(grid, values)
-        config = self.config
-        self.features = self._features(config.band_voxels if is_first else config.later_band_voxels)
+        self.features = self._features(self.config.later_band_voxels)
         self.features.copy_from(old)
 
     def value(self, points: Tensor) -> Tensor:
