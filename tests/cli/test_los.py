@@ -256,9 +256,7 @@ def test_a_scan_gives_the_prior_of_its_box(scene, tmp_path, capsys):
     assert "none" in the_error(capsys)
 
 
-@pytest.mark.parametrize(
-    "sides", [["0.16", "0.12", "0.1"], ["0.16x0.12x0.1"], ["0.16,0.12,0.1"], ["0.16, 0.12, 0.1"]]
-)
+@pytest.mark.parametrize("sides", [["0.16", "0.12", "0.1"], ["0.16x0.12x0.1"], ["0.16, 0.12, 0.1"]])
 def test_sides_of_a_box_are_given_in_any_usual_form(sides, tmp_path, capsys):
     assert main(["los", *sides, str(tmp_path / "los")]) == 0
     assert "160.0 x 120.0 x 100.0 mm" in capsys.readouterr().out

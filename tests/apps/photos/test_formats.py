@@ -1,6 +1,7 @@
-"""Readers of photo sets: each format gives the cameras that were written."""
+"""Readers of photo sets: the cameras that were written come back, and bad files are named."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -8,16 +9,16 @@ import pytest
 from PIL import Image
 
 from geraf2.apps.photos.formats import find_photos
-from geraf2.apps.photos.formats.images import read_image, read_mask
-from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import OPENGL_TO_OPENCV
 from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions
-from helpers.scene_photos import SIZE, ring_of_cameras, write_colmap, write_images
+from helpers.scene_photos import SIZE, image_of, ring_of_cameras, write_colmap, write_images
 
 UNIT = LosOptions(unit="m")
 POINTS = np.random.default_rng(1).uniform(-0.1, 0.1, (30, 3))
+LENS = {"fl_x": 60.0, "fl_y": 60.0, "cx": 32.5, "cy": 24.5, "k1": 0.05, "w": SIZE[0], "h": SIZE[1]}
 
 
 def assert_same_cameras(photos, cameras):
@@ -25,6 +26,26 @@ def assert_same_cameras(photos, cameras):
     for read, camera in zip(photos.cameras, cameras, strict=True):
         np.testing.assert_allclose(read.position, camera.position, atol=1e-9)
         np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
+
+
+def change(path, edit):
+    """Replace the content of a transforms.json by what `edit` makes of it."""
+    values = json.loads(path.read_text())
+    path.write_text(json.dumps(edit(values) or values))
+
+
+def write_transforms(folder, *, per_frame=False, opengl=True):
+    """A transforms.json of four photos; returns the cameras."""
+    cameras = ring_of_cameras(4, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))
+    write_images(folder, 4)
+    frames = []
+    for index, camera in enumerate(cameras):
+        matrix = camera.camera_to_world @ (OPENGL_TO_OPENCV if opengl else np.eye(4))
+        frame = {"file_path": f"photo{index}.png", "transform_matrix": matrix.tolist()}
+        frames.append(frame | (LENS if per_frame else {}))
+    values = {"camera_model": "OPENCV", "frames": frames} | ({} if per_frame else LENS)
+    (folder / "transforms.json").write_text(json.dumps(values))
+    return cameras
 
 
 @pytest.mark.parametrize(
@@ -44,32 +65,49 @@ def test_colmap(tmp_path, binary, model, distortion):
     loaded = load_photos(tmp_path / "sparse" / "0" / f"images.{'bin' if binary else 'txt'}", UNIT)
     assert (loaded.format, loaded.notes) == ("colmap", ())
     assert_same_cameras(loaded.photos, cameras)
-
-
-def test_the_scale_of_colmap_is_arbitrary(tmp_path):
-    cameras = write_colmap(tmp_path, binary=True)
-    loaded = load_photos(tmp_path)
-    assert_same_cameras(loaded.photos, cameras)
-    (note,) = loaded.notes
+    (note,) = load_photos(tmp_path).notes
     assert "arbitrary scale" in note
 
 
-def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
-    """As nerfstudio writes them: OpenGL axes."""
-    cameras = ring_of_cameras(4, distortion=(0.05, 0.0, 0.0, 0.0, 0.0))
-    write_images(folder, 4)
-    intrinsics = {"fl_x": 60.0, "fl_y": 60.0, "cx": 32.5, "cy": 24.5, "k1": 0.05}
-    intrinsics |= {"w": SIZE[0], "h": SIZE[1]}
-    frames = []
-    for index, camera in enumerate(cameras):
-        matrix = camera.camera_to_world.copy()
-        if opengl:
-            matrix[:, 1:3] *= -1.0
-        frame = {"file_path": f"photo{index}.png", "transform_matrix": matrix.tolist()}
-        frames.append(frame | (intrinsics if per_frame else {}))
-    values = {"camera_model": "OPENCV", "frames": frames} | ({} if per_frame else intrinsics)
-    (folder / "transforms.json").write_text(json.dumps(values))
-    return cameras, values
+def two_models(folder, *, binary, few="0", many="1"):
+    """Models of 3 and 6 photos."""
+    write_colmap(folder / "few", 3, binary=binary)
+    write_colmap(folder, 6, binary=binary)
+    (folder / "sparse" / "0").rename(folder / "sparse" / "later")
+    (folder / "few" / "sparse" / "0").rename(folder / "sparse" / few)
+    (folder / "sparse" / "later").rename(folder / "sparse" / many)
+
+
+@pytest.mark.parametrize(("binary", "few", "many"), [(True, "0", "1"), (False, "1", "0")])
+def test_the_largest_model_is_read_and_the_others_named(tmp_path, binary, few, many):
+    two_models(tmp_path, binary=binary, few=few, many=many)
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 6
+    note = f"of several COLMAP models '{many}' (6 photos) is read, not {few} (3)"
+    assert loaded.notes == (note,)
+    # The folder that the user names is read, whichever it is.
+    named = load_photos(tmp_path / "sparse" / few, UNIT)
+    assert len(named.photos) == 3
+    assert f"'{few}' (3 photos) is read, not {many} (6)" in named.notes[0]
+
+
+def test_a_broken_model_does_not_hide_a_good_one(tmp_path):
+    two_models(tmp_path, binary=True)
+    (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\1")
+    assert len(load_photos(tmp_path, UNIT).photos) == 6
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_models_without_point_lines(tmp_path, every):
+    cameras = write_colmap(tmp_path, 6, binary=False)
+    path = tmp_path / "sparse" / "0" / "images.txt"
+    lines = [line for line in path.read_text().splitlines() if ".png" in line]
+    kept = [line for k, line in enumerate(lines) for line in (line, *["1 2 -1"][k % every :])]
+    path.write_text("\n".join(lines if every == 1 else kept) + "\n")
+    assert_same_cameras(
+        load_photos(tmp_path, UNIT).photos,
+        [replace(camera, distortion=(0.1, -0.02, 1e-3, 2e-3, 0.0)) for camera in cameras],
+    )
 
 
 @pytest.mark.parametrize(
@@ -77,23 +115,19 @@ def write_transforms_by_hand(folder, *, per_frame=False, opengl=True):
     [({}, "format"), ({"per_frame": True}, "format"), ({"opengl": False}, "opencv")],
 )
 def test_transforms(tmp_path, form, axes):
-    cameras, _ = write_transforms_by_hand(tmp_path, **form)
+    cameras = write_transforms(tmp_path, **form)
     loaded = load_photos(tmp_path, LosOptions(camera_axes=axes))
     assert "metres are assumed" in loaded.notes[0]
     assert_same_cameras(loaded.photos, cameras)
-
-
-def test_transforms_name_their_unit(tmp_path):
-    cameras, values = write_transforms_by_hand(tmp_path)
-    (tmp_path / "transforms.json").write_text(json.dumps(values | {"unit": "mm"}))
-    loaded = load_photos(tmp_path)
+    change(tmp_path / "transforms.json", lambda values: values | {"unit": "mm"})
+    loaded = load_photos(tmp_path, LosOptions(camera_axes=axes))
     assert loaded.notes == ()
     np.testing.assert_allclose(loaded.photos.cameras[2].position, 1e-3 * cameras[2].position)
 
 
 def test_images_scaled_down_keep_their_camera(tmp_path):
-    cameras, _ = write_transforms_by_hand(tmp_path)
-    image = read_image(tmp_path / "photo2.png").colour
+    cameras = write_transforms(tmp_path)
+    image = image_of(*SIZE)
     write_image(tmp_path / "photo2.png", np.ascontiguousarray(image[::2, ::2]))
     write_image(tmp_path / "photo3.png", np.ascontiguousarray(image[::2]))
     loaded = load_photos(tmp_path)
@@ -104,174 +138,70 @@ def test_images_scaled_down_keep_their_camera(tmp_path):
     np.testing.assert_allclose(2.0 * small.project(POINTS), cameras[2].project(POINTS), atol=1e-6)
 
 
-def test_frames_without_a_pose_are_left_out(tmp_path):
-    _, values = write_transforms_by_hand(tmp_path)
-    del values["frames"][1]["transform_matrix"]
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
-    loaded = load_photos(tmp_path)
-    assert len(loaded.photos) == 3
-    assert "'photo1.png'" in loaded.notes[0]
-    for frame in values["frames"]:
-        frame.pop("transform_matrix", None)
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
-    with pytest.raises(UserError, match="none of the frames has a pose"):
-        load_photos(tmp_path)
-
-
-def write_nerf_synthetic(folder, n_photos=4):
-    """As the synthetic sets of NeRF: one angle for all, no size, no extension, transparency."""
-    cameras = ring_of_cameras(n_photos)
-    focal, (width, height) = 0.5 * SIZE[0] / np.tan(0.3), SIZE
-    (folder / "train").mkdir()
-    frames, expected = [], []
-    for index, camera in enumerate(cameras):
-        rgba = np.full((height, width, 4), 255, np.uint8)
-        rgba[:, : width // 2, 3] = 0
-        Image.fromarray(rgba).save(folder / "train" / f"r.{index}.png")
-        matrix = camera.camera_to_world.copy()
-        matrix[:, 1:3] *= -1.0
-        frames.append({"file_path": f"./train/r.{index}", "transform_matrix": matrix.tolist()})
-        middle = [[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]]
-        expected.append(replace(camera, intrinsics=np.array(middle)))
-    values = {"camera_angle_x": 0.6, "frames": frames}
-    (folder / "transforms_train.json").write_text(json.dumps(values))
-    return expected
-
-
-def test_synthetic_sets_of_nerf(tmp_path):
-    expected = write_nerf_synthetic(tmp_path)
-    (tmp_path / "train" / "r.3.png").unlink()
-    assert find_photos(tmp_path) is not None
-    loaded = load_photos(tmp_path)
-    assert len(loaded.photos) == 3
-    assert "no such image './train/r.3'" in loaded.notes[0]
-    for read, camera in zip(loaded.photos.cameras, expected, strict=False):
-        np.testing.assert_allclose(read.project(POINTS), camera.project(POINTS), atol=1e-6)
-    assert loaded.photos.masks[0][:, SIZE[0] // 2 :].all()
-    assert not loaded.photos.masks[0][:, : SIZE[0] // 2].any()
-
-
-def test_one_focal_length_without_size_is_not_for_photos_of_two_sizes(tmp_path):
-    _, values = write_transforms_by_hand(tmp_path)
-    del values["w"], values["h"]
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
-    assert len(load_photos(tmp_path).photos) == 4
-    write_image(tmp_path / "photo2.png", np.zeros((24, 32, 3), np.uint8))
-    with pytest.raises(UserError, match=r"differ in size.*got 32 x 24, 64 x 48"):
-        load_photos(tmp_path)
-
-
 def test_photos_of_other_sizes_with_their_own_intrinsics(tmp_path):
-    cameras, values = write_transforms_by_hand(tmp_path, per_frame=True)
+    cameras = write_transforms(tmp_path, per_frame=True)
     large = replace(cameras[1].resize(96, 96), distortion=cameras[1].distortion)
-    write_image(tmp_path / "photo1.png", np.zeros((96, 96, 3), np.uint8))
+    write_image(tmp_path / "photo1.png", image_of(96, 96))
     k = large.intrinsics
     own = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": 96, "h": 96}
-    values["frames"][1] |= own
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
+    change(tmp_path / "transforms.json", lambda values: values["frames"][1].update(own))
     loaded = load_photos(tmp_path)
     assert loaded.photos.images[1].shape == (96, 96, 3)
     np.testing.assert_allclose(loaded.photos.cameras[1].project(POINTS), large.project(POINTS))
 
 
-@pytest.mark.parametrize("tagged", [True, False])
-def test_a_picture_on_its_side_is_turned_where_its_camera_is_upright(tmp_path, tagged):
-    upright = np.zeros((64, 48, 3), np.uint8)
-    upright[:20] = 200  # the top
-    exif = Image.Exif()
-    if tagged:
-        exif[0x0112] = 6  # turn clockwise to see it upright
-    path = tmp_path / "photo.png"
-    Image.fromarray(np.ascontiguousarray(np.rot90(upright))).save(path, exif=exif)
-    assert read_image(path).colour.shape == (48, 64, 3)
-    assert read_image(path, (64, 48)).colour.shape == (48, 64, 3)  # poses of the stored picture
-    turned = read_image(path, (24, 32)).colour
-    if tagged:
-        np.testing.assert_array_equal(turned, upright)
-    else:
-        assert turned.shape == (48, 64, 3)
-
-
-def test_images_of_other_kinds(tmp_path):
-    grey = np.arange(256, dtype=np.uint8).reshape(16, 16)
-    Image.fromarray(grey).save(tmp_path / "grey.png")
-    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
-    rgba = np.dstack([grey, grey, grey, np.where(grey > 99, 255, 0)]).astype(np.uint8)
-    Image.fromarray(rgba).save(tmp_path / "alpha.png")
-    for name in ("grey.png", "deep.png", "alpha.png"):
-        np.testing.assert_array_equal(read_image(tmp_path / name).colour[:, :, 1], grey)
-    np.testing.assert_array_equal(read_mask(tmp_path / "alpha.png"), grey > 99)
-    np.testing.assert_array_equal(read_mask(tmp_path / "grey.png"), grey >= 128)
-    (tmp_path / "text.png").write_text("no image")
-    with pytest.raises(UserError, match="cannot be read"):
-        read_image(tmp_path / "text.png")
-
-
-def test_threshold_mask_is_the_largest_bright_part():
-    image = np.full((40, 60, 3), 10, np.uint8)
-    image[10:30, 10:40, 1] = 200
-    image[2:5, 50:54] = 255
-    mask = threshold_mask(image, 50.0)
-    assert 20 * 30 <= mask.sum() < 22 * 32 + 1
-    assert not mask[:, 45:].any()
-    assert not threshold_mask(image, 254.0)[10:30, 10:40].any()
-    assert not threshold_mask(np.zeros((4, 4, 3), np.uint8), 50.0).any()
+def test_synthetic_sets_of_nerf(tmp_path):
+    """They have one angle for all, no size, no extension, and transparency."""
+    cameras, (width, height) = ring_of_cameras(4), SIZE
+    rgba = np.full((height, width, 4), 255, np.uint8)
+    rgba[:, : width // 2, 3] = 0
+    (tmp_path / "train").mkdir()
+    frames = []
+    for index, camera in enumerate(cameras):
+        Image.fromarray(rgba).save(tmp_path / "train" / f"r.{index}.png")
+        matrix = (camera.camera_to_world @ OPENGL_TO_OPENCV).tolist()
+        frames.append({"file_path": f"./train/r.{index}", "transform_matrix": matrix})
+    values = {"camera_angle_x": 0.6, "frames": frames}
+    (tmp_path / "transforms_train.json").write_text(json.dumps(values))
+    (tmp_path / "train" / "r.3.png").unlink()
+    loaded = load_photos(tmp_path)
+    assert len(loaded.photos) == 3
+    assert "no such image './train/r.3'" in loaded.notes[0]
+    focal = 0.5 * width / np.tan(0.3)
+    lens = np.array([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    expected = replace(cameras[1], intrinsics=lens).project(POINTS)
+    np.testing.assert_allclose(loaded.photos.cameras[1].project(POINTS), expected, atol=1e-6)
+    assert loaded.photos.masks[0][:, width // 2 :].all()
+    assert not loaded.photos.masks[0][:, : width // 2].any()
 
 
 @pytest.mark.parametrize(
-    ("behind", "dark", "width", "filled"),
+    ("pattern", "folder"),
     [
-        (10, 35, 8, True),  # a slot in shadow
-        (10, 12, 8, False),  # a narrow gap before the background
-        (40, 40, 8, False),  # before a bright one
-        (10, 35, 40, False),  # wide: whatever it is, it is no crack
-        (10, 35, 2, True),  # a crack
+        ("/elsewhere/scan/images/{}", "images"),
+        ("C:\\Users\\someone\\scan\\images\\{}", "images"),
+        ("../other/scan/{}", ""),
+        ("D:/flat/{}", "images"),
     ],
 )
-def test_threshold_mask_fills_shadow_but_not_gaps(behind, dark, width, filled):
-    image = np.full((200, 640, 3), behind, np.uint8)
-    image[40:160, 100:500] = 200
-    image[60:140, 300 : 300 + width] = dark
-    middle = (100, 300 + width // 2)
-    assert not threshold_mask(image, 60.0, fill_shadows=False)[middle] or width == 2
-    mask = threshold_mask(image, 60.0)
-    assert mask[middle] == filled
-    # what is outside is untouched, as is an open notch of the outline
-    assert not mask[:, :98].any()
-    image[:60, 200:210] = 10
-    assert not threshold_mask(image, 60.0)[50, 205]
-
-
-FOREIGN = [
-    ("/elsewhere/scan/images/{}", "images"),
-    ("C:\\Users\\someone\\scan\\images\\{}", "images"),
-    ("/data/somewhere/{}", ""),
-    ("../other/scan/{}", ""),
-    ("D:/flat/{}", "images"),
-]
-
-
-@pytest.mark.parametrize(("pattern", "folder"), FOREIGN)
 def test_images_of_foreign_paths_are_found_beside(tmp_path, pattern, folder):
-    cameras, values = write_transforms_by_hand(tmp_path)
+    write_transforms(tmp_path)
     (tmp_path / folder).mkdir(exist_ok=True)
-    for index, frame in enumerate(values["frames"]):
-        (tmp_path / f"photo{index}.png").rename(tmp_path / folder / f"photo{index}.png")
-        (tmp_path / folder / f"mask{index}.png").write_bytes(
-            (tmp_path / folder / f"photo{index}.png").read_bytes()
-        )
-        frame["file_path"] = pattern.format(f"photo{index}.png")
-        frame["mask_path"] = pattern.format(f"mask{index}.png")
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
+
+    def move(values):
+        for index, frame in enumerate(values["frames"]):
+            photo = (tmp_path / f"photo{index}.png").rename(tmp_path / folder / f"photo{index}.png")
+            shutil.copy(photo, photo.with_name(f"mask{index}.png"))
+            frame["file_path"] = pattern.format(f"photo{index}.png")
+            frame["mask_path"] = pattern.format(f"mask{index}.png")
+
+    change(tmp_path / "transforms.json", move)
     loaded = load_photos(tmp_path)
     found = (tmp_path / folder / "photo0.png").relative_to(tmp_path).as_posix()
     assert loaded.photos.names[0] == found
-    assert len(loaded.photos) == len(cameras)
-    assert loaded.photos.masks is not None
-    assert (
-        f"4 images are not at the paths of transforms.json ({pattern.format('photo0.png')}"
-        in (loaded.notes[0])
-    )
+    assert len(loaded.photos) == len(loaded.photos.masks) == 4
+    missed = f"4 images are not at the paths of transforms.json ({pattern.format('photo0.png')}"
+    assert missed in loaded.notes[0]
     assert f"as {found}" in loaded.notes[0]
 
 
@@ -279,30 +209,132 @@ def test_images_of_foreign_paths_are_found_beside(tmp_path, pattern, folder):
 def test_no_path_is_looked_for_above_the_folder(tmp_path, name):
     folder = tmp_path / "scan"
     folder.mkdir()
-    _, values = write_transforms_by_hand(folder)
-    values["frames"][0]["file_path"] = "/nowhere/" + name
-    write_image(tmp_path / "secret.png", np.zeros((SIZE[1], SIZE[0], 3), np.uint8))
-    (folder / "transforms.json").write_text(json.dumps(values))
+    write_transforms(folder)
+    write_image(tmp_path / "secret.png", image_of(*SIZE))
+    path = folder / "transforms.json"
+    change(path, lambda values: values["frames"][0].update(file_path="/nowhere/" + name))
     loaded = load_photos(folder)
     assert len(loaded.photos) == 3
     assert any("no such image" in note for note in loaded.notes)
 
 
-def test_two_frames_are_not_one_image(tmp_path):
-    _, values = write_transforms_by_hand(tmp_path)
+@pytest.mark.parametrize("kind", ["binary", "text", "transforms"])
+def test_names_in_other_capitals_are_found(tmp_path, kind):
+    if kind == "transforms":
+        write_transforms(tmp_path)
+    else:
+        write_colmap(tmp_path, 4, binary=kind == "binary")
+    for path in sorted(tmp_path.rglob("*"), key=lambda path: -len(path.parts)):
+        path.rename(path.with_name(path.name.upper()))
+    assert len(load_photos(tmp_path, UNIT).photos) == 4
+
+
+def all_frames(**entries):
+    def edit(values):
+        for frame in values["frames"]:
+            frame.update(entries)
+
+    return edit
+
+
+def mirror(n):
+    def edit(values):
+        for frame in values["frames"][:n]:
+            frame["transform_matrix"][0] = [-value for value in frame["transform_matrix"][0]]
+
+    return edit
+
+
+def no_pose(n):
+    def edit(values):
+        for frame in values["frames"][:n]:
+            del frame["transform_matrix"]
+
+    return edit
+
+
+def no_size(values):
+    return {name: value for name, value in values.items() if name not in ("w", "h")}
+
+
+def frames_of_one_file(values):
     for index, frame in enumerate(values["frames"]):
         frame["file_path"] = f"/somewhere/camera{index}/photo0.png"
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
-    with pytest.raises(UserError, match="two frames share one file here"):
+
+
+@pytest.mark.parametrize(
+    ("edit", "match"),
+    [
+        (lambda _: {"frames": []}, "no list of frames"),
+        (lambda values: values | {"frames": [3]}, "is no object"),
+        (lambda values: values | {"fl_x": 0}, "focal lengths must be positive"),
+        (lambda values: values | {"fl_x": "wide"}, "fl_x must be a finite number"),
+        (lambda values: values | {"w": -4}, "w and h must be positive"),
+        (lambda values: values | {"camera_model": "FISH"}, "unknown camera model"),
+        (lambda values: values | {"k4": 0.1}, "fisheye"),
+        (lambda values: values | {"unit": "inch"}, "unknown unit"),
+        (all_frames(transform_matrix=[[1.0]]), "must be 4 x 4"),
+        (all_frames(transform_matrix="x"), "must hold numbers"),
+        (all_frames(file_path=3), "needs a file_path"),
+        (all_frames(mask_path=3), "mask_path must be text"),
+        (all_frames(file_path="a" * 5000), "none of the 4 photos can be used|two frames share"),
+        (no_pose(4), "none of the frames has a pose"),
+        (mirror(4), "another handedness"),
+        (no_size, r"differ in size.*got 32 x 24, 64 x 48"),
+        (frames_of_one_file, "two frames share one file here"),
+    ],
+)
+def test_bad_transforms(tmp_path, edit, match):
+    write_transforms(tmp_path)
+    path = tmp_path / "transforms.json"
+    if edit is no_size:
+        write_image(tmp_path / "photo2.png", image_of(32, 24))
+    change(path, edit)
+    with pytest.raises(UserError, match=match) as caught:
         load_photos(tmp_path)
-    values["frames"][0]["file_path"] = "photo0.png"
-    (tmp_path / "transforms.json").write_text(
-        json.dumps({**values, "frames": values["frames"][:2]})
-    )
-    with pytest.raises(UserError, match=r"photo0\.png and /somewhere/camera1/photo0\.png"):
+    assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize(("edit", "words"), [(no_pose(1), "'photo0.png'"), (mirror(1), "handed")])
+def test_one_bad_frame_is_left_out(tmp_path, edit, words):
+    write_transforms(tmp_path)
+    change(tmp_path / "transforms.json", edit)
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 3
+    assert words in loaded.notes[0]
+
+
+def put(content):
+    return lambda _: content
+
+
+@pytest.mark.parametrize(
+    ("name", "edit", "match"),
+    [
+        ("images.bin", lambda data: data[: len(data) // 2], "cut off"),
+        ("cameras.bin", put(b""), "cut off"),
+        ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "model number 99"),
+        ("cameras.txt", lambda data: data.replace(b"OPENCV", b"X"), "unknown camera model X"),
+        ("cameras.txt", lambda data: data.replace(b" 64 ", b" -6 "), "broken camera parameters"),
+        ("cameras.txt", put(b"1 PINHOLE 64 48 1 2 3"), "wrong number of parameters"),
+        ("cameras.txt", put(b"1 PINHOLE a b"), "must be CAMERA_ID MODEL"),
+        ("cameras.txt", put(b"1 PINHOLE 64 48 60 60 32 24"), "camera 42 of 'photo0.png' is miss"),
+        ("images.txt", put(b"1 2 3"), "must be IMAGE_ID QW"),
+        ("images.txt", put(b""), "holds no photo"),
+    ],
+)
+def test_bad_models_of_colmap(tmp_path, name, edit, match):
+    write_colmap(tmp_path, binary=name.endswith("bin"))
+    path = tmp_path / "sparse" / "0" / name
+    path.write_bytes(edit(path.read_bytes()))
+    with pytest.raises(UserError, match=match) as caught:
+        load_photos(tmp_path, UNIT)
+    assert str(path.parent) in str(caught.value)
+
+
+def test_a_folder_without_poses(tmp_path):
+    write_images(tmp_path, 2)
+    with pytest.raises(UserError, match=r"no camera poses.*run COLMAP"):
         load_photos(tmp_path)
-    values["frames"] = values["frames"][:1]
-    values["frames"][0]["file_path"] = "a" * 5000
-    (tmp_path / "transforms.json").write_text(json.dumps(values))
-    with pytest.raises(UserError, match="none of the 1 photos can be used"):
-        load_photos(tmp_path)
+    with pytest.raises(UserError, match="no such photo set"):
+        load_photos(tmp_path / "none")

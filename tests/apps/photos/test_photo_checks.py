@@ -1,6 +1,5 @@
 """Only what is implausible about photos is reported, in one line."""
 
-import json
 import re
 from dataclasses import replace
 
@@ -8,10 +7,9 @@ import numpy as np
 import pytest
 
 from geraf2.apps.photos.photo_checks import check_photos, require_photos_in_view
-from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
 from geraf2.scene.photos import PhotoSet
-from helpers.scene_photos import SIZE, ring_of_cameras, write_photo_set
+from helpers.scene_photos import SIZE, ring_of_cameras
 
 
 def photo_set(n_photos=16, *, brightness=100, **options):
@@ -70,23 +68,6 @@ def test_what_is_implausible_is_one_line(photos, severity, words):
     found, message = only_message(photos)
     assert found == severity
     assert re.search(words, message)
-
-
-@pytest.mark.parametrize("n_wrong", [1, 4])
-def test_poses_of_another_handedness_are_left_out(tmp_path, n_wrong):
-    write_photo_set(tmp_path, n_photos=4)
-    path = tmp_path / "transforms.json"
-    values = json.loads(path.read_text())
-    for frame in values["frames"][:n_wrong]:
-        frame["transform_matrix"][0] = [-value for value in frame["transform_matrix"][0]]
-    path.write_text(json.dumps(values))
-    if n_wrong == 4:
-        with pytest.raises(UserError, match="another handedness"):
-            load_photos(tmp_path)
-    else:
-        loaded = load_photos(tmp_path)
-        assert len(loaded.photos) == 3
-        assert "another handedness" in loaded.notes[0]
 
 
 def test_one_side_is_seen_where_cameras_stand_above_each_other():

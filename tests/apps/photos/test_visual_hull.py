@@ -1,6 +1,5 @@
 import numpy as np
 
-from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.rays import fit_resolution
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
@@ -35,17 +34,6 @@ def test_without_silhouettes_the_region_is_what_all_cameras_see():
     region = find_region(photo_sphere.photo_set(8, masks=False))
     np.testing.assert_allclose(region.center_m, photo_sphere.CENTER, atol=1e-6)
     assert min(region.sides_m) > 2 * photo_sphere.RADIUS_M
-
-
-def test_cracks_of_a_silhouette_are_closed_and_gaps_are_not():
-    mask = np.zeros((200, 400), dtype=bool)
-    mask[20:180, 20:380] = True
-    mask[:, 100:103] = False
-    mask[:, 200:240] = False
-    closed = close_cracks(mask)
-    assert closed[100, 101]
-    assert not closed[100, 220]
-    assert (closed | ~mask).all()
 
 
 def test_redistancing_keeps_the_zero_level_and_makes_slopes_one():
