@@ -208,6 +208,15 @@ def folder(path):
     return Change(path, "is a folder", apply)
 
 
+def npy(path, how, change):
+    """Replace an .npy by what `change` makes of it."""
+
+    def apply(file):
+        np.save(file, change(np.load(file)))
+
+    return Change(path, how, apply)
+
+
 def npz(path, how, **changes):
     """Replace arrays of an .npz by what functions make of them; None takes one away."""
 
