@@ -30,7 +30,7 @@ from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
 from geraf2.simulation.spec import FigureSpec, ScanSpec, SceneSpec
 from geraf2.simulation.world import EFFECTS, WorldSpec
-from inspection import kept_run, scored
+from inspection import kept_run, print_share
 
 CHANGES = ("head", "moved", "swapped")
 BODIES = Population(
@@ -58,11 +58,11 @@ def cut(mesh: TriangleMesh, faces: np.ndarray) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices[used], faces=np.searchsorted(used, faces))
 
 
-def shifted(mesh: TriangleMesh, by_m: np.ndarray) -> TriangleMesh:
+def shift_mesh(mesh: TriangleMesh, by_m: np.ndarray) -> TriangleMesh:
     return TriangleMesh(vertices=mesh.vertices + by_m, faces=mesh.faces)
 
 
-def with_head(
+def place_head(
     bodies: list[TriangleMesh], rng: np.random.Generator
 ) -> tuple[TriangleMesh, np.ndarray]:
     """Head of a screw on a free spot of the side of a body, and its middle."""
@@ -85,7 +85,7 @@ def with_head(
     return mesh, start + 0.5 * _HEAD_HEIGHT_M * normal
 
 
-def swapped(body: TriangleMesh, seed: int) -> TriangleMesh:
+def swap_body(body: TriangleMesh, seed: int) -> TriangleMesh:
     """Another body of the population with the same length, at the same position."""
     one = Population(bodies=(("1", 1.0),))
     other = random_object(10**6 + seed, one).mesh
@@ -145,7 +145,7 @@ class PackedBox:
         rng = np.random.default_rng([seed, 7])
         self.seed = seed
         self.bodies = bodies_of(random_object(seed, BODIES).mesh)
-        self.head, self.head_m = with_head(self.bodies, rng)
+        self.head, self.head_m = place_head(self.bodies, rng)
         self.changed = int(rng.integers(len(self.bodies)))
         angle = rng.uniform(0, 2 * np.pi)
         self.shift_m = _MOVED_M * np.array([np.cos(angle), np.sin(angle), 0.0])
@@ -156,11 +156,11 @@ class PackedBox:
         bodies, head = list(self.bodies), [self.head]
         one = bodies[self.changed]
         if change == "moved":
-            bodies[self.changed] = shifted(one, self.shift_m)
+            bodies[self.changed] = shift_mesh(one, self.shift_m)
             if KDTree(one.vertices).query(self.head_m)[0] < _HEAD_HEIGHT_M:
-                head = [shifted(self.head, self.shift_m)]
+                head = [shift_mesh(self.head, self.shift_m)]
         if change == "swapped":
-            bodies[self.changed] = swapped(one, self.seed)
+            bodies[self.changed] = swap_body(one, self.seed)
         return TriangleMesh.joined([*bodies, *([] if change == "head" else head)])
 
     def spec(self, change: str, folder: Path, options: argparse.Namespace) -> tuple[SceneSpec, int]:
@@ -222,7 +222,7 @@ def main() -> None:
             print(f"  {seed} {change}: {'; '.join(map(str, found.changes)) or 'unchanged'}")
     for change, changed in verdicts.items():
         what = "unchanged box reported as changed" if change == "again" else f"{change}: found"
-        scored(changed, what)
+        print_share(changed, what)
 
 
 if __name__ == "__main__":

@@ -188,7 +188,7 @@ def wilson(n_yes: int, n: int, z: float = 1.96) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def scored(made: list[bool], what: str) -> None:
+def print_share(made: list[bool], what: str) -> None:
     named = "none was run"
     if made:
         low, high = (100.0 * limit for limit in wilson(sum(made), len(made)))
@@ -248,15 +248,15 @@ def single(options: argparse.Namespace) -> None:
             f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}",
             flush=True,
         )
-    scored(near, "pose to 1 mm and 1 degree")
+    print_share(near, "pose to 1 mm and 1 degree")
     if offs:
         print(f"  median {1e3 * np.median(offs):.2f} mm, {np.median(angles):.2f} degrees")
-    scored(right, f"right part of {len(names)}")
-    scored(failed, "whole part fails")
-    scored([bool(pull < 1.96) for pull in pulls], "stated 95 % of the pose's middle hold")
-    scored([bool(turn < 1.96) for turn in turns], "stated 95 % of the pose's turn hold")
+    print_share(right, f"right part of {len(names)}")
+    print_share(failed, "whole part fails")
+    print_share([bool(pull < 1.96) for pull in pulls], "stated 95 % of the pose's middle hold")
+    print_share([bool(turn < 1.96) for turn in turns], "stated 95 % of the pose's turn hold")
     for what, held in measured.items():
-        scored(held, f"stated 95 % of {what} hold")
+        print_share(held, f"stated 95 % of {what} hold")
 
 
 def _cover(measured: dict[str, list[bool]], part, truth: TriangleMesh) -> None:
@@ -300,10 +300,10 @@ def head(options: argparse.Namespace) -> None:
                 f"{answer.verdict} {'; '.join(answer.failures)}",
                 flush=True,
             )
-        scored(
+        print_share(
             named, "head reported as missing" + (", though it is there" if name == whole else "")
         )
-        scored(failed, f"{name} fails")
+        print_share(failed, f"{name} fails")
 
 
 def trio(options: argparse.Namespace) -> None:
@@ -327,11 +327,11 @@ def trio(options: argparse.Namespace) -> None:
                 f"{found.verdict} {'; '.join(found.failures)}",
                 flush=True,
             )
-        scored(
+        print_share(
             named,
             "one of three reported as missing" if gone is None else "the missing one is named",
         )
-        scored(failed, f"{'all three' if gone is None else 'two of three'} fail")
+        print_share(failed, f"{'all three' if gone is None else 'two of three'} fail")
 
 
 def main() -> None:

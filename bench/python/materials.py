@@ -23,7 +23,7 @@ from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
-from inspection import kept_run, scored
+from inspection import kept_run, print_share
 
 SINGLE = Population(bodies=(("1", 1.0),))
 _LENGTH_M, _GAP_M, _PERMITTIVITY = (0.03, 0.05), (0.005, 0.02), (2.3, 3.3)
@@ -104,9 +104,9 @@ def main() -> None:
         own = {found: n for (kind, found), n in kinds.items() if kind == true}
         print(f"{true}: " + ", ".join(f"{found} {n}" for found, n in sorted(own.items())))
     named = [t == f for (t, f), n in kinds.items() for _ in range(n) if f != "not determined"]
-    scored(named, "right material of parts with one")
-    scored(near, "permittivity of plastic parts within 10 %")
-    scored(held, "stated 95 % of a permittivity hold")
+    print_share(named, "right material of parts with one")
+    print_share(near, "permittivity of plastic parts within 10 %")
+    print_share(held, "stated 95 % of a permittivity hold")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ import numpy as np
 import trimesh
 
 import geraf2
-from compare_pairs import shifted
+from compare_pairs import shift_mesh
 from geraf2.calibration.box_finder import find_box
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.physical_optics import AntennaBlocks, SurfaceElements
@@ -212,7 +212,7 @@ def drawn(kind: str, seed: int) -> Drawn:
     if kind == "pair":
         shift = np.array([0.5 * size[0] + rng.uniform(0.002, 0.02), 0.0, 0.0])
         boxes = [wall(size, middle + side * shift) for side in (-1, 1)]
-        both = TriangleMesh.joined([shifted(content, -shift), shifted(content, shift)])
+        both = TriangleMesh.joined([shift_mesh(content, -shift), shift_mesh(content, shift)])
         return Drawn(both, tuple(boxes), layers(boxes[0]) + layers(boxes[1]), size_m=tuple(size))
     box = wall(size, middle)
     if kind == "nested":

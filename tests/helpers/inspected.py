@@ -74,7 +74,7 @@ SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))
 CUBES = [block((0.02,) * 3, (x, 0.0, 0.0), 0.003) for x in (-0.05, 0.0, 0.05)]
 
 
-def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
+def measured_body(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     """Body of a mesh that was moved; errors of the stated size along its normals.
 
     unseen: directions in the mesh's frame whose side was filled, 4 mm off, with that uncertainty.
@@ -92,7 +92,7 @@ def measured(mesh, pose=POSE, *, sigma_m=0.0005, unseen=None, seed=0):
     return replace(body_of(mesh), seen=seen)
 
 
-def around():
+def planes_around():
     """Twelve wide planes around the content, one above and one below."""
     turns = [Rotation.from_euler("z", 30.0 * k, degrees=True).as_matrix() for k in range(12)]
     turns += [Rotation.from_euler("y", angle, degrees=True).as_matrix() for angle in (-90, 90)]
@@ -115,10 +115,10 @@ def glints_of(body, apertures, *, seed=0, sigma_m=3e-4):
 def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039, has_glints=False):
     """Folder of a run that found these parts, in the frame that they are moved into."""
     out.mkdir()
-    body = measured(joined(*meshes), pose, sigma_m=3e-4)
+    body = measured_body(joined(*meshes), pose, sigma_m=3e-4)
     write_mesh(body.mesh, out / CONTENT_NAME)
     save_prior(LosPrior.from_box(box_m), out / PRIOR_NAME)
-    apertures = around() if has_glints else []
+    apertures = planes_around() if has_glints else []
     corners = np.array([aperture.corners_m for aperture in apertures]).reshape(-1, 4, 3)
     planes = ScannedPlanes(corners_m=corners, wavelength_m=wavelength_m)
     save_planes(planes, out / PLANES_NAME)

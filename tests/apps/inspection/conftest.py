@@ -11,7 +11,7 @@ import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
 from geraf2.pipeline.events import Listener
-from helpers.inspected import CUBES, SMALL, block, few_starts, measured, run_of, wedge
+from helpers.inspected import CUBES, SMALL, block, few_starts, measured_body, run_of, wedge
 from helpers.solids import joined
 
 
@@ -52,7 +52,7 @@ def failed(tmp_path_factory):
     """
     out, steps = tmp_path_factory.mktemp("failed") / "run", Steps()
     out.mkdir()
-    body = measured(joined(wedge(), SMALL), sigma_m=3e-4, unseen=(0, 0, -1))
+    body = measured_body(joined(wedge(), SMALL), sigma_m=3e-4, unseen=(0, 0, -1))
     x, y, _ = wedge().vertices.T
     bump = np.zeros(len(body.mesh.vertices))
     bump[: len(x)] = 0.006 * (np.hypot(x, y) < 0.012)

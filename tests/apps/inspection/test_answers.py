@@ -8,7 +8,7 @@ import trimesh
 
 from geraf2.apps.inspection import deviation
 from geraf2.apps.inspection.bodies import Content, split_bodies
-from geraf2.apps.inspection.deviation import deviation_of, in_sight
+from geraf2.apps.inspection.deviation import deviation_of, find_in_sight
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of, read_models
 from geraf2.geometry.transforms import apply_rigid
@@ -18,7 +18,7 @@ from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 from helpers.glint_sets import glints_at
-from helpers.inspected import POSE, block, measured, placement, wedge
+from helpers.inspected import POSE, block, measured_body, placement, wedge
 from helpers.solids import joined
 
 SIDES = (0.06, 0.04, 0.02)
@@ -53,7 +53,7 @@ def with_bump(mesh, height_m):
 @pytest.mark.parametrize(("height_m", "what"), [(0.005, "too much"), (-0.005, "too little")])
 def test_a_bump_is_found_where_it_is_and_only_where_it_was_seen(height_m, what):
     model = block(SIDES, edge_m=0.003)
-    body = measured(with_bump(model, height_m), sigma_m=2e-4)
+    body = measured_body(with_bump(model, height_m), sigma_m=2e-4)
     found = deviation_of(body, model, placed(), 0.002)
     (region,) = found.regions
     assert region.what == what
@@ -74,7 +74,7 @@ def test_a_bump_is_found_where_it_is_and_only_where_it_was_seen(height_m, what):
 def test_what_should_have_echoed_and_is_not_there_is_absent():
     """A second block, missing, in sight of a plane at x = 0.4 m, and out of sight of one below."""
     rest, gone = block(SIDES), block((0.01, 0.02, 0.02), (0.0, 0.0, 0.04))
-    body = measured(rest, np.eye(4), sigma_m=2e-4)
+    body = measured_body(rest, np.eye(4), sigma_m=2e-4)
     side = plane_at(0.4, (-0.1, 0.1), (-0.1, 0.1))
     found = deviation_of(body, joined(rest, gone), placed(np.eye(4)), 0.002, scanned(side))
     (region,) = found.regions
@@ -97,7 +97,7 @@ def test_large_flats_are_in_sight_of_whole_subapertures_only():
         assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
         facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
         found.append(
-            in_sight(
+            find_in_sight(
                 mesh, MeshScene(mesh.vertices, mesh.faces), apertures_at(planes), WAVELENGTH_M
             )[facing]
         )
@@ -107,7 +107,7 @@ def test_large_flats_are_in_sight_of_whole_subapertures_only():
 def test_echoes_from_a_part_of_the_model_confirm_it():
     """Glints where the model is say that there is no bump; glints on the bump say that there is."""
     model = block(SIDES, edge_m=0.003)
-    body = measured(with_bump(model, 0.005), np.eye(4), sigma_m=2e-4)
+    body = measured_body(with_bump(model, 0.005), np.eye(4), sigma_m=2e-4)
     at = np.linspace(-0.006, 0.006, 6)
     spots = np.array([(x, y, 0.01) for x in at for y in at])
     on_bump = spots + np.array([0, 0, 0.005])
@@ -128,7 +128,7 @@ def models():
 def test_models_find_their_parts_and_the_missing_one_is_reported(models):
     there = np.eye(4)
     there[0, 3] = -0.09
-    whole = measured(joined(models[2].mesh, apply(models[0].mesh, there)))
+    whole = measured_body(joined(models[2].mesh, apply(models[0].mesh, there)))
     bodies = split_bodies(whole)
     found = match_models([models[0], *models[2:]], Content(bodies, whole))
     assert [m.status for m in found] == ["present", "present", "missing"]
@@ -140,13 +140,13 @@ def apply(mesh, pose):
 
 
 def test_the_right_one_of_several_candidates_and_another_part_are_recognised(models):
-    body = measured(models[1].mesh, unseen=(0, 0, -1))
+    body = measured_body(models[1].mesh, unseen=(0, 0, -1))
     (found,) = match_models(models[:2], Content([body], body), any_of=True)
     assert (models[found.model].name, found.status) == ("low", "present")
     ((loser, misfit),) = found.rivals
     assert models[loser].name == "wedge"
     assert misfit > found.placement.misfit
-    body = measured(block((0.075, 0.02, 0.02)))
+    body = measured_body(block((0.075, 0.02, 0.02)))
     (found,) = match_models(models[:1], Content([body], body))
     assert found.status == "wrong part"
     assert found.placement.misfit > found.largest_misfit
@@ -163,7 +163,7 @@ def test_a_part_is_compared_with_where_it_should_be(turn_deg, shift_m, status):
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
     pose[:2, :2] = [[c, -s], [s, c]]
     pose[0, 3] = shift_m
-    body = measured(model.mesh, pose)
+    body = measured_body(model.mesh, pose)
     (found,) = match_models([model], Content([body], body), placed=True)
     assert found.status == status
 

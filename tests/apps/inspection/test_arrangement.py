@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from skimage.measure import marching_cubes
 
-from geraf2.apps.inspection.arrangement import arranged, cut_apart
-from geraf2.apps.inspection.bodies import Content, capped, part_of, split_bodies
-from geraf2.apps.inspection.matching import _of_parts, match_models
+from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
+from geraf2.apps.inspection.bodies import Content, close_holes, part_of, split_bodies
+from geraf2.apps.inspection.matching import _split_glints, match_models
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
 from helpers.glint_sets import glints_at
-from helpers.inspected import POSE, block, few_starts, measured
+from helpers.inspected import POSE, block, few_starts, measured_body
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
 """Sides and where the middle lies along y [m]; a bridge of 10 mm joins them."""
@@ -35,7 +35,7 @@ def grown_together():
 
 @pytest.fixture(scope="module")
 def whole():
-    return measured(grown_together())
+    return measured_body(grown_together())
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +47,7 @@ def models():
 @pytest.fixture(scope="module")
 def placed(whole, models):
     with few_starts():
-        return arranged(models, whole, None)
+        return arrange_models(models, whole, None)
 
 
 def test_each_model_lies_where_it_is_and_what_explains_nothing_more_is_missing(placed):
@@ -75,21 +75,21 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
 
 def test_glints_are_those_of_the_nearest_part():
     sides, off = (0.02, 0.03, 0.03), (-0.014, 0.014)  # a gap of 8 mm
-    bodies = [measured(block(sides, (x, 0.0, 0.0)), np.eye(4)) for x in off]
+    bodies = [measured_body(block(sides, (x, 0.0, 0.0)), np.eye(4)) for x in off]
     points = np.array([[-0.004, 0.0, 0.0], [0.004, 0.0, 0.0], [0.024, 0.01, 0.0]])
-    left, right = _of_parts(bodies, glints_at(points, np.eye(3)))
+    left, right = _split_glints(bodies, glints_at(points, np.eye(3)))
     assert left.positions == pytest.approx(points[:1])
     assert right.positions == pytest.approx(points[1:])
-    assert _of_parts(bodies, None) == [None, None]
+    assert _split_glints(bodies, None) == [None, None]
 
 
 def test_a_cut_is_closed_by_what_was_not_seen():
     """Of a block that is cut at x = 0 either half has half of the volume."""
-    body = measured(block((0.06, 0.04, 0.02)), np.eye(4), sigma_m=0.0)
+    body = measured_body(block((0.06, 0.04, 0.02)), np.eye(4), sigma_m=0.0)
     left = body.mesh.corners.mean(axis=1)[:, 0] < 0.0
-    half = capped(part_of(body, body.mesh.faces[left]))
+    half = close_holes(part_of(body, body.mesh.faces[left]))
     assert count_open_edges(half.mesh.faces) == 0
     volume = enclosed_volume_m3(half.mesh.vertices, half.mesh.faces)
     assert volume == pytest.approx(0.03 * 0.04 * 0.02, rel=0.07)  # edges of 4 mm: a ragged cut
     assert half.seen.sum() == len(half.seen) - 1
-    assert capped(body) is body
+    assert close_holes(body) is body

@@ -6,14 +6,14 @@ import pytest
 from geraf2.apps.inspection.bodies import body_of, measure, split_bodies
 from geraf2.geometry.transforms import apply_rigid
 from helpers.glint_sets import glints_at
-from helpers.inspected import POSE, block, measured
+from helpers.inspected import POSE, block, measured_body
 from helpers.solids import ball, joined
 
 SIDES = (0.06, 0.04, 0.02)
 
 
 def test_a_block_that_lies_askew_has_its_own_lengths():
-    found = measure(measured(block(SIDES), sigma_m=0.0))
+    found = measure(measured_body(block(SIDES), sigma_m=0.0))
     assert [length.value for length in found.dimensions_m] == pytest.approx(SIDES, abs=1e-9)
     assert np.abs(np.array(found.axes) @ POSE[:3, :3]) == pytest.approx(np.eye(3), abs=1e-6)
     assert found.center_m == pytest.approx(tuple(POSE[:3, 3]), abs=1e-9)

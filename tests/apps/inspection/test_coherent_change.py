@@ -10,12 +10,12 @@ from geraf2.apps.inspection import coherent_change as coherent
 from geraf2.apps.inspection.coherent_change import (
     Signals,
     Spots,
-    changed_echoes,
-    fitted_phases,
+    compare_echoes,
+    fit_phases,
     log_ratio,
-    turned,
+    refine_turn,
 )
-from geraf2.apps.inspection.comparison import _of_spots
+from geraf2.apps.inspection.comparison import _spot_changes
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid
 from geraf2.ops import signal_tracer
 from geraf2.records import Pose, Waveform
@@ -72,8 +72,8 @@ def test_the_turn_is_found_by_the_phases_and_unchanged_echoes_are_no_change(scan
     peaks, start = (points, apply_rigid(PUT_DOWN, points)), PUT_DOWN.copy()
     start[:3, :3] = Rotation.from_euler("z", -0.9, degrees=True).as_matrix() @ start[:3, :3]
     with Workers(1) as workers:
-        pose = turned(start, here, again, peaks, workers)
-        spots = changed_echoes(pose, here, again, peaks, workers)
+        pose = refine_turn(start, here, again, peaks, workers)
+        spots = compare_echoes(pose, here, again, peaks, workers)
     error = Rotation.from_matrix(pose[:3, :3] @ PUT_DOWN[:3, :3].T).magnitude()
     assert np.rad2deg(error) < 0.15
     assert spots.log_ratios.max() < 2.0
@@ -83,9 +83,9 @@ def test_an_echo_that_one_scan_lacks_is_found_where_it_was(scans):
     points, here, _, robbed = scans
     peaks = points, apply_rigid(PUT_DOWN, points)
     with Workers(1) as workers:
-        new = changed_echoes(PUT_DOWN, here, robbed, peaks, workers)
+        new = compare_echoes(PUT_DOWN, here, robbed, peaks, workers)
         back = inverse_rigid(PUT_DOWN[:3, :3], PUT_DOWN[:3, 3])
-        gone = changed_echoes(back, robbed, here, peaks[::-1], workers)
+        gone = compare_echoes(back, robbed, here, peaks[::-1], workers)
     for spots, at, sign in ((new, points[0], 1.0), (gone, peaks[1][0], -1.0)):
         best = np.argmax(spots.log_ratios)
         assert spots.points[best] == pytest.approx(at, abs=1e-9)
@@ -107,9 +107,9 @@ def test_planes_that_stand_elsewhere_say_nothing(scans):
     )
     peaks = points, apply_rigid(PUT_DOWN, points)
     with Workers(1) as workers:
-        assert turned(PUT_DOWN, aside, away, peaks, workers) == pytest.approx(PUT_DOWN)
-        spots = changed_echoes(PUT_DOWN, aside, away, peaks, workers)
-        none = changed_echoes(PUT_DOWN, here, again, (points[:0], points[:0]), workers)
+        assert refine_turn(PUT_DOWN, aside, away, peaks, workers) == pytest.approx(PUT_DOWN)
+        spots = compare_echoes(PUT_DOWN, aside, away, peaks, workers)
+        none = compare_echoes(PUT_DOWN, here, again, (points[:0], points[:0]), workers)
     assert not spots.log_ratios.any()
     assert len(none.points) == 0
 
@@ -119,11 +119,11 @@ def test_phases_of_blocks_and_over_the_content_are_found():
     one, lateral = noise(rng, 5, 200), rng.uniform(-0.04, 0.04, size=(200, 2))
     phasors, slopes = np.exp(1j * rng.uniform(0, 6.28, 5)), np.array([45.0, -20.0])
     other = one * phasors[:, None] * np.exp(1j * (lateral @ slopes)) + 0.1 * noise(rng, 5, 200)
-    found, blocks, share = fitted_phases(one, other, lateral, 130.0)
+    found, blocks, share = fit_phases(one, other, lateral, 130.0)
     assert found == pytest.approx(slopes, abs=1.5)
     assert np.abs(np.angle(blocks / phasors)).max() < 0.1
     assert share > 0.95
-    assert fitted_phases(one, noise(rng, 5, 200), lateral, 130.0)[2] < 0.4
+    assert fit_phases(one, noise(rng, 5, 200), lateral, 130.0)[2] < 0.4
 
 
 def test_where_no_phase_holds_no_change_is_seen():
@@ -135,9 +135,9 @@ def test_neighbouring_spots_are_one_change():
     points = np.array([[0.0, 0, 0], [0.003, 0, 0], [0.09, 0, 0], [0.05, 0.05, 0]])
     spots = Spots(points, np.array([20.0, 12.0, 15.0, 1.0]), np.array([-3.0, -1.0, 2.0, 9.0]))
     here = SimpleNamespace(bodies=[None, None], whole=SimpleNamespace(sigma_m=np.array([1e-3])))
-    near, far = sorted(_of_spots(spots, here), key=lambda change: change.center_m)
+    near, far = sorted(_spot_changes(spots, here), key=lambda change: change.center_m)
     assert (near.what, near.center_m, far.what) == ("vanished", (0.0, 0.0, 0.0), "appeared")
     assert near.size_m == pytest.approx(0.003)
     odds = 0.01 * 2 / 4 * (np.exp(20.0) + np.exp(12.0))
     assert near.probability == pytest.approx(odds / (1.0 + odds))
-    assert _of_spots(spots._replace(log_ratios=np.zeros(4)), here) == []
+    assert _spot_changes(spots._replace(log_ratios=np.zeros(4)), here) == []

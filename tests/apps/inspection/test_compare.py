@@ -11,9 +11,15 @@ import geraf2
 from geraf2.apps.inspection import coherent_change, compare_runs
 from geraf2.apps.inspection.bodies import split_bodies
 from geraf2.apps.inspection.coherent_change import Signals
-from geraf2.apps.inspection.comparison import Play, Scanned, common_changes, compared, registered
+from geraf2.apps.inspection.comparison import (
+    Play,
+    Scanned,
+    common_changes,
+    compare_scans,
+    register_scans,
+)
 from geraf2.apps.inspection.material import UNKNOWN
-from geraf2.apps.inspection.scan_evidence import Cells, Evidence, shifts_of, without_counterpart
+from geraf2.apps.inspection.scan_evidence import Cells, Evidence, find_missed, shifts_of
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.io.planes import ScannedPlanes, save_planes
@@ -21,7 +27,7 @@ from geraf2.io.points import read_cloud
 from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME
 from geraf2.ops import signal_tracer
 from geraf2.scene.aperture import Aperture
-from helpers.inspected import CUBES, around, block, glints_of, measured, run_of, wedge
+from helpers.inspected import CUBES, block, glints_of, measured_body, planes_around, run_of, wedge
 from helpers.solids import joined
 
 HERE = np.eye(4)
@@ -30,8 +36,8 @@ WALLS = Play(turn_rad=0.005, shift_m=0.0005)
 
 def scanned(*meshes, pose=HERE, seed=0, metal=()):
     """Scan of parts, with the probability that each is metal."""
-    whole = measured(joined(*meshes), pose, sigma_m=3e-4, seed=seed)
-    apertures, bodies = around(), split_bodies(whole)
+    whole = measured_body(joined(*meshes), pose, sigma_m=3e-4, seed=seed)
+    apertures, bodies = planes_around(), split_bodies(whole)
     glints = glints_of(whole, apertures, seed=seed + 100)
     evidence = Evidence(glints, (glints.positions, glints.normals), apertures)
     kinds = {True: "metal", False: "plastic"}
@@ -40,7 +46,7 @@ def scanned(*meshes, pose=HERE, seed=0, metal=()):
 
 
 def changes_of(here, there, play=WALLS):
-    return compared(here, there, HERE, play, 0.0005)[0]
+    return compare_scans(here, there, HERE, play, 0.0005)[0]
 
 
 def kinds(changes):
@@ -48,7 +54,9 @@ def kinds(changes):
 
 
 def test_a_second_scan_of_the_same_is_unchanged():
-    changes, pose, share = compared(scanned(*CUBES, seed=1), scanned(*CUBES), HERE, WALLS, 0.0005)
+    changes, pose, share = compare_scans(
+        scanned(*CUBES, seed=1), scanned(*CUBES), HERE, WALLS, 0.0005
+    )
     assert changes == []
     assert share > 0.9
     assert pose == pytest.approx(HERE, abs=1e-3)
@@ -90,7 +98,7 @@ def test_a_parcel_put_down_elsewhere_is_registered():
     pose = rigid(turn, np.array([0.003, -0.004, 0.001]))
     here, there = scanned(*parts, pose=pose, seed=1), scanned(*parts)
     free = Play(turn_rad=0.05, shift_m=0.005)
-    found, _, shifts = registered(here, there, HERE, free)
+    found, _, shifts = register_scans(here, there, HERE, free)
     assert np.abs(apply_rigid(found @ pose, parts[0].vertices) - parts[0].vertices).max() < 5e-4
     assert shifts == {}
     assert changes_of(here, there, free) == []
@@ -113,19 +121,19 @@ def test_a_scan_without_likely_glints_shows_nothing():
     glints = one.evidence.glints.select(np.zeros(0, dtype=int))
     none = one._replace(evidence=one.evidence._replace(glints=glints))
     for pair in ((one, none), (none, one)):
-        assert registered(*pair, HERE, WALLS)[0] == pytest.approx(HERE)
+        assert register_scans(*pair, HERE, WALLS)[0] == pytest.approx(HERE)
 
 
 def test_only_glints_that_the_planes_face_can_be_missed():
     one = scanned(CUBES[0]).evidence
     blind = one._replace(peaks=(np.zeros((1, 3)), np.array([[1.0, 0, 0]])))
-    upper = [aperture for aperture in around() if abs(aperture.axes[0][2]) < 0.5]
-    visible, missed = without_counterpart(one, blind._replace(apertures=upper), HERE)
+    upper = [aperture for aperture in planes_around() if abs(aperture.axes[0][2]) < 0.5]
+    visible, missed = find_missed(one, blind._replace(apertures=upper), HERE)
     up = np.abs(one.glints.normals[:, 2]) > 0.9
     assert not visible[up].any()
     assert (missed == visible).all()
     assert visible[~up].any()
-    assert not without_counterpart(one, one, HERE)[1].any()
+    assert not find_missed(one, one, HERE)[1].any()
 
 
 def test_a_change_must_differ_from_every_reference():

@@ -12,16 +12,16 @@ from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, share_of
 from geraf2.apps.inspection.expected_echoes import (
     ExpectedEchoes,
-    _moved,
+    _move_pose,
     normal_equations,
     pieces_of,
 )
-from geraf2.apps.inspection.matching import Match, by_echoes
+from geraf2.apps.inspection.matching import Match, refine_by_echoes
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import rigid
 from geraf2.io.mesh import write_mesh
 from geraf2.simulation.spec import FigureSpec, NumericsSpec, ScanSpec, SceneSpec
-from helpers.inspected import block, measured, placement
+from helpers.inspected import block, measured_body, placement
 from helpers.solids import joined, triangles
 
 BOX_M = (0.14, 0.14, 0.14)
@@ -74,14 +74,14 @@ def test_a_pose_that_is_off_by_degrees_is_put_right(expected, turn_deg):
 def test_what_sends_no_echo_is_absent(expected):
     model = joined(prism(), STUD)
     (found,) = expected.match([model], [placed(np.eye(4))])
-    body = measured(prism(), np.eye(4))
+    body = measured_body(prism(), np.eye(4))
     assert np.abs(found.placement.pose[:3, 3]).max() < 5e-4
     deviation = deviation_of(body, model, found.placement, 0.002, echoes=found.patches)
     absent = [region for region in deviation.regions if region.what == "absent"]
     assert len(absent) == 1
     assert absent[0].center_m == pytest.approx((-0.032, 0.0, 0.0), abs=4e-3)
     # Where the surface is there within the tolerance, a missing echo proves nothing.
-    whole = measured(model, np.eye(4))
+    whole = measured_body(model, np.eye(4))
     there = deviation_of(whole, model, found.placement, 0.002, echoes=found.patches)
     assert [region for region in there.regions if region.what == "absent"] == []
 
@@ -92,7 +92,7 @@ def test_of_two_models_the_one_that_is_absent_is_reported(expected):
     matches = [
         Match(model=m, body=m, placement=placed(np.eye(4)), status="present") for m in range(2)
     ]
-    found, patches = by_echoes(matches, models, expected)
+    found, patches = refine_by_echoes(matches, models, expected)
     assert [match.status for match in found] == ["present", "missing"]
     assert found[1].placement is None
     assert list(patches) == [0]
@@ -106,7 +106,7 @@ def test_changes_of_heat_maps_are_those_of_a_moved_model(expected):
     for motion in (0, 2, 4):  # about x, about z, along y
         step = np.zeros(6)
         step[motion] = 5e-5
-        moved = expected.views([prism()], [pieces], [_moved(np.eye(4), step, pieces)])
+        moved = expected.views([prism()], [pieces], [_move_pose(np.eye(4), step, pieces)])
         ahead = np.concatenate([i[:, 0, 0] for i in expected.images(moved, 1)])
         change = ahead - np.concatenate([i[:, 0, 0] for i in images])
         predicted = 5e-5 * np.concatenate([i[:, 0, 1 + motion] for i in images])

@@ -14,7 +14,7 @@ from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from helpers.glint_sets import glints_at
-from helpers.inspected import POSE, block, measured, wedge
+from helpers.inspected import POSE, block, measured_body, wedge
 from helpers.solids import triangles
 
 
@@ -24,7 +24,7 @@ def angle_deg(pose, true=POSE):
 
 def test_a_part_is_found_from_nowhere_with_its_far_side_filled():
     model = wedge()
-    placement = register(surface_evidence_of(measured(model, unseen=(0, 1, 0)), None), model)
+    placement = register(surface_evidence_of(measured_body(model, unseen=(0, 1, 0)), None), model)
     middle = model.vertices.mean(axis=0)
     off = apply_rigid(placement.pose, middle) - apply_rigid(POSE, middle)
     assert np.abs(off).max() < 5e-4
@@ -37,7 +37,7 @@ def test_a_part_is_found_from_nowhere_with_its_far_side_filled():
 def test_errors_of_the_pose_are_as_large_as_stated():
     """Displacements that patches of a centimetre share; from the true pose, 12 draws."""
     model = wedge()
-    clean = measured(model, sigma_m=0.0)
+    clean = measured_body(model, sigma_m=0.0)
     axes = np.linalg.svd(clean.mesh.vertices - clean.mesh.vertices.mean(axis=0))[2]
     normals = np.asarray(trimesh.Trimesh(clean.mesh.vertices, clean.mesh.faces).vertex_normals)
     cells = np.floor(clean.mesh.vertices @ axes.T / 0.01).astype(int)
@@ -47,7 +47,7 @@ def test_errors_of_the_pose_are_as_large_as_stated():
     for seed in range(12):
         shift = 5e-4 * rng.normal(size=patch.max() + 1)[patch]
         vertices = clean.mesh.vertices + shift[:, None] * normals
-        body = measured(model)
+        body = measured_body(model)
         moved = TriangleMesh(vertices=vertices, faces=clean.mesh.faces)
         body = replace(body, mesh=moved)
         found = register(surface_evidence_of(body, None), model, start=POSE, seed=seed)
@@ -61,7 +61,7 @@ def test_errors_of_the_pose_are_as_large_as_stated():
 
 def test_the_turn_of_a_turned_part_is_free():
     model = triangles(trimesh.creation.cylinder(radius=0.015, height=0.07, sections=64).subdivide())
-    placement = register(surface_evidence_of(measured(model, sigma_m=2e-4), None), model)
+    placement = register(surface_evidence_of(measured_body(model, sigma_m=2e-4), None), model)
     axis = POSE[:3, 2]
     assert abs(np.dot(placement.free_axis, axis)) > 0.99
     assert abs(placement.pose[:3, 2] @ axis) > 0.9998
@@ -71,7 +71,7 @@ def test_the_turn_of_a_turned_part_is_free():
 def test_many_echoes_set_the_pose_and_few_do_not():
     """The fitted surface is 1.5 mm thicker on one side than the echoes from the part say."""
     model = block((0.06, 0.04, 0.02), edge_m=0.002)
-    body = measured(model, np.eye(4), sigma_m=1e-5)
+    body = measured_body(model, np.eye(4), sigma_m=1e-5)
     x = model.vertices[:, 0]
     thick = model.vertices + np.outer(0.0015 * (x > 0.0299), [1.0, 0, 0])
     body = replace(body, mesh=TriangleMesh(vertices=thick, faces=model.faces))

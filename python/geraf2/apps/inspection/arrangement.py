@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Progress
-from geraf2.apps.inspection.bodies import Body, capped, part_of
+from geraf2.apps.inspection.bodies import Body, close_holes, part_of
 from geraf2.apps.inspection.registration import (
     FAR,
     Compared,
@@ -50,7 +50,7 @@ class _Candidate:
     solid: MeshScene
     """The placed model."""
 
-    def inside(self, other: "_Candidate") -> float:
+    def overlap(self, other: "_Candidate") -> float:
         """Share of either surface that lies inside the other."""
         both = ((self, other), (other, self))
         return sum(float(a.shares[b.solid.signed_distance(a.points) < 0.0].sum()) for a, b in both)
@@ -86,7 +86,7 @@ class _Search:
         placed: Placement | None = None
         for _ in range(_N_ROUNDS):
             evidence, surface, echoes = (
-                _around(e, middle, self.reaches[m] + _SPARE_M, chosen)
+                _select_around(e, middle, self.reaches[m] + _SPARE_M, chosen)
                 for e in (self.evidence, self.surface, self.echoes)
             )
             if evidence is None or surface is None:
@@ -128,7 +128,7 @@ class _Search:
         """Decrease of the cost by all candidates."""
         both = list(chosen)
         explained = float(self.share @ (FAR**2 - self.residual(both)))
-        inside = sum(a.inside(b) for a, b in combinations(both, 2))
+        inside = sum(a.overlap(b) for a, b in combinations(both, 2))
         return explained - sum(c.cost for c in both) - FAR**2 * inside
 
     def gain(self, candidate: _Candidate, chosen: Sequence[_Candidate]) -> float:
@@ -136,11 +136,11 @@ class _Search:
         explained = np.maximum(self.residual(chosen) - candidate.measured, 0.0)
         gain = float(self.share @ explained) - candidate.cost
         if gain > 0.0:
-            gain -= FAR**2 * sum(candidate.inside(other) for other in chosen)
+            gain -= FAR**2 * sum(candidate.overlap(other) for other in chosen)
         return gain
 
 
-def arranged(
+def arrange_models(
     models: Sequence[TriangleMesh],
     whole: Body,
     glints: Glints | None,
@@ -166,14 +166,16 @@ def arranged(
     search = _Search(models, whole, glints, seed)
     found: dict[int, _Candidate] = {}
     for by_share in (False, True):
-        chosen = _greedy(search, by_share=by_share, progress=progress)
+        chosen = _choose_greedily(search, by_share=by_share, progress=progress)
         _improve(search, chosen)
         if search.total(chosen.values()) > search.total(found.values()):
             found = chosen
     return [found[m].placement if m in found else None for m in range(len(models))]
 
 
-def _greedy(search: _Search, *, by_share: bool, progress: Progress) -> dict[int, _Candidate]:
+def _choose_greedily(
+    search: _Search, *, by_share: bool, progress: Progress
+) -> dict[int, _Candidate]:
     """Models at poses that gain most, one after the other.
 
     by_share: gains are relative to the measurements of a model's surface, so that a small part
@@ -224,8 +226,8 @@ def cut_apart(
 ) -> tuple[list[Body], dict[int, int]]:
     """Cut bodies that hold several models into one for each.
 
-    bodies: connected pieces of the content. models, placements: as of `arranged`. Each face goes to
-    the nearest model of its body; cuts are closed with unseen surface.
+    bodies: connected pieces of the content. models, placements: as of `arrange_models`. Each face
+    goes to the nearest model of its body; cuts are closed with unseen surface.
 
     Returns the bodies, the largest first, and the body of each model that was placed.
     """
@@ -246,12 +248,12 @@ def cut_apart(
         )
         for k, m in enumerate(held):
             faces = body.mesh.faces[nearest == k]
-            found += [(capped(part_of(body, faces)), [m])] if len(faces) else []
+            found += [(close_holes(part_of(body, faces)), [m])] if len(faces) else []
     found.sort(key=lambda one: -float(one[0].areas_m2.sum()))
     return [body for body, _ in found], {m: b for b, (_, held) in enumerate(found) for m in held}
 
 
-def _around(
+def _select_around(
     evidence: Evidence | None, middle: Floats, reach_m: float, others: Sequence[_Candidate]
 ) -> Evidence | None:
     """Evidence around a position that is not of other models; None with too little."""

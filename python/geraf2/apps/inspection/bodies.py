@@ -114,11 +114,11 @@ def body_of(
     if errors is None:
         errors = np.where(seen, _SEEN_ERROR_M, _GUESSED_ERROR_M)
     sigma_m = np.asarray(errors, dtype=np.float64)
-    moved = _drawn(mesh.vertices, sigma_m) if moved_m is None else moved_m
+    moved = _draw_displacements(mesh.vertices, sigma_m) if moved_m is None else moved_m
     return Body(mesh=mesh, sigma_m=sigma_m, seen=seen, moved_m=moved)
 
 
-def _drawn(vertices: Floats, sigma_m: Floats) -> Floats:
+def _draw_displacements(vertices: Floats, sigma_m: Floats) -> Floats:
     """Displacements that are in part common to all, and else independent between patches."""
     rng = np.random.default_rng(0)
     _, patch = np.unique(np.floor(vertices / PATCH_M), axis=0, return_inverse=True)
@@ -181,7 +181,7 @@ def part_of(body: Body, faces: Ints) -> Body:
     )
 
 
-def capped(body: Body) -> Body:
+def close_holes(body: Body) -> Body:
     """Close the holes of a cut body with fans about their centres, marked as unseen."""
     mesh = body.mesh
     rim = directed_edges(mesh.faces)[~closed_edges(mesh.faces)]

@@ -78,7 +78,7 @@ class _Placed(NamedTuple):
     """(n_points, 3) [m]."""
 
     @property
-    def moved(self) -> Floats:
+    def points_there(self) -> Floats:
         """Positions in the frame of the reference, (n_points, 3) [m]."""
         return apply_rigid(self.pose, self.points)
 
@@ -104,7 +104,7 @@ class _Side(NamedTuple):
             images.append(matched_filter(signal, tx, rx, points, self.waveform, num_threads=1))
         return np.array(images)
 
-    def corrected(self, phasors: Array) -> "_Side":
+    def remove_phases(self, phasors: Array) -> "_Side":
         """Without the phases of the blocks (n_blocks,), linear between them."""
         screen = phasors @ self.weights
         screen /= np.maximum(np.abs(screen), 1e-30)
@@ -122,7 +122,7 @@ class _View(NamedTuple):
     """Rows towards the antennas, horizontal and vertical, (3, 3)."""
 
 
-def turned(
+def refine_turn(
     pose: Floats, here: Signals, there: Signals, peaks: tuple[Floats, Floats], workers: Workers
 ) -> Floats:
     """Pose of the run in the frame of the reference, its turn by the phases, (4, 4).
@@ -130,10 +130,10 @@ def turned(
     pose: by the walls, (4, 4). peaks: positions of those of the run and of the reference, each in
     its own frame, (n, 3) [m].
     """
-    number = _two_way(here)
+    number = _two_way_wavenumber(here)
     for _ in range(_N_ROUNDS):
         points, middle = _positions(here, pose, peaks)
-        points = points[_few(len(points))]
+        points = points[_choose_few(len(points))]
         if not len(points):
             break
         at = _Placed(pose, middle, points)
@@ -142,8 +142,8 @@ def turned(
             view = _view(here, there, planes, at)
             if view is None:
                 return np.zeros((0, 5))
-            one, other = view.here.image(at.points), view.there.image(at.moved)
-            found = fitted_phases(one, other, at.points @ view.axes[1:].T, _MAX_TURN * number)
+            one, other = view.here.image(at.points), view.there.image(at.points_there)
+            found = fit_phases(one, other, at.points @ view.axes[1:].T, _MAX_TURN * number)
             # A turn w moves a position r by w x r, its path to the antennas by n . (w x r).
             design = np.cross(view.axes[1:], view.axes[0])
             return np.column_stack([design, found[0] / number, np.full(2, found[2] ** 2)])
@@ -159,28 +159,28 @@ def turned(
     return pose
 
 
-def changed_echoes(
+def compare_echoes(
     pose: Floats, here: Signals, there: Signals, peaks: tuple[Floats, Floats], workers: Workers
 ) -> Spots:
     """Compare the echoes of two scans at the positions of their peaks.
 
-    pose, peaks: as for :func:`turned`.
+    pose, peaks: as for :func:`refine_turn`.
     """
     points, middle = _positions(here, pose, peaks)
     log_ratios, gains = np.zeros(len(points)), np.zeros(len(points))
-    at, few = _Placed(pose, middle, points), _few(len(points))
+    at, few = _Placed(pose, middle, points), _choose_few(len(points))
     walls = np.zeros((0, 3)) if here.box is None else here.box[0]
-    most = _MAX_TURN * _two_way(here)
+    most = _MAX_TURN * _two_way_wavenumber(here)
 
     def changes(planes: tuple[int, int]) -> tuple[Floats, Floats]:
         view = _view(here, there, planes, at)
         if view is None or not len(points):
             return np.zeros(len(points)), np.zeros(len(points))
         one, lateral = view.here.image(points), points @ view.axes[1:].T
-        other = view.there.image(at.moved[few])
-        _, phasors, _ = fitted_phases(one[:, few], other, lateral[few], most)
-        other = view.there.corrected(phasors).image(at.moved)
-        slopes, phasors, _ = fitted_phases(one[:, few], other[:, few], lateral[few], most)
+        other = view.there.image(at.points_there[few])
+        _, phasors, _ = fit_phases(one[:, few], other, lateral[few], most)
+        other = view.there.remove_phases(phasors).image(at.points_there)
+        slopes, phasors, _ = fit_phases(one[:, few], other[:, few], lateral[few], most)
         other = other * np.conj(phasors)[:, None] * np.exp(-1j * (lateral @ slopes))
         paths = view.middles[:, None] - points
         paths /= np.linalg.norm(paths, axis=2, keepdims=True)
@@ -194,7 +194,7 @@ def changed_echoes(
     return Spots(points, log_ratios, gains)
 
 
-def fitted_phases(
+def fit_phases(
     one: Array, other: Array, lateral: Floats, most: float
 ) -> tuple[Floats, Array, float]:
     """Phases of one image against another: linear over the points, and constant over each block.
@@ -262,11 +262,11 @@ def _positions(here: Signals, pose: Floats, peaks: tuple[Floats, Floats]) -> tup
     return points[np.unique(cells, axis=0, return_index=True)[1]], middle
 
 
-def _few(n: int) -> Ints:
+def _choose_few(n: int) -> Ints:
     return np.random.default_rng(0).permutation(n)[:_N_FIT]
 
 
-def _two_way(scan: Signals) -> float:
+def _two_way_wavenumber(scan: Signals) -> float:
     """Phase of a path there and back [rad/m]."""
     return 4.0 * np.pi / scan.capture.waveform.center_wavelength_m
 

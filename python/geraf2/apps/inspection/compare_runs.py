@@ -9,14 +9,14 @@ from scipy.spatial.transform import Rotation
 from geraf2._types import Floats
 from geraf2._validation import require_positive
 from geraf2.apps.inspection.bodies import content_of
-from geraf2.apps.inspection.coherent_change import Signals, Spots, changed_echoes, turned
+from geraf2.apps.inspection.coherent_change import Signals, Spots, compare_echoes, refine_turn
 from geraf2.apps.inspection.comparison import (
     Comparison,
     Play,
     Scanned,
     common_changes,
-    compared,
-    registered,
+    compare_scans,
+    register_scans,
 )
 from geraf2.apps.inspection.materials import levels_of, materials_of, returns_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
@@ -83,16 +83,18 @@ def compare(
         _require_peaks(one)
     for other in others:
         _require_alike(here, other)
-    scanned, before, found = _scanned(here), list[Scanned](), []
+    scanned, before, found = _read_scan(here), list[Scanned](), []
     signals = _signals(here, listener)
     for other in others:
         with listener.step("registering a reference"):
-            there = _scanned(other)
-            start, play = _by_walls(here, other)
+            there = _read_scan(other)
+            start, play = _register_by_walls(here, other)
         with listener.step("comparing echoes"):
             received = signals, _signals(other, listener)
-            start, play, spots = _in_phase(scanned, there, received, (start, play), num_threads)
-            found.append(compared(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
+            start, play, spots = _register_in_phase(
+                scanned, there, received, (start, play), num_threads
+            )
+            found.append(compare_scans(scanned, there, start, play, 1e-3 * tolerance_mm, spots))
         if found[-1][2] < _MIN_SHARE:
             raise UserError(
                 what="the scans show different sides of the content",
@@ -115,7 +117,7 @@ def compare(
     if out is not None:
         with listener.step("drawing the page"):
             back = inverse_rigid(poses[0][:3, :3], poses[0][:3, 3])
-            _write(comparison, scanned, before[0].moved(back), here, Path(out))
+            _write(comparison, scanned, before[0].move(back), here, Path(out))
     return comparison
 
 
@@ -129,7 +131,7 @@ def _write(
     write_comparison(found, here, before, read_mesh(box) if box else None, out)
 
 
-def _scanned(result: Reconstruction) -> Scanned:
+def _read_scan(result: Reconstruction) -> Scanned:
     """Content and evidence of a run."""
     glints = result.glints
     assert glints is not None  # as of _require_peaks
@@ -161,7 +163,7 @@ def _signals(result: Reconstruction, listener: Listener) -> Signals | None:
     return Signals(capture, plane_middles, None if prior is None else prior.cuboid)
 
 
-def _in_phase(
+def _register_in_phase(
     here: Scanned,
     there: Scanned,
     received: tuple[Signals | None, Signals | None],
@@ -176,11 +178,11 @@ def _in_phase(
     if one is None or other is None:
         return start, play, None
     if play is _FREE:
-        start = registered(here, there, start, play)[0]
+        start = register_scans(here, there, start, play)[0]
     peaks = here.evidence.peaks[0], there.evidence.peaks[0]
     with Workers(num_threads) as workers:
-        start = turned(start, one, other, peaks, workers)
-        return start, _IN_PHASE, changed_echoes(start, one, other, peaks, workers)
+        start = refine_turn(start, one, other, peaks, workers)
+        return start, _IN_PHASE, compare_echoes(start, one, other, peaks, workers)
 
 
 def _require_peaks(result: Reconstruction) -> None:
@@ -193,7 +195,7 @@ def _require_peaks(result: Reconstruction) -> None:
         )
 
 
-def _by_walls(here: Reconstruction, there: Reconstruction) -> tuple[Floats, Play]:
+def _register_by_walls(here: Reconstruction, there: Reconstruction) -> tuple[Floats, Play]:
     """Pose that moves one box onto the other, (4, 4), and the play of the content beside it."""
     priors = _prior(here), _prior(there)
     cuboids = [prior.cuboid for prior in priors if prior is not None and prior.cuboid is not None]

@@ -19,10 +19,10 @@ from geraf2.apps.inspection.scan_evidence import (
     Evidence,
     Shift,
     cells_of,
-    joined_cells,
+    find_missed,
+    join_cells,
     owners_of,
     shifts_of,
-    without_counterpart,
 )
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
@@ -118,10 +118,10 @@ class Scanned(NamedTuple):
     evidence: Evidence
     materials: Sequence[Material]
 
-    def moved(self, pose: Floats) -> "Scanned":
+    def move(self, pose: Floats) -> "Scanned":
         """Its parts in another frame; the evidence stays in its own."""
-        bodies = [_moved(body, pose) for body in self.bodies]
-        return self._replace(whole=_moved(self.whole, pose), bodies=bodies)
+        bodies = [_move_body(body, pose) for body in self.bodies]
+        return self._replace(whole=_move_body(self.whole, pose), bodies=bodies)
 
 
 class Play(NamedTuple):
@@ -131,7 +131,7 @@ class Play(NamedTuple):
     shift_m: float
 
 
-def registered(
+def register_scans(
     here: Scanned, there: Scanned, start: Floats, play: Play
 ) -> tuple[Floats, Sequence[Body], dict[int, Shift]]:
     """Pose that moves one scan onto another, (4, 4), and the parts that do not follow it.
@@ -147,11 +147,13 @@ def registered(
     parts, found = there.bodies, dict[int, Shift]()
     for _ in range(_N_STEPS):
         if len(here.bodies) > len(there.bodies):
-            parts = [_moved(body, pose) for body in here.bodies]
+            parts = [_move_body(body, pose) for body in here.bodies]
         back = inverse_rigid(pose[:3, :3], pose[:3, 3])
-        cells = joined_cells(
+        cells = join_cells(
             cells_of(here.evidence, there.evidence, pose, parts),
-            cells_of(there.evidence, here.evidence, back, [_moved(part, back) for part in parts]),
+            cells_of(
+                there.evidence, here.evidence, back, [_move_body(part, back) for part in parts]
+            ),
             pose,
         )
         turn, shift, found = shifts_of(cells, len(parts), middle, play, beside)
@@ -164,7 +166,7 @@ def registered(
     return pose, parts, found
 
 
-def compared(
+def compare_scans(
     here: Scanned,
     there: Scanned,
     start: Floats,
@@ -178,23 +180,25 @@ def compared(
     shift that counts [m]. spots: echoes compared in phase. Returns changes, pose, and share of
     the glints that both scans could see.
     """
-    pose, parts, shifts = registered(here, there, start, play)
+    pose, parts, shifts = register_scans(here, there, start, play)
     back = inverse_rigid(pose[:3, :3], pose[:3, 3])
     new, share = _missed_groups(here, there, pose, "appeared")
     gone, _ = _missed_groups(there, here, back, "vanished")
-    gone = [g._replace(points=apply_rigid(back, g.points), body=_moved(g.body, back)) for g in gone]
-    changes = [*_of_material(here, there, pose), *_of_groups([*new, *gone])]
+    gone = [
+        g._replace(points=apply_rigid(back, g.points), body=_move_body(g.body, back)) for g in gone
+    ]
+    changes = [*_material_changes(here, there, pose), *_group_changes([*new, *gone])]
     changes = [c for c in changes if c.probability >= _CERTAIN]
     for part, shift in shifts.items():
-        body = _moved(parts[part], back)
+        body = _move_body(parts[part], back)
         if len(here.bodies) <= len(there.bodies):  # the part is where it was
-            body = _moved(body, rigid(np.eye(3), -back[:3, :3] @ shift.shift_m))
-        moved = _shifted(body, shift, tolerance_m)
+            body = _move_body(body, rigid(np.eye(3), -back[:3, :3] @ shift.shift_m))
+        moved = _shift_change(body, shift, tolerance_m)
         if moved.probability >= _CERTAIN and all(
             _distance(c, moved) >= _SAME_POSITION_M for c in changes
         ):
             changes.append(moved)
-    others = [] if spots is None else _of_spots(spots, here)
+    others = [] if spots is None else _spot_changes(spots, here)
     changes += [c for c in others if all(_distance(c, o) >= _SAME_POSITION_M for o in changes)]
     return changes, pose, share
 
@@ -219,7 +223,7 @@ def _missed_groups(
 
     Also returns the share of the glints that the other scan should see.
     """
-    visible, missed = without_counterpart(one.evidence, other.evidence, pose)
+    visible, missed = find_missed(one.evidence, other.evidence, pose)
     glints, found = one.evidence.glints, list[_Group]()
     owner = owners_of(glints.positions, one.bodies)
     for part, body in enumerate(one.bodies):
@@ -233,7 +237,7 @@ def _missed_groups(
     return found, float(visible.mean()) if len(visible) else 0.0
 
 
-def _of_groups(groups: Sequence[_Group]) -> list[Change]:
+def _group_changes(groups: Sequence[_Group]) -> list[Change]:
     """Join neighbouring groups to changes.
 
     What vanished and appeared in one position is swapped.
@@ -264,7 +268,7 @@ def _of_groups(groups: Sequence[_Group]) -> list[Change]:
     return changes
 
 
-def _of_spots(spots: Spots, here: Scanned) -> list[Change]:
+def _spot_changes(spots: Spots, here: Scanned) -> list[Change]:
     """Join neighbouring positions whose echo has likelier changed than not."""
     prior = _PRIOR_ODDS * len(here.bodies) / max(len(spots.points), 1)
     log_odds = np.log(prior) + spots.log_ratios
@@ -300,7 +304,7 @@ def _missed_group(positions: Floats, own: Bools, missed: Bools) -> Ints:
     return best
 
 
-def _of_material(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
+def _material_changes(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
     """Parts whose material is another one, for certain in both scans."""
     changes = []
     for body, material in zip(here.bodies, here.materials, strict=True):
@@ -323,7 +327,7 @@ def _of_material(here: Scanned, there: Scanned, pose: Floats) -> list[Change]:
     return changes
 
 
-def _shifted(body: Body, shift: Shift, tolerance_m: float) -> Change:
+def _shift_change(body: Body, shift: Shift, tolerance_m: float) -> Change:
     """Change of a part that moved by itself."""
     size = float(np.linalg.norm(shift.shift_m))
     along = shift.shift_m / max(size, 1e-9)
@@ -357,7 +361,7 @@ def common_changes(found: Sequence[Sequence[Change]]) -> tuple[Change, ...]:
     return tuple(sorted(kept, key=lambda change: -change.probability))
 
 
-def _moved(body: Body, pose: Floats) -> Body:
+def _move_body(body: Body, pose: Floats) -> Body:
     return replace(body, mesh=body.mesh.moved(pose))
 
 

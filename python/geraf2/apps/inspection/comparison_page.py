@@ -47,7 +47,7 @@ def write_comparison(
     here, before: both scans, in the frame of the run. box: its mesh.
     """
     mesh, marks = here.whole.mesh, marks_of(found.changes, here)
-    gone = _vanished(found.changes, before)
+    gone = _vanished_surface(found.changes, before)
     colours = list(_KINDS.values())
     others = [
         Other(label="vanished", colour=RED, opacity=1.0, mesh=gone),
@@ -96,11 +96,11 @@ def marks_of(changes: Sequence[Change], scan: Scanned) -> Ints:
     marks = np.zeros(len(scan.whole.mesh.vertices), dtype=np.int64)
     for change in reversed(changes):
         if change.what != "vanished":
-            marks[_marked(change, scan)] = list(_KINDS).index(change.what)
+            marks[_find_marked(change, scan)] = list(_KINDS).index(change.what)
     return marks
 
 
-def _marked(change: Change, scan: Scanned) -> Bools:
+def _find_marked(change: Change, scan: Scanned) -> Bools:
     """Vertices of the content that a change is on: those of its part, or near its middle."""
     vertices = scan.whole.mesh.vertices
     if not change.is_body:
@@ -110,7 +110,7 @@ def _marked(change: Change, scan: Scanned) -> Bools:
     return np.asarray(owners_of(vertices, scan.bodies) == int(np.argmin(gaps)))
 
 
-def _vanished(changes: Sequence[Change], before: Scanned) -> TriangleMesh:
+def _vanished_surface(changes: Sequence[Change], before: Scanned) -> TriangleMesh:
     """Surface of the earlier scan that is no longer there."""
     gone = [replace(c, what="swapped") for c in changes if c.what in ("vanished", "swapped")]
     marked, mesh = marks_of(gone, before) > 0, before.whole.mesh

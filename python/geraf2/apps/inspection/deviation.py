@@ -108,30 +108,30 @@ def deviation_of(
         )
     )
     centers, normals = pieces.corners.mean(axis=1), unit_normals(pieces.corners)
-    confirmed = confirmed_by(glints, centers, normals, tolerance_m)
+    confirmed = find_confirmed(glints, centers, normals, tolerance_m)
     if echoes is not None:
-        confirmed |= _echoed(echoes, placement, centers)
+        confirmed |= _find_echoed(echoes, placement, centers)
     _, at = KDTree(centers).query(body.mesh.vertices)
     known = body.seen & ~confirmed[at]
     if glints is not None:
         facing = vertex_normals(body.mesh.vertices, body.mesh.faces)
-        known &= confirmed_by(glints, body.mesh.vertices, facing, tolerance_m)
+        known &= find_confirmed(glints, body.mesh.vertices, facing, tolerance_m)
     excess, faces = known & (np.abs(values) - _CERTAIN * sigma > tolerance_m), body.mesh.faces
     of_faces, regions = (values[faces].mean(axis=1), sigma[faces].mean(axis=1)), list[Region]()
     for what, side in (("too much", values > 0), ("too little", values < 0)):
         regions += _regions(what, body.mesh, (excess & side)[faces].all(axis=1), *of_faces)
-    near, gap, at_sigma = _nearest_seen(body, pieces)
+    near, gap, at_sigma = _find_nearest_seen(body, pieces)
     areas = face_areas(pieces.corners)
     least = np.maximum(at_sigma, _MIN_SIGMA_M)
     if echoes is not None:
-        regions += _silent(echoes, placement, (centers, gap, least), tolerance_m)
+        regions += _silent_regions(echoes, placement, (centers, gap, least), tolerance_m)
     elif planes is not None and planes.wavelength_m is not None and len(planes.corners_m):
         apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
-        should = in_sight(pieces, scene, apertures, planes.wavelength_m) & ~confirmed
+        should = find_in_sight(pieces, scene, apertures, planes.wavelength_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         asked = np.flatnonzero(should & far)
         lacks = np.zeros(len(centers), dtype=bool)
-        lacks[asked[~of_flats(centers, normals, asked, np.flatnonzero(confirmed))]] = True
+        lacks[asked[~find_on_flats(centers, normals, asked, np.flatnonzero(confirmed))]] = True
         regions += _regions("absent", pieces, lacks, -gap, least)
     areas_here = body.areas_m2 * body.seen
     total = max(float(areas_here.sum()), 1e-30)
@@ -151,7 +151,7 @@ def pose_sigma(placement: Placement, points: Floats) -> Floats:
     return np.asarray(np.sqrt(variances))
 
 
-def in_sight(
+def find_in_sight(
     pieces: TriangleMesh, scene: MeshScene, apertures: Sequence[Aperture], wavelength_m: float
 ) -> Bools:
     """Whether each face should have sent an echo to a plane of antennas, (n_faces,).
@@ -188,7 +188,7 @@ def _flat_sides(pieces: TriangleMesh, points: Floats, normals: Floats) -> Floats
     return np.asarray(np.sqrt(np.maximum(count * share, areas)))
 
 
-def confirmed_by(
+def find_confirmed(
     glints: Glints | None, points: Floats, normals: Floats, tolerance_m: float
 ) -> Bools:
     """Whether echoes came from points of a surface: enough glints lie on it around them, (n,).
@@ -207,7 +207,7 @@ def confirmed_by(
     return np.asarray(np.bincount(i[on], minlength=len(points)) >= _N_ECHOES)
 
 
-def of_flats(centers: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> Bools:
+def find_on_flats(centers: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> Bools:
     """Whether each asked face lies on one flat with a confirmed one, (n_asked,).
 
     A flat echoes from where its normal meets the antennas, and from nowhere else.
@@ -223,7 +223,7 @@ def of_flats(centers: Floats, normals: Floats, asked: Ints, confirmed: Ints) -> 
     return np.asarray((alike & (off < _FLAT_HEIGHT_M)).any(axis=1))
 
 
-def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floats]:
+def _find_nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floats]:
     """Of each face of a model: is a seen surface near, how far is any, and how certain is that."""
     centers, normals = pieces.corners.mean(axis=1), unit_normals(pieces.corners)
     faces = body.mesh.faces
@@ -239,7 +239,7 @@ def _nearest_seen(body: Body, pieces: TriangleMesh) -> tuple[Bools, Floats, Floa
     return near, gap, sigma
 
 
-def _echoed(echoes: Patches, placement: Placement, asked: Floats) -> Bools:
+def _find_echoed(echoes: Patches, placement: Placement, asked: Floats) -> Bools:
     """Whether points of a model lie on patches whose echo certainly came, (n,)."""
     value, sigma = echoes.shares.T
     came = np.isfinite(sigma) & (value - _CERTAIN * np.where(np.isfinite(sigma), sigma, 0.0) > 0.5)
@@ -247,7 +247,7 @@ def _echoed(echoes: Patches, placement: Placement, asked: Floats) -> Bools:
     return np.asarray(came[echoes.patch][KDTree(points).query(asked)[1]])
 
 
-def _silent(
+def _silent_regions(
     echoes: Patches,
     placement: Placement,
     near: tuple[Floats, Floats, Floats],
@@ -301,7 +301,7 @@ def _region(what: str, points: Floats, areas: Floats, values: Floats, sigma: Flo
     )
 
 
-def listed(regions: Sequence[Region]) -> str:
+def list_regions(regions: Sequence[Region]) -> str:
     """Regions in words, the first three."""
     texts = [
         f"{r.what} ({1e3 * r.deviation_m:+z.1f} mm over {1e6 * r.area_m2:.0f} mm²)" for r in regions

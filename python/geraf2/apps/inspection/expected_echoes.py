@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from geraf2._types import Array, Floats, Ints
 from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, power_of, share_of
-from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measured_windows
+from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measure_windows
 from geraf2.apps.inspection.registration import ALIKE, Placement
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid
@@ -153,7 +153,7 @@ class ExpectedEchoes:
         some = replace(capture, poses=capture.poses[::every])
         with Workers(num_threads) as workers:
             rng = np.random.default_rng(seed)
-            self._windows = measured_windows(some, prior, rng, workers)
+            self._windows = measure_windows(some, prior, rng, workers)
 
     def match(
         self, models: Sequence[TriangleMesh], placements: Sequence[Placement]
@@ -169,7 +169,7 @@ class ExpectedEchoes:
         scores of groups of planes.
         """
         pieces = [pieces_of(model) for model in models]
-        placements = self._chosen(models, pieces, placements)
+        placements = self._choose_placements(models, pieces, placements)
         poses = [placement.pose for placement in placements]
         best: tuple[float, list[Floats]] | None = None
 
@@ -187,7 +187,7 @@ class ExpectedEchoes:
                 if by == "plane" and (best is None or found.residual < best[0]):
                     best = found.residual, poses
                 poses = [
-                    _moved(pose, step, parts)
+                    _move_pose(pose, step, parts)
                     for pose, step, parts in zip(poses, steps, pieces, strict=True)
                 ]
                 if np.abs(steps).max() < _SMALL_M:
@@ -210,7 +210,7 @@ class ExpectedEchoes:
             )
         ]
 
-    def _chosen(
+    def _choose_placements(
         self,
         models: Sequence[TriangleMesh],
         pieces: Sequence[Facets],
@@ -228,23 +228,23 @@ class ExpectedEchoes:
             images = self.images(views, len(models), n_motions=0)
             return normal_equations(views, images, "window").residual
 
-        def rotated(m: int, start: Placement) -> tuple[float, Placement]:
+        def rotate(m: int, start: Placement) -> tuple[float, Placement]:
             best, own = (residual(m, start), start), pieces[m]
-            _, sizes, axes = np.linalg.svd(_determined([start])[:3])
+            _, sizes, axes = np.linalg.svd(_project_on_determined([start])[:3])
             rims = _TURN_RAD * _reach(own) * axes[:3][sizes > 0.5]
             for size in (1.0, 0.5):
                 turned = True
                 while turned:
                     turned = False
                     for rim in (*rims, *-rims):
-                        other = replace(start, pose=_moved(best[1].pose, size * rim, own))
+                        other = replace(start, pose=_move_pose(best[1].pose, size * rim, own))
                         if (found := residual(m, other)) < best[0]:
                             best, turned = (found, other), True
             return best
 
         for m, first in enumerate(placements):
             alike = [one for one in first.rivals if one.misfit < ALIKE * first.misfit]
-            both = [rotated(m, one) for one in (first, *alike)]
+            both = [rotate(m, one) for one in (first, *alike)]
             chosen[m] = min(both, key=lambda one: one[0])[1]
         return chosen
 
@@ -361,7 +361,7 @@ class NormalEquations(NamedTuple):
 
     def step(self, placements: Sequence[Placement]) -> Floats:
         """Gauss-Newton step of each model, (n_models, 6) [m]."""
-        keep = _determined(placements)
+        keep = _project_on_determined(placements)
         matrix = keep @ self.matrix @ keep
         matrix += (_DAMPING * np.trace(matrix) / len(matrix) + 1e-30) * np.eye(len(matrix))
         step = np.linalg.solve(matrix, keep @ self.scores.sum(axis=0))
@@ -369,7 +369,7 @@ class NormalEquations(NamedTuple):
 
     def covariance(self, placements: Sequence[Placement]) -> Floats:
         """Covariance of the motions, (n_motions, n_motions) [m^2]."""
-        keep = _determined(placements)
+        keep = _project_on_determined(placements)
         inverse = np.linalg.pinv(keep @ self.matrix @ keep, hermitian=True)
         n_planes = int(self.planes.max()) + 1
         if n_planes < _N_GROUPS:  # too few groups: residuals of planes are independent
@@ -416,7 +416,7 @@ def normal_equations(views: list[WindowView], images: list[Array], by: str) -> N
     )
 
 
-def _determined(placements: Sequence[Placement]) -> Floats:
+def _project_on_determined(placements: Sequence[Placement]) -> Floats:
     """Projection on the determined motions: without rotations about axes of symmetry."""
     keep = np.eye(6 * len(placements))
     for m, placement in enumerate(placements):
@@ -437,7 +437,7 @@ def _placement(start: Placement, pose: Floats, pieces: Facets, covariance: Float
     return replace(start, pose=pose, covariance=scaled, middle_m=middle)
 
 
-def _moved(pose: Floats, step: Floats, pieces: Facets) -> Floats:
+def _move_pose(pose: Floats, step: Floats, pieces: Facets) -> Floats:
     """Pose after rotations [m at the rim] about the model's centre, and translations [m]."""
     middle = apply_rigid(pose, _middle(pieces)[None])[0]
     turn = Rotation.from_rotvec(step[:3] / _reach(pieces)).as_matrix()

@@ -13,7 +13,7 @@ from scipy.spatial import KDTree
 from geraf2._bounds import Bounded, Seed
 from geraf2._types import Floats
 from geraf2._validation import require_between
-from geraf2.apps.inspection.arrangement import arranged, cut_apart
+from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
 from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
 from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
@@ -23,12 +23,12 @@ from geraf2.apps.inspection.expected import (
     read_expected,
 )
 from geraf2.apps.inspection.expected_echoes import ExpectedEchoes, Patches
-from geraf2.apps.inspection.matching import Match, by_echoes, match_models
+from geraf2.apps.inspection.matching import Match, match_models, refine_by_echoes
 from geraf2.apps.inspection.materials import (
+    add_reflectivity,
     levels_of,
     materials_of,
     returns_of,
-    with_reflectivity,
 )
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.registration import ALIKE
@@ -107,21 +107,23 @@ def inspect(
     listener, options = listener or Listener(), options or InspectOptions()
     result = run if isinstance(run, Reconstruction) else load_run(run)
     scan = None if options.scene is None else capture_of(result, options.scene)
-    contents, cad = _expected(expect, cad)
+    contents, cad = _read_contents(expect, cad)
     (whole, pieces), glints = content_of(result), result.glints
     tolerance_m, bodies, matches = 1e-3 * options.tolerance_mm, pieces, list[Match]()
     models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
     if models:
-        bodies, matches = _matched(models, Content(pieces, whole, glints), options, listener)
+        bodies, matches = _match_models(models, Content(pieces, whole, glints), options, listener)
     notes = [_CUT] if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
-        whole = replace(whole, mesh=with_reflectivity(whole.mesh, levels))
+        whole = replace(whole, mesh=add_reflectivity(whole.mesh, levels))
         parts = tuple(map(measure, bodies, materials_of(bodies, levels, returns_of(result))))
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
-            matches, patches, more = _compared(result, scan, matches, models, options, num_threads)
+            matches, patches, more = _compare_echoes(
+                result, scan, matches, models, options, num_threads
+            )
             notes += more
     compare = partial(
         deviation_of, tolerance_m=tolerance_m, planes=planes, glints=glints, num_threads=num_threads
@@ -133,7 +135,7 @@ def inspect(
         parts=parts,
         models=reports,
         failures=tuple(failures),
-        notes=(*notes, *more, *_rivals(reports, models), *_notes(reports, bodies, options)),
+        notes=(*notes, *more, *_rival_notes(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
         has_criteria=bool(models) or expect is not None,
@@ -143,7 +145,7 @@ def inspect(
     return inspection
 
 
-def _matched(
+def _match_models(
     models: Sequence[CadModel], content: Content, options: InspectOptions, listener: Listener
 ) -> tuple[list[Body], list[Match]]:
     """Parts and matches; connected parts are cut where a model is not found alone."""
@@ -168,7 +170,7 @@ def _matched(
         return list(content.bodies), matches
     meshes = [model.mesh for model in models]
     with listener.step("separating connected parts") as progress:
-        placements = arranged(
+        placements = arrange_models(
             meshes, content.whole, content.glints, seed=options.seed, progress=progress
         )
     bodies, body_of_model = cut_apart(content.bodies, meshes, placements)
@@ -176,7 +178,7 @@ def _matched(
     return bodies, match(content._replace(bodies=bodies), given)
 
 
-def _expected(
+def _read_contents(
     expect: int | Path | str | None,
     cad: "Sequence[Path | str | TriangleMesh | trimesh.Trimesh]",
 ) -> "tuple[ExpectedContents | None, Sequence[Path | str | TriangleMesh | trimesh.Trimesh]]":
@@ -243,7 +245,7 @@ def _models(
     return [replace(model, name=item.name) for model, item in named]
 
 
-def _compared(
+def _compare_echoes(
     result: Reconstruction,
     scan: Capture | None,
     matches: list[Match],
@@ -263,7 +265,7 @@ def _compared(
         if options.scene is not None:
             raise
         return matches, {}, [f"poses rest on the run alone, not on its scan: {error}"]
-    moved, patches = by_echoes(matches, models, expected, placed=options.placed)
+    moved, patches = refine_by_echoes(matches, models, expected, placed=options.placed)
     if patches:
         return moved, patches, []
     return moved, {}, ["the models explain less than half of the echoes: poses rest on glints"]
@@ -289,19 +291,19 @@ def _reports(
         for n, match in enumerate(matches):
             model, deviation = models[match.model], None
             if match.placement is not None and match.status != "wrong part":
-                body = _measured(match, content.bodies, content.whole)
+                body = _measured_body(match, content.bodies, content.whole)
                 deviation = compare(body, model.mesh, match.placement, echoes=patches.get(n))
             reports.append(ModelReport(model=model, match=match, deviation=deviation))
             progress((n + 1) / len(matches))
     return tuple(reports)
 
 
-def _measured(match: Match, bodies: Sequence[Body], whole: Body) -> Body:
+def _measured_body(match: Match, bodies: Sequence[Body], whole: Body) -> Body:
     """Part of a match, or all of the content."""
     return whole if match.body is None or match.body < 0 else bodies[match.body]
 
 
-def _rivals(reports: Sequence[ModelReport], models: Sequence[CadModel]) -> list[str]:
+def _rival_notes(reports: Sequence[ModelReport], models: Sequence[CadModel]) -> list[str]:
     """Sentence on each candidate that fits a part worse than the one that was taken."""
     return [
         f"'{models[m].name}' fits part {(report.match.body or 0) + 1} worse than "
@@ -355,9 +357,9 @@ def _write(
 
     box, n = result.run.written(BOX_NAME), len(whole.seen)
     labelled = ((body, np.full(len(body.seen), float(k))) for k, body in enumerate(bodies, 1))
-    numbers = _on_content(whole, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
+    numbers = _put_on_content(whole, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
     known = [
-        (_measured(report.match, bodies, whole), report.deviation.values_m)
+        (_measured_body(report.match, bodies, whole), report.deviation.values_m)
         for report in inspection.models
         if report.deviation is not None
     ]
@@ -365,7 +367,7 @@ def _write(
         page = inspection_page(
             inspection,
             whole,
-            _on_content(whole, known, np.full(n, np.nan)) if known else None,
+            _put_on_content(whole, known, np.full(n, np.nan)) if known else None,
             numbers,
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
@@ -387,7 +389,7 @@ def _write(
         result.run.keep(f"{INSPECTION_NAME}.*")
 
 
-def _on_content(whole: Body, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
+def _put_on_content(whole: Body, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
     """Values of the vertices of parts, put over those of all of the content, (n_vertices,)."""
     tree = KDTree(whole.mesh.vertices)
     for body, own in found:

@@ -74,7 +74,7 @@ def match_models(
     seed: of the points that are drawn. progress: called with the fraction of the models done.
     """
     bodies, whole, glints = content
-    of_parts = _of_parts(bodies, glints)
+    of_parts = _split_glints(bodies, glints)
     misfits = np.full((len(models), len(bodies)), np.inf)
     found: dict[tuple[int, int], Placement] = {}
     matches: list[Match] = []
@@ -105,7 +105,7 @@ def match_models(
                     misfits[m, b] = found[m, b].misfit
         if progress is not None:
             progress(n / len(models))
-    pairs = _assigned(misfits, any_of=any_of)
+    pairs = _assign(misfits, any_of=any_of)
     if len(models) == 1 and len(bodies) > 1 and not matches and not any_of:
         # An unseen stretch of surface may split one part into several.
         found[0, -1] = register_in(-1, 0)
@@ -125,7 +125,7 @@ def match_models(
     return sorted(matches, key=lambda match: (match.model, match.body or 0))
 
 
-def _of_parts(bodies: Sequence[Body], glints: Glints | None) -> list[Glints | None]:
+def _split_glints(bodies: Sequence[Body], glints: Glints | None) -> list[Glints | None]:
     """Glints of each part: those to which no other part is nearer."""
     if glints is None or not len(glints):
         return [None] * len(bodies)
@@ -134,7 +134,7 @@ def _of_parts(bodies: Sequence[Body], glints: Glints | None) -> list[Glints | No
     return [glints.select(nearest == b) for b in range(len(bodies))]
 
 
-def _assigned(misfits: Floats, *, any_of: bool) -> list[tuple[int, int]]:
+def _assign(misfits: Floats, *, any_of: bool) -> list[tuple[int, int]]:
     """Pairs (model, part): the best model of each part, or the best assignment in all."""
     if any_of:
         return [(int(np.argmin(column)), b) for b, column in enumerate(misfits.T)]
@@ -143,7 +143,7 @@ def _assigned(misfits: Floats, *, any_of: bool) -> list[tuple[int, int]]:
     return [(int(m), int(b)) for m, b in zip(*linear_sum_assignment(costs), strict=True)]
 
 
-def by_echoes(
+def refine_by_echoes(
     matches: Sequence[Match],
     models: Sequence[CadModel],
     expected: ExpectedEchoes,
@@ -172,7 +172,7 @@ def by_echoes(
             continue
         status = match.status if echo.patches.whole.value < 0.5 else "present"
         if status == "present" and placed:
-            status = _against_nominal(placement, models[match.model])
+            status = _pose_status(placement, models[match.model])
         moved[n] = replace(match, placement=placement, status=status)
         patches[n] = echo.patches
     return moved, patches
@@ -182,10 +182,10 @@ def _match(m: int, b: int, placement: Placement, model: CadModel, placed: bool) 
     match = Match(model=m, body=b, placement=placement, status="present")
     if placement.misfit > match.largest_misfit:
         return replace(match, status="wrong part")
-    return replace(match, status=_against_nominal(placement, model)) if placed else match
+    return replace(match, status=_pose_status(placement, model)) if placed else match
 
 
-def _against_nominal(placement: Placement, model: CadModel) -> str:
+def _pose_status(placement: Placement, model: CadModel) -> str:
     """Status of a part relative to its nominal pose, within the uncertainty of the scan."""
     vertices = model.mesh.vertices
     here = apply_rigid(placement.pose, vertices)

@@ -115,13 +115,13 @@ class Returns(NamedTuple):
         seen by another plane: the return passed through it.
         """
 
-        def met(direction: Floats) -> Floats:
+        def sum_met(direction: Floats) -> Floats:
             found = find_crossings(positions, direction)
             own = ~found.is_front & (found.depth_m > BEHIND_M) & (found.depth_m < _ALONG_M[-1])
             weight = probability[found.surfaces[own]]
             return np.asarray(np.bincount(found.lines[own], weight, len(positions)), dtype=float)
 
-        before, after = met(normals), met(-normals)
+        before, after = sum_met(normals), sum_met(-normals)
         passed = behind | (before > 1.0)
         return cls(positions, normals, probability, behind, passed, passed | (before + after > 1.0))
 
@@ -274,7 +274,7 @@ def reflectivity_map(vertices: Floats, normals: Floats, levels: Levels) -> Float
     return np.asarray(np.divide(sums, total, out=np.full(len(total), np.nan), where=total > 0.0))
 
 
-def with_reflectivity(mesh: TriangleMesh, levels: Levels | None) -> TriangleMesh:
+def add_reflectivity(mesh: TriangleMesh, levels: Levels | None) -> TriangleMesh:
     """Mesh with its map of reflectivity, where there is a scale."""
     if levels is None or not np.isfinite(levels.levels_db).any():
         return mesh

@@ -49,7 +49,7 @@ class MeasuredWindow:
         return self.plan.execute(signal)
 
 
-def measured_windows(
+def measure_windows(
     capture: Capture, prior: LosPrior, rng: np.random.Generator, workers: Workers
 ) -> list[MeasuredWindow]:
     """Windows of all planes with their measured heat maps."""

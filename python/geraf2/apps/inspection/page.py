@@ -61,9 +61,14 @@ def inspection_page(
         )
         others = [not_seen, *others]
     reflectivity = whole.mesh.reflectivity_db
-    attributes = _of_parts(numbers[used], None if reflectivity is None else reflectivity[used])
+    attributes = _part_attributes(
+        numbers[used], None if reflectivity is None else reflectivity[used]
+    )
     if values_m is None:  # the list is of parts: so is the first colouring
-        attributes += [*_attributes(shown, None, inspection.tolerance_m), _seen(whole.seen)]
+        attributes += [
+            *_attributes(shown, None, inspection.tolerance_m),
+            _seen_attribute(whole.seen),
+        ]
     else:
         attributes = [*_attributes(shown, values_m[used], inspection.tolerance_m), *attributes]
     scene = view_scene(
@@ -71,7 +76,7 @@ def inspection_page(
         attributes,
         Around(box=box, others=others),
         name="inspection",
-        apart=_apart(inspection, numbers[used]),
+        apart=_displacements(inspection, numbers[used]),
     )
     return html.render_template(
         "inspection.html",
@@ -122,7 +127,7 @@ def _models(inspection: Inspection) -> list[Other]:
     ]
 
 
-def _apart(inspection: Inspection, numbers: Ints) -> Apart | None:
+def _displacements(inspection: Inspection, numbers: Ints) -> Apart | None:
     """Displacements of the exploded view: parts move away from their middle; None for one part."""
     if len(inspection.parts) < 2:
         return None
@@ -158,7 +163,7 @@ def _picture(whole: Body, numbers: Ints, number: int) -> str:
     return picture_source(Image.fromarray(np.round(255.0 * drawn).astype(np.uint8), "RGBA"))
 
 
-def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
+def _part_attributes(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
     """Vertex attributes: the part, and the reflectivity where it is known."""
     names = ("no part", *(f"part {k}" for k in range(1, int(numbers.max(initial=0)) + 1)))
     colours = tuple(PART_COLOURS[k % len(PART_COLOURS)] for k in range(len(names) - 1))
@@ -185,7 +190,7 @@ def _of_parts(numbers: Ints, reflectivity_db: Floats | None) -> list[Attribute]:
     return found
 
 
-def _seen(seen: Bools) -> Attribute:
+def _seen_attribute(seen: Bools) -> Attribute:
     return Attribute(
         label="seen",
         values=seen.astype(np.float64),

@@ -118,7 +118,7 @@ class Placement:
 def surface_evidence_of(body: Body, glints: Glints | None) -> Evidence:
     """Oriented points of a part: face centres with expected errors, and glints with their own."""
     from_mesh, echoes = _mesh_evidence(body), echoes_of(body, glints)
-    return from_mesh if echoes is None else _joined(from_mesh, echoes)
+    return from_mesh if echoes is None else _join(from_mesh, echoes)
 
 
 def echoes_of(body: Body, glints: Glints | None) -> Evidence | None:
@@ -167,11 +167,11 @@ def register(
     used = echoes if echoes is not None and by_echoes else evidence
     fine = _Problem(used, cad, (_tree(used.points), _tree(cad.points)), _N_FINE, rng)
     if start is None:
-        turns, moves = _coarse(surface or evidence, cad, rng)
+        turns, moves = _search_coarsely(surface or evidence, cad, rng)
     else:
         turns, moves = start[None, :3, :3], start[None, :3, 3]
     for scale in _FINE_SCALES_M:
-        turns, moves = fine.stepped(turns, moves, scale)
+        turns, moves = fine.step(turns, moves, scale)
     misfits = fine.misfits(turns, moves)
     order = np.argsort(misfits, kind="stable")
     poses = [rigid(turns[n], moves[n]) for n in order]
@@ -222,7 +222,9 @@ def _placement(
     )
 
 
-def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _search_coarsely(
+    evidence: Evidence, cad: Evidence, rng: np.random.Generator
+) -> tuple[Floats, Floats]:
     """Rotations (n, 3, 3) and translations (n, 3) of the best of many starts."""
     tables = (_Table(evidence.points), _Table(cad.points))
     problem = _Problem(evidence, cad, tables, _N_COARSE, rng)
@@ -230,7 +232,7 @@ def _coarse(evidence: Evidence, cad: Evidence, rng: np.random.Generator) -> tupl
     # Centres of area: unseen surface is filled, so that its centre is near the part's.
     moves = _middle(evidence) - turns @ _middle(cad)
     for scale, n_kept in _COARSE_STEPS:
-        turns, moves = problem.stepped(turns, moves, scale)
+        turns, moves = problem.step(turns, moves, scale)
         order = np.argsort(problem.misfits(turns, moves), kind="stable")[:n_kept]
         turns, moves = turns[order], moves[order]
     kept: list[int] = []
@@ -273,7 +275,7 @@ class _Problem:
         rng: np.random.Generator,
     ) -> None:
         self.measured, self.cad = measured, cad
-        self.some = measured.take(_drawn(measured, n_points, rng))
+        self.some = measured.take(_draw_points(measured, n_points, rng))
         self.few = cad.take(np.arange(n_points))  # in random order
         self._to_measured, self._to_cad = nearest
 
@@ -310,12 +312,12 @@ class _Problem:
             share=np.concatenate(halves),
         )
 
-    def stepped(self, turns: Floats, moves: Floats, scale_m: float) -> tuple[Floats, Floats]:
+    def step(self, turns: Floats, moves: Floats, scale_m: float) -> tuple[Floats, Floats]:
         """Poses after one Gauss-Newton step on n . (T x - y)."""
         terms = self.terms(turns, moves)
         middle = terms.positions.mean(axis=1, keepdims=True)
         rows = np.concatenate([np.cross(terms.positions - middle, terms.normals), terms.normals], 2)
-        weighted = rows * (terms.weights * _robust(terms.residuals, scale_m))[:, :, None]
+        weighted = rows * (terms.weights * _robust_weights(terms.residuals, scale_m))[:, :, None]
         matrix = np.swapaxes(weighted, 1, 2) @ rows
         # Damping suppresses undetermined motions; rotations count as those of a part of 3 cm.
         size = np.trace(matrix[:, 3:, 3:], axis1=1, axis2=2) / 3.0
@@ -336,7 +338,7 @@ class _Problem:
         """Inverse covariance of small motions about the middle: w [rad], t [m], (6, 6)."""
         terms = self.terms(pose[None, :3, :3], pose[None, :3, 3])
         normals = terms.normals[0]
-        weights = terms.weights[0] * _robust(terms.residuals[0], _FINE_SCALES_M[-1])
+        weights = terms.weights[0] * _robust_weights(terms.residuals[0], _FINE_SCALES_M[-1])
         rows = np.concatenate([np.cross(terms.positions[0] - middle, normals), normals], axis=1)
         # Uncertainties are scaled up where the residuals exceed them.
         n_measured = float(weights @ terms.sigma[0] ** 2)
@@ -369,7 +371,7 @@ class Compared:
         return pulls[:n], pulls[n:]
 
 
-def _robust(residuals: Floats, scale_m: float) -> Floats:
+def _robust_weights(residuals: Floats, scale_m: float) -> Floats:
     """Weight of Geman and McClure, (1 + (r / s)^2)^-2."""
     return np.asarray((1.0 + (residuals / scale_m) ** 2) ** -2)
 
@@ -415,12 +417,12 @@ def _spread_rotations(n: int) -> Floats:
 
 def _axis_rotations(evidence: Evidence, cad: Evidence) -> Floats:
     """All 24 rotations that align the principal axes, (24, 3, 3)."""
-    here, there = (_principal(e) for e in (evidence, cad))
+    here, there = (_principal_axes(e) for e in (evidence, cad))
     cube = Rotation.create_group("O").as_matrix()
     return np.asarray(here[None] @ cube @ there.T[None])
 
 
-def _principal(evidence: Evidence) -> Floats:
+def _principal_axes(evidence: Evidence) -> Floats:
     off = evidence.points - _middle(evidence)
     _, vectors = np.linalg.eigh((off * evidence.share[:, None]).T @ off)
     vectors[:, 0] *= np.sign(np.linalg.det(vectors))
@@ -459,7 +461,7 @@ def _cad_evidence(model: TriangleMesh, rng: np.random.Generator) -> Evidence:
     )
 
 
-def _drawn(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
+def _draw_points(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
     """Draw indices of at most n points, evenly by share."""
     if len(evidence.points) <= n:
         return np.arange(len(evidence.points))
@@ -469,6 +471,6 @@ def _drawn(evidence: Evidence, n: int, rng: np.random.Generator) -> Ints:
     return np.asarray(np.unique(order[np.searchsorted(cumulative, at)]))
 
 
-def _joined(a: Evidence, b: Evidence) -> Evidence:
+def _join(a: Evidence, b: Evidence) -> Evidence:
     names = [field.name for field in fields(a)]
     return Evidence(**{n: np.concatenate([getattr(a, n), getattr(b, n)]) for n in names})

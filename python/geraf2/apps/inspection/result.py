@@ -11,7 +11,7 @@ from geraf2 import __version__
 from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
 from geraf2.apps.inspection.bodies import BodyReport
-from geraf2.apps.inspection.deviation import Deviation, listed
+from geraf2.apps.inspection.deviation import Deviation, list_regions
 from geraf2.apps.inspection.expected import swap_text
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
@@ -227,7 +227,7 @@ def failures_of(
     found: list[str] = []
     if expect is not None and len(parts) != expect:
         found.append(f"{len(parts)} parts were found, {expect} were expected")
-    names, swaps = [report.model.name for report in models], _exchanged(models)
+    names, swaps = [report.model.name for report in models], _find_exchanged(models)
     found += [f"'{names[a]}' and '{names[b]}' are swapped" for a, b in swaps]
     exchanged = {n for pair in swaps for n in pair}
     for n, report in enumerate(models):
@@ -239,7 +239,7 @@ def failures_of(
         if report.deviation is None:
             continue
         if report.deviation.regions:
-            found.append(f"{name} is out of tolerance: {listed(report.deviation.regions)}")
+            found.append(f"{name} is out of tolerance: {list_regions(report.deviation.regions)}")
         if report.deviation.seen_fraction < min_seen:
             found.append(
                 f"only {100 * report.deviation.seen_fraction:.0f} % of {name} was seen, "
@@ -248,7 +248,7 @@ def failures_of(
     return found
 
 
-def _exchanged(models: Sequence[ModelReport]) -> list[tuple[int, int]]:
+def _find_exchanged(models: Sequence[ModelReport]) -> list[tuple[int, int]]:
     """Pairs of models each of which lies where the other one should."""
     off = [n for n, report in enumerate(models) if report.match.status in ("turned", "moved")]
     here = {n: models[n].center_m for n in off}

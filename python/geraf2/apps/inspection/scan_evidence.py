@@ -126,7 +126,7 @@ def cells_of(one: Evidence, other: Evidence, pose: Floats, parts: Sequence[Body]
     )
 
 
-def joined_cells(there: Cells, back: Cells, pose: Floats) -> Cells:
+def join_cells(there: Cells, back: Cells, pose: Floats) -> Cells:
     """Cells of both directions, in the frame of the second scan.
 
     back: of the glints of the second scan, in the frame of the first one. pose: moves the first
@@ -164,7 +164,7 @@ def shifts_of(
     shared = (design * prior) @ design.T
     own_shifts = _SHIFT_M**2 * (cells.normals @ cells.normals.T)
     own_shifts *= cells.parts[:, None] == cells.parts
-    covariance = shared + np.diag(_with_tails(e, cells.variances_m2, shared + own_shifts))
+    covariance = shared + np.diag(_widen_tails(e, cells.variances_m2, shared + own_shifts))
     while len(found) < n_parts:
         inverse = np.linalg.inv(covariance)
         tried = {
@@ -182,7 +182,7 @@ def shifts_of(
     return common[:3], common[3:6], found
 
 
-def _with_tails(e: Floats, variances_m2: Floats, explained: Floats) -> Floats:
+def _widen_tails(e: Floats, variances_m2: Floats, explained: Floats) -> Floats:
     """Variances for errors of Student's t: larger where even shifts of all parts explain little.
 
     explained: covariance of all that is no error, (n, n) [m^2].
@@ -203,7 +203,7 @@ def _shift(inverse: Floats, distances_m: Floats, normals: Floats) -> Shift:
     return Shift(float(0.5 * (slope @ shift - size)), shift, np.asarray(covariance, np.float64))
 
 
-def without_counterpart(one: Evidence, other: Evidence, pose: Floats) -> tuple[Bools, Bools]:
+def find_missed(one: Evidence, other: Evidence, pose: Floats) -> tuple[Bools, Bools]:
     """Glints of one scan that the planes of another should see, and those that it did not see.
 
     pose: moves the first into the frame of the other, (4, 4). Returns (n_glints,) each.
@@ -211,11 +211,11 @@ def without_counterpart(one: Evidence, other: Evidence, pose: Floats) -> tuple[B
     x, n = apply_rigid(pose, one.glints.positions), one.glints.normals @ pose[:3, :3].T
     margins = specular_visibility(x, n, other.apertures, min_m=_EDGE_M)
     visible = np.asarray((margins > -np.inf).any(axis=1))
-    seen = _has_counterpart(x, n, other.peaks, _RANGE_M)
+    seen = _have_counterparts(x, n, other.peaks, _RANGE_M)
     return visible, visible & ~seen
 
 
-def _has_counterpart(
+def _have_counterparts(
     positions: Floats, normals: Floats, others: tuple[Floats, Floats], range_m: float
 ) -> Bools:
     """Whether a point with a similar normal lies near each point, (n,)."""
