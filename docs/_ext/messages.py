@@ -150,10 +150,15 @@ def unexplained(docs: Path) -> list[str]:
 
 def warnings_page(docs: Path) -> str:
     """Page of the messages about data, each with its cause and what to do."""
-    known, rows = causes(docs), []
+    known = causes(docs)
+    parts = [
+        "# Every warning",
+        "Collected from the code. An ellipsis stands for what is known when it happens: a name, a "
+        "value, a file. Below each message are its cause and what to do.",
+    ]
     for message in findings():
         match = next((entry for entry in known if entry["says"] in message.text), {})
-        cause, remedy = match.get("cause", ""), match.get("do", "")
-        rows.append(f"| {cell(message.text)} | {cause} | {remedy} |")
-    head = "| warning | why | what to do |\n|---|---|---|\n"
-    return f"# Every warning\n\nCollected from the code.\n\n{head}" + "\n".join(rows) + "\n"
+        parts.append(
+            f"{cell(message.text)}\n: {match.get('cause', '')} {match.get('do', '')}".strip()
+        )
+    return "\n\n".join(parts) + "\n"
