@@ -69,10 +69,11 @@ def project_pages(root: Path) -> dict[str, str]:
 
 
 def to_site(app: Any, page: str, text: list[str]) -> None:
-    """Let links to pages above docs lead to their copies on the site."""
+    """Let links to pages above docs lead to their copies on the site, and README to its index."""
     del app
     up = "../" * page.count("/")
     text[0] = ABOVE.sub(lambda found: f"]({up}generated/project/{PROJECT[found[1]]}.md", text[0])
+    text[0] = text[0].replace(f"]({up}../README.md", f"]({up}index.md")
 
 
 def more_page(docs: Path) -> str:
