@@ -226,7 +226,8 @@ def failures_of(
     """Reasons why an inspection fails, a sentence each; not those of missing models."""
     found: list[str] = []
     if expect is not None and len(parts) != expect:
-        found.append(f"{len(parts)} parts were found, {expect} were expected")
+        here = "1 part was" if len(parts) == 1 else f"{len(parts)} parts were"
+        found.append(f"{here} found, {expect} were expected")
     names, swaps = [report.model.name for report in models], _find_exchanged(models)
     found += [f"'{names[a]}' and '{names[b]}' are swapped" for a, b in swaps]
     exchanged = {n for pair in swaps for n in pair}
