@@ -39,12 +39,12 @@ def test_vertices_without_a_triangle_are_no_extent_and_an_open_surface_has_no_vo
 
 def test_f1_at_two_millimetres_does_not_depend_on_few_samples():
     truth = sphere(0.05)
-    for gap, expected in ((0.0, 1.0), (0.001, 1.0), (0.0022, 0.0)):
+    for gap, expected in ((0.001, 1.0), (0.0022, 0.0)):
         metrics = evaluate_mesh(sphere(0.05 + gap), truth, n_samples=500)
         # 500 samples of 314 cm2 lie 4.5 mm apart in the median, so F1 at 3 mm is of no use.
         assert metrics.f1(0.002) == pytest.approx(expected, abs=0.002)
         assert metrics.f1(0.003) < 0.5
-    many = evaluate_mesh(truth, truth, n_samples=60_000, thresholds_m=(0.002,))
+    many = evaluate_mesh(truth, truth, n_samples=30_000, thresholds_m=(0.002,))
     assert many.f1(0.002) == pytest.approx(1.0, abs=1e-3)
 
 
@@ -116,7 +116,7 @@ def test_samples_are_uniform_by_area():
     assert (first[:, 0] + first[:, 1]).max() <= 1.0
 
 
-@pytest.mark.parametrize(("stated_m", "one", "two"), [(6e-3, 1, 1), (3e-3, 0, 1), (2e-3, 0, 0)])
+@pytest.mark.parametrize(("stated_m", "one", "two"), [(6e-3, 1, 1), (3e-3, 0, 1)])
 def test_expected_errors_are_compared_with_true_ones(stated_m, one, two):
     ball = sphere(0.05)
     bumped = ball.vertices.copy()

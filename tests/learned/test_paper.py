@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
@@ -14,7 +15,7 @@ from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlpGrid
 from geraf2.learned.heatmaps import heat_maps
 from geraf2.learned.model import PaperModel, domain_of
-from geraf2.learned.optimiser import make_optimiser
+from geraf2.learned.optimiser import blur, make_optimiser
 from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
@@ -75,19 +76,21 @@ def test_both_stages_run_and_train_what_they_say(capture, maps):
 
 def test_training_lowers_the_heat_map_loss(capture, maps):
     """From four times the power that fits: single steps are speckle, the trend is not."""
-    config = replace(SMALL, grid_n=(9,), stage1=StageConfig(n_steps=60), power_rate=0.05)
+    config = replace(SMALL, grid_n=(9,), stage1=StageConfig(n_steps=40), power_rate=0.05)
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     with torch.no_grad():
         trainer.model.power.log_value.add_(np.log(4.0))
-    losses = [trainer.advance().heatmap for _ in range(60)]
-    assert np.mean(losses[-20:]) < 0.8 * np.mean(losses[:20])
+    losses = [trainer.advance().heatmap for _ in range(40)]
+    assert np.mean(losses[-15:]) < 0.8 * np.mean(losses[:15])
 
 
-@pytest.mark.parametrize(("stop_after", "field"), [(3, "grid"), (6, "grid"), (8, "mlp-grid")])
+@pytest.mark.parametrize(("stop_after", "field"), [(6, "grid"), (2, "mlp-grid")])
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
 ):
     config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
+    if field == "mlp-grid":
+        config = replace(config, grid_n=(9,), stage1=StageConfig(n_steps=1))
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
@@ -180,11 +183,10 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
         config_of(state.header, "c")
 
 
-@pytest.mark.parametrize("field", ["mlp", "mlp-grid"])
-def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(capture, maps, field):
+def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(capture, maps):
     config = replace(
         SMALL,
-        field=field,
+        field="mlp-grid",
         mlp_fit_steps=1,
         octaves_start=2.0,
         octaves_end=6.0,
@@ -198,7 +200,7 @@ def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(captur
         grid_n=(9,),
     )
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
-    network = trainer.model.sdf.network if field == "mlp-grid" else trainer.model.sdf
+    network = trainer.model.sdf.network
     seen = []
     while not trainer.stages.is_done:
         trainer.advance()
@@ -289,8 +291,7 @@ def test_a_training_of_the_content_samples_and_draws_in_the_crop_alone(capture):
         # A target is moved by up to half a voxel of the maps from a point inside.
         reach_m = 0.5 * trainer.loss.maps.grid.spacing_m * 3**0.5
         assert inner.signed_distance(draw.targets.numpy()).max() < reach_m
-    run_steps(trainer)
-    assert trainer.stages.is_done
+    trainer.advance()
 
 
 def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
@@ -374,6 +375,12 @@ def test_dark_rays_are_left_out(capture, maps):
     assert masked.draws.bright[0].all()
     free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
     assert not free.draws.bright
+
+
+def test_blurring_is_that_of_scipy():
+    volume = np.random.default_rng(0).standard_normal((9, 11, 13))
+    want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
+    np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
 
 
 @pytest.mark.parametrize(

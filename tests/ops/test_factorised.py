@@ -226,7 +226,7 @@ CHOICES = {
     "few": (20, lambda grid: grid, "block", "too few for factorised to pay"),
     "coarse": (
         300,
-        lambda _: Grid.cube((0, 0, 0), 0.9, 40),
+        lambda _: Grid.cube((0, 0, 0), 0.9, 20),
         "exact",
         "too few of the points lie within a block",
     ),

@@ -143,12 +143,11 @@ def test_a_report_without_truth_has_no_error_pictures(run):
     assert "an echo came from there" in text
 
 
-@pytest.mark.parametrize("other", [{}, {"mesh_digest": 32 * "0"}])
-def test_scores_of_another_mesh_are_not_shown(reported, tmp_path, other):
+def test_scores_of_another_mesh_are_not_shown(reported, tmp_path, monkeypatch):
+    monkeypatch.setattr(canvas, "save", blank)
     run = shutil.copytree(reported, tmp_path / "run")
     metrics = json.loads((run / "metrics.json").read_text())
-    del metrics["mesh_digest"]  # as earlier versions wrote it
-    (run / "metrics.json").write_text(json.dumps({**metrics, **other}))
+    (run / "metrics.json").write_text(json.dumps(metrics | {"mesh_digest": 32 * "0"}))
     text = write_report(run).read_text()
     assert "Against the truth" not in text
     assert "F1 5 mm" not in text

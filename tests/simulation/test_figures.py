@@ -4,7 +4,7 @@ import trimesh
 
 from geraf2.errors import UserError
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.simulation import FigureSpec, build_solid
+from geraf2.simulation import FigureSpec, build_solid, figures
 from geraf2.simulation.figures import FIGURES
 
 # Holes through each object of thin parts.
@@ -17,7 +17,9 @@ def signed_volume(mesh):
 
 
 @pytest.mark.parametrize("name", sorted(FIGURES))
-def test_figure_is_closed_outward_as_high_as_asked_and_has_its_holes(name):
+def test_figure_is_closed_outward_as_high_as_asked_and_has_its_holes(name, monkeypatch):
+    if name not in GENUS:  # what has no thin parts is as good from coarser cells
+        monkeypatch.setattr(figures, "_N_VERTICAL", 40)
     mesh = build_solid(FigureSpec(name=name, height_m=0.12, center_m=(0.01, 0.02, 0.03)))
     edges = np.sort(mesh.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, counts = np.unique(edges, axis=0, return_counts=True)

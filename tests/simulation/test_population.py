@@ -11,7 +11,7 @@ from geraf2.simulation.population import RADARS, draw_scene
 from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.random_objects import random_object
 
-SEEDS = (6, 9, 10)  # one body that stands; two and three that float
+SEEDS = (6, 9)  # one body that stands; two that float
 
 
 @functools.cache
@@ -57,9 +57,8 @@ def test_the_same_seed_gives_the_same_bytes_and_another_another_object():
     assert again.mesh.faces.tobytes() == thing(6).mesh.faces.tobytes()
     first = draw_scene(6)
     assert (first.spec, first.record) == (scene(6).spec, scene(6).record)
-    shapes = {thing(seed).mesh.vertices.tobytes() for seed in SEEDS}
-    assert len(shapes) == len(SEEDS)
-    assert len({str(scene(seed).spec) for seed in SEEDS}) == len(SEEDS)
+    assert thing(9).mesh.vertices.tobytes() != thing(6).mesh.vertices.tobytes()
+    assert scene(9).spec != scene(6).spec
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -28,7 +28,7 @@ def captures(tmp_path_factory):
 def test_equal_captures_have_equal_scores_and_no_difference(
     captures, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(full_wave, "_SPACING_M", 0.004)
+    monkeypatch.setattr(full_wave, "_SPACING_M", 0.008)
     command = ["benchmark", str(tmp_path), "--only", "full_wave", "--captures", str(captures)]
     assert main([*command, "--presets", "fast"]) == 0
     table = capsys.readouterr().out.splitlines()
