@@ -39,9 +39,9 @@ def surface():
 
 
 @pytest.mark.parametrize("blocked", [False, True])
-@pytest.mark.parametrize("min_m", [-0.02, 0.0, 0.015])
+@pytest.mark.parametrize("min_m", [-0.02, 0.015])
 def test_margins_equal_those_of_a_plain_loop(apertures, surface, blocked, min_m):
-    normals = fibonacci_sphere(120)
+    normals = fibonacci_sphere(250)
     points = 1.02 * RADIUS_M * normals
     vertices, faces = surface
     found = specular_visibility(

@@ -128,7 +128,7 @@ def box_distance(points):
 
 def test_a_network_is_fitted_to_a_box():
     config = SdfMlpConfig(
-        n_layers=3, width=48, skip=0, n_octaves=2, fit_steps=80, fit_points=256, fit_rate=4e-3
+        n_layers=3, width=48, skip=0, n_octaves=2, fit_steps=120, fit_points=512, fit_rate=3e-3
     )
     field = SdfMlp(DOMAIN, config)
     field.initialise(box_distance)

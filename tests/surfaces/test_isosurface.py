@@ -144,7 +144,7 @@ def test_a_prior_without_walls_has_only_an_outer_surface():
 
 
 def test_a_round_prior_gets_an_inner_face_one_thickness_inside():
-    shell = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    shell = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
     wall = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.005, permittivity=2.0)
     prior = LosPrior(vertices=np.array(shell.vertices), faces=np.array(shell.faces), walls=(wall,))
     box = box_surface(prior)
