@@ -180,11 +180,11 @@ def make_los(
         photos = read_photos(path, options, listener)
         _require_same(out, photos.key, overwrite=overwrite)
         return train_los(photos, out, listener, num_threads)
-    mesh, limits = mesh or _read_placed(path, options), options.limits()
+    mesh, limits = mesh or _read_in_frame(path, options), options.limits()
     key = stage_key(vertices=mesh.vertices, faces=mesh.faces, bounds=limits)
     _require_same(out, key, overwrite=overwrite)
     record = LosRecord(kind=kind, source=str(source), key=key, numbers=numbers)
-    return _from_mesh(mesh, out, record, limits, num_threads, listener)
+    return _make_from_mesh(mesh, out, record, limits, num_threads, listener)
 
 
 def is_photo_set(path: Path) -> bool:
@@ -248,7 +248,7 @@ def train_los(
         torch.set_num_threads(num_threads)
     options = job.options
     others = [VIEWS_NAME, *([SURFACE_NAME] if options.keep_surface else [])]
-    kept = _kept(folder, job.key, others)
+    kept = _load_kept(folder, job.key, others)
     if kept is not None:
         with listener.step("surface from photos (done before)"):
             los_views.warn_unexplained(kept.record.numbers, job.source, listener)
@@ -265,7 +265,7 @@ def train_los(
         sdf = largest_body(cut_by_box(sdf, limits))
     numbers: dict[str, Any] = {"n_photos": len(trained)}
     numbers["n_held_out"] = len(job.photos) - len(trained)
-    views, seen = los_views.compare_some(surface, trained if held is None else held)
+    views, seen = los_views.compare_few(surface, trained if held is None else held)
     if held is None:
         numbers |= {f"{los_views.TRAINED}{name}": value for name, value in seen.items()}
     else:
@@ -273,7 +273,7 @@ def train_los(
     refused = los_views.is_refuted(numbers)
     surface_views(views, folder / (REFUSED_NAME if refused else VIEWS_NAME))
     if refused:
-        raise los_views.refuted(numbers, job.source, folder / REFUSED_NAME)
+        raise los_views.refutation_error(numbers, job.source, folder / REFUSED_NAME)
     los_views.warn_unexplained(numbers, job.source, listener)
     if options.keep_surface:
         surface.save(folder / SURFACE_NAME)
@@ -290,7 +290,7 @@ def _train(job: LosPhotos, photos: PhotoSet, checkpoint: Path, report: Progress)
     limits, region = job.options.limits(), None
     if limits is not None and np.isfinite(limits).all():
         margin = 0.05 * (limits[1] - limits[0]).max()
-        region = Region.between(limits[0] - margin, limits[1] + margin)
+        region = Region.from_corners(limits[0] - margin, limits[1] + margin)
     return train_neural_surface(
         photos,
         photo_config(job.options.preset, job.options.seed),
@@ -346,9 +346,9 @@ def write_los(
     return LosResult(path=folder, prior=prior, record=record, files=(*names, LOS_RECORD_NAME))
 
 
-def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
+def _load_kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     """Prior of this key with these files in a folder; None if any is missing or harmed."""
-    stored = _stored(folder)
+    stored = _read_record(folder)
     if stored is None:
         return None
     record, files = stored
@@ -359,7 +359,7 @@ def _kept(folder: Path, key: str, others: list[str]) -> LosResult | None:
     return LosResult(path=folder, prior=prior, record=record, files=(*files, LOS_RECORD_NAME))
 
 
-def _stored(folder: Path) -> tuple[LosRecord, dict[str, str]] | None:
+def _read_record(folder: Path) -> tuple[LosRecord, dict[str, str]] | None:
     """Record of a finished prior and the digests of its files; None where there is none."""
     try:
         values = parse_json(read_regular(folder / LOS_RECORD_NAME, RECORD_BYTES))
@@ -369,7 +369,7 @@ def _stored(folder: Path) -> tuple[LosRecord, dict[str, str]] | None:
         return None
 
 
-def _from_mesh(
+def _make_from_mesh(
     mesh: TriangleMesh,
     out: Path,
     record: LosRecord,
@@ -394,7 +394,7 @@ def _from_mesh(
         return write_los(out, sdf, record)
 
 
-def _read_placed(path: Path, options: LosOptions) -> TriangleMesh:
+def _read_in_frame(path: Path, options: LosOptions) -> TriangleMesh:
     """Mesh of a file in metres, in the capture frame."""
     rigid, unit_m = options.placement()
     mesh = read_mesh(path, any_unit=unit_m is not None)
@@ -427,6 +427,6 @@ def _require_own(out: Path) -> None:
 
 def _require_same(out: Path, key: str, *, overwrite: bool) -> None:
     """Refuse to replace a finished prior of another source."""
-    stored = _stored(out)
+    stored = _read_record(out)
     if stored is not None and stored[0].key != key:
         require_consent(out, f"a finished prior of {stored[0].source!r}", overwrite=overwrite)

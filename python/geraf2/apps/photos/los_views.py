@@ -34,7 +34,7 @@ def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
     return photos.subset(index[~held]), photos.subset(index[held])
 
 
-def compare_some(
+def compare_few(
     surface: NeuralSurface, photos: PhotoSet
 ) -> tuple[list[SurfaceView], dict[str, float]]:
     """Smaller views of some of the photos, and their agreement, see :func:`compare_views`."""
@@ -85,7 +85,7 @@ def is_refuted(numbers: Mapping[str, Any]) -> bool:
     return gain < _MIN_GAIN_DB if overlap is None else overlap < _MIN_OVERLAP
 
 
-def refuted(numbers: Mapping[str, Any], source: object, pictures: object) -> UserError:
+def refutation_error(numbers: Mapping[str, Any], source: object, pictures: object) -> UserError:
     """Error of a surface that is clearly not that of its photos."""
     return UserError(
         what=f"the surface does not explain the photos: {_words(numbers)}",

@@ -132,16 +132,16 @@ class NeuralSurface:
         The grid is that of the field, or has `n_longest` voxels along its longest side. Near the
         zero level the distance is exact to first order, farther out to half a voxel.
         """
-        closed = self._closed(n_longest)
+        closed = self._close(n_longest)
         values = quick_redistance(closed.values, closed.grid.spacing_m)
         return SdfGrid(grid=closed.grid, values=values)
 
     def mesh(self, n_longest: int | None = None) -> TriangleMesh:
         """Zero level of the closed main parts, outward winding [m]."""
-        return extract_surface(self._closed(n_longest))
+        return extract_surface(self._close(n_longest))
 
     @torch.no_grad()
-    def _closed(self, n_longest: int | None) -> SdfGrid:
+    def _close(self, n_longest: int | None) -> SdfGrid:
         if n_longest is None:
             grid, values = self.field.grid, self.field.distance.values.detach()
         else:
@@ -171,7 +171,7 @@ class NeuralSurface:
         tensors = {name: torch.from_numpy(np.array(array)) for name, array in arrays.items()}
         grid = from_table(header["grid"], Grid, "stored grid")
         field = ColouredGrid(
-            cube_about(region), grid, tensors["field.distance.values"], config.model
+            enclosing_cube(region), grid, tensors["field.distance.values"], config.model
         )
         field.features.restore(tensors["field.features.rows"])
         background = None
@@ -197,6 +197,6 @@ class NeuralSurface:
         return cls.from_state(stored.arrays, stored.header)
 
 
-def cube_about(region: Region) -> CubeDomain:
+def enclosing_cube(region: Region) -> CubeDomain:
     """Cube about the ball around a region, in which a network is normalised."""
     return CubeDomain(center_m=region.center_m, half_side_m=region.radius_m)

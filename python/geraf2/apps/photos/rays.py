@@ -53,7 +53,7 @@ class PhotoRays:
         self.region, self.cameras = region, photos.cameras
         self._positions = torch.tensor(photos.positions, dtype=torch.float32)
         rng = np.random.default_rng(seed)
-        parts = [self._of_photo(photos, index, rng) for index in range(len(photos))]
+        parts = [self._photo_rays(photos, index, rng) for index in range(len(photos))]
         self._directions, self._colours, self._inside, self._known = (
             torch.from_numpy(np.concatenate(column)) for column in zip(*parts, strict=True)
         )
@@ -70,7 +70,7 @@ class PhotoRays:
     def __len__(self) -> int:
         return self._inside.shape[0]
 
-    def _of_photo(
+    def _photo_rays(
         self, photos: PhotoSet, index: int, rng: np.random.Generator
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8], Bools, Bools]:
         camera, image = photos.cameras[index], photos.images[index]
@@ -115,10 +115,10 @@ class PhotoRays:
 def fit_resolution(photos: PhotoSet) -> PhotoSet:
     """Photos of at most MAX_RAYS pixels in total, reduced by whole factors where needed."""
     n_pixels = sum(camera.width * camera.height for camera in photos.cameras)
-    return reduced(photos, int(np.ceil(np.sqrt(n_pixels / MAX_RAYS))))
+    return reduce_photos(photos, int(np.ceil(np.sqrt(n_pixels / MAX_RAYS))))
 
 
-def reduced(photos: PhotoSet, factor: int) -> PhotoSet:
+def reduce_photos(photos: PhotoSet, factor: int) -> PhotoSet:
     """Photos in which a block of factor x factor pixels has become one, its mean."""
     if factor <= 1:
         return photos

@@ -15,7 +15,7 @@ from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import binomial_blur, close_body, quick_redistance
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.apps.photos.neus.rendering import Rendering
-from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduced
+from geraf2.apps.photos.rays import PhotoRays, RayBatch, reduce_photos
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
 from geraf2.ops import sdf_grid
@@ -46,17 +46,17 @@ class PhotoTrainer:
         self.config, self._photos, self._rays_stage = config, photos, -1
         self.n_steps = sum(stage.n_steps for stage in config.stages)
         self.surface, self.step_number = surface, 0
-        self.rays = self._rays_of(0, region)
+        self.rays = self._stage_rays(0, region)
         self.generator = torch.Generator().manual_seed(config.seed)
         self._enter(surface)
 
-    def _rays_of(self, number: int, region: Region) -> PhotoRays:
+    def _stage_rays(self, number: int, region: Region) -> PhotoRays:
         """Rays of photos whose pixels match the stage's feature spacing; full size in the last."""
         self._rays_stage, factor = number, 1
         if number + 1 < len(self.config.stages):
             apart = self.surface.field.grid.spacing_m / self.config.model.nodes_per_voxel
             factor = max(1, round(apart / _footprint_m(self._photos.cameras, region)))
-        return PhotoRays(reduced(self._photos, factor), region, seed=self.config.seed)
+        return PhotoRays(reduce_photos(self._photos, factor), region, seed=self.config.seed)
 
     def step(self) -> dict[str, float]:
         """Make one step; returns the terms of its loss."""
@@ -142,7 +142,7 @@ class PhotoTrainer:
         if step == 0 and number > 0:
             self._refine(number)
         if number != self._rays_stage:
-            self.rays = self._rays_of(number, self.rays.region)
+            self.rays = self._stage_rays(number, self.rays.region)
         is_last = number == len(stages) - 1
         share = step / stages[number].n_steps
         last = config.final_sharpness if is_last else config.last_sharpness
@@ -169,13 +169,13 @@ class PhotoTrainer:
             close_body(self.surface.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
         )
         if self.rays.has_masks and body.any():
-            surface.region = _around(body, before, surface.region)
+            surface.region = _shrink_region(body, before, surface.region)
         grid = surface.region.grid(n_longest)
-        values = self._values_at(grid)
+        values = self._sample_values(grid)
         self.surface.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
 
-    def _values_at(self, grid: Grid) -> NDArray[np.float32]:
+    def _sample_values(self, grid: Grid) -> NDArray[np.float32]:
         """Tricubic signed distance at the nodes of another grid [m]."""
         values, own = self.surface.field.distance.values.detach().numpy(), self.surface.field.grid
         found = sdf_grid(values, own, grid.points(), interpolation="cubic").value
@@ -233,12 +233,12 @@ class PhotoTrainer:
             values.lerp_(binomial_blur(values.detach()), config.bending * _BENDING_EVERY)
 
 
-def _around(body: Bools, grid: Grid, region: Region) -> Region:
+def _shrink_region(body: Bools, grid: Grid, region: Region) -> Region:
     """Box about a body with a margin, within the region; empty space needs no refinement."""
     found = np.argwhere(body)
     low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - _MARGIN_VOXELS)
     high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + _MARGIN_VOXELS)
-    return Region.between(np.maximum(low, region.low_m), np.minimum(high, region.high_m))
+    return Region.from_corners(np.maximum(low, region.low_m), np.minimum(high, region.high_m))
 
 
 def _footprint_m(cameras: tuple[Camera, ...], region: Region) -> float:

@@ -15,7 +15,7 @@ import torch
 from geraf2._types import AnyPath
 from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import quick_redistance
-from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, cube_about
+from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, enclosing_cube
 from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.photo_checks import MIN_PHOTOS
@@ -98,7 +98,7 @@ def start_surface(
     else:
         distance = hull.distance(points).reshape(grid.shape)
         values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
-    field = ColouredGrid(cube_about(region), grid, values.reshape(grid.shape), config.model)
+    field = ColouredGrid(enclosing_cube(region), grid, values.reshape(grid.shape), config.model)
     inv_s = config.first_sharpness / grid.spacing_m
     background = None
     if hull is None:
@@ -115,7 +115,7 @@ def _run(
     names: Sequence[str],
 ) -> None:
     saved_s = time.monotonic()
-    with _between_steps() as stops:
+    with _delay_interrupts() as stops:
         while trainer.step_number < trainer.n_steps and not stops:
             losses = trainer.step()
             if path is not None and time.monotonic() - saved_s >= _CHECKPOINT_EVERY_S:
@@ -136,7 +136,7 @@ def _save(path: Path, trainer: PhotoTrainer, names: Sequence[str]) -> None:
 
 
 @contextmanager
-def _between_steps() -> Iterator[list[int]]:
+def _delay_interrupts() -> Iterator[list[int]]:
     """Delay the first Ctrl-C or SIGTERM to the end of a step; its number is in the list."""
     got: list[int] = []
 

@@ -47,7 +47,7 @@ class Region:
             require_positive(f"side along {axis} of the region", side)
 
     @classmethod
-    def between(cls, low: Floats, high: Floats) -> "Region":
+    def from_corners(cls, low: Floats, high: Floats) -> "Region":
         """Region of its smallest and largest coordinates, (3,) each [m]."""
         return cls(low_m=tuple(low), high_m=tuple(high))
 
@@ -97,16 +97,15 @@ class VisualHull:
         return np.concatenate([self._distance(part) for part in parts])
 
     def _distance(self, points: Floats) -> NDArray[np.float32]:
-        left = np.stack(
-            [_left_over(c, d, points) for c, d in zip(self._cameras, self._distances, strict=True)]
-        )
+        pairs = zip(self._cameras, self._distances, strict=True)
+        left = np.stack([_outline_distance(*pair, points) for pair in pairs])
         hull = np.partition(left, self._rank, axis=0)[self._rank]
         # Points that most photos do not show are no part of the body.
         seldom = 2 * np.count_nonzero(left > _UNSEEN_M, axis=0) < len(self._cameras)
         return np.asarray(np.where(seldom, np.abs(hull), hull))
 
 
-def _left_over(
+def _outline_distance(
     camera: Camera, distance: NDArray[np.float32], points: Floats
 ) -> NDArray[np.float32]:
     pixels = camera.project(points)
@@ -136,7 +135,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
     focus = photos.focus()
     if hull is None or photos.masks is None:
         half = _VIEW_SHARE * min(_seen_radius(camera, focus) for camera in photos.cameras)
-        return Region.between(focus - half, focus + half)
+        return Region.from_corners(focus - half, focus + half)
     half = max(
         _mask_radius(camera, mask, focus)
         for camera, mask in zip(photos.cameras, photos.masks, strict=True)
@@ -146,7 +145,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
     low, high = focus - half, focus + half
     # twice: the second time in the box that the first has found, with smaller voxels
     for _ in range(2):
-        grid = Region.between(low, high).grid(_REGION_VOXELS)
+        grid = Region.from_corners(low, high).grid(_REGION_VOXELS)
         inside = hull.distance(grid.points()).reshape(grid.shape) < grid.spacing_m
         if not inside.any():
             raise UserError(
@@ -157,7 +156,7 @@ def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
         found = np.argwhere(inside)
         low = np.asarray(grid.origin_m) + grid.spacing_m * (found.min(axis=0) - 1.5)
         high = np.asarray(grid.origin_m) + grid.spacing_m * (found.max(axis=0) + 1.5)
-    return Region.between(low, high)
+    return Region.from_corners(low, high)
 
 
 def _mask_radius(camera: Camera, mask: Bools, focus: Floats) -> float:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.apps.photos.formats.records import PhotoSource, found
+from geraf2.apps.photos.formats.records import PhotoSource, find_path
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import inverse_rigid, rotation_of_quaternion
 from geraf2.io.file_kinds import refuse_other_kind
@@ -61,31 +61,31 @@ def find_colmap(source: Path) -> Path | None:
     if source.is_file():
         return source.parent if source.name.lower() in ("images.bin", "images.txt") else None
     for name in _FOLDERS:
-        folder = found(source, name)
+        folder = find_path(source, name)
         if folder is None or not folder.is_dir():
             continue
-        if _files_of(folder):
+        if _model_files(folder):
             return folder
-        models = _models_in(folder)
+        models = _list_models(folder)
         if models:
             return max(models, key=lambda model: (models[model], -len(model.name)))
     return None
 
 
-def _files_of(folder: Path) -> tuple[Path, Path] | None:
+def _model_files(folder: Path) -> tuple[Path, Path] | None:
     """Files of cameras and images of a model; None where it has none."""
     for suffix in ("bin", "txt"):
-        cameras, images = (found(folder, f"{stem}.{suffix}") for stem in ("cameras", "images"))
+        cameras, images = (find_path(folder, f"{stem}.{suffix}") for stem in ("cameras", "images"))
         if cameras and images and cameras.is_file() and images.is_file():
             return cameras, images
     return None
 
 
-def _models_in(folder: Path) -> dict[Path, int]:
+def _list_models(folder: Path) -> dict[Path, int]:
     """Models in a folder, by name, and their numbers of photos."""
     models = {}
     for entry in sorted(folder.iterdir()):
-        files = _files_of(entry) if entry.is_dir() else None
+        files = _model_files(entry) if entry.is_dir() else None
         if files:
             models[entry] = _count_images(files[1])
     return models
@@ -93,7 +93,7 @@ def _models_in(folder: Path) -> dict[Path, int]:
 
 def read_colmap(folder: Path) -> PhotoSource:
     """Photo set of a model; images lie in `images` next to or above it, or with its files."""
-    files = _files_of(folder)
+    files = _model_files(folder)
     if files is None:
         raise UserError(
             what="is no COLMAP model", where=folder, expected="cameras and images, .bin or .txt"
@@ -118,7 +118,7 @@ def read_colmap(folder: Path) -> PhotoSource:
         records.append(
             PhotoRecord(
                 name=image.name,
-                path=found(root, image.name) or root / image.name,
+                path=find_path(root, image.name) or root / image.name,
                 intrinsics=camera.intrinsics,
                 camera_to_world=image.camera_to_world,
                 distortion=camera.distortion,
@@ -132,7 +132,9 @@ def read_colmap(folder: Path) -> PhotoSource:
 
 def _other_models(folder: Path, n_photos: int) -> tuple[str, ...]:
     """Note on the models beside this one."""
-    others = {model: count for model, count in _models_in(folder.parent).items() if model != folder}
+    others = {
+        model: count for model, count in _list_models(folder.parent).items() if model != folder
+    }
     if not others:
         return ()
     rest = ", ".join(f"{model.name} ({count})" for model, count in others.items())
@@ -142,9 +144,9 @@ def _other_models(folder: Path, n_photos: int) -> tuple[str, ...]:
 def _image_folder(folder: Path, names: Sequence[str]) -> Path:
     """Folder that holds the most images of these names."""
     above = [folder, *folder.absolute().parents[:3]]
-    candidates = [found(parent, _IMAGE_FOLDER) for parent in above] + [*above]
+    candidates = [find_path(parent, _IMAGE_FOLDER) for parent in above] + [*above]
     there = [candidate for candidate in candidates if candidate is not None]
-    counts = [sum(found(root, name) is not None for name in names) for root in there]
+    counts = [sum(find_path(root, name) is not None for name in names) for root in there]
     if any(counts):
         return there[int(np.argmax(counts))]
     return folder.parent.parent / "images" if "sparse" in folder.parts else folder / "images"
@@ -245,7 +247,7 @@ def _binary(path: Path) -> bytes:
         raise UserError(what=f"cannot be read: {error.strerror}", where=path) from error
 
 
-def _cut_off(path: Path) -> UserError:
+def _truncation_error(path: Path) -> UserError:
     return UserError(what="the file is cut off", where=path, got=f"{path.stat().st_size} bytes")
 
 
@@ -262,7 +264,7 @@ def _read_cameras_binary(path: Path) -> dict[int, _CameraModel]:
             where = f"{path}, camera {camera_id}"
             cameras[camera_id] = _camera_model(model, (width, height), values, where)
     except struct.error:
-        raise _cut_off(path) from None
+        raise _truncation_error(path) from None
     return cameras
 
 
@@ -276,8 +278,8 @@ def _read_images_binary(path: Path) -> list[_ImagePose]:
             name = data[at + 64 : end].decode("utf-8", errors="replace")
             at = end + 9 + 24 * n_points
             if end < 0 or at > len(data):
-                raise _cut_off(path)
+                raise _truncation_error(path)
             images.append(_image_pose(name, camera_id, np.array(values)))
     except struct.error:
-        raise _cut_off(path) from None
+        raise _truncation_error(path) from None
     return images

@@ -22,7 +22,7 @@ class PhotoSource:
     """Notes for the user."""
 
 
-def found(folder: Path, name: str | Path) -> Path | None:
+def find_path(folder: Path, name: str | Path) -> Path | None:
     """File or folder of this path below a folder, in capitals or not; None where there is none."""
     here = folder
     for part in Path(name).parts:

@@ -16,7 +16,7 @@ import numpy as np
 
 from geraf2._types import Floats
 from geraf2.apps.photos.formats.images import read_size
-from geraf2.apps.photos.formats.records import PhotoSource, found
+from geraf2.apps.photos.formats.records import PhotoSource, find_path
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
 from geraf2.io.photo_files import DISTORTION, TRANSFORMS_NAME, UNITS_M, PhotoRecord
@@ -36,7 +36,7 @@ def find_transforms(source: Path) -> Path | None:
     """File transforms.json of a folder, or the file itself."""
     if source.is_file():
         return source if source.suffix == ".json" else None
-    files = (found(source, name) for name in (TRANSFORMS_NAME, _NERF_NAME))
+    files = (find_path(source, name) for name in (TRANSFORMS_NAME, _NERF_NAME))
     return next((file for file in files if file is not None and file.is_file()), None)
 
 
@@ -142,13 +142,13 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
 
 def _image_path(folder: Path, name: str) -> Path:
     """Image of a frame, without .png in NeRF's synthetic sets, or the path where it should be."""
-    paths = [folder / name, *(folder / end for end in _ends_of(name))]
+    paths = [folder / name, *(folder / end for end in _path_ends(name))]
     for path in paths:
         for candidate in _candidates(path):
             if _is_file(candidate):
                 return candidate
     for path in paths:  # in other capitals
-        there = found(folder, path.relative_to(folder)) if path.is_relative_to(folder) else None
+        there = find_path(folder, path.relative_to(folder)) if path.is_relative_to(folder) else None
         if there is not None and _is_file(there):
             return there
     return paths[0]
@@ -165,7 +165,7 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _ends_of(name: str) -> Iterator[Path]:
+def _path_ends(name: str) -> Iterator[Path]:
     """Trailing parts of a path of any system, the longest first, without upward steps.
 
     For /elsewhere/../scan/0001.png: scan/0001.png, 0001.png, then images/0001.png.

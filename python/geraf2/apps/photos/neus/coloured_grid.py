@@ -79,7 +79,7 @@ class ColouredGrid(nn.Module):
         return self.distance.grid
 
     def _features(self, band_voxels: float) -> FeatureGrid:
-        nodes = refined(self.grid, self.config.nodes_per_voxel)
+        nodes = refine_grid(self.grid, self.config.nodes_per_voxel)
         distance = self.value(torch.from_numpy(nodes.points())).numpy()
         near = np.abs(distance) < band_voxels * self.grid.spacing_m
         return FeatureGrid(nodes, near.reshape(nodes.shape), self.config.n_features)
@@ -136,7 +136,7 @@ class ColouredGrid(nn.Module):
         return opacity * torch.sigmoid(logits)
 
 
-def refined(grid: Grid, factor: float) -> Grid:
+def refine_grid(grid: Grid, factor: float) -> Grid:
     """Grid over the same box with `factor` nodes a voxel."""
     shape = [max(2, round((n - 1) * factor) + 1) for n in grid.shape]
     spacing = max(

@@ -68,12 +68,12 @@ def sample_edges(
         first, last = inv_s[0], max(inv_s[0], _LAST_ROUND * inv_s[1])
         for number in range(config.n_rounds):
             sharpness = first * (last / first) ** (number / max(config.n_rounds - 1, 1))
-            sdf = _sdf_along(field, *rays, edges)
+            sdf = _sample_sdf(field, *rays, edges)
             edges = importance_edges(edges, sdf, sharpness, config.n_fine, generator)
     return edges
 
 
-def _sdf_along(
+def _sample_sdf(
     field: ColouredGrid, origins: torch.Tensor, directions: torch.Tensor, edges: torch.Tensor
 ) -> torch.Tensor:
     middles, _ = middle_and_step(edges)
