@@ -1,6 +1,6 @@
 """Surface from photos: time, error against the truth, held-out views.
 
-    python bench/python/photos.py carton [--seed 0]
+    python bench/python/photos.py carton [--seed 0] [--preset quick]
     python bench/python/photos.py PHOTOS [--mask-threshold 60] [--box X Y Z] [--bounds X0 .. Z1]
 
 `carton` photographs a simulated carton of 0.22 m (48 photos of 640 x 480, with the simulator's pose
@@ -23,12 +23,13 @@ import time
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import get_args
 
 import numpy as np
 import torch
 
-from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.formats.masks import threshold_mask
+from geraf2.apps.photos.los import photo_config
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.apps.photos.training import train_neural_surface
 from geraf2.evaluation.mesh_metrics import sample_surface
@@ -36,7 +37,7 @@ from geraf2.fields import BoxSolid
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import write_mesh
 from geraf2.io.photo_files import write_image
-from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene import Wall
 from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.photos import simulate_photos
@@ -147,6 +148,7 @@ def parse_arguments():
     parser.add_argument("--bounds", type=float, nargs=6)
     parser.add_argument("--box", type=float, nargs=3, help="true sides about the origin [m]")
     parser.add_argument("--hold-out", type=int, default=HOLD_OUT, help="every so many")
+    parser.add_argument("--preset", default="default", choices=get_args(PhotoPreset))
     parser.add_argument("--no-masks", action="store_true", help="train and score without them")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder for mesh.ply, views.png, surface, scores")
@@ -160,7 +162,7 @@ def main():
     if options.no_masks:
         photos = replace(photos, masks=None)
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
-    config = PhotoConfig(seed=options.seed)
+    config = photo_config(options.preset, options.seed)
 
     def show(trainer, losses):
         if trainer.step_number % 100 == 0:

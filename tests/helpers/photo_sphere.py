@@ -1,5 +1,7 @@
 """Photos of a coloured ball, drawn by the equation of a ball."""
 
+from functools import cache
+
 import numpy as np
 
 from geraf2.scene.photos import Camera, PhotoSet
@@ -40,6 +42,7 @@ def photo(camera, background=(0.1, 0.2, 0.3)):
     return np.round(255.0 * colour).astype(np.uint8).reshape(*shape, 3), hit.reshape(shape)
 
 
+@cache
 def photo_set(n_photos=8, masks=True):
     made = cameras(n_photos)
     pictures = [photo(camera) for camera in made]

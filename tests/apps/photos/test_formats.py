@@ -69,32 +69,15 @@ def test_colmap(tmp_path, binary, model, distortion):
     assert "arbitrary scale" in note
 
 
-def two_models(folder, *, binary, few="0", many="1"):
-    """Models of 3 and 6 photos."""
-    write_colmap(folder / "few", 3, binary=binary)
-    write_colmap(folder, 6, binary=binary)
-    (folder / "sparse" / "0").rename(folder / "sparse" / "later")
-    (folder / "few" / "sparse" / "0").rename(folder / "sparse" / few)
-    (folder / "sparse" / "later").rename(folder / "sparse" / many)
-
-
-@pytest.mark.parametrize(("binary", "few", "many"), [(True, "0", "1"), (False, "1", "0")])
-def test_the_largest_model_is_read_and_the_others_named(tmp_path, binary, few, many):
-    two_models(tmp_path, binary=binary, few=few, many=many)
-    loaded = load_photos(tmp_path, UNIT)
-    assert len(loaded.photos) == 6
-    note = f"of several COLMAP models '{many}' (6 photos) is read, not {few} (3)"
-    assert loaded.notes == (note,)
-    # The folder that the user names is read, whichever it is.
-    named = load_photos(tmp_path / "sparse" / few, UNIT)
-    assert len(named.photos) == 3
-    assert f"'{few}' (3 photos) is read, not {many} (6)" in named.notes[0]
-
-
 def test_a_broken_model_does_not_hide_a_good_one(tmp_path):
-    two_models(tmp_path, binary=True)
+    write_colmap(tmp_path, binary=True)
+    shutil.copytree(tmp_path / "sparse" / "0", tmp_path / "sparse" / "1")
     (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\1")
-    assert len(load_photos(tmp_path, UNIT).photos) == 6
+    loaded = load_photos(tmp_path, UNIT)
+    assert len(loaded.photos) == 5
+    assert loaded.notes == ("of several COLMAP models '1' (5 photos) is read, not 0 (0)",)
+    with pytest.raises(UserError, match="cut off"):  # the folder that the user names is read
+        load_photos(tmp_path / "sparse" / "0", UNIT)
 
 
 @pytest.mark.parametrize("every", [1, 2])
@@ -136,18 +119,6 @@ def test_images_scaled_down_keep_their_camera(tmp_path):
     small = loaded.photos.cameras[2]
     assert (small.width, small.height) == (SIZE[0] // 2, SIZE[1] // 2)
     np.testing.assert_allclose(2.0 * small.project(POINTS), cameras[2].project(POINTS), atol=1e-6)
-
-
-def test_photos_of_other_sizes_with_their_own_intrinsics(tmp_path):
-    cameras = write_transforms(tmp_path, per_frame=True)
-    large = replace(cameras[1].resize(96, 96), distortion=cameras[1].distortion)
-    write_image(tmp_path / "photo1.png", image_of(96, 96))
-    k = large.intrinsics
-    own = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2], "w": 96, "h": 96}
-    change(tmp_path / "transforms.json", lambda values: values["frames"][1].update(own))
-    loaded = load_photos(tmp_path)
-    assert loaded.photos.images[1].shape == (96, 96, 3)
-    np.testing.assert_allclose(loaded.photos.cameras[1].project(POINTS), large.project(POINTS))
 
 
 def test_synthetic_sets_of_nerf(tmp_path):

@@ -5,7 +5,7 @@ import pytest
 from PIL import Image, ImageOps
 
 from geraf2.apps.photos.formats.images import read_image, read_mask
-from geraf2.apps.photos.formats.masks import close_cracks, threshold_mask
+from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_checks import check_photos
 from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.errors import UserError
@@ -137,17 +137,6 @@ def test_threshold_mask_fills_shadow_but_not_gaps(behind, dark, width, filled):
     assert not mask[:, :98].any()
     image[:60, 200:210] = 10
     assert not threshold_mask(image, 60.0)[50, 205]
-
-
-def test_cracks_of_a_silhouette_are_closed_and_gaps_are_not():
-    mask = np.zeros((200, 400), dtype=bool)
-    mask[20:180, 20:380] = True
-    mask[:, 100:103] = False
-    mask[:, 200:240] = False
-    closed = close_cracks(mask)
-    assert closed[100, 101]
-    assert not closed[100, 220]
-    assert (closed | ~mask).all()
 
 
 @pytest.mark.data

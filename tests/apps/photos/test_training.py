@@ -141,11 +141,6 @@ def test_a_loss_that_is_not_finite_is_named():
         train_neural_surface(photo_sphere.photo_set(4), GRID, progress=poison)
 
 
-def test_too_few_photos_are_one_line():
-    with pytest.raises(UserError, match="too few photos"):
-        train_neural_surface(photo_sphere.photo_set(2), GRID)
-
-
 def test_silhouettes_without_a_common_body_are_one_line():
     photos = photo_sphere.photo_set(4)
     masks = [np.zeros_like(mask) for mask in photos.masks]

@@ -1,7 +1,6 @@
 import numpy as np
 
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
-from geraf2.apps.photos.rays import fit_resolution
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from helpers import photo_sphere
 
@@ -57,15 +56,3 @@ def test_a_body_is_closed_at_the_rim_without_crumbs_and_hollows():
     assert (closed[:, :, -1] > 0).all()
     assert (closed[hollow] < 0).all()
     assert (closed[corner] > 0).all()
-
-
-def test_large_photos_are_made_smaller_and_keep_their_rays(monkeypatch):
-    photos = photo_sphere.photo_set(3)
-    assert fit_resolution(photos) is photos
-    monkeypatch.setattr("geraf2.apps.photos.rays.MAX_RAYS", 1300)
-    small = fit_resolution(photos)
-    assert small.cameras[0].width == 24
-    assert small.images[0].shape == (18, 24, 3)
-    point = photo_sphere.CENTER[None] + 0.02
-    for before, after in zip(photos.cameras, small.cameras, strict=True):
-        np.testing.assert_allclose(after.project(point), before.project(point) / 2)

@@ -40,15 +40,6 @@ def test_features_are_trilinear_and_inactive_nodes_share_row_zero(share):
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_points_beyond_the_grid_count_on_its_rim():
-    features = random_grid(np.ones(GRID.shape, dtype=bool))
-    points = random_points(50, reach=3.0)
-    low = np.asarray(GRID.origin_m)
-    rim = np.clip(points, low, low + GRID.spacing_m * (np.asarray(GRID.shape) - 1))
-    outside, inside = (features(torch.from_numpy(p)).detach().numpy() for p in (points, rim))
-    np.testing.assert_allclose(outside, inside, atol=1e-5)
-
-
 @pytest.mark.gradient
 def test_features_have_a_gradient_to_the_table():
     features = random_grid(np.random.default_rng(1).random(GRID.shape) < 0.5).double()

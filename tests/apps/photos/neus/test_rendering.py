@@ -131,22 +131,6 @@ def test_rendering_is_differentiable_in_the_field():
     )
 
 
-@pytest.mark.parametrize(
-    ("n_rounds", "n_edges"),
-    [(0, 17), (1, 9), (3, 9)],
-)
-def test_samples_of_every_number_of_rounds_rise(n_rounds, n_edges):
-    config = PhotoSamplingConfig(n_coarse=16, n_fine=8, n_rounds=n_rounds)
-    rays, _ = rays_and_edges(dtype=torch.float32)
-    span = torch.full((5,), 1.0), torch.full((5,), 3.0)
-    field, generator = small_grid(torch.float32), torch.Generator().manual_seed(0)
-    edges = sample_edges(field, rays, span, config, (20.0, 50.0), generator)
-    assert edges.shape == (5, n_edges)
-    assert (edges[:, 1:] >= edges[:, :-1]).all()
-    assert edges.min() >= 1.0
-    assert edges.max() <= 3.0
-
-
 @pytest.mark.parametrize("n_rounds", [2, 3])
 def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
     """16 samples of 64 coarse ones, the density a tenth as wide as a coarse interval."""
