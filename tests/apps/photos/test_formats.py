@@ -75,7 +75,7 @@ def test_a_broken_model_does_not_hide_a_good_one(tmp_path):
     (tmp_path / "sparse" / "0" / "images.bin").write_bytes(b"\1")
     loaded = load_photos(tmp_path, UNIT)
     assert len(loaded.photos) == 5
-    assert loaded.notes == ("of several COLMAP models '1' (5 photos) is read, not 0 (0)",)
+    assert loaded.notes == ("of several COLMAP models '1' (5 photos) is read, not 0 (1)",)
     with pytest.raises(UserError, match="cut off"):  # the folder that the user names is read
         load_photos(tmp_path / "sparse" / "0", UNIT)
 
