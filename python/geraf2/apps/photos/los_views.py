@@ -16,8 +16,8 @@ TRAINED = "trained_"
 
 _VIEW_HEIGHT = 300
 _N_VIEWS = 3
-# Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out (docs/
-# photos-method.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
+# Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out
+# (docs/math/photos.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
 _GOOD_OVERLAP, _MIN_OVERLAP = 0.95, 0.8
 # Without masks: PSNR over that of a single colour, on photos left out. Right poses reach 1.3 dB
 # after 300 steps with 13 photos, shuffled ones -1.2 dB; the temple without masks, of which half the

@@ -100,7 +100,7 @@ def render_rays(
     background: colour behind the region; none: black.
 
     Returns rendering, differentiable in the parameters of field and background.
-    docs/photos-method.md.
+    docs/math/photos.md#rendering.
     """
     origins, directions = rays
     middles, steps = middle_and_step(edges)
