@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, Sides
-from geraf2.apps.batch import BatchFolder, BatchOptions, read_jobs, run
-from geraf2.apps.batch.running import Plan
+from geraf2.apps.batch import BatchOptions, read_jobs, run
+from geraf2.apps.batch.folder import DONE
 from geraf2.cli._console import err, rows
 from geraf2.cli._fields import Positional
 from geraf2.cli.reconstruct import defaults
@@ -24,7 +24,7 @@ class Config(BatchOptions):
     """
 
     scenes: Positional[Annotated[tuple[str, ...], Arg(metavar="SCENES")]]
-    """Scene folders, patterns of them, CSV tables: scene, box, prior, truth, preset, settings."""
+    """Scene folders, patterns of them, CSV tables with columns scene, box, prior, truth."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for runs/, results/, batch.html and batch.csv."""
     los: Path | None = None
@@ -36,8 +36,6 @@ class Config(BatchOptions):
     """As of `geraf2 reconstruct`, and so are its constants."""
     config: Path | None = None
     """config.toml of a run, for all settings but its scene; flags override it."""
-    list: bool = False
-    """List finished and remaining jobs with the remaining processor time, and stop."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
 
 
@@ -47,9 +45,8 @@ def main(config: Config) -> int:
     jobs = read_jobs(
         config.scenes, los=config.los, box=config.box, config=config.settings, options=options
     )
-    if not config.list:
-        run(jobs, config.out, on_result=lambda result: err.print(result.line), options=config)
-    plan = Plan.of(jobs, BatchFolder(config.out), report=config.report)
-    page = ("page", str(config.out / "batch.html"))
-    rows(plan.listed() if config.list else [*plan.listed()[-1:], page])
-    return 2 if plan.n_failed else 0
+    results = run(jobs, config.out, on_result=lambda result: err.print(result.line), options=config)
+    n_failed = sum(result.state != DONE for result in results)
+    totals = f"{len(results)} scenes, {len(results) - n_failed} done, {n_failed} failed"
+    rows([("all", totals), ("page", str(config.out / "batch.html"))])
+    return 2 if n_failed else 0

@@ -57,20 +57,13 @@ def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
         read_jobs([scans / "one", scans / "later" / "one"], box=BOX)
 
 
-def test_columns_of_a_table_override_common_settings(scans):
-    lines = [
-        "scene, prior, truth, preset, settings",
-        'two, one/los.ply, one/truth.ply, best, "refine.shadows=false; refine.fit.spacing_m=0.01"',
-        "three,,,,fit.spacing_m = 0.006",
-        "one,,,,",
-    ]
+def test_columns_of_a_table_give_the_box_and_the_truth(scans):
+    lines = ["scene, prior, truth", "two, one/los.ply, one/truth.ply", "three,,", "one,,"]
     base = FastPreset(fit=FitConfig(distance_rounds=1))
     two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
-    assert (two.config.preset, two.config.refine.fit.spacing_m) == ("best", 0.01)
-    assert not two.config.refine.shadows
-    assert three.config == replace(base, fit=replace(base.fit, spacing_m=0.006))
-    assert (one.config, one.prior.box) == (base, BOX)
+    assert (three.prior.box, three.truth) == (BOX, None)
+    assert (one.config, one.prior.box, one.truth) == (base, BOX, scans / "one" / "truth.ply")
 
 
 REFUSED = {
@@ -82,14 +75,7 @@ REFUSED = {
     "line 2: give either box or prior": ["scene,box,prior", "one,1 1 1,one/los.ply"],
     "four: no such scene": ["scene,box", "four,1 1 1"],
     "none.ply: no such file": ["scene,prior", "one,none.ply"],
-    "unknown preset 'glimt'": ["scene,preset", "one,glimt"],
-    "unknown key 'refine.shadow', did you mean": ["scene,settings", "one,refine.shadow = 1"],
-    "line 2: settings are not valid TOML": ["scene,settings", "one,fit"],
-    "one: the same scene twice, with different settings": [
-        "scene,settings",
-        "one,refine.shadows = false",
-        "one,",
-    ],
+    "one: the same scene twice, with different boxes": ["scene,box", "one,1 1 1", "one,"],
     "there is no scene": ["scene"],
 }
 
@@ -132,26 +118,17 @@ def test_a_scheduler_that_does_not_answer_is_one_line(scans, capsys, monkeypatch
 
 
 def test_a_folder_of_something_else_is_refused_and_a_batch_may_grow(scans, capsys):
-    out, one = BatchFolder(scans / "out"), read_jobs([scans / "one"], box=BOX)
-
-    def claim(jobs):
-        by_key = {job.key: job for job in jobs}
-        out.require_own(by_key)
-        out.add(by_key)
-
-    claim(one)
-    both = read_jobs([scans / "one", scans / "two"], box=BOX)
-    claim(both)
-    claim(one)  # a part of it
+    out, marker = BatchFolder(scans / "out", "best"), scans / "out" / "batch.json"
+    for names in ("one", "two"), ("one",):
+        out.require_own()
+        out.add(dict.fromkeys(names, "a-key"))
     assert [paths.scene for paths in out.all_paths()] == ["one", "two"]
-    before = (scans / "out" / "batch.json").read_bytes()
-    with pytest.raises(geraf2.UserError, match="out: holds scene 'one' with other settings"):
-        claim([replace(both[0], config=FastPreset())])
-    assert (scans / "out" / "batch.json").read_bytes() == before
+    before = marker.read_bytes()
+    with pytest.raises(geraf2.UserError, match="out: holds a batch of other settings"):
+        BatchFolder(scans / "out", "fast").require_own()
     # A scan that was mended is another one of the same batch.
-    (scans / "one" / "scene.toml").write_text("mended")
-    claim(both)
-    assert (scans / "out" / "batch.json").read_bytes() != before
+    out.add({"one": "another-key"})
+    assert marker.read_bytes() != before
     for name in ("one", "one/los.ply"):
         assert main(["batch", str(scans / "two"), str(scans / name), *FLAGS]) == 2
         error = the_error(capsys)

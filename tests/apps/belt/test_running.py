@@ -85,7 +85,7 @@ def test_a_command_that_is_killed_continues_to_the_same_bytes(done, tmp_path):
 @pytest.mark.slow
 def test_other_settings_of_one_folder_are_refused(done):
     stream, out, *_ = done
-    with pytest.raises(UserError, match="of another stream or of other settings"):
+    with pytest.raises(UserError, match="holds a batch of other settings"):
         run_belt(stream, out, "best", options=BeltOptions(workers=1, idle_s=2.0, threads=1))
 
 

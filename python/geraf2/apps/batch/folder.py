@@ -11,14 +11,12 @@ results/ alone determines which jobs are done, so that scheduler, client and wor
 """
 
 import os
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from geraf2 import __version__
 from geraf2.apps.batch.engine import BAD_INPUT
-from geraf2.apps.batch.jobs import BatchJob
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.digests import inside
@@ -113,57 +111,44 @@ class JobPaths:
 
 
 class BatchFolder:
-    """Folder of one batch."""
+    """Folder of one batch, all of whose jobs have the same settings."""
 
-    def __init__(self, out: Path | str) -> None:
-        self.out = Path(out)
+    def __init__(self, out: Path | str, settings: str) -> None:
+        self.out, self.settings = Path(out), settings
         if not is_remote(self.out):
             self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay unresolved
 
-    def paths(self, key: str, job: BatchJob) -> JobPaths:
-        """Paths of a job's files; key: the job's."""
-        return JobPaths(self.out, key, job.scene.name)
+    def require_own(self) -> None:
+        """Raise UserError where the folder holds something else, or a batch of other settings."""
+        found = self._read()
+        require_folder(self.out, "batch", own=found is not None)
+        if found is not None and found["settings"] != self.settings:
+            hint = "choose another folder"
+            raise UserError(what="holds a batch of other settings", where=self.out, hint=hint)
 
-    def require_own(self, jobs: Mapping[str, BatchJob]) -> None:
-        """Raise UserError where the folder holds something else, or a scene of other settings.
+    def add(self, jobs: dict[str, str]) -> None:
+        """Write jobs into the folder, beside those that it has: keys by the scenes' names."""
+        found = self._read()
+        known: dict[str, str] = {} if found is None else found["jobs"]
+        if found is None or known | jobs != known:
+            marker = {"format": _FORMAT, "version": _VERSION, "settings": self.settings}
+            write_json_atomic(self.out / MARKER_NAME, {**marker, "jobs": known | jobs})
 
-        jobs: by key. Nothing is written.
-        """
-        known = self._read()
-        require_folder(self.out, "batch", own=known is not None)
-        for job in jobs.values():
-            name = job.scene.name
-            if known and name in known and known[name]["settings"] != job.settings:
-                raise UserError(
-                    what=f"holds scene {name!r} with other settings",
-                    where=self.out,
-                    hint="choose another folder",
-                )
+    def all_paths(self) -> list[JobPaths]:
+        """Paths of all jobs of this batch."""
+        found = self._read() or {"jobs": {}}
+        return [JobPaths(self.out, key, name) for name, key in found["jobs"].items()]
 
-    def add(self, jobs: Mapping[str, BatchJob]) -> None:
-        """Write jobs into the folder, beside those that it has."""
-        known = self._read() or {}
-        new = {j.scene.name: {"key": key, "settings": j.settings} for key, j in jobs.items()}
-        if known | new != known:
-            marker = {"format": _FORMAT, "version": _VERSION, "jobs": known | new}
-            write_json_atomic(self.out / MARKER_NAME, marker)
-
-    def _read(self) -> dict[str, dict[str, str]] | None:
-        """Key and settings of each scene; None where there is no batch."""
+    def _read(self) -> dict[str, Any] | None:
+        """Contents of batch.json; None where there is no batch."""
         file = self.out / MARKER_NAME
         try:
             values: Any = parse_json(read_bytes(file, RECORD_BYTES))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
-            return {
-                inside(name): {"key": inside(job["key"]), "settings": str(job["settings"])}
-                for name, job in values["jobs"].items()
-            }
+            jobs = {inside(name): inside(key) for name, key in values["jobs"].items()}
+            return {"settings": str(values["settings"]), "jobs": jobs}
         except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             raise UserError(what="cannot be read as the record of a batch", where=file) from None
-
-    def all_paths(self) -> list[JobPaths]:
-        """Paths of all jobs of this batch."""
-        return [JobPaths(self.out, job["key"], name) for name, job in (self._read() or {}).items()]

@@ -20,22 +20,16 @@ from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read
 from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
 from geraf2.io.text import parse_json, read_lines
-from geraf2.io.toml import merged, nearest, parse_toml, to_table
+from geraf2.io.toml import nearest
 from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
-from geraf2.pipeline.presets import (
-    BestPreset,
-    PresetConfig,
-    preset_of_table,
-    preset_type,
-    versions_of,
-)
+from geraf2.pipeline.presets import BestPreset, PresetConfig, versions_of
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
 
 # Increased when the same job gives another record.
 _RESULT_VERSION = 2
-COLUMNS = ("scene", "box", "prior", "truth", "preset", "settings")
+COLUMNS = ("scene", "box", "prior", "truth")
 """Columns of a table of scans; only the first is required."""
 
 
@@ -122,10 +116,10 @@ def read_jobs(
     """Jobs of scene folders, patterns of them (`scans/*`), and CSV tables with a row for each scan.
 
     los, box: default outside of the box, as of `geraf2 reconstruct` [m].
-    config, options: of all jobs; a table's columns preset and settings override them.
+    config, options: of all jobs.
 
     Returns a job for each scene, with the truth of its folder. Raises UserError for a missing
-    scene, an unknown column, and a scene with two different settings.
+    scene, an unknown column, and a scene with two different boxes.
     """
     if los is not None and box is not None:
         raise UserError(what="give either --los or --box", got="both")
@@ -153,9 +147,9 @@ def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
             )
         if by_scene.setdefault(job.scene, job) != job:
             raise UserError(
-                what="the same scene twice, with different settings",
+                what="the same scene twice, with different boxes, truths or settings",
                 where=job.scene,
-                hint="give each of the settings a batch, and an OUT, of its own",
+                hint="give each a batch, and an OUT, of its own",
             )
     if not by_scene:
         raise UserError(what="there is no scene to be reconstructed")
@@ -220,8 +214,7 @@ def _job_of(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> Ba
     if box:
         source = PriorSource(box=_lengths(box, where))
     truth = _beside(folder, row["truth"]) if row.get("truth") else _own_truth(scene)
-    config = _config(row.get("preset") or "", row.get("settings") or "", base.config, where)
-    return replace(base, scene=scene, prior=source, truth=truth, config=config)
+    return replace(base, scene=scene, prior=source, truth=truth)
 
 
 def _beside(folder: Path, name: str) -> Path:
@@ -235,16 +228,3 @@ def _lengths(text: str, where: str) -> Triple:
     except ValueError:
         raise UserError(what="box", where=where, expected="three lengths [m]", got=text) from None
     return x, y, z
-
-
-def _config(preset: str, settings: str, base: PresetConfig, where: str) -> PresetConfig:
-    """Constants of a row: `fit.spacing_m = 0.006; glints.n_neighbours = 3`, as in config.toml."""
-    config = base if preset in ("", base.preset) else preset_type(preset)()
-    if not settings:
-        return config
-    try:
-        changes = parse_toml(settings.replace(";", "\n"))
-    except ValueError as error:
-        raise UserError(what=f"settings are not valid TOML: {error}", where=where) from None
-    table = merged(to_table(config), changes)
-    return preset_of_table(table, where)

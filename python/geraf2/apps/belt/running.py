@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import LengthM
-from geraf2.apps.batch import BatchJob, BatchOptions, JobResult
+from geraf2.apps.batch import BatchFolder, BatchJob, BatchOptions, JobResult
 from geraf2.apps.batch.cluster import connected
 from geraf2.apps.batch.engine import BAD_INPUT, Failure, Task, drive
 from geraf2.apps.batch.folder import DONE, JobPaths
@@ -23,15 +23,12 @@ from geraf2.apps.belt.monostatic import far_apart
 from geraf2.apps.belt.parcel import cut_parcel
 from geraf2.apps.live.sources import SceneSource
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_json_atomic
 from geraf2.io.belt_file import is_belt, read_belt
 from geraf2.io.container import SceneReader, is_scene
-from geraf2.io.outputs import require_folder
 from geraf2.io.run_folder import stage_key
-from geraf2.io.text import read_object
 from geraf2.pipeline.presets import PresetConfig, preset_type, versions_of
 
-PARCELS_FOLDER, STEM, MARKER_NAME = "parcels", "parcels", "parcels.json"
+PARCELS_FOLDER, STEM = "parcels", "parcels"
 _POLL_S = 0.2
 _N_ON_PAGE = 200
 _GOAL_PER_HOUR = 6000
@@ -101,10 +98,11 @@ def run_belt(
     settings = stage_key(
         stream=stream, config=config, stages=versions_of(config), longest_m=options.longest_m
     )
-    _require_own(out, settings)
+    folder = BatchFolder(out, settings)
+    folder.require_own()
     spans = _spans(stream, options, on_line)
     first = next(span for span in spans if span)  # errors of the stream leave no folder
-    write_json_atomic(out / MARKER_NAME, {"settings": settings})
+    folder.add({})
     for line in far_apart(read_belt(stream), SceneReader(stream).manifest.waveform):
         on_line(line)
     table = _Table(out, config.preset, on_line)
@@ -158,15 +156,6 @@ def _place(span: Span) -> dict[str, float]:
         "position_m": round(span.middle_m, 4),
         "length_m": round(span.end_m - span.start_m, 4),
     }
-
-
-def _require_own(out: Path, settings: str) -> None:
-    """Raise UserError where a folder holds something else, or parcels of another call."""
-    marker = out / MARKER_NAME
-    require_folder(out, "belt", own=marker.is_file())
-    if marker.is_file() and read_object(marker).get("settings") != settings:
-        what = "holds parcels of another stream or of other settings"
-        raise UserError(what=what, where=out, hint="choose another folder")
 
 
 class _Table:
