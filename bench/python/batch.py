@@ -1,7 +1,7 @@
 """Throughput, overhead and faults of `geraf2 batch` on processes of this machine.
 
     python bench/python/batch.py [--only NAME ...] [--scenes N] [--noop N ...] [--kills N]
-        [--preset NAME] [--plot PNG]
+        [--preset NAME]
 
 scenes: small scenes, 4 planes each, by one worker and by two, of one thread each, against the
 same scenes one after the other in this process, and in two processes at once without a scheduler,
@@ -102,8 +102,8 @@ def scenes(count: int, preset: str) -> None:
         print(f"two workers to one  {rates[2] / rates[1]:8.2f}")
 
 
-def noop(counts: list[int], plot: Path | None = None) -> None:
-    running.do_job, seen = noop_job, list[tuple[int, float, float]]()
+def noop(counts: list[int]) -> None:
+    running.do_job = noop_job
     with (
         tempfile.TemporaryDirectory() as name,
         local_cluster(2, MEMORY_BYTES) as cluster,
@@ -126,25 +126,6 @@ def noop(counts: list[int], plot: Path | None = None) -> None:
                 f"{peak_memory_bytes() / 2**20:.0f} MiB",
                 flush=True,
             )
-            seen.append((count, 1e3 * wall / count, peak_memory_bytes() / 2**20))
-    if plot is not None:
-        draw(seen, plot)
-
-
-def draw(seen: list[tuple[int, float, float]], path: Path) -> None:
-    """Time a job and memory of the client over the number of jobs."""
-    from geraf2.report import canvas  # noqa: PLC0415 - takes 0.5 s
-
-    figure = canvas.new_figure(9.0, 3.6)
-    counts, milliseconds, mebibytes = zip(*seen, strict=True)
-    labels = "time a job [ms]", "client and scheduler [MiB]"
-    for panel, values, label in zip(
-        figure.subplots(1, 2), (milliseconds, mebibytes), labels, strict=True
-    ):
-        panel.semilogx(counts, values, "o-", color="black")
-        panel.set_ylim(0.0, 1.2 * max(values))
-        canvas.label(panel, "jobs that do nothing", label)
-    canvas.save(figure, path)
 
 
 def kills(count: int, n_scenes: int = 12) -> None:
@@ -197,12 +178,11 @@ def main() -> None:
     parser.add_argument("--preset", choices=list(PRESETS), default="best", help="of the scenes")
     parser.add_argument("--noop", type=int, nargs="+", default=[100, 1000, 10000])
     parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--plot", type=Path, help="picture of the no-op jobs")
     arguments = parser.parse_args()
     if "scenes" in arguments.only:
         scenes(arguments.scenes, arguments.preset)
     if "noop" in arguments.only:
-        noop(arguments.noop, arguments.plot)
+        noop(arguments.noop)
     if "kills" in arguments.only:
         kills(arguments.kills)
 
