@@ -119,13 +119,6 @@ def test_the_range_correction_is_subtracted_along_the_line_of_sight(capture, gli
     np.testing.assert_allclose(found.positions, glints.positions + 0.001 * glints.normals)
 
 
-def test_progress_rises_to_one():
-    seen = []
-    capture = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], n_poses=3)
-    find_glints(capture, BOX, NARROW, progress=seen.append)
-    np.testing.assert_allclose(seen, [1 / 3, 2 / 3, 1.0])
-
-
 def test_an_empty_box_reports_its_wall_echoes():
     def walls(positions, axes):
         near = -positions @ axes[0] - BOX_M / 2

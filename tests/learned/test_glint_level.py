@@ -10,10 +10,8 @@ from geraf2.fields import SdfGrid
 from geraf2.learned import glint_level
 from geraf2.learned.config import CorrectedPaperConfig, StageConfig
 from geraf2.learned.glint_level import (
-    DEPTHS_M,
     GlintDepths,
     GlintShift,
-    depth_difference,
     moved,
     part_depths,
 )
@@ -30,16 +28,6 @@ CONFIG = replace(
     stage2=StageConfig(n_steps=0),
 )
 MAX_M = 0.002
-
-
-def spot(at_m, width_m=0.012):
-    return np.exp(-(((DEPTHS_M - at_m) / width_m) ** 2))
-
-
-@pytest.mark.parametrize("behind_m", [-0.0043, 0.0, 0.0017])
-def test_depths_of_two_spots_are_resolved_to_a_part_of_a_millimetre(behind_m):
-    found = depth_difference(spot(0.002 + behind_m, 0.015), 3.0 * spot(0.002))
-    assert found == pytest.approx(behind_m, abs=1e-4)
 
 
 def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():

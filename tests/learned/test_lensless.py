@@ -5,7 +5,7 @@ import torch
 from geraf2.fields import BoxSolid
 from geraf2.learned.config import RenderConfig
 from geraf2.learned.fields import CubeDomain, LearnedSdfGrid
-from geraf2.learned.lensless import LenslessRenderer, VisionPrior, antenna_clusters
+from geraf2.learned.lensless import LenslessRenderer, VisionPrior
 from geraf2.learned.ray_sampling import LenslessSampler
 from geraf2.scene import LosPrior
 from helpers.synthetic import WAVEFORM, point_pose
@@ -209,11 +209,3 @@ def test_the_signal_has_the_gradient_that_differences_show(config):
         below = loss()
     slope = (above - below) / (2 * step)
     assert (gradient * direction).sum().item() == pytest.approx(slope.item(), rel=2e-3)
-
-
-def test_groups_of_antennas_are_neighbours_of_equal_number():
-    groups = antenna_clusters(POSE.phase_centers, 6)
-    assert sorted(np.concatenate(groups)) == list(range(144))
-    assert {len(g) for g in groups} == {24}
-    assert all(np.ptp(POSE.phase_centers[g], axis=0).max() < 0.08 for g in groups)
-    assert len(antenna_clusters(POSE.phase_centers, 0)) == 144

@@ -88,14 +88,6 @@ def test_samples_that_face_a_group_are_found_look_by_look(lobe_power, n_looks):
     np.testing.assert_array_equal(again.sample, pairs.sample)
 
 
-def test_pairs_that_are_not_wanted_leave_their_part():
-    pairs = SamplePairs(np.array([1, 4, 5, 0, 2]), np.array([0, 2, 3, 3, 5]), 2)
-    kept = pairs.keep(np.array([False, True, True, True, False]))
-    assert kept.sample.tolist() == [4, 5, 0]
-    assert kept.offsets.tolist() == [0, 1, 2, 2, 3]
-    assert pairs.group().tolist() == [0, 0, 0, 1, 1]
-
-
 def twin(alpha, transmittance, gradient, points, pairs, shift, form):
     amplitudes, normals = [], []
     for part, (begin, end) in enumerate(zip(pairs.offsets[:-1], pairs.offsets[1:], strict=True)):

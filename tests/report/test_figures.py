@@ -4,7 +4,7 @@ import pytest
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
-from geraf2.report import canvas, glint_overview, mesh_views, projections, sdf_slices
+from geraf2.report import canvas, mesh_views, projections, sdf_slices
 from geraf2.report.outlines import shadow_pictures
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
@@ -86,23 +86,6 @@ def test_slices_draw_the_zero_level_at_its_radius(tmp_path, drawn):
         # voxels of 10 mm on a radius of 20 mm: linear interpolation errs by up to h^2 / (8 r)
         np.testing.assert_allclose(np.linalg.norm(outline, axis=1), 20.0, atol=0.7)
     assert [panel.get_xlabel() for panel in drawn[0].axes[:3]] == ["x [mm]", "x [mm]", "y [mm]"]
-
-
-def test_mesh_views_have_a_row_for_mesh_truth_and_error(tmp_path, drawn):
-    mesh = ball()
-    mesh_views(mesh, tmp_path / "a.png")
-    mesh_views(mesh, tmp_path / "b.png", truth=mesh, distances_m=np.zeros(len(mesh.vertices)))
-    assert is_png(tmp_path / "b.png")
-    pictures = [sum(bool(panel.images) for panel in figure.axes) for figure in drawn]
-    assert pictures == [4, 12]
-
-
-def test_glint_overview_counts_every_glint(tmp_path, drawn):
-    glint_overview(glints(), tmp_path / "g.png")
-    assert is_png(tmp_path / "g.png")
-    strength, per_pose = drawn[0].axes[-2:]
-    assert sum(bar.get_height() for bar in strength.patches) == 30
-    assert [bar.get_height() for bar in per_pose.patches] == [6] * 5
 
 
 def test_shadows_have_the_outline_of_the_content_before_them(tmp_path, drawn):

@@ -155,12 +155,6 @@ def test_scores_of_another_mesh_are_not_shown(reported, tmp_path, monkeypatch):
     assert not (run / "figures" / "errors.png").exists()
 
 
-def test_provenance_and_projections_of_an_earlier_report_are_shown(reported, tmp_path):
-    text = write_report(shutil.copytree(reported, tmp_path / "run")).read_text()
-    assert "<td>importer</td><td>geraf-sens</td>" in text
-    assert "Heat map" in text
-
-
 def test_broken_artefacts_are_user_errors(run, tmp_path):
     with pytest.raises(UserError, match="is no run folder"):
         read_run(tmp_path / "nowhere")

@@ -57,14 +57,6 @@ def test_dihedral_within_half_a_decibel_of_its_cross_section(angle_deg):
     assert np.abs(error_db).max() < 0.5
 
 
-def test_a_convex_figure_has_no_second_bounce():
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
-    eye = np.array([0.4, 0.0, 0.0])
-    tubes = second_bounce(tube_scene(ball, 0.002), eye, blocks_of(eye))
-    assert len(tubes.path_m) == 0
-    assert not tube_echo(tubes, eye[None], eye[None], WAVEFORM).any()
-
-
 def test_derivatives_of_a_hit_are_those_between_neighbouring_rays():
     # Half of a hollow cylinder, axis z, seen from its axis' side.
     angles = np.linspace(np.pi / 2, 3 * np.pi / 2, 181)

@@ -74,13 +74,6 @@ def test_two_runs_are_bit_identical():
     np.testing.assert_array_equal(first.values, second.values)
 
 
-def test_progress_rises_to_one():
-    seen = []
-    config = FitConfig(spacing_m=0.01, distance_rounds=2)
-    fit_sdf(glints_on(fibonacci_sphere(300)), config, progress=seen.append)
-    np.testing.assert_allclose(seen, [0.25, 0.5, 0.75, 1.0])
-
-
 def test_the_grid_stays_below_its_cap():
     config = FitConfig(spacing_m=0.002, max_voxels=8000, distance_rounds=0)
     sdf = fit_sdf(glints_on(fibonacci_sphere(300)), config)

@@ -103,37 +103,6 @@ def rungs(tmp_path, suite_of):
     return tmp_path, suite_of(LADDER)
 
 
-def test_a_ladder_is_a_line_a_case_with_what_it_loses_against_the_first(rungs):
-    out, suite = rungs
-    rows = {(r.scene, r.case.label, r.method): r for r in rows_of(suite, ("world",))}
-
-    def result(f1, error=None):
-        if error:
-            return RowResult(error=error)
-        sizes = {"f1_2mm": 0.7, "volume_ratio": 1.1, "extent_x_m": 0.001, "extent_z_m": -0.003}
-        return RowResult(f1_15mm=1.0, f1_5mm=f1, f1_3mm=0.8, chamfer_1e3_m2=0.01, **sizes)
-
-    figures = {
-        ("a", "ideal", "fast"): result(0.9),
-        ("b", "ideal", "fast"): result(0.8),
-        ("a", "bent", "fast"): result(0.7),
-        ("b", "bent", "fast"): result(None, "it broke"),
-        ("a", "bent", "other"): result(0.6),
-    }
-    write_pages(out, suite, [(rows[key], value) for key, value in figures.items()])
-    text = (out / "benchmark.md").read_text(encoding="utf-8")
-    what = "F1 15 / 5 / 3 / 2 mm / CD / volume / worst extent [mm]"
-    head = f"| rung | default: {what} | lost at 5 mm | other method: {what} | lost at 5 mm |"
-    ideal = "| ideal | 1.000 / 0.850 / 0.800 / 0.700 / 0.0100 / 1.100 / 3.0 |  |  |  |"
-    bent = (
-        "| bent | 1.000 / 0.700 / 0.800 / 0.700 / 0.0100 / 1.100 / 3.0, of 1, 1 failed | +0.200 "
-        "| 1.000 / 0.600 / 0.800 / 0.700 / 0.0100 / 1.100 / 3.0, of 1 |  |"
-    )
-    assert "\n".join([head, "|---|---|---|---|---|", ideal, bent]) in text
-    assert "not made" not in text
-    assert (out / "tables" / "world_rungs.csv").read_text().startswith("rung,default: F1")
-
-
 def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
     _, suite = rungs
     assert {row.experiment for row in rows_of(suite)} == {"plain"}
