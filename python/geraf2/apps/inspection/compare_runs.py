@@ -54,21 +54,40 @@ def compare(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Comparison:
-    """Compare a run with runs of the same packed box: what appeared, vanished or moved.
+    """Compare a run with runs of the same packed box: what appeared, vanished, moved, was swapped.
 
     Box and content are registered first: the box may have been put down elsewhere. With several
     references only what differs from all of them is a change.
 
-    run: a reconstruction, or its folder.
-    references: at least one, of the same box and radar.
-    tolerance_mm: largest shift of a part that is no change [mm].
-    out: folder for `comparison.json`, `.html` and `.glb`; none is written when None.
-    num_threads: all when None.
-    listener: receives progress.
+    Parameters
+    ----------
+    run
+        A reconstruction, or its folder.
+    references
+        At least one, of the same box and radar.
+    tolerance_mm
+        Largest shift of a part that is no change [mm].
+    out
+        Folder for `comparison.json`, `.html` and `.glb`; none is written when None.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives warnings and progress.
 
-    Returns the changes with their probabilities; lengths in metres. Raises UserError for a run
-    without a surface or peaks, or a reference of another box, radar or view.
+    Returns
+    -------
+    Comparison
+        Changes with their probabilities, middles (3,) and sizes [m].
 
+    Raises
+    ------
+    UserError
+        For a run without a surface or peaks, or a reference of another box, radar or view.
+    ValueError
+        For a tolerance that is not positive.
+
+    Examples
+    --------
     >>> run = geraf2.examples.small_run()
     >>> geraf2.compare(run, [run]).changed
     False

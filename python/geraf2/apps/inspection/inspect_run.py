@@ -52,8 +52,15 @@ _CUT = "parts are connected in the surface, which was cut between the models"
 
 @dataclass(frozen=True, kw_only=True)
 class InspectOptions(Bounded):
-    """Options of an inspection; ValueError for numbers out of their range.
+    """Options of an inspection.
 
+    Raises
+    ------
+    ValueError
+        For numbers out of their range.
+
+    Examples
+    --------
     >>> geraf2.InspectOptions(tolerance_mm=1.5).min_seen  # 0 to 1
     0.2
     """
@@ -85,21 +92,43 @@ def inspect(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Inspection:
-    """Inspect a run: find the parts in the box and compare them with CAD models.
+    """Inspect a run: list the parts in the box and compare them with CAD models.
 
-    run: a reconstruction, or its folder.
-    cad: models to find: files, or meshes in metres; each must be closed.
-    expect: required number of parts, or the file of a list of contents.
-    options: tolerance, least seen share, unit.
-    out: folder for `inspection.json`, `.csv` and `.html`; the run folder when None.
-    write: write these files.
-    num_threads: all when None.
-    listener: receives progress.
+    Parameters
+    ----------
+    run
+        A reconstruction, or its folder.
+    cad
+        Models to find: files, or meshes in metres. Each must be closed.
+    expect
+        Required number of parts, or the file of a list of contents.
+    options
+        Tolerance, least share that was seen, and unit of the files.
+    out
+        Folder for `inspection.json`, `.csv`, `.html`, `.glb` and `.ply`; the run folder when None.
+    write
+        Whether to write these files.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives warnings and progress.
 
-    Returns parts with positions and lengths [m], models with poses and deviations [m], and the
-    verdict. Raises UserError where the run has no surface, a model is not closed, or the list of
-    contents cannot be read.
+    Returns
+    -------
+    Inspection
+        Parts with positions and lengths [m], models with poses (4, 4) and deviations [m], and the
+        verdict.
 
+    Raises
+    ------
+    UserError
+        If the run has no surface, a file is no closed mesh or as large as nothing in the box, or
+        the list of contents cannot be read.
+    ValueError
+        If `expect` is no number of parts.
+
+    Examples
+    --------
     >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
     >>> answer.verdict, answer.parts[0].volume_m3.value > 0
     ('not judged', True)
