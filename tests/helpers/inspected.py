@@ -67,7 +67,7 @@ def few_starts():
 def placement(pose, covariance):
     """Pose with a covariance, without free axes or rivals."""
     known = {"pose": pose, "covariance": covariance, "middle_m": pose[:3, 3]}
-    return Placement(**known, misfit=1.0, free_axis=None, rival_misfit=None)
+    return Placement(**known, misfit=1.0, free_axis=None)
 
 
 SMALL = block((0.02, 0.015, 0.03), (0.07, 0.0, 0.0))

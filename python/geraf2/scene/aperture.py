@@ -113,3 +113,8 @@ def _perpendicular(vector: Floats) -> Floats:
     if not vector.any():
         return np.array([1.0, 0.0, 0.0])
     return np.asarray(np.cross(vector, np.eye(3)[np.argmin(np.abs(vector))]))
+
+
+def apertures_at(corners_m: Floats) -> list[Aperture]:
+    """Apertures of the corners of planes, (n_planes, 4, 3) [m]."""
+    return [Aperture.from_corners(corners) for corners in corners_m]

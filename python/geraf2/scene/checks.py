@@ -22,8 +22,8 @@ _MAX_SATURATED = 1e-3
 _MAX_DC = 0.01
 # Interference in a thousandth of the recordings does no harm.
 _MAX_NOISY = 1e-3
-# Beyond this an antenna is nowhere; the kernels take places up to 1e6 m.
-_MAX_COORDINATE_M = 1e5
+MAX_ANTENNA_M = 1e5
+"""Beyond this no antenna is [m]; the kernels take positions up to 1e6 m."""
 # Transmitter and receiver of a near-field scan are centimetres apart, rarely metres.
 _MAX_APART_M = 5.0
 # A pose this many times farther from the middle of all than half of them are, and metres off.
@@ -153,7 +153,7 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
     odd = [pose for pose, off in zip(full, errors, strict=True) if not off < _MAX_AXES_ERROR]
     if odd:
         yield error(f"the axes of {len(odd)} planes are not orthonormal: {_list(odd)}")
-    far = [pose for pose in full if pose.farthest_m > _MAX_COORDINATE_M]
+    far = [pose for pose in full if pose.farthest_m > MAX_ANTENNA_M]
     if far:
         largest = max(pose.farthest_m for pose in far)
         yield error(f"antenna coordinates reach {largest:.3g} m, in {_list(far)}")
@@ -162,7 +162,7 @@ def _check_axes(summary: CaptureSummary) -> Iterator[Finding]:
 def _check_positions(summary: CaptureSummary) -> Iterator[Finding]:
     """Yield findings about antennas far from partner or planes, or inside the box."""
     full = [pose for pose in summary.poses if pose.n_antennas]
-    far = [pose for pose in full if pose.farthest_m > _MAX_COORDINATE_M]
+    far = [pose for pose in full if pose.farthest_m > MAX_ANTENNA_M]
     hint = "are some positions in millimetres? all must be in metres"
     apart = [pose for pose in full if pose.apart_m > _MAX_APART_M and pose not in far]
     if apart:

@@ -16,7 +16,7 @@ from geraf2.geometry.triangles import unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene.aperture import Aperture
+from geraf2.scene.aperture import apertures_at
 from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, measured_body, placement, wedge
 from helpers.solids import joined
@@ -37,10 +37,6 @@ def plane_at(x, y, z):
 
 def scanned(corners_m, wavelength_m=WAVELENGTH_M):
     return ScannedPlanes(corners_m=corners_m, wavelength_m=wavelength_m)
-
-
-def apertures_at(corners_m):
-    return [Aperture.from_corners(corners) for corners in corners_m]
 
 
 def with_bump(mesh, height_m):

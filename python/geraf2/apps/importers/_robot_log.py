@@ -24,6 +24,7 @@ from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
 from geraf2.io.scan_file import ScanFile, read_scan_file
 from geraf2.io.text import read_lines
+from geraf2.scene.checks import MAX_ANTENNA_M
 
 _NAMES = ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
@@ -197,10 +198,6 @@ class RobotLog:
         return np.stack(columns, axis=-1)
 
 
-# Positions beyond are no antenna positions.
-_MAX_COORDINATE_M = 1e5
-
-
 def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     """Read a robot log.
 
@@ -241,10 +238,10 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         raise UserError(what="has no usable rows", where=path)
     table, rows = table[good], rows[good]
     positions = columns.take(table, "xyz")
-    far = np.abs(positions).max(axis=1) > _MAX_COORDINATE_M
+    far = np.abs(positions).max(axis=1) > MAX_ANTENNA_M
     if far.any():
         raise UserError(
-            what=f"the position of row {rows[far][0]} is more than {_MAX_COORDINATE_M:g} m away",
+            what=f"the position of row {rows[far][0]} is more than {MAX_ANTENNA_M:g} m away",
             where=path,
         )
     if "rx" in columns.of:

@@ -30,7 +30,7 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import LosPrior
-from geraf2.scene.aperture import Aperture
+from geraf2.scene.aperture import apertures_at
 from geraf2.surfaces.workers import Workers
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
@@ -156,7 +156,7 @@ def _read_scan(result: Reconstruction) -> Scanned:
     assert glints is not None  # as of _require_peaks
     whole, bodies = content_of(result, has_samples=False)
     planes = load_planes(result.path / PLANES_NAME)
-    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
+    apertures = apertures_at(planes.corners_m)
     evidence = Evidence(
         glints=glints.select(glints.probability > LIKELY),
         peaks=read_cloud(result.path / PEAKS_NAME)[:2],

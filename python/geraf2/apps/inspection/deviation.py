@@ -18,7 +18,7 @@ from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals,
 from geraf2.io.mesh import TriangleMesh, merge_duplicate_vertices
 from geraf2.io.planes import ScannedPlanes
 from geraf2.ops.visibility import MeshScene
-from geraf2.scene.aperture import Aperture
+from geraf2.scene.aperture import Aperture, apertures_at
 
 MIN_REGION_M2 = 20e-6
 """Regions below this do not count [m^2]: less than half of the top of an 8 mm screw head."""
@@ -126,7 +126,7 @@ def deviation_of(
     if echoes is not None:
         regions += _silent_regions(echoes, placement, (centers, gap, least), tolerance_m)
     elif planes is not None and planes.wavelength_m is not None and len(planes.corners_m):
-        apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
+        apertures = apertures_at(planes.corners_m)
         should = find_in_sight(pieces, scene, apertures, planes.wavelength_m) & ~confirmed
         far = np.asarray(gap > tolerance_m + _CERTAIN * least)
         asked = np.flatnonzero(should & far)

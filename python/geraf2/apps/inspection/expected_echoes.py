@@ -243,7 +243,11 @@ class ExpectedEchoes:
             return best
 
         for m, first in enumerate(placements):
-            alike = [one for one in first.rivals if one.misfit < ALIKE * first.misfit]
+            alike = [
+                replace(one, rivals=(first, *(other for other in first.rivals if other is not one)))
+                for one in first.rivals
+                if one.misfit < ALIKE * first.misfit
+            ]
             both = [rotate(m, one) for one in (first, *alike)]
             chosen[m] = min(both, key=lambda one: one[0])[1]
         return chosen

@@ -384,9 +384,9 @@ def _write(
     # matplotlib takes 0.5 s
     from geraf2.apps.inspection.page import inspection_page, parts_glb  # noqa: PLC0415
 
-    box, n = result.run.written(BOX_NAME), len(whole.seen)
+    box, n, tree = result.run.written(BOX_NAME), len(whole.seen), KDTree(whole.mesh.vertices)
     labelled = ((body, np.full(len(body.seen), float(k))) for k, body in enumerate(bodies, 1))
-    numbers = _put_on_content(whole, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
+    numbers = _put_on_content(tree, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
     known = [
         (_measured_body(report.match, bodies, whole), report.deviation.values_m)
         for report in inspection.models
@@ -396,7 +396,7 @@ def _write(
         page = inspection_page(
             inspection,
             whole,
-            _put_on_content(whole, known, np.full(n, np.nan)) if known else None,
+            _put_on_content(tree, known, np.full(n, np.nan)) if known else None,
             numbers,
             box=read_mesh(box) if box else None,
             title=f"geraf2: {result.path.resolve().name}, inspected",
@@ -418,9 +418,11 @@ def _write(
         result.run.keep(f"{INSPECTION_NAME}.*")
 
 
-def _put_on_content(whole: Body, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
-    """Values of the vertices of parts, put over those of all of the content, (n_vertices,)."""
-    tree = KDTree(whole.mesh.vertices)
+def _put_on_content(tree: KDTree, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
+    """Values of the vertices of parts, put over those of all of the content, (n_vertices,).
+
+    tree: of the vertices of the content.
+    """
     for body, own in found:
         gap, at = tree.query(body.mesh.vertices)
         values[at[gap == 0.0]] = own[gap == 0.0]  # a cut made the others

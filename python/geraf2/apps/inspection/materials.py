@@ -35,7 +35,7 @@ from geraf2.io.points import read_cloud
 from geraf2.io.run_folder import PEAKS_NAME
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.pipeline.reconstruction import Reconstruction
-from geraf2.scene.aperture import Aperture
+from geraf2.scene.aperture import Aperture, apertures_at
 
 _STRONG = 0.9
 """Quantile of the levels of a part that is its level: merged echoes only weaken returns."""
@@ -157,7 +157,7 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     if not isinstance(config, FastPreset | BestPreset):
         return None
     kept = glints.select(glints.poses < len(planes.corners_m))
-    apertures = [Aperture.from_corners(corners) for corners in planes.corners_m]
+    apertures = apertures_at(planes.corners_m)
     ranges = _ranges(kept, apertures)
     distance, vertex = KDTree(mesh.vertices).query(kept.positions)
     normals = vertex_normals(mesh.vertices, mesh.faces)

@@ -86,14 +86,17 @@ class Placement:
     uncertainties (of 2 mm at least), each at most 3: 1 is a good fit, 3 is none."""
     free_axis: tuple[float, float, float] | None
     """Axis of symmetry, about which the rotation is undetermined; None without one."""
-    rival_misfit: float | None
-    """Misfit of the best other pose of the model's surface; None without one."""
     rivals: "tuple[Placement, ...]" = ()
     """Other poses of the model's surface, the least misfit first."""
     by_echoes: bool = False
     """Whether glints alone were compared, without the fitted surface."""
     explained: float | None = None
     """Share of the measured power explained by the echoes of all models; None: not compared."""
+
+    @property
+    def rival_misfit(self) -> float | None:
+        """Misfit of the best other pose of the model's surface; None without one."""
+        return self.rivals[0].misfit if self.rivals else None
 
     def covariances_at(self, points: Floats) -> Floats:
         """Covariance of the model's position at points (n, 3) [m], (n, 3, 3) [m^2]."""
@@ -175,21 +178,20 @@ def register(
     misfits = fine.misfits(turns, moves)
     order = np.argsort(misfits, kind="stable")
     poses = [rigid(turns[n], moves[n]) for n in order]
-    tree, least = KDTree(apply_rigid(poses[0], cad.points)), float(misfits[order[0]])
+    tree = KDTree(apply_rigid(poses[0], cad.points))
     rivals = tuple(
-        _placement(fine, pose, (float(misfits[n]), least), by_echoes=by_echoes)
+        _placement(fine, pose, float(misfits[n]), by_echoes=by_echoes)
         for pose, n in zip(poses[1:], order[1:], strict=True)
         if tree.query(apply_rigid(pose, fine.few.points))[0].max() > _SAME_M
     )
-    second = rivals[0].misfit if rivals else None
-    best = _placement(fine, poses[0], (least, second), by_echoes=by_echoes)
+    best = _placement(fine, poses[0], float(misfits[order[0]]), by_echoes=by_echoes)
     return replace(best, rivals=rivals)
 
 
 def _placement(
     problem: "_Problem",
     pose: Floats,
-    misfits: tuple[float, float | None],
+    misfit: float,
     *,
     by_echoes: bool,
 ) -> Placement:
@@ -215,9 +217,8 @@ def _placement(
         pose=pose,
         covariance=scale[:, None] * ((vectors * variances) @ vectors.T) * scale,
         middle_m=middle,
-        misfit=misfits[0],
+        misfit=misfit,
         free_axis=free,
-        rival_misfit=misfits[1],
         by_echoes=by_echoes,
     )
 
