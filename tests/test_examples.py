@@ -66,17 +66,6 @@ def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
 
 
-def test_the_picture_of_the_stages_is_what_the_code_gives(project_root):
-    done = subprocess.run(
-        [sys.executable, project_root / "tools" / "draw_flow.py", "--check"],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=120,
-    )
-    assert done.returncode == 0, done.stderr
-
-
 @pytest.mark.slow
 def test_the_commands_of_the_ti_tutorial_run_on_its_recording(project_root, tmp_path, monkeypatch):
     _run(project_root / "examples" / "ti_recording.py", "ti", folder=tmp_path)

@@ -12,8 +12,6 @@ First --screen scenes are run. What changes the mean F1 at 5 mm by more than --l
 needed, and stops; the others continue on all scenes. Results are kept line by line in
 OUT/ablation.jsonl: a run continues where it stopped, and can be done in pieces. A change with
 which all scenes end with an error has that error in its line.
-Each scene is reconstructed once as the preset is; a change of a config field runs only the stages
-that read it, one of a constant in surfaces/ runs the surface and the mesh, others all stages.
 """
 
 import argparse
@@ -21,9 +19,7 @@ import contextlib
 import importlib
 import logging
 import multiprocessing
-import shutil
 import sys
-import tempfile
 import time
 import typing
 from collections.abc import Iterator, Sequence
@@ -49,15 +45,12 @@ from geraf2.apps.benchmark.population_table import SeedResult, mean_interval, qu
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.io.mesh import read_mesh
-from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene import load_capture
 
 RESULTS_NAME = "ablation.jsonl"
 AS_IT_IS = "as it is"
 MODULE = "module:"
-# Stages that read no constant of surfaces/
-BEFORE_SURFACES = ("calibration", "glints", "selection")
 SMALL = 0.002
 Results = dict[tuple[str, int], SeedResult]
 
@@ -170,9 +163,8 @@ def ablate_scene(
     """
     logging.getLogger("geraf2").setLevel(logging.ERROR)  # of each variant the same warnings
     capture, truth = load_capture(scene), read_mesh(scene / TRUTH_NAME)
-    kept = out / "base" / f"{base.seed}-{base.preset}-{base.version}"
 
-    def result(run: Path, changed: Any) -> SeedResult:
+    def result(changed: Any) -> SeedResult:
         options = geraf2.RunOptions(seed=base.seed)
         prior = PriorSource(los=scene / LOS_NAME)
         try:
@@ -180,10 +172,7 @@ def ablate_scene(
                 capture,
                 prior,
                 changed,
-                run,
                 options=options,
-                resume=True,
-                overwrite=True,
                 num_threads=1,
             )
         except (UserError, ValueError, ArithmeticError, IndexError) as error:
@@ -191,26 +180,15 @@ def ablate_scene(
         scores = population_scores(done.content_mesh, truth, base.seed, num_threads=1)
         return replace(base, scores=scores)
 
-    result(kept, config)
-    with tempfile.TemporaryDirectory(dir=out) as folder:
-        for number, variant in enumerate(variants):
-            run = Path(folder) / str(number)
-            changed, context = config, contextlib.nullcontext()
-            if variant.constant.startswith(MODULE):
-                name = variant.constant.removeprefix(MODULE)
-                context = module_constant(name, variant.value)
-                if name.startswith("surfaces."):
-                    shutil.copytree(kept, run)
-                    record = RunFolder.read(run)
-                    record.forget([s for s in record.stages if s not in BEFORE_SURFACES])
-            else:
-                shutil.copytree(kept, run)
-                if variant.constant:
-                    changed = with_value(config, variant.constant, variant.value)
-            with context:
-                found = result(run, changed)
-            append_result(out / RESULTS_NAME, replace(found, preset=key_of(base.preset, variant)))
-            shutil.rmtree(run, ignore_errors=True)
+    for variant in variants:
+        changed, context = config, contextlib.nullcontext()
+        if variant.constant.startswith(MODULE):
+            context = module_constant(variant.constant.removeprefix(MODULE), variant.value)
+        elif variant.constant:
+            changed = with_value(config, variant.constant, variant.value)
+        with context:
+            found = result(changed)
+        append_result(out / RESULTS_NAME, replace(found, preset=key_of(base.preset, variant)))
     return len(variants)
 
 

@@ -31,7 +31,7 @@ from geraf2.apps.batch import BatchJob, BatchOptions, read_jobs, run, running
 from geraf2.apps.batch.cluster import local_cluster
 from geraf2.apps.batch.folder import JobPaths, JobResult
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
-from geraf2.pipeline.stages.stage import peak_memory_bytes
+from geraf2.pipeline.stages.job import peak_memory_bytes
 from geraf2.simulation import ScanSpec, simulate
 
 BOX = geraf2.examples.BOX_M

@@ -43,7 +43,6 @@ def main() -> None:
             options.preset,
             options.out / scene.name,
             options=left_out,
-            resume=True,
             num_threads=1,
         )
         one, many = mean_psnr(run, alike), mean_psnr(run, learned)

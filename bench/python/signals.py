@@ -67,8 +67,6 @@ class Command:
 
     words: list[str]
     before: Path | None = None
-    again: tuple[str, ...] = ()
-    """Flags with which it continues after a stop."""
 
 
 def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]:
@@ -84,9 +82,9 @@ def commands(folder: Path, names: list[str] | None = None) -> dict[str, Command]
         "calibrate": Command(["calibrate", str(scene), "{}", *BOX]),
         "los": Command(["los", str(scene / "los.ply"), "{}"]),
         "image": Command(["image", str(scene), "{}", "--spacing-m", "0.01"]),
-        "reconstruct": Command(quick[:-1], again=("--resume",)),
-        "fast": Command([*quick, "--calibrate", "no"], again=("--resume",)),
-        "replaced": Command([*quick, "--overwrite"], plain, again=("--resume",)),
+        "reconstruct": Command(quick[:-1]),
+        "fast": Command([*quick, "--calibrate", "no"]),
+        "replaced": Command([*quick, "--overwrite"], plain),
         "evaluate": Command(
             ["evaluate", "{}", "--truth", str(scene / "truth.ply"), "--n-samples", "500"], run
         ),
@@ -243,7 +241,7 @@ class Bench:
         return ended, faults
 
     def _again(self, name: str, out: Path, wanted: dict[str, str], *, fork: bool) -> list[str]:
-        code, printed = self._start(name, out, *self.commands[name].again, fork=fork).end()
+        code, printed = self._start(name, out, fork=fork).end()
         if code != 0:
             return [f"again: exit code {code}: {printed[-300:]}"]
         got = results_of(out)

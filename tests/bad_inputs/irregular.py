@@ -105,21 +105,18 @@ ROWS = [
             ("los box.ply out --unit m", "out/training-1.safetensors", "../other/diary.txt"),
             ("inspect run", "run/inspection.json", "../other/diary.txt"),
             (f"image scene run --tiles --overwrite {COARSE}", "run/image.zarr", "../other"),
-            (f"image scene run --tiles --overwrite {COARSE}", "run/run.lock", "../other/diary.txt"),
         )
     ),
     # A record may name any file below a link.
     *(
         bad(
-            RUN.replace(" out ", " run ") + flag,
+            RUN.replace(" out ", " run ") + " --overwrite",
             link("run/notes", "../other"),
             values("run/run.json", **{key: named}),
             text="run/notes: is a link",
         )
-        for flag in (" --resume", " --overwrite")
         for key, named in (
-            ("stale", ["notes/diary.txt"]),
-            ("kept", {"notes/diary.txt": ""}),
+            ("files", {"notes/diary.txt": ""}),
             ("scene", {"name": "x", "digest": "x"}),
         )
     ),

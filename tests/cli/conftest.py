@@ -1,6 +1,9 @@
 """A small simulated scene, reconstructed once for all tests of the command line."""
 
+import io
 import shutil
+from contextlib import redirect_stderr, redirect_stdout
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,10 +26,18 @@ def scene(built_scene, tmp_path):
 
 
 @pytest.fixture(scope="session")
-def built_run(built_scene, tmp_path_factory):
-    out = tmp_path_factory.mktemp("run") / "out"
-    assert main(["reconstruct", str(built_scene), str(out), *BOX, *FAST]) == 0
-    return out
+def told_run(built_scene, tmp_path_factory):
+    """The whole run: its folder, and what the command printed with --json and --verbose."""
+    folder, out, err = tmp_path_factory.mktemp("run") / "out", io.StringIO(), io.StringIO()
+    flags = [*BOX, *FAST, "--samples", "6", "--json", "--verbose"]
+    with redirect_stdout(out), redirect_stderr(err):
+        assert main(["reconstruct", str(built_scene), str(folder), *flags]) == 0
+    return SimpleNamespace(path=folder, out=out.getvalue(), err=err.getvalue())
+
+
+@pytest.fixture(scope="session")
+def built_run(told_run):
+    return told_run.path
 
 
 @pytest.fixture

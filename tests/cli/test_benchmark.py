@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from geraf2.apps.benchmark import load_suite, rows_of
 from geraf2.cli.main import main
-from geraf2.pipeline.presets import STAGE_NAMES
+from geraf2.pipeline.presets import PRESETS, step_names
 
 SUITE = """
 [base]
@@ -155,10 +155,14 @@ def test_a_second_run_makes_nothing_again_but_what_failed(finished, suite, capsy
     files = sorted((finished / "runs").glob("*/result.json"))
     before = [file.stat().st_mtime_ns for file in files]
     arguments = ["benchmark", str(finished), "--suite", str(suite), "--jobs", "2"]
-    assert main([*arguments, "--only", "walls"]) == 0
+    chosen = ["--only", "walls", "--cases", "known", "mov*", "--methods", "fast"]
+    assert main([*arguments, *chosen]) == 0
     assert [file.stat().st_mtime_ns for file in files] == before
-    assert "3, of which 0 failed" in capsys.readouterr().out
+    assert "2, of which 0 failed" in capsys.readouterr().out
+    assert len(read_table(finished, "walls")) == 3  # that of the row that was not chosen, too
     assert "## Objects" in (finished / "benchmark.md").read_text()  # kept from the run before
+    assert main([*arguments[:4], *chosen[:4], "--list"]) == 0
+    assert "1 rows, 1 made in" in capsys.readouterr().out
 
 
 # Sockets that distributed leaves to the collector.
@@ -171,44 +175,55 @@ def test_a_broken_result_is_made_again_by_workers(finished, suite):
     command = ["benchmark", str(finished), "--suite", str(suite), "--only", "objects"]
     assert main([*command, "--scenes", "llama", "--jobs", "2"]) == 0
     again = json.loads(file.read_text())
-    assert {**again, "cpu_seconds": 0, "all_cpu_seconds": 0} == {
-        **known,
-        "cpu_seconds": 0,
-        "all_cpu_seconds": 0,
-    }
+    times = {"cpu_seconds": 0, "all_cpu_seconds": 0}
+    assert again | times == known | times
     assert len(read_table(finished, "objects")) == 3  # of the scene that was chosen
     assert main([*command, "--jobs", "2", "--scheduler", "tcp://127.0.0.1:9"]) == 2
 
 
+NOTHING = ("", "")
+
+
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("change", "flags", "message"),
     [
-        (('methods = ["fast"]\ncases', 'methods = ["fasst"]\ncases'), "no such method"),
-        (('label = "moved"', 'labels = "moved"'), "label"),
-        (("height_m = 0.11", "height = 0.11"), "height"),
-        (("[methods.fast]", "[methods.fast"), "not valid TOML"),
-        (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "no walls"),
-        (("distance_rounds", "distance_round"), "did you mean 'distance_rounds'?"),
-        (("{ spacing_m = 0.01 }\nsettings", "{ spacing = 0.01 }\nsettings"), "spacing_m"),
-        (('moved"', 'moved", settings = { fit = { cap_slop = 0 } }'), "in case 'moved'"),
-        (('preset = "back-projection"', 'preset = "back"'), "unknown name 'back'"),
-        (('preset = "matched-filter"\nsettings.matched_filter', "options = {}\n#"), "an oracle"),
+        (('methods = ["fast"]\ncases', 'methods = ["fasst"]\ncases'), "", "no such method"),
+        (('label = "moved"', 'labels = "moved"'), "", "label"),
+        (("height_m = 0.11", "height = 0.11"), "", "height"),
+        (("[methods.fast]", "[methods.fast"), "", "not valid TOML"),
+        (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "", "no walls"),
+        (("distance_rounds", "distance_round"), "", "did you mean 'distance_rounds'?"),
+        (("{ spacing_m = 0.01 }\nsettings", "{ spacing = 0.01 }\nsettings"), "", "spacing_m"),
+        (('moved"', 'moved", settings = { fit = { cap_slop = 0 } }'), "", "in case 'moved'"),
+        (('preset = "back-projection"', 'preset = "back"'), "", "unknown name 'back'"),
+        (
+            ('preset = "matched-filter"\nsettings.matched_filter', "options = {}\n#"),
+            "",
+            "an oracle",
+        ),
+        (NOTHING, "--only walls --cases unknown other", "expected some of known; unknown; moved"),
+        (NOTHING, "--only walls --scenes jug", "no such scene, expected some of llama, got jug"),
+        (NOTHING, "--only walls --methods *raw", "no such method, expected some of fast, got *raw"),
+        (NOTHING, "--quick --only objects --cases a", "no case has a name"),
+        (NOTHING, "--scenes giant --cases known", "no row matches scene, case and method together"),
     ],
 )
-def test_a_wrong_suite_is_one_line(change, message, tmp_path, capsys):
+def test_a_wrong_suite_or_choice_is_one_line(change, flags, message, tmp_path, capsys):
     assert change[0] in SUITE
-    path = tmp_path / "suite.toml"
+    path, out = tmp_path / "suite.toml", tmp_path / "out"
     path.write_text(SUITE.replace(*change))
-    assert main(["benchmark", str(tmp_path / "out"), "--suite", str(path)]) == 2
+    assert main(["benchmark", str(out), "--suite", str(path), *flags.split()]) == 2
     stated = capsys.readouterr().err
     assert message in stated
     assert stated.count("\n") == 1
+    assert not out.exists()
 
 
-def test_a_row_depends_on_the_versions_of_its_own_stages():
+def test_a_row_depends_on_the_versions_of_its_own_steps():
     suite = load_suite()
     stages = {row.method: set(row.versions) for row in rows_of(suite)}
-    assert set().union(*stages.values()) == {*STAGE_NAMES, "calibration"}
+    every = {name for kind in PRESETS.values() for name in step_names(kind())}
+    assert set().union(*stages.values()) == every | {"calibration"}
     assert stages["fast"] == {"calibration", "glints", "sdf", "mesh"}
     assert stages["best"] - stages["fast"] == {"selection"}
     assert stages["paper"] == stages["geraf1"] == {"calibration", "train", "mesh"}
@@ -230,31 +245,3 @@ def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
     assert {row.method for row in chosen} == {"fast", "best"}
     assert len({row.name for row in chosen}) == len(chosen) == 3 * 2 * 2
     assert rows_of(suite, ("thin",), {"scene": (), "case": ()}) == rows_of(suite, ("thin",))
-
-
-def test_chosen_rows_are_run_and_the_others_kept(finished, suite, capsys):
-    arguments = ["benchmark", str(finished), "--suite", str(suite), "--only", "walls"]
-    assert main([*arguments, "--cases", "known", "mov*", "--methods", "fast"]) == 0
-    assert "2, of which 0 failed" in capsys.readouterr().out
-    assert len(read_table(finished, "walls")) == 3
-    assert main([*arguments, "--cases", "known", "--list"]) == 0
-    assert "1 rows, 1 made in" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("flags", "message"),
-    [
-        ("--only walls --cases unknown other", "expected some of known; unknown; moved"),
-        ("--only walls --scenes jug", "no such scene, expected some of llama, got jug"),
-        ("--only walls --methods *raw", "no such method, expected some of fast, got *raw"),
-        ("--quick --only objects --cases a", "no case has a name"),
-        ("--scenes giant --cases known", "no row matches scene, case and method together"),
-    ],
-)
-def test_unknown_choices_are_one_line_that_lists_them(flags, message, suite, tmp_path, capsys):
-    out = tmp_path / "out"
-    assert main(["benchmark", str(out), "--suite", str(suite), *flags.split()]) == 2
-    stated = capsys.readouterr().err
-    assert message in stated
-    assert stated.count("\n") == 1
-    assert not out.exists()

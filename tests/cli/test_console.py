@@ -11,20 +11,17 @@ from geraf2.cli.main import COMMANDS, main
 from helpers.small_scene import BOX, FAST
 
 
-def test_json_is_one_object_on_stdout_and_the_rest_goes_to_stderr(finished_run, scene, capsys):
-    # With the report that is there, all stages are done.
-    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
-    assert main([*arguments, "--json"]) == 0
-    printed = capsys.readouterr()
-    found = json.loads(printed.out)
-    assert printed.out.count("\n") == 1
-    assert found["command"] == "reconstruct"
-    assert found["exit_code"] == 0
+def test_json_is_one_object_on_stdout_and_the_rest_goes_to_stderr(told_run, scene, capsys):
+    found = json.loads(told_run.out)
+    assert told_run.out.count("\n") == 1
+    assert (found["command"], found["exit_code"]) == ("reconstruct", 0)
     assert found["n_pieces"] >= 1
     assert len(found["extents_mm"]) == 3
     assert found["expected_error_median_mm"] > 0
-    assert found["report"] == str(finished_run / "report.html")
-    assert "typical error" in printed.err
+    assert found["report"] == str(told_run.path / "report.html")
+    assert "typical error" in told_run.err
+    assert "samples" in told_run.err
+    assert "finding echoes of the content ..." in told_run.err
     assert main(["info", str(scene)]) == 0  # the next command prints as before
     assert "planes" in capsys.readouterr().out
 
@@ -43,35 +40,21 @@ def test_a_command_without_results_of_its_own_gives_its_rows(capsys):
     assert json.loads(capsys.readouterr().out)["rows"]["threads"]
 
 
-def test_quiet_leaves_out_progress_and_verbose_adds_the_log(finished_run, scene, capsys):
-    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
-    assert main([*arguments, "--quiet"]) == 0
-    printed = capsys.readouterr()
-    assert "..." not in printed.err
-    assert "found" in printed.out
-    assert main(["--verbose", *arguments]) == 0
-    assert "finding echoes of the content (done before) ..." in capsys.readouterr().err
-
-
-def test_a_run_ends_with_what_it_found_and_the_page_to_open(
-    finished_run, scene, capsys, monkeypatch
+def test_a_quiet_run_ends_with_what_it_found_and_the_page_to_open(
+    scene, tmp_path, capsys, monkeypatch
 ):
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or True)
-    arguments = ["reconstruct", str(scene), str(finished_run), *BOX, *FAST, "--resume"]
-    assert main([*arguments, "--open"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    names = [line.partition("  ")[0] for line in lines]
+    monkeypatch.chdir(tmp_path)
+    arguments = ["reconstruct", str(scene), *BOX, *FAST, "--quiet", "--open"]
+    assert main([*arguments, "--no-report"]) == 2
+    assert main(arguments) == 0
+    printed = capsys.readouterr()
+    assert "..." not in printed.err
+    names = [line.partition("  ")[0] for line in printed.out.splitlines()]
     assert names[0] == "found"
     assert {"typical error", "not seen", "report"} <= set(names)
-    assert opened == [(finished_run / "report.html").resolve().as_uri()]
-    assert main([*arguments, "--open", "--no-report"]) == 2
-
-
-def test_out_is_optional(finished_run, scene, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    finished_run.rename(tmp_path / "out")
-    assert main(["reconstruct", str(scene), *BOX, *FAST, "--resume", "--no-report"]) == 0
+    assert opened == [(tmp_path / "out" / "report.html").as_uri()]  # the folder that is the default
 
 
 def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):

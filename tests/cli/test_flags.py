@@ -57,13 +57,10 @@ def read(*arguments, **more):
     return parse(Settings, arguments, prog="tool", **more)
 
 
-def test_what_is_not_given_has_its_default():
-    assert read("a") == Settings(scene=Path("a"))
-
-
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
+        ([], {}),
         (["b"], {"out": Path("b")}),
         (["--box", "-1", "-1e-3", "-inf"], {"box": (-1.0, -0.001, float("-inf"))}),
         (["--box", "1", "1", "1", "--box", "None"], {}),
@@ -80,13 +77,9 @@ def test_a_flag_sets_its_field_and_no_other(arguments, expected):
     assert read("a", *arguments) == Settings(scene=Path("a"), **expected)
 
 
-def test_flags_with_a_fixed_number_of_values_may_precede_positional_arguments():
-    assert read("--seed", "2", "a", "--resume", "b") == Settings(
-        scene=Path("a"), out=Path("b"), seed=2, resume=True
-    )
-
-
-def test_defaults_may_be_others_and_say_what_a_group_holds():
+def test_flags_may_come_first_and_defaults_may_be_others():
+    given = read("--seed", "2", "a", "--resume", "b")
+    assert given == Settings(scene=Path("a"), out=Path("b"), seed=2, resume=True)
     changed = read("a", "--constants.n-cells", "9", default={"constants": Coarse(), "seed": 3})
     assert changed == Settings(scene=Path("a"), constants=Coarse(n_cells=9), seed=3)
     assert read("--resume", default=changed).constants == Coarse(n_cells=9)
@@ -101,7 +94,6 @@ def test_defaults_may_be_others_and_say_what_a_group_holds():
         (["a", "--sead", "1"], "unknown flag --sead (did you mean --seed INT?)"),
         (["a", "--resume=yes"], "--resume takes no value, got 'yes'"),
         (["a", "--seed", "1.5"], "--seed: not a whole number, expected INT, got '1.5'"),
-        (["a", "--seed", "None"], "--seed: not a whole number, expected INT, got 'None'"),
         (["a", "--mode", "nar"], "expected {near,far,both}, got 'nar' (did you mean near?)"),
         (["a", "--box", "1", "2"], "--box: needs 3 values, expected X Y Z, got 1 2"),
         (["a", "--rim.size-m", "-1"], "--rim.size-m must be positive, got -1.0"),
@@ -129,12 +121,9 @@ def test_help_shows_flags_values_docstrings_and_defaults_but_no_hidden_group(cap
     assert "--inner.rim: The rim:" in lines
     assert "  --inner.rim.no-shadows" in lines
     assert not any("constants" in line for line in lines)
-
-
-def test_help_of_hidden_groups_is_a_sentence_each():
-    text = help_text(Settings, prog="tool", hidden=True)
-    assert "  --constants.size-m FLOAT\n      Width of the rim [m]. (default: 0.1)\n" in text
-    assert "--seed" not in text
+    hidden = help_text(Settings, prog="tool", hidden=True)
+    assert "  --constants.size-m FLOAT\n      Width of the rim [m]. (default: 0.1)\n" in hidden
+    assert "--seed" not in hidden
 
 
 def test_a_flag_is_found_before_the_others_can_be_read():

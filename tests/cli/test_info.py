@@ -121,6 +121,7 @@ def clip(signal):
 
 ERRORS = ("centimetres", "no poses")
 CASES = {
+    "nothing": (lambda _: point_capture(4, spacing_m=0.003), ""),
     "centimetres": (lambda c: scaled(c, 1e2), "if they are in centimetres"),
     "constant": (lambda c: with_first_signal(c, np.zeros_like), "signal is constant in 1 planes"),
     "saturated": (lambda c: with_first_signal(c, clip), "1 planes look saturated"),
@@ -148,10 +149,7 @@ def test_only_what_is_implausible_is_reported(tmp_path, capsys, name):
     findings = show(change(point_capture(4)), tmp_path, capsys, code=code).err
     assert text in findings
     assert findings.count("error: ") == (name in ERRORS)
-
-
-def test_a_good_scene_has_no_findings(tmp_path, capsys):
-    assert show(point_capture(4, spacing_m=0.003), tmp_path, capsys).err == ""
+    assert len(findings.splitlines()) == (text != "")
 
 
 def test_a_run_prints_what_it_found_and_the_next_command(finished_run, capsys):
@@ -163,7 +161,7 @@ def test_a_run_prints_what_it_found_and_the_next_command(finished_run, capsys):
     del record["stages"]["mesh"]
     (finished_run / "run.json").write_text(json.dumps(record))
     assert main(["info", str(finished_run)]) == 0
-    assert f"geraf2 reconstruct SCENE {finished_run} --resume" in capsys.readouterr().out
+    assert f"geraf2 reconstruct SCENE {finished_run}" in capsys.readouterr().out
 
 
 def test_commands_to_type_next_can_be_pasted_whatever_the_name(scene, tmp_path, capsys):

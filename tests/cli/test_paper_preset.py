@@ -30,6 +30,10 @@ def run(scene, out, *more):
     return main(["reconstruct", str(scene), str(out), *BOX, *TINY.split(), *more])
 
 
+def contents(folder):
+    return {path.relative_to(folder) for path in folder.rglob("*")}
+
+
 def fields(folder):
     return load_checkpoint(folder / "fields.safetensors", kind=KIND, version=VERSION).arrays
 
@@ -44,7 +48,7 @@ def paper_run(built_scene, tmp_path_factory):
 def test_a_run_holds_fields_meshes_and_pictures(paper_run):
     for name in ("fields.safetensors", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.glb"):
         assert (paper_run / name).is_file()
-    assert not (paper_run / "checkpoint.safetensors").exists()
+    assert not (paper_run / "training").exists()
     assert [p.name for p in sorted((paper_run / "live").iterdir())] == [
         "step_000004.png",
         "step_000008.png",
@@ -79,10 +83,16 @@ def test_interrupted_and_resumed_is_bit_identical(
 
     monkeypatch.setattr(learned._Watcher, "__call__", interrupted)
     assert run(built_scene, tmp_path / "out", *more) == 130
-    assert "interrupted" in the_error(capsys)
-    assert (tmp_path / "out/checkpoint.safetensors").is_file()
+    assert "interrupted; OUT is as it was; a training continues" in the_error(capsys)
+    left = {"checkpoint.safetensors", "log.jsonl", "live"}
+    assert {path.name for path in (tmp_path / "out" / "training").iterdir()} == left
     monkeypatch.setattr(learned._Watcher, "__call__", real)
+    assert main(["verify", str(tmp_path / "out")]) == 2
+    assert "holds a training that is not finished" in the_error(capsys)
+    assert run(built_scene, tmp_path / "out", *more) == 2
+    assert "a training that --resume would finish" in the_error(capsys)
     assert run(built_scene, tmp_path / "out", *more, "--resume") == 0
+    assert contents(tmp_path / "out") == contents(paper_run)
     whole, parts = fields(paper_run), fields(tmp_path / "out")
     assert whole.keys() == parts.keys()
     for name, array in whole.items():
@@ -95,6 +105,7 @@ def test_too_little_memory_is_reported_before_the_run(built_scene, tmp_path, mon
     message = the_error(capsys)
     assert "the run will not fit into memory, expected about" in message
     assert "lower --paper.n-cells" in message
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_missing_extra_of_tensorboard_is_named(built_scene, tmp_path, monkeypatch, capsys):

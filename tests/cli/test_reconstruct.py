@@ -1,7 +1,6 @@
-"""Reconstruction from the command line: stages, resume, faults, nothing lost."""
+"""Reconstruction from the command line: results, faults, priors, scores."""
 
 import errno
-import hashlib
 import json
 import re
 import shutil
@@ -13,13 +12,10 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from geraf2.io import mesh as mesh_files
 from geraf2.io.mesh import Evidence, read_mesh, write_mesh
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline.commands import reconstruct
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.pipeline.stages import direct
 from geraf2.scene import LosPrior, load_capture, save_capture
 from helpers.console import the_error
 from helpers.small_scene import BOX, FAST
@@ -32,69 +28,40 @@ def run(scene, out, *more):
     return main(["reconstruct", str(scene), str(out), *FAST, "--no-report", *more])
 
 
-def digests(folder):
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in RESULTS}
+def contents(folder):
+    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
-def events(folder):
-    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
-
-
-def test_a_run_holds_everything(finished_run):
+def test_a_run_holds_everything(built_run):
     for name in RESULTS:
-        assert (finished_run / name).is_file()
-    content = read_mesh(finished_run / "mesh_content.ply")
+        assert (built_run / name).is_file()
+    content = read_mesh(built_run / "mesh_content.ply")
     assert (content.expected_error_m > 0).all()
     assert set(content.evidence) <= set(Evidence)
     assert np.abs(content.vertices).max() < 0.1
-    page = (finished_run / "report.html").read_text()
-    assert "<img" in page
-    config = tomllib.loads((finished_run / "config.toml").read_text())
+    assert "<img" in (built_run / "report.html").read_text()
+    config = tomllib.loads((built_run / "config.toml").read_text())
     assert config["fit"]["spacing_m"] == 0.012
-    assert config["preset"] == "fast"
-    assert config["box"] == [0.2, 0.2, 0.2]
-    assert config["seed"] == 0
-    named = [(e["event"], e.get("stage")) for e in events(finished_run)]
-    for stage in ("calibration", "glints", "sdf", "mesh", "report"):
-        assert ("done", stage) in named
-    assert named[-1][0] == "finished"
-    stages = {"box", "calibration", "glints", "sdf", "mesh", "report"}
-    assert set(RunFolder.read(finished_run).stages) == stages
+    assert (config["preset"], config["box"], config["seed"]) == ("fast", [0.2] * 3, 0)
+    events = [json.loads(line) for line in (built_run / "log.jsonl").read_text().splitlines()]
+    done = [e["stage"] for e in events if e["event"] == "done"]
+    assert done == ["calibration", "glints", "sdf", "mesh", "samples", "report"]
+    assert events[-1]["event"] == "finished"
+    assert [*RunFolder.read(built_run).stages] == ["box", *done]
 
 
-def test_resume_of_a_finished_run_computes_nothing(finished_run, scene, monkeypatch):
-    def forbidden(*_, **__):
-        pytest.fail("a finished stage ran again")
-
-    for name in ("find_echoes", "fit_sdf"):
-        monkeypatch.setattr(direct, name, forbidden)
-    monkeypatch.setattr(reconstruct, "require_echoes_inside", forbidden)
-    before = digests(finished_run)
-    assert run(scene, finished_run, *BOX, "--resume") == 0
-    assert digests(finished_run) == before
-    reused = [e["stage"] for e in events(finished_run) if e["event"] == "reused"]
-    assert reused == ["calibration", "glints", "sdf", "mesh"]
-
-
-def test_samples_are_written_listed_and_drawn_again(finished_run, scene, capsys):
-    assert run(scene, finished_run, *BOX, "--resume", "--samples", "6") == 0
-    assert "samples" in capsys.readouterr().out
-    record = RunFolder.read(finished_run)
-    assert set(record.stages["samples"].files) == {"samples.npz"}
-    with np.load(finished_run / "samples.npz") as stored:
+def test_samples_are_written_and_drawn_again(built_run):
+    with np.load(built_run / "samples.npz") as stored:
         moves = stored["displacements_m"]
-        content = read_mesh(finished_run / "mesh_content.ply")
-        assert moves.shape == (6, len(content.vertices))
-    again = load_run(finished_run).samples(6)
+    content = read_mesh(built_run / "mesh_content.ply")
+    assert moves.shape == (6, len(content.vertices))
+    again = load_run(built_run).samples(6)
     np.testing.assert_array_equal(again.displacements_m, moves)
     assert again.mesh.expected_error_m == pytest.approx(content.expected_error_m)
-    mesh = record.stages["mesh"].numbers
+    mesh = load_run(built_run).numbers["mesh"]
     low, high = mesh["volume_95_percent_cm3"]
     assert low < mesh["volume_cm3"] < high
     assert mesh["common_offset_sigma_mm"] > 0.0
-    # Without the flag nothing of an earlier mesh stays.
-    assert run(scene, finished_run, *BOX, "--resume") == 0
-    assert not (finished_run / "samples.npz").exists()
 
 
 def test_the_offset_that_calibration_leaves_open_is_part_of_every_sample(finished_run):
@@ -119,50 +86,38 @@ def test_samples_need_a_posterior_and_two_draws(finished_run, scene, tmp_path, c
     assert not (tmp_path / "out").exists()
 
 
-def stopping_at(stage, error, monkeypatch):
-    """Its files are written, but it is not recorded as done."""
-    real = RunFolder.mark_done
-
-    def mark_done(self, name, *arguments, **measured):
-        if name == stage:
-            raise error
-        real(self, name, *arguments, **measured)
-
-    monkeypatch.setattr(RunFolder, "mark_done", mark_done)
-
-
 @pytest.mark.parametrize(
-    ("stage", "stop", "stated"),
+    ("step", "stop", "stated"),
     [
-        ("sdf", (KeyboardInterrupt(), 130), "interrupted; finished stages are kept, --resume"),
-        ("mesh", (OSError(errno.ENOSPC, "No space left on device"), 2), "the disk is full"),
+        ("fit_sdf", (KeyboardInterrupt(), 130), "interrupted; OUT is as it was"),
+        ("extract_meshes", (OSError(errno.ENOSPC, "No space left"), 2), "the disk is full; OUT is"),
     ],
 )
-def test_what_stops_a_run_is_one_line_and_resume_gives_the_uninterrupted_one(
-    stage, stop, stated, scene, tmp_path, built_run, monkeypatch, capsys
+def test_what_stops_a_run_is_one_line_and_changes_nothing(
+    step, stop, stated, built_scene, finished_run, monkeypatch, capsys
 ):
-    out, (error, code) = tmp_path / "out", stop
-    with monkeypatch.context() as patched:
-        stopping_at(stage, error, patched)
-        assert run(scene, out, *BOX) == code
+    (error, code), before = stop, contents(finished_run.parent)
+
+    def stopped(*_, **__):
+        raise error
+
+    monkeypatch.setattr(f"geraf2.pipeline.stages.direct.{step}", stopped)
+    other = [*BOX, "--overwrite", "--fit.bending-weight", "0.5"]
+    assert run(built_scene, finished_run, *other) == code
     assert stated in the_error(capsys)
-    assert events(out)[-1]["event"].startswith("the run stopped")
-    done = ("box", "calibration", "glints", "sdf", "mesh")
-    assert tuple(RunFolder.read(out).stages) == done[: done.index(stage)]
-    assert run(scene, out, *BOX, "--resume") == 0
-    assert digests(out) == digests(built_run)
+    assert run(built_scene, finished_run.parent / "new", *BOX) == code
+    assert contents(finished_run.parent) == before
+    assert [path.name for path in finished_run.parent.iterdir()] == ["finished"]
 
 
-def test_a_damaged_file_is_made_again(finished_run, scene):
-    before = digests(finished_run)
-    (finished_run / "sdf_fit.npz").write_bytes(b"rubbish")
-    assert run(scene, finished_run, *BOX, "--resume") == 0
-    assert digests(finished_run) == before
-
-
-def test_the_number_of_threads_changes_nothing(scene, tmp_path, built_run):
-    assert run(scene, tmp_path / "out", *BOX, "--threads", "1") == 0
-    assert digests(tmp_path / "out") == digests(built_run)
+def test_resume_is_for_trainings(built_scene, tmp_path, capsys):
+    for preset in ("best", "matched-filter"):
+        command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--resume"]
+        assert main([*command, "--preset", preset]) == 2
+        error = the_error(capsys)
+        assert f"expected the preset paper, paper-corrected or geraf1, got {preset}" in error
+        assert "takes seconds" in error
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
@@ -199,10 +154,6 @@ def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
     np.testing.assert_allclose(load_run(tmp_path / "out").prior.cuboid[1], box["size_m"], atol=1e-5)
     # It is in the numbers; only a prior that was corrected is something to warn of.
     assert not any(box["by_radar"] in text for text in RunFolder.read(tmp_path / "out").warnings)
-    assert run(scene, tmp_path / "out", "--resume") == 0
-    assert [e["stage"] for e in events(tmp_path / "out") if e["event"] == "reused"][:1] == [
-        "calibration"
-    ]
 
 
 def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
@@ -266,8 +217,7 @@ def test_evaluate_prints_scores_and_explains_them_if_asked(finished_run, scene, 
     aligned = metrics["expected_error_aligned"]
     assert f"{100 * aligned['within_two']:.0f} % within two, rank" in text
     assert re.search(r"volume +[0-9.]+ ± [0-9.]+ cm\^3 \(95 %\)", text)
-    mesh = RunFolder.read(finished_run).stages["mesh"]
-    assert metrics["mesh_digest"] == mesh.files["mesh_content.ply"]
+    assert metrics["mesh_digest"] == RunFolder.read(finished_run).files["mesh_content.ply"]
 
 
 @pytest.fixture(scope="module")
@@ -286,24 +236,14 @@ def evaluated_run(built_evaluation, tmp_path):
     return shutil.copytree(built_evaluation, tmp_path / "evaluated")
 
 
-OF_THE_MESH = ("metrics.json", "report.html", "views", "figures/errors.png", "figures/mesh.png")
+OF_THE_MESH = ("metrics.json", "views", "figures/errors.png", "figures/truth.npz")
 
 
-def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, scene, monkeypatch):
-    real = mesh_files.write_mesh
-    left = []
-
-    def watched(mesh, path, **options):
-        left.extend(name for name in OF_THE_MESH if (evaluated_run / name).exists())
-        real(mesh, path, **options)
-
+def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, built_scene):
     assert all((evaluated_run / name).exists() for name in OF_THE_MESH)
-    monkeypatch.setattr(mesh_files, "write_mesh", watched)
-    other = ["--fit.bending-weight", "0.5", "--resume", "--overwrite"]
-    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST, *other]) == 0
-    assert left == []  # gone before the new mesh is there
-    assert not (evaluated_run / "metrics.json").exists()
-    assert not (evaluated_run / "figures" / "errors.png").exists()
+    other = ["--fit.bending-weight", "0.5", "--overwrite"]
+    assert main(["reconstruct", str(built_scene), str(evaluated_run), *BOX, *FAST, *other]) == 0
+    assert not any((evaluated_run / name).exists() for name in OF_THE_MESH)
     page = (evaluated_run / "report.html").read_text()
     assert "F1 15 mm" not in page
     assert "the truth" not in page
@@ -312,7 +252,8 @@ def test_a_new_mesh_does_not_inherit_scores_or_pictures(evaluated_run, scene, mo
 def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
     names = ("metrics.json", "figures/errors.png", "figures/mesh.png", "figures/slices.png")
     before = [(evaluated_run / name).read_bytes() for name in names]
-    assert main(["reconstruct", str(scene), str(evaluated_run), *BOX, *FAST]) == 0
+    same = [*BOX, *FAST, "--samples", "6"]
+    assert main(["reconstruct", str(scene), str(evaluated_run), *same]) == 0
     assert [(evaluated_run / name).read_bytes() for name in names] == before
     assert (evaluated_run / "views" / "psnr.json").is_file()
     page = (evaluated_run / "report.html").read_text()
@@ -321,24 +262,20 @@ def test_scores_and_pictures_of_an_unchanged_mesh_stay(evaluated_run, scene):
     assert "share of samples over the distance" in page
 
 
-def test_evaluate_knows_the_planes_without_the_scene(finished_run, scene, tmp_path):
+def test_evaluate_knows_planes_and_seed_without_the_scene(finished_run, scene, tmp_path):
     """The run folder holds where its antennas were; of planes that it left out nothing counts."""
     half, truth = tmp_path / "half", tmp_path / "gone" / "truth.ply"
-    assert run(scene, half, *BOX, "--hold-out", "0", "40", "80", "120", "160") == 0
+    left_out = ["--hold-out", "0", "40", "80", "120", "160", "--seed", "7"]
+    assert run(scene, half, *BOX, *left_out) == 0
     scene.rename(tmp_path / "gone")
     few = {"n_samples": 500, "report": False}
     shares = [evaluate(f, truth, **few).by_sight[0].area_fraction for f in (finished_run, half)]
     assert 0.0 < shares[1] < shares[0]
+    for seed, expected in ((None, 7), (3, 3)):
+        assert evaluate(half, truth, **few, seed=seed).seed == expected
+        assert json.loads((half / "metrics.json").read_text())["seed"] == expected
     (half / "planes.json").write_text('{"corners_m": [[1, 2]]}')
     with pytest.raises(UserError, match=r"planes.json: cannot be read as the planes of a run"):
         evaluate(half, truth, **few)
     (half / "planes.json").unlink()
     assert evaluate(half, truth, **few).by_sight == ()
-
-
-def test_the_seed_of_the_run_is_the_seed_of_its_evaluation(finished_run, scene):
-    assert run(scene, finished_run, *BOX, "--resume", "--seed", "7") == 0
-    few = {"truth": scene / "truth.ply", "n_samples": 500, "report": False}
-    for seed, expected in ((None, 7), (3, 3)):
-        assert evaluate(finished_run, **few, seed=seed).seed == expected
-        assert json.loads((finished_run / "metrics.json").read_text())["seed"] == expected

@@ -60,11 +60,7 @@ def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys)
     assert "expected a run of the preset fast, best, paper or paper-corrected" in the_error(capsys)
 
 
-@pytest.mark.parametrize("what", ["file", "stage"])
-def test_a_run_without_its_mesh_is_one_line(finished_run, capsys, what):
-    if what == "file":
-        (finished_run / "mesh_content.ply").unlink()
-    else:
-        RunFolder.read(finished_run).forget(["mesh"])
+def test_a_run_without_its_mesh_is_one_line(finished_run, capsys):
+    (finished_run / "mesh_content.ply").unlink()
     assert main(["render", str(finished_run)]) == 2
     assert "the run has no mesh_content.ply" in the_error(capsys)

@@ -31,6 +31,7 @@ from geraf2.scene.store import capture_without_poses, save_capture
 from geraf2.scene.summary import summarize_poses
 from geraf2.simulation import load_spec
 from helpers.raw_capture import PROFILE
+from helpers.run_folders import record_run
 from helpers.synthetic import point_capture
 
 load_importer = cache(_load_importer)  # which looks through all installed packages
@@ -73,7 +74,7 @@ def _good():
     checkpoint = Checkpoint(kind="paper", version=1, arrays=arrays, header={"step": 3})
     save_checkpoint(root / "safetensors" / "a.safetensors", checkpoint)
     RunRecord().write(root / "toml" / "config.toml")
-    RunFolder.open(root / "run", scene_digest="0", scene_name="scene").mark_done("a", "k", [], 1.0)
+    record_run(root / "run")
     return root
 
 

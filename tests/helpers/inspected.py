@@ -22,7 +22,6 @@ from geraf2.io.run_folder import (
     PEAKS_NAME,
     PLANES_NAME,
     PRIOR_NAME,
-    RunFolder,
 )
 from geraf2.pipeline.presets import FastPreset
 from geraf2.pipeline.prior import save_prior
@@ -30,6 +29,7 @@ from geraf2.pipeline.run_record import PriorSource, RunOptions, RunRecord
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import Aperture
 from helpers.glint_sets import glints_at
+from helpers.run_folders import record_run
 from helpers.solids import joined, triangles
 
 POSE = np.eye(4)
@@ -129,6 +129,5 @@ def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039, 
         none = PriorSource.of(None)
         record = RunRecord(scene=None, prior=none, options=RunOptions(), config=FastPreset())
         record.write(out / CONFIG_NAME)
-    names = [CONTENT_NAME, *([GLINTS_NAME, PEAKS_NAME] if has_glints else [])]
-    RunFolder(out, "digest", "crate").mark_done("mesh", "key", names, 1.0)
+    record_run(out, "crate")
     return out

@@ -1,4 +1,10 @@
+"""A result takes the place of the former one in one step, and several processes meet there."""
+
+import errno
 import json
+import signal
+import subprocess
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -6,7 +12,11 @@ import numpy as np
 import pytest
 
 from geraf2.errors import UserError
-from geraf2.io.run_folder import RunFolder, stage_key
+from geraf2.io import run_folder
+from geraf2.io.locks import BusyFolderError
+from geraf2.io.run_folder import RUN_NAME, RunFolder, StageRecord, stage_key
+
+MESH, SCORES, IMAGE = "mesh_content.ply", "metrics.json", "image.npz"
 
 
 @dataclass(frozen=True)
@@ -15,23 +25,29 @@ class Settings:
     count: int | None = None
 
 
-@pytest.fixture
-def run(tmp_path):
-    return RunFolder.open(tmp_path / "out", scene_digest="abc", scene_name="scene")
+def write(out, mesh=b"mesh", digest="d", name="scene", **options):
+    """Replace what is in a folder by a result of two files."""
+    run = RunFolder.open(out, scene_digest=digest, scene_name=name, **options)
+    with run.replacing() as new:
+        new.stages["mesh"] = StageRecord(seconds=1.5)
+        (new.path / MESH).write_bytes(mesh)
+        (new.path / "glints.npz").write_bytes(b"glints of " + mesh)
+        new.log("done", level="info")
+        new.take_over()
+    return run
 
 
-def test_a_stage_is_done_while_its_key_and_files_stay(run):
-    (run.path / "a.npz").write_bytes(b"one")
-    assert not run.is_done("a", "key")
-    run.mark_done("a", "key", ["a.npz"], 1.5)
-    again = RunFolder.open(run.path, scene_digest="abc", scene_name="renamed")
-    assert again.is_done("a", "key")
-    assert again.stages["a"].seconds == 1.5
-    assert not again.is_done("a", "other")
-    (run.path / "a.npz").write_bytes(b"two")
-    assert not again.is_done("a", "key")
-    (run.path / "a.npz").unlink()
-    assert not again.is_done("a", "key")
+def contents(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def add(run, name, content):
+    with run.rewriting(name):
+        (run.path / name).write_bytes(content)
 
 
 def test_the_key_sees_every_input():
@@ -51,17 +67,15 @@ def test_the_key_sees_every_input():
     ]
     assert len({stage_key(**each) for each in inputs}) == len(inputs)
     assert stage_key(a=Settings(), b=np.ones(2)) == stage_key(b=np.ones(2), a=Settings())
-
-
-def test_a_key_of_something_unknown_is_a_programming_error():
     with pytest.raises(TypeError, match="cannot make a key of set"):
         stage_key(a={1})
 
 
-def test_the_log_is_one_json_object_a_line(run):
+def test_the_log_is_one_json_object_a_line(tmp_path):
+    run = RunFolder(tmp_path, "d", "scene")
     run.log("first", level="info", value=np.float32(0.5), path=Path("a"))
     run.log("second\nline", level="warning")
-    first, second = map(json.loads, (run.path / "log.jsonl").read_text().splitlines())
+    first, second = map(json.loads, (tmp_path / "log.jsonl").read_text().splitlines())
     assert (first["event"], first["value"], first["path"]) == ("first", 0.5, "a")
     assert second["event"] == "second\nline"
 
@@ -73,7 +87,158 @@ def test_the_log_is_one_json_object_a_line(run):
         ("scene", "another scene of that name, or of this one before it changed"),
     ],
 )
-def test_the_run_of_another_scene_is_named(name, text, tmp_path):
-    RunFolder.open(tmp_path / "run", scene_digest="a", scene_name="scene")
+def test_the_run_of_another_scene_is_named_and_goes_only_on_request(name, text, tmp_path):
+    run = write(tmp_path / "out")
+    add(run, SCORES, b"{}")
+    (tmp_path / "out" / "notes.txt").write_text("mine")
     with pytest.raises(UserError, match=text):
-        RunFolder.open(tmp_path / "run", scene_digest="b", scene_name=name)
+        write(tmp_path / "out", digest="e", name=name)
+    write(tmp_path / "out", digest="e", name=name, overwrite=True)
+    left = {MESH, "glints.npz", "log.jsonl", RUN_NAME, "notes.txt"}
+    assert contents(tmp_path / "out").keys() == left
+    assert RunFolder.read(tmp_path / "out").scene_digest == "e"
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_what_a_new_result_keeps_of_the_former(tmp_path, monkeypatch, in_place):
+    out = tmp_path / "out"
+    run = write(out)
+    add(run, SCORES, b"scores")
+    with run.rewriting(IMAGE):
+        (out / IMAGE).write_bytes(b"image")
+        run.stages["image"], run.asked["image"] = StageRecord(seconds=1.0), "key"
+    (out / "own" / "deep").mkdir(parents=True)
+    (out / "own" / "deep" / "notes.txt").write_text("mine")
+    if in_place:
+        monkeypatch.chdir(out)
+    inode = out.stat().st_ino
+    assert write(out, b"mesh").stages.keys() == {"mesh", "image"}
+    kept = contents(out)
+    assert kept[SCORES] == b"scores"
+    assert (out.stat().st_ino == inode) == in_place
+    write(out, b"other mesh")
+    now = contents(out)
+    assert SCORES not in now
+    assert (now[IMAGE], now["own/deep/notes.txt"]) == (b"image", b"mine")
+    assert RunFolder.read(out).files.keys() == {MESH, "glints.npz", IMAGE}
+    assert RunFolder.read(out).asked == {"image": "key"}
+    assert not list(tmp_path.rglob(".*"))
+
+
+def fail(run):
+    with run.replacing() as other:
+        (other.path / MESH).write_bytes(b"another")
+        raise UserError(what="full", where=other.path / "glints.npz")
+
+
+@pytest.mark.parametrize("in_place", [False, True])
+def test_a_failure_leaves_what_was_there_and_nothing_new(tmp_path, monkeypatch, in_place):
+    new = tmp_path / "not" / "yet" / "out"
+    old = write(tmp_path / "out").path
+    before = contents(tmp_path)
+    if in_place:
+        monkeypatch.chdir(old)
+    for out in (new, old):
+        run = RunFolder.open(out, scene_digest="d", scene_name="scene")
+        with pytest.raises(UserError, match=f"^{out}/glints.npz: full"):
+            fail(run)
+        assert contents(tmp_path) == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from geraf2.io.run_folder import RunFolder
+run = RunFolder.open(Path(sys.argv[1]), scene_digest="d", scene_name="scene")
+with run.replacing() as new:
+    (new.path / "mesh_content.ply").write_bytes(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_kill_leaves_what_was_there(tmp_path):
+    out = write(tmp_path / "out").path
+    before = contents(out)
+    done = subprocess.run([sys.executable, "-c", KILLED, str(out)], check=False, timeout=60)
+    assert done.returncode == -signal.SIGKILL
+    assert contents(out) == before
+    write(out, b"next")  # and sweeps what the killed process left
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from geraf2.io.run_folder import RunFolder, StageRecord
+run = RunFolder.read(Path(sys.argv[1]))
+with run.rewriting("metrics.json"):
+    print("held", flush=True)
+    sys.stdin.readline()
+    run.stages["other"] = StageRecord(seconds=1.0)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path):
+    """A process that writes into the folder until its input ends."""
+    write(tmp_path / "out")
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "out")]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "held\n"
+        yield process
+
+
+def test_a_second_command_reports_who_writes_and_changes_nothing(tmp_path, holder):
+    run, before = RunFolder.read(tmp_path / "out"), contents(tmp_path)
+    for writes in (lambda: add(run, SCORES, b""), lambda: write(tmp_path / "out", b"b")):
+        with pytest.raises(BusyFolderError, match="another command is writing") as caught:
+            writes()
+        assert f"process {holder.pid};" in str(caught.value)
+        assert contents(tmp_path) == before
+    holder.communicate(timeout=30)
+    add(run, SCORES, b"{}")  # what the other did meanwhile is known, not overwritten
+    assert RunFolder.read(tmp_path / "out").stages.keys() == {"mesh", "other"}
+
+
+def test_the_lock_goes_with_its_process(tmp_path, holder):
+    holder.kill()
+    holder.wait(30)
+    write(tmp_path / "out", b"next")
+
+
+def test_of_two_results_at_once_the_first_stays(tmp_path):
+    run = RunFolder.open(tmp_path / "out", scene_digest="d", scene_name="scene")
+    with pytest.raises(BusyFolderError, match="another result was written"), run.replacing():
+        write(tmp_path / "out", b"first")
+    assert contents(tmp_path / "out")[MESH] == b"first"
+
+
+def test_a_file_system_without_second_names_gets_copies(tmp_path, monkeypatch):
+    def refuse(*_):
+        raise OSError(errno.EPERM, "no second names")
+
+    monkeypatch.setattr(run_folder.os, "link", refuse)
+    write(tmp_path / "out")
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    write(tmp_path / "out", b"next")
+    assert contents(tmp_path / "out")["notes.txt"] == b"mine"
+
+
+def test_a_folder_that_is_a_link_is_filled_where_it_leads(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "out").symlink_to("real")
+    write(tmp_path / "out")
+    assert (tmp_path / "out").is_symlink()
+    assert (tmp_path / "real" / MESH).is_file()
+
+
+def test_a_run_of_another_format_is_refused_with_a_hint(tmp_path):
+    old = {"format": "geraf2-run", "version": 1, "scene": {"name": "s", "digest": "d"}}
+    text = json.dumps({**old, "stages": {"mesh": {"key": "k", "files": {}, "seconds": 1.0}}})
+    (tmp_path / RUN_NAME).write_text(text)
+    with pytest.raises(UserError, match=r"format version 1.*run it again into a new folder"):
+        write(tmp_path)
+    assert (tmp_path / RUN_NAME).read_text() == text

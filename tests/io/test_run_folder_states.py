@@ -1,25 +1,20 @@
-"""Run folder and records of a batch under any order of writing, kills, resumes and deletions."""
+"""Run folder and records of a batch under any order of results, kills, losses and deletions."""
 
 import shutil
 import tempfile
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from geraf2.apps.batch.engine import FAILED
 from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.errors import UserError
-from geraf2.io.atomic import write_bytes_atomic
-from geraf2.io.run_folder import LOCK_NAME, RunFolder
+from geraf2.io.run_folder import RUN_NAME, RunFolder, StageRecord
 from geraf2.pipeline.commands.verify import verify
 
-NO_PROCESS = 2**22 + 1
-"""Above the largest number that Linux gives to a process."""
-STAGES, KEYS = st.sampled_from("abc"), st.sampled_from(["one", "two"])
 CONTENTS = st.binary(max_size=3)
 
 
@@ -29,70 +24,63 @@ class Folders(RuleBasedStateMachine):
     def __init__(self):
         super().__init__()
         self.position = Path(tempfile.mkdtemp())
-        self.path, self.held = self.position / "run", ExitStack()
-        self.run = None
-        self.records = {}  # stage: key and content when it was done
-        self.files = {}  # stage: content on the disk
+        self.path = self.position / "run"
+        self.recorded = {}  # content of each file when it was recorded
+        self.files = {}  # content on the disk
         self.job = JobPaths(self.position / "batch", "k" * 16, "scene")
         self.result = None
 
     def teardown(self):
-        self.held.close()
         shutil.rmtree(self.position)
 
-    def _file(self, stage):
-        return self.path / f"{stage}.npz"
+    def _open(self):
+        return RunFolder.open(self.path, scene_digest="d", scene_name="scene")
 
-    @initialize()
-    def first(self):
-        self.resume()
+    @rule(content=CONTENTS, grows=st.booleans(), fails=st.booleans())
+    def replace(self, content, grows, fails):
+        try:
+            with self._open().replacing(grows=grows) as new:
+                (new.path / "mesh.ply").write_bytes(content)
+                new.stages["mesh"] = StageRecord(seconds=1.0)
+                new.take_over()
+                if fails:
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            return
+        self.recorded = self.files = {"mesh.ply": content}
 
-    @precondition(lambda self: self.run is None)
-    @rule()
-    def resume(self):
-        self.run = RunFolder.open(self.path, scene_digest="d", scene_name="scene")
-        self.held.enter_context(self.run.locked())
-        assert not list(self.path.rglob(".*.tmp*"))  # what a killed process left is swept
+    @rule(content=CONTENTS)
+    def kill(self, content):
+        """Kill the process that writes a result."""
+        left = self.position / ".run-abcd1234.tmp"
+        left.mkdir(exist_ok=True)
+        (left / "mesh.ply").write_bytes(content)
 
-    @precondition(lambda self: self.run is not None)
-    @rule(stage=STAGES, key=KEYS, content=CONTENTS)
-    def do(self, stage, key, content):
-        write_bytes_atomic(self._file(stage), content)
-        self.run.mark_done(stage, key, [f"{stage}.npz"], 1.0)
-        self.records[stage], self.files[stage] = (key, content), content
+    @precondition(lambda self: self.recorded)
+    @rule(content=CONTENTS, fails=st.booleans())
+    def add(self, content, fails):
+        run = self._open()
+        self.recorded = {k: v for k, v in self.recorded.items() if k != "notes.json"}
+        try:
+            with run.rewriting("notes.json"):
+                (self.path / "notes.json").write_bytes(content)
+                self.files = {**self.files, "notes.json": content}
+                if fails:
+                    raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            return
+        self.recorded = {**self.recorded, "notes.json": content}
 
-    @precondition(lambda self: self.run is not None)
-    @rule(stage=STAGES)
-    def forget(self, stage):
-        self.run.forget([stage])
-        self.records.pop(stage, None)
-
-    @precondition(lambda self: self.run is not None)
-    @rule()
-    def leave(self):
-        self.held.close()
-        self.run = None
-
-    @precondition(lambda self: self.run is not None)
-    @rule(stage=STAGES, content=CONTENTS, renamed=st.booleans())
-    def kill(self, stage, content, renamed):
-        """Kill the process while it writes a stage: before its rename, or before its record."""
-        if renamed:
-            write_bytes_atomic(self._file(stage), content)
-            self.files[stage] = content
+    @precondition(lambda self: self.files)
+    @rule(data=st.data(), content=st.none() | CONTENTS)
+    def lose(self, data, content):
+        name = data.draw(st.sampled_from(sorted(self.files)))
+        if content is None:
+            (self.path / name).unlink()
         else:
-            (self.path / f".{stage}-abcd1234.tmp.npz").write_bytes(content)
-        lock = (self.path / LOCK_NAME).read_text()
-        self.held.close()
-        pid, rest = lock.split("\n", 1)
-        assert pid.isdigit()
-        (self.path / LOCK_NAME).write_text(f"{NO_PROCESS}\n{rest}")
-        self.run = None
-
-    @rule(stage=STAGES)
-    def delete(self, stage):
-        self._file(stage).unlink(missing_ok=True)
-        self.files.pop(stage, None)
+            (self.path / name).write_bytes(content)
+        self.files = {k: v for k, v in self.files.items() if k != name}
+        self.files |= {} if content is None else {name: content}
 
     @rule(state=st.sampled_from([DONE, FAILED]))
     def finish_job(self, state):
@@ -108,28 +96,17 @@ class Folders(RuleBasedStateMachine):
         self.result = None
 
     @invariant()
-    def stages_are_done_where_their_files_are_what_was_written(self):
-        if not self.path.exists():
-            return
-        stored = RunFolder.read(self.path)
-        for stage in "abc":
-            key, content = self.records.get(stage, (None, None))
-            is_whole = key is not None and self.files.get(stage) == content
-            assert [stored.is_done(stage, k) for k in ("one", "two")] == [
-                is_whole and key == k for k in ("one", "two")
-            ]
-
-    @invariant()
     def verify_names_what_is_lost(self):
-        if not self.path.exists():
+        if not self.recorded:
+            assert not (self.path / RUN_NAME).exists()
             return
-        lost = [s for s, (_, content) in self.records.items() if self.files.get(s) != content]
+        lost = [k for k, content in self.recorded.items() if self.files.get(k) != content]
         if lost:
             with pytest.raises(UserError) as error:
                 verify(self.path)
-            assert any(f"{stage}.npz" in str(error.value) for stage in lost)
+            assert any(name in str(error.value) for name in lost)
         else:
-            assert verify(self.path).n_files == len(self.records)
+            assert verify(self.path).n_files == len(self.recorded)
 
     @invariant()
     def a_job_is_in_the_state_of_its_last_whole_record(self):

@@ -19,6 +19,7 @@ from geraf2.pipeline.commands import reconstruct as reconstruct_command
 from geraf2.pipeline.events import Listener
 from geraf2.scene import LosPrior
 from geraf2.surfaces import FitConfig
+from helpers.run_folders import add_steps
 
 SIZE = np.array([0.30, 0.20, 0.25])
 
@@ -51,7 +52,14 @@ def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
 
 
 @pytest.mark.parametrize(
-    "prior", [given(), given(SIZE + 0.004), given(center=(0.005, 0.0, 0.03)), given(degrees=2.5)]
+    "prior",
+    [
+        given(),
+        given(SIZE + 0.004),
+        given(center=(0.005, 0.0, 0.03)),
+        given(degrees=2.5),
+        given(SIZE[[1, 0, 2]], degrees=88.0),  # axes are assigned by matching sides
+    ],
 )
 def test_a_correct_prior_is_kept(prior, monkeypatch):
     assert check(prior, a_box(), monkeypatch).prior is prior
@@ -121,7 +129,13 @@ def test_another_box_is_an_error_with_both_sizes(monkeypatch):
         check(given(1.2 * SIZE), a_box(), monkeypatch)
 
 
-def test_one_pair_of_planes_does_not_refuse_a_prior(monkeypatch):
+def test_a_prior_of_another_shape_and_one_with_one_pair_of_planes_are_kept(monkeypatch):
+    box = given(0.5 * SIZE)
+    vertices = box.vertices * [1.0, 1.0, 1.3] + 0.1 * box.vertices[:, ::-1]
+    corner = LosPrior(vertices=vertices, faces=box.faces)
+    checked = check(corner, a_box(), monkeypatch)
+    assert checked.prior is corner
+    assert "no cuboid" in checked.text
     prior = given(1.2 * SIZE)
     checked = check(prior, a_box(seen=((0, 0), (2, 2), (0, 2))), monkeypatch)
     assert checked.prior is prior
@@ -136,16 +150,6 @@ def test_flat_content_is_not_another_box(monkeypatch):
     assert checked.text == "planes of 300 x 200 mm within the prior are content"
     with pytest.raises(UserError, match="another box"):  # it does not fit into the prior
         check(given(0.7 * SIZE), solid, monkeypatch)
-
-
-def test_a_prior_of_another_shape_is_kept(monkeypatch):
-    box = given(0.5 * SIZE)
-    corner = LosPrior(
-        vertices=box.vertices * [1.0, 1.0, 1.3] + 0.1 * box.vertices[:, ::-1], faces=box.faces
-    )
-    checked = check(corner, a_box(), monkeypatch)
-    assert checked.prior is corner
-    assert "no cuboid" in checked.text
 
 
 def test_content_in_free_air_is_reconstructed_with_a_warning(tmp_path):
@@ -189,8 +193,8 @@ def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):
 )
 def test_content_in_free_air_needs_a_certain_surface(tmp_path, box, error_mm, is_refused):
     run = RunFolder(tmp_path, "digest", "crate")
-    run.mark_done(box_check.BOX_STAGE, "key", [], 1.0, numbers={"by_radar": "none", **box})
-    run.mark_done("mesh", "key", [], 1.0, numbers={"expected_error_median_mm": error_mm})
+    mesh = {"expected_error_median_mm": error_mm}
+    add_steps(run, {box_check.BOX_STAGE: {"by_radar": "none", **box}, "mesh": mesh})
     refused = pytest.raises(UserError, match="no certain surface")
     with refused if is_refused else nullcontext():
         box_check.require_determined(run)

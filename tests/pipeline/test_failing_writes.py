@@ -1,13 +1,13 @@
-"""Every write of a run fails once; the run reports it in one line and continues when asked again.
+"""A write fails: the command reports it in one line, and what was there is unchanged.
 
-As SQLite's tests of full disks: the n-th write fails, for all n up to the end. A run that is
-continued repeats only the stage that failed, so one folder takes all faults, one after the other.
+As SQLite's tests of full disks: the n-th write fails. Every write of a scene is tried; of a run,
+which takes a second each time, every eighth and the last ones, by which it takes its place.
 """
 
 import errno
 import os
-import re
 import sys
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,29 +16,28 @@ import pytest
 from geraf2 import examples
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from geraf2.io.run_folder import RUN_NAME
-from geraf2.pipeline.commands.verify import verify
 from geraf2.scene.store import capture_digest, load_capture, save_capture
 
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006", "--fit.distance-rounds", "1"]
-COARSE += ["--calibrate", "no", "--trust-los", "--threads", "1"]
-# Of a temporary name.
-RANDOM = re.compile(r"-\w{8}(?=\.|$)")
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.01", "--fit.distance-rounds", "1"]
+COARSE += ["--calibrate", "no", "--trust-los", "--threads", "1", "--no-report"]
+COARSE += ["--box", *map(str, examples.BOX_M)]
 
 
 class Disk:
-    """Fails the first write below a folder that has not failed before."""
+    """Is full from the n-th write below a folder on."""
 
     def __init__(self):
-        self.folder = None
-        self.failed = set()
-        self._seen = {}
-        self.is_full = False
+        self.folder, self.left, self.n_writes = None, 0, 0
         sys.addaudithook(self._hear)
 
-    def attempt(self, folder):
-        """Make one write fail from now on, if one is left."""
-        self.folder, self._seen, self.is_full = str(folder), {}, False
+    def fill(self, folder, n_writes):
+        """Let so many writes succeed from now on."""
+        self.folder, self.left, self.n_writes = str(folder), n_writes, 0
+
+    def empty(self):
+        """Let all writes succeed; whether one failed before."""
+        self.folder = None
+        return self.left < 0
 
     def _hear(self, event, arguments):
         if self.folder is None:
@@ -47,19 +46,16 @@ class Disk:
             path, _, flags = arguments
             # What is made anew, and what is appended to: a full disk shows when bytes are flushed.
             if isinstance(flags, int) and flags & (os.O_EXCL | os.O_APPEND):
-                self.write("open", path)
+                self.write(path)
         elif event == "os.rename" or (event == "os.mkdir" and not Path(arguments[0]).exists()):
-            self.write(event, arguments[0])
+            self.write(arguments[0])
 
-    def write(self, kind, path):
-        if self.is_full or not isinstance(path, str) or not path.startswith(self.folder):
+    def write(self, path):
+        if not isinstance(path, str) or not path.startswith(self.folder):
             return
-        known = (kind, RANDOM.sub("", Path(path).name))
-        self._seen[known] = self._seen.get(known, 0) + 1
-        write = (*known, self._seen[known])
-        if write not in self.failed:
-            self.failed.add(write)
-            self.is_full = True
+        self.left -= 1
+        self.n_writes += 1
+        if self.left < 0:
             raise OSError(errno.ENOSPC, "No space left on device", path)
 
 
@@ -74,52 +70,48 @@ def disk(all_disks, monkeypatch):
 
     def fsync(descriptor):
         if all_disks.folder is not None:
-            all_disks.write("fsync", str(Path(f"/proc/self/fd/{descriptor}").readlink()))
+            all_disks.write(str(Path(f"/proc/self/fd/{descriptor}").readlink()))
         flush(descriptor)
 
     monkeypatch.setattr(os, "fsync", fsync)
-    all_disks.failed = set()
     yield all_disks
     all_disks.folder = None
 
 
-def _until_done(disk, folder, command, after_fault, capsys):
-    """Run a command until no write fails; the number of faults."""
-    for number in range(1000):
-        disk.attempt(folder)
-        code = main([*map(str, command)])
-        disk.folder = None
-        stated = [line for line in capsys.readouterr().err.splitlines() if "geraf2: " in line]
-        if not disk.is_full:
-            assert code == 0, stated
-            return number
-        assert (code, len(stated)) == (2, 1), (stated, disk.failed)
-        assert "internal error" not in stated[0]
-        assert not list(folder.rglob(".*.tmp*")), disk.failed
-        after_fault()
-    pytest.fail("faults without end")
+def contents(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.mark.slow
-def test_each_write_of_a_run_fails_once_and_nothing_is_lost(disk, tmp_path, capsys):
-    scene, out, whole = tmp_path / "scene", tmp_path / "runs" / "out", tmp_path / "whole"
+def test_a_full_disk_leaves_the_former_run_and_nothing_of_the_new(disk, tmp_path, capsys):
+    scene, runs = tmp_path / "scene", tmp_path / "runs"
     save_capture(examples.small_capture()[0], scene)
-    box = [str(side) for side in examples.BOX_M]
-    end = ["--box", *box, *COARSE, "--no-report"]
-    assert main(["reconstruct", str(scene), str(whole), *end]) == 0
-    kept = [0]
-
-    def after_fault():
-        if (out / RUN_NAME).exists():
-            kept.append(verify(out).n_files)
-            assert kept[-1] >= kept[-2], disk.failed
-
-    command = ["reconstruct", scene, out, *end, "--resume"]
-    out.parent.mkdir()
-    n_faults = _until_done(disk, out.parent, command, after_fault, capsys)
-    assert n_faults > 80
-    for name in ("mesh.ply", "mesh_content.glb", "sdf.npz"):
-        assert (out / name).read_bytes() == (whole / name).read_bytes()
+    command = ["reconstruct", str(scene), str(runs / "out"), *COARSE]
+    runs.mkdir()
+    disk.fill(runs, 1000)
+    assert main(command) == 0
+    disk.empty()
+    n_writes, former = disk.n_writes, contents(runs)
+    assert n_writes > 40
+    other = [*command, "--fit.bending-weight", "0.5", "--overwrite"]
+    capsys.readouterr()
+    for n in (*range(0, n_writes - 8, 8), *range(n_writes - 8, n_writes + 8)):
+        disk.fill(runs, n)
+        code = main(other)
+        stated = [line for line in capsys.readouterr().err.splitlines() if "geraf2: " in line]
+        if not disk.empty():
+            assert (code, n > n_writes - 8) == (0, True), (n, stated)
+            break
+        assert (code, len(stated)) == (2, 1), stated
+        assert "No space left on device" in stated[0] or "the disk is full" in stated[0]
+        assert contents(runs) == former, n
+        assert [path.name for path in runs.iterdir()] == ["out"]
+    assert contents(runs) != former
+    new = [*command[:2], str(tmp_path / "new" / "out"), *COARSE]
+    disk.fill(tmp_path, n_writes // 2)
+    assert main(new) == 2
+    disk.empty()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs", "scene"]
 
 
 def test_each_write_of_a_scene_fails_once_and_the_former_scene_stays(disk, tmp_path):
@@ -127,21 +119,17 @@ def test_each_write_of_a_scene_fails_once_and_the_former_scene_stays(disk, tmp_p
     capture, _ = examples.small_capture()
     former = replace(capture, poses=capture.poses[:2])
     save_capture(former, folder / "scene")
-    digest = capture_digest(former)
+    digest, n = capture_digest(former), 0
 
-    def fails():
-        disk.attempt(folder)
-        try:
+    def is_saved():
+        disk.fill(folder, n)
+        with suppress(UserError):
             save_capture(capture, folder / "scene", overwrite=True)
-        except UserError as error:
-            return str(error)
-        finally:
-            disk.folder = None
+        return not disk.empty()
 
-    while (stated := fails()) is not None:
-        assert "No space left on device" in stated
-        assert capture_digest(load_capture(folder / "scene")) == digest, disk.failed
-        assert [path.name for path in folder.iterdir()] == ["scene"], disk.failed
-    assert len(disk.failed) > 10
-    assert not disk.is_full
+    while not is_saved():
+        assert capture_digest(load_capture(folder / "scene")) == digest, n
+        assert [path.name for path in folder.iterdir()] == ["scene"], n
+        n += 1
+    assert n > 10
     assert capture_digest(load_capture(folder / "scene")) == capture_digest(capture)

@@ -63,7 +63,6 @@ def test_memory_depends_on_voxels_and_samples():
     "words",
     [
         ["image", "scene", "out", "--size-m", "0.1", "0.1", "0.1"],
-        ["reconstruct", "scene", "out", "--box", "0.2", "0.2", "0.2", "--trust-los"],
         ["reconstruct", "scene", "out", "--box", "0.2", "0.2", "0.2", "--preset", "fast"],
     ],
 )

@@ -1,4 +1,4 @@
-"""Every setting of the presets fast and best is read by a stage; no stage makes its own."""
+"""Every setting of the presets fast and best is read by a step; no step makes its own."""
 
 import sys
 from dataclasses import fields, is_dataclass, replace
@@ -8,10 +8,9 @@ import pytest
 import geraf2
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.presets import BestPreset, FastPreset, stages_of
-from geraf2.pipeline.stages.direct import GLINTS
-from geraf2.pipeline.stages.stage import Job, kept_peaks
-from geraf2.surfaces.refinement import SelectedGlints
+from geraf2.pipeline.presets import BestPreset, FastPreset, run_preset
+from geraf2.pipeline.stages import direct
+from geraf2.pipeline.stages.job import Job, kept_peaks
 from helpers.shadows import outlines
 
 
@@ -56,7 +55,7 @@ def kinds_of(config):
 
 @pytest.fixture
 def made(monkeypatch):
-    """Watch configs that are made from nothing while stages run; names of their types."""
+    """Watch configs that are made from nothing while steps are done; names of their types."""
     found = set()
 
     def watch(config):
@@ -73,10 +72,12 @@ def made(monkeypatch):
     return watch, found
 
 
-def run_stages(config, capture, prior, folder):
-    """Compute all stages; best also with an outline, which so small a scan does not show."""
+def do_steps(config, capture, prior, folder):
+    """Do all steps; best also with an outline, which so small a scan does not show."""
+    run = RunFolder(folder, "0" * 32, "capture")
+    folder.mkdir()
     job = Job(
-        run=RunFolder.open(folder, scene_digest="0" * 32, scene_name="capture"),
+        run=run,
         capture=capture,
         prior=prior,
         config=config,
@@ -85,12 +86,7 @@ def run_stages(config, capture, prior, folder):
         peaks=kept_peaks(prior, config, 1),
         num_threads=1,
     )
-    for stage in stages_of(config):
-        result = stage.compute(job, lambda _: None)
-        if isinstance(result, SelectedGlints):
-            result = result._replace(silhouettes=outlines([0], [0.03] * 3))
-        job._done[stage.name] = "", result
-    return job[GLINTS].glints
+    run_preset(job)
 
 
 def coarse(preset):
@@ -103,7 +99,7 @@ def coarse(preset):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", [FastPreset(), BestPreset()], ids=lambda one: one.preset)
-def test_every_setting_is_read_by_a_stage(preset, made, tmp_path):
+def test_every_setting_is_read_by_a_step(preset, made, tmp_path, monkeypatch):
     capture, _ = geraf2.examples.small_capture()
     prior = replace(geraf2.LosPrior.from_box(geraf2.examples.BOX_M), walls=capture.walls)
     read, (watch, own) = set(), made
@@ -116,8 +112,14 @@ def test_every_setting_is_read_by_a_stage(preset, made, tmp_path):
             for value in [getattr(config, one.name)]
         }
     )
+    select = direct.select_glints
+    monkeypatch.setattr(
+        direct,
+        "select_glints",
+        lambda *a, **k: select(*a, **k)._replace(silhouettes=outlines([0], [0.03] * 3)),
+    )
     own.clear()
-    run_stages(kept, capture, prior, tmp_path / "run")
+    do_steps(kept, capture, prior, tmp_path / "run")
     unread = [name for name in leaves(preset) if name not in read | {"preset"}]
     assert unread == []
     assert own == set()

@@ -10,7 +10,7 @@ from geraf2.calibration.found_box import FoundBox
 from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.io.mesh import write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
-from geraf2.io.run_folder import RunFolder, mesh_digest
+from geraf2.io.run_folder import mesh_digest
 from geraf2.report import write_report
 from geraf2.scene import Grid
 from helpers.browsing import (
@@ -24,6 +24,7 @@ from helpers.browsing import (
 )
 from helpers.drawing import small_pictures
 from helpers.glint_sets import glints_on_sphere
+from helpers.run_folders import record_run
 from helpers.solids import triangles
 
 pytestmark = pytest.mark.browser
@@ -71,13 +72,9 @@ def page_url(tmp_path_factory):
         evaluate_mesh(content, truth, n_samples=200), out / "metrics.json", extra=mesh_digest(out)
     )
     (out / "config.toml").write_text('preset = "fast"\n[fit]\nspacing_m = 0.003\n')
-    folder = RunFolder(out, "digest", "block")
-    numbers = {"applied": ["delay: 1.5 mm of path +- 0.2"], "left": ["axis: 0.1 mm +- 5.0"]}
-    folder.mark_done("calibration", "key", [], 1.0, numbers=numbers)
-    folder.mark_done("glints", "key", ["glints.npz"], 1.0)
-    folder.mark_done("mesh", "key", ["mesh_content.ply", "mesh_box.ply"], 1.0)
-    folder.warn("antennas are far apart")
-    folder.mark_done("box", "key", [], 1.0, numbers=found_box())
+    calibration = {"applied": ["delay: 1.5 mm of path +- 0.2"], "left": ["axis: 0.1 mm +- 5.0"]}
+    numbers = {"box": found_box(), "calibration": calibration, "glints": {}, "mesh": {}}
+    record_run(out, "block", numbers=numbers, warnings=["antennas are far apart"])
     save_planes(ScannedPlanes(corners_m=planes_around(6)), out / "planes.json")
     grid = Grid.cube((0, 0, 0), 0.06, 48)
     heat = np.exp(-np.abs(grid.points()[:, 1] + 0.02) / 0.01).reshape(grid.shape)

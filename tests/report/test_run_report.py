@@ -17,6 +17,7 @@ from geraf2.scene import Grid
 from helpers import solids
 from helpers.drawing import blank, small_pictures
 from helpers.glint_sets import glints_on_sphere
+from helpers.run_folders import add_steps, record_run
 from helpers.shadows import shadows
 
 PICTURE = re.compile(r"src=\"data:image/(?:png|webp);base64,")
@@ -47,13 +48,8 @@ def built(truth, tmp_path_factory):
     extra = {"seconds": {"image": 3.25}, **mesh_digest(path)}
     write_metrics(metrics, path / "metrics.json", extra=extra)
     (path / "config.toml").write_text('note = "a < b & c"\n')
-    folder = RunFolder(path, "digest", "scene")
-    folder.warn("interrupted", "error")
-    folder.restart()
-    folder.log("all is well", level="info")
-    folder.warn("spacing is <wide>")
-    folder.mark_done("glints", "key", ["glints.npz"], 3.14)
-    folder.mark_done("mesh", "key", ["sdf.npz", "mesh_content.ply"], 1.0)
+    run = record_run(path, numbers={"glints": {}, "mesh": {}}, warnings=["spacing is <wide>"])
+    run.log("all is well", level="info")
     return path
 
 
@@ -91,8 +87,7 @@ def test_shadows_are_those_of_this_run(run):
     outline_of_a_ball().save(run / "silhouettes.npz")
     text = write_report(run).read_text()
     assert "Shadows" not in text  # files of an earlier run with another preset
-    folder = RunFolder.read(run)
-    folder.mark_done("selection", "key", ["silhouettes.npz"], 1.0)
+    add_steps(RunFolder.read(run), {"selection": {}})
     text = write_report(run).read_text()
     assert '<section id="shadows"' in text
     assert (run / "figures" / "shadows.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
@@ -111,8 +106,7 @@ def test_report_holds_pictures_metrics_definitions_and_configuration(reported):
     assert "seconds.image</td><td>3.25" in text
     assert "geraf-sens" in text
     assert "all is well" not in text
-    assert "interrupted" not in text  # of the run before
-    assert "<td>glints</td><td>3.1</td>" in text
+    assert "<td>glints</td><td>1.0</td>" in text
 
 
 def test_report_is_self_contained_and_escapes_what_it_shows(reported):
@@ -129,7 +123,7 @@ def test_report_is_self_contained_and_escapes_what_it_shows(reported):
 
 
 def test_an_empty_folder_gives_a_report_without_content(tmp_path):
-    RunFolder.open(tmp_path, scene_digest="digest", scene_name="scene")
+    record_run(tmp_path, numbers={})
     text = write_report(tmp_path).read_text()
     assert "Nothing has been reconstructed" in text
     assert "<img" not in text
@@ -195,5 +189,5 @@ def test_a_result_shows_itself_in_a_browser(run, monkeypatch):
     assert load_run(run)._repr_html_().startswith("<pre>")
     with pytest.raises(UserError, match="no surface to show"):
         load_run(run).show()
-    with pytest.raises(UserError, match=r"has no mesh_content\.ply yet"):
+    with pytest.raises(UserError, match=r"has no mesh_content\.ply"):
         _ = load_run(run).content

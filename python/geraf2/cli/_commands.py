@@ -40,7 +40,7 @@ COMMANDS = {
         "reconstruct",
         "surface of what is hidden in the box",
         "SCENE [OUT]",
-        "finished stages are kept, --resume continues",
+        "OUT is as it was; a training continues with --resume",
     ),
     "live": Command(
         "live", "surface while the scan is made, plane by plane", "SOURCE [OUT]", _CONTINUES

@@ -24,7 +24,7 @@ from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
 from geraf2.io.outputs import PICTURES, require_file
 from geraf2.io.ros import is_bag
-from geraf2.io.run_folder import RUN_NAME
+from geraf2.io.run_folder import RUN_NAME, TRAINING_FOLDER
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.estimates import (
     DEFAULT_IMAGE_SIDE_M,
@@ -67,7 +67,7 @@ def main(config: Config) -> int:
     """Run the command."""
     if config.figure is not None:
         require_file(config.figure, PICTURES)
-    if (config.scene / RUN_NAME).is_file():
+    if (config.scene / RUN_NAME).is_file() or (config.scene / TRAINING_FOLDER).is_dir():
         return _show_run(config.scene)
     show = _show_bag if is_bag(config.scene) else None
     show = _show_recording if _is_recording(config.scene) else show
@@ -149,16 +149,15 @@ def _is_recording(path: Path) -> bool:
 
 def _show_run(path: Path) -> int:
     result, shown = load_run(path), quote(str(path))
-    rows([("run of scene", result.run.scene_name), ("stages", ", ".join(result.run.stages))])
-    is_done = "mesh" in result.run.stages
-    if is_done:
-        print_found(result)
+    rows([("run of scene", result.run.scene_name), ("steps", ", ".join(result.run.stages))])
+    if "mesh" not in result.run.stages:  # an image alone
+        rows([("to make a surface", f"geraf2 reconstruct SCENE {shown}")])
+        return 0
+    print_found(result)
     page = [("page to open", str(result.report))] if result.report else []
-    scores = [("scores", f"geraf2 evaluate {shown} --truth MESH")]
-    finish = [("to finish it", f"geraf2 reconstruct SCENE {shown} --resume")]
+    scores = ("scores", f"geraf2 evaluate {shown} --truth MESH")
     view = ("in 3D", f"geraf2 view {shown}")
-    part = ("against a CAD model", f"geraf2 inspect {shown} --cad PART")
-    rows([*page, view, part, *scores] if is_done else finish)
+    rows([*page, view, ("against a CAD model", f"geraf2 inspect {shown} --cad PART"), scores])
     return 0
 
 

@@ -16,7 +16,7 @@ from geraf2.io.objects import is_remote
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
 from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.commands.reconstruct import reconstruct
-from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type, stages_of
+from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type, step_names
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_record import RunOptions, RunRecord
@@ -42,7 +42,7 @@ class Config(RunOptions, PriorSource):
     help_preset: Annotated[str | None, Arg(metavar="NAME")] = None
     """Show the constants of a preset, each a flag, and stop."""
     resume: bool = False
-    """Keep the stages in OUT that are done and would come out the same."""
+    """Continue the training that a stopped run left in OUT; only for presets that train."""
     overwrite: bool = False
     """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
@@ -123,7 +123,7 @@ _STEPS = {
 
 
 def _steps(config: Config) -> dict[str, tuple[str, float]]:
-    names = {BOX_STAGE, "prior", *(stage.name for stage in stages_of(config.settings))}
+    names = {BOX_STAGE, "prior", *step_names(config.settings)}
     names |= {"calibration"} if config.calibrate == "auto" else set()
     names |= set() if config.no_report else {"report"}
     names |= {"samples"} if config.samples else set()

@@ -99,17 +99,39 @@ def atomic_folder(path: AnyPath) -> Iterator[Path]:
     On failure the temporary folder is removed and `path` is as it was.
     """
     target = Path(path)
-    temporary, descriptor = _temporary(target, target.name, ".tmp", folder=True)
+    with temporary_sibling(target) as temporary:
+        try:
+            yield temporary
+        except OSError as error:
+            raise _cannot_write(target, error) from error
+        take_place(temporary, target)
+
+
+@contextmanager
+def temporary_sibling(target: Path) -> Iterator[Path]:
+    """Temporary folder beside `target`, removed at the end, and so are parents made for it."""
+    made = [folder for folder in target.parents if not folder.exists()]
     try:
-        yield temporary
-        temporary.chmod(0o777 & ~_umask())
+        temporary, descriptor = _temporary(target, target.name, ".tmp", folder=True)
+        try:
+            yield temporary
+        finally:
+            shutil.rmtree(temporary, ignore_errors=True)  # by now it may be what was there before
+            os.close(descriptor)
+    finally:
+        with suppress(OSError):  # one that is not empty stays
+            for folder in made:
+                folder.rmdir()
+
+
+def take_place(new: Path, target: Path) -> None:
+    """Put a folder in the place of `target`; what was there has the name of `new` afterwards."""
+    try:
+        new.chmod(0o777 & ~_umask())
         _count()
-        _take_position(temporary, target)
+        _take_position(new, target)
     except OSError as error:
         raise _cannot_write(target, error) from error
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)  # by now it may be what was there before
-        os.close(descriptor)
 
 
 def sweep_folder(folder: Path) -> None:

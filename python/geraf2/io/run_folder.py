@@ -1,36 +1,35 @@
-"""The folder of a run: which scene it belongs to, which stages are done, and what they wrote.
+"""The folder of a result: which scene it is of, what was asked for, and what was written.
 
-`run.json` holds the hash of the scene, and per stage the key (a hash of all that the stage
-depends on), the hash of each file it wrote, its numbers and its times. A stage is reused only
-if its key is the same and its files are still what they were; so an interrupted run continues
-where it stopped, and a changed setting runs again exactly the stages that depend on it. Who writes
-into the folder holds `run.lock`. `log.jsonl` is for people and the report; no stage reads it.
+`run.json` names the scene by its hash, the request by another, and has the hash of every file, so
+that numbers of another run are never shown. A result is written into a folder beside and takes the
+place of the former one in one step: a failure, a full disk or a kill leaves what was there. What
+is added later (scores, views, inspections) is recorded by :meth:`RunFolder.rewriting`.
 """
 
-import glob
 import hashlib
 import json
+import os
+import shutil
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, is_dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from filelock import SoftFileLock, Timeout
 
 from geraf2.errors import UserError
-from geraf2.io.atomic import sweep_folder, write_json_atomic
+from geraf2.io.atomic import sweep_folder, take_place, temporary_sibling, write_json_atomic
 from geraf2.io.digests import file_digest, inside
-from geraf2.io.outputs import is_passing, require_consent, require_folder
+from geraf2.io.locks import BusyFolderError, locked_folder
+from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
 from geraf2.io.stage_numbers import checked_numbers
 from geraf2.io.text import parse_json
 
 RUN_NAME = "run.json"
-LOCK_NAME = "run.lock"
 LOG_NAME = "log.jsonl"
 CONFIG_NAME = "config.toml"
 PLANES_NAME = "planes.json"
@@ -52,7 +51,9 @@ SDF_NAME = "sdf.npz"
 """Distance to the content's mesh."""
 SAMPLES_NAME = "samples.npz"
 """Surfaces drawn from the posterior, where they were asked for."""
-CHECKPOINT_NAME = "checkpoint.safetensors"
+TRAINING_FOLDER = "training"
+"""What a training leaves while it is not finished: checkpoint, log, pictures."""
+CHECKPOINT_NAME = f"{TRAINING_FOLDER}/checkpoint.safetensors"
 FIELDS_NAME = "fields.safetensors"
 ECHO_NAME = "echo.safetensors"
 """Scatterers beside the surface, fitted to the residual of its echo."""
@@ -81,111 +82,98 @@ TRUTH_COPY = f"{FIGURES_FOLDER}/truth.npz"
 """The truth and the distances to it, for the report's view in 3D."""
 REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_COPY)
 """Patterns of the files of a report."""
-_DERIVED = (
+_OF_MESH = (
     METRICS_NAME,
     f"{INSPECTION_NAME}.*",
-    REPORT_NAME,
-    *(f"{FIGURES_FOLDER}/{name}" for name in TRUTH_PICTURES),
-    TRUTH_COPY,
+    *REPORT_FILES,
+    ECHO_NAME,
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
     f"{VIEWS_FOLDER}/angle_*",
 )
 """Patterns of files that describe one mesh_content.ply."""
-_OF_A_SCENE = (
-    *_DERIVED,
-    CONFIG_NAME,
-    PLANES_NAME,
-    PRIOR_NAME,
-    PROVENANCE_NAME,
-    LOG_NAME,
-    CHECKPOINT_NAME,
-    f"{FIGURES_FOLDER}/*.png",
-    f"{LIVE_FOLDER}/*.png",
-    f"{TENSORBOARD_FOLDER}/events.*",
-    "los/*",
+OF_IMAGE = (
+    IMAGE_NAME,
+    "image.json",
+    "image.zarr/*",
+    f"{FIGURES_FOLDER}/projections.png",
+    f"{FIGURES_FOLDER}/depth.png",
 )
-"""Patterns of all that a run writes beside the files of its stages."""
+"""Patterns of files of `geraf2 image`."""
 _FORMAT = "geraf2-run"
-_VERSION = 3
-_NAMED_S = 0.5
-"""A process names itself in its lock within microseconds of making it."""
+_VERSION = 4
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageRecord:
-    """A stage that is done."""
+    """A step of a run that is done."""
 
-    key: str
-    """Hash of everything the stage depended on."""
-    files: dict[str, str]
-    """Hash of each file it wrote, by its path in the folder."""
     seconds: float
-    """How long it took [s]."""
+    """Duration [s]."""
     cpu_seconds: float = 0.0
-    """Processor time that it took, of all threads [s]."""
+    """Processor time of all threads [s]."""
     peak_memory_mib: float = 0.0
     """Largest resident set of the process up to its end [MiB]."""
     numbers: dict[str, Any] = field(default_factory=dict)
     """Numbers of the result."""
-    asked: str = ""
-    """Hash of the request that it answers."""
+
+
+_RECORDED = ("asked", "warnings", "stages", "files")
 
 
 class RunFolder:
-    """A run folder that is known to belong to one scene."""
+    """Record of a folder that holds results of one scene, or is about to."""
 
     def __init__(self, path: Path, scene_digest: str, scene_name: str) -> None:
         self.path = Path(path)
         self.scene_digest = scene_digest
         self.scene_name = scene_name
+        self.asked: dict[str, str] = {}
+        """Hash of the request of each finished result: "mesh", "box", "image"."""
         self.warnings: list[str] = []
-        """Warnings since the last start."""
-        self._stages: dict[str, StageRecord] = {}
-        self._kept: dict[str, str] = {}
-        """Hash of each file that is of no stage, or was written again after it."""
-        self._stale: set[str] = set()
-        """Files of stages that were forgotten."""
-        self._replaces: str | None = None
-        """Digest of another scene, whose run is removed when the folder is locked."""
+        """Warnings of the run."""
+        self.stages: dict[str, StageRecord] = {}
+        """Steps that are done, by name."""
+        self.files: dict[str, str] = {}
+        """Hash of each file that was written, by its path in the folder."""
+        self.place = self.path
+        """Path of the folder once it is whole."""
+        self.log_path = self.path / LOG_NAME
+        self._former: RunFolder | None = None
+        """Folder whose place this one takes."""
+        self._taken_over: dict[str, tuple[int, str | None]] = {}
+        """Inode and hash of files of the former folder; no hash for those of the user."""
+        self._is_inside = False
+        """Whether this folder is within that whose place it takes."""
+        self._is_held = False
 
     @classmethod
     def open(
         cls, path: Path, *, scene_digest: str, scene_name: str, overwrite: bool = False
     ) -> "RunFolder":
-        """Open or make the run folder of a scene.
+        """Record of a folder for results of a scene; nothing is made or changed.
 
-        UserError for the run of another scene, unless it may be overwritten (it goes when the
-        folder is locked), and for a folder with files but no run: nothing in it is touched.
+        UserError for results of another scene, unless they may be overwritten, and for a folder
+        with files that geraf2 did not make.
         """
         path = Path(path)
-        run = cls(path, scene_digest, scene_name)
         is_run = (path / RUN_NAME).is_file()
-        only_locked = path.is_dir() and all(
-            entry.name == LOCK_NAME or is_passing(entry) for entry in path.iterdir()
-        )
-        require_folder(path, "run", own=is_run or only_locked)
-        if is_run:
-            stored = cls.read(path)
-            if stored.scene_digest == scene_digest:
-                return stored
-            same = stored.scene_name == scene_name
-            other = "of that name, or of this one before it changed" if same else ""
-            what = f"the run of another scene {other or f'({stored.scene_name!r})'}"
-            got = f"scene {scene_name!r}"
-            require_consent(path, what, overwrite=overwrite, got=got)
-            run._replaces = stored.scene_digest
+        require_folder(path, "run", own=is_run or (path / TRAINING_FOLDER).is_dir())
+        run = cls(path, scene_digest, scene_name)
+        if not is_run:
             return run
-        path.mkdir(parents=True, exist_ok=True)
-        run._save()
+        stored = cls.read(path)
+        if stored.scene_digest == scene_digest:
+            return stored
+        same = stored.scene_name == scene_name
+        other = "of that name, or of this one before it changed" if same else ""
+        what = f"the run of another scene {other or f'({stored.scene_name!r})'}"
+        require_consent(path, what, overwrite=overwrite, got=f"scene {scene_name!r}")
         return run
 
-    def _require_same(self, result: str, asked: str, *, overwrite: bool) -> None:
-        """Refuse to replace a finished result by one of another request."""
-        done = self._stages.get(result)
-        if done is not None and done.asked != asked:
-            what = f"a finished {result} of other settings"
-            require_consent(self.path, what, overwrite=overwrite)
-            self.forget([result])  # the consent holds for a restart, too
+    def require_same(self, name: str, asked: str, what: str, *, overwrite: bool) -> None:
+        """Refuse to replace a finished result of another request; `what` names it in the error."""
+        if self.asked.get(name, asked) != asked:
+            require_consent(self.path, f"a finished {what} of other settings", overwrite=overwrite)
 
     @classmethod
     def read(cls, path: Path) -> "RunFolder":
@@ -198,10 +186,14 @@ class RunFolder:
             if known:
                 run._take(values)
         except (FileNotFoundError, NotADirectoryError):
+            is_training = (Path(path) / TRAINING_FOLDER).is_dir()
+            hint = "finish it with 'geraf2 reconstruct --resume'"
             raise UserError(
-                what=f"is no run folder: it has no {RUN_NAME}",
+                what="holds a training that is not finished"
+                if is_training
+                else f"is no run folder: it has no {RUN_NAME}",
                 where=path,
-                hint="make one with 'geraf2 reconstruct'",
+                hint=hint if is_training else "make one with 'geraf2 reconstruct'",
             ) from None
         except (ValueError, KeyError, TypeError, AttributeError):
             raise UserError(what="cannot be read as the record of a run", where=file) from None
@@ -217,220 +209,229 @@ class RunFolder:
 
     def _take(self, values: Mapping[str, Any]) -> None:
         self.warnings = [str(text) for text in values["warnings"]]
-        self._stale = {inside(file) for file in values.get("stale", ())}
-        self._kept = {inside(k): str(v) for k, v in values.get("kept", {}).items()}
-        self._stages = {
+        self.asked = {str(k): str(v) for k, v in values["asked"].items()}
+        self.files = {inside(k): str(v) for k, v in values["files"].items()}
+        self.stages = {
             str(name): StageRecord(
-                key=str(record["key"]),
-                files={inside(k): str(v) for k, v in record["files"].items()},
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
                 peak_memory_mib=float(record["peak_memory_mib"]),
                 numbers=checked_numbers(record["numbers"], f"{self.path / RUN_NAME}: {name}"),
-                asked=str(record.get("asked", "")),
             )
             for name, record in values["stages"].items()
         }
 
     @contextmanager
-    def locked(
-        self, result: str | None = None, asked: str = "", *, overwrite: bool = False
-    ) -> Iterator[None]:
-        """Hold the folder against other processes; UserError if one writes into it.
-
-        result: what is to be made; UserError where it is done and was asked for in other words,
-        unless it may be overwritten. asked: hash of the request. What killed processes left
-        half-written is removed. The lock is a file that names its process and host; one whose
-        process is gone is taken over, but a process of another host cannot be looked for.
-        """
-        path = self.path / LOCK_NAME
-        lock = SoftFileLock(path, timeout=0.5)
-        try:
-            _acquire(lock, path)
-        except Timeout:
-            holder = _holder_of(path)
-            raise UserError(
-                what="another run is writing into this folder",
-                where=self.path,
-                got=holder,
-                hint=f"wait for it, or choose another folder; if it is gone, remove {LOCK_NAME}",
-            ) from None
-        try:
-            stored = self.read(self.path)
-            if stored.scene_digest == self._replaces:
-                self._clear(stored)
-            elif stored.scene_digest != self.scene_digest:
-                raise UserError(what="another run has just begun in this folder", where=self.path)
-            else:
-                self._stages, self.warnings = stored._stages, stored.warnings
-                self._stale, self._kept = stored._stale, stored._kept
-            if result is not None:
-                self._require_same(result, asked, overwrite=overwrite)
-            sweep_folder(self.path)
+    def locked(self) -> Iterator[None]:
+        """Hold the folder against other commands; UserError if one writes into it."""
+        if self._is_held or not self.path.is_dir():
             yield
-        finally:
-            lock.release()
-
-    def _clear(self, stored: "RunFolder") -> None:
-        """Replace a run of another scene."""
-        self._replaces = None
-        self._save()
-        files = [file for record in stored._stages.values() for file in record.files]
-        for pattern in (*map(glob.escape, files), *_OF_A_SCENE):
-            for path in self.path.glob(pattern):
-                path.unlink()
-
-    @property
-    def stages(self) -> Mapping[str, StageRecord]:
-        """Stages that are done."""
-        return dict(self._stages)
-
-    def forget(self, names: Iterable[str], *, stale: bool = False) -> None:
-        """Mark stages as not done; files stay until replaced, stale ones until `drop_stale`."""
-        for name in names:
-            record = self._stages.pop(name, None)
-            if stale and record is not None:
-                self._stale |= set(record.files)
-        self._save()
-
-    def release(self, *patterns: str) -> None:
-        """Forget files of these patterns before they are replaced or removed.
-
-        Stages that wrote one of them are no longer done.
-        """
-
-        def goes(file: str) -> bool:
-            return any(fnmatchcase(file, pattern) for pattern in patterns)
-
-        self._kept = {file: d for file, d in self._kept.items() if not goes(file)}
-        self.forget([name for name, r in self._stages.items() if any(map(goes, r.files))])
-
-    def drop_stale(self) -> None:
-        """Remove files of stages that were forgotten, in this run or one that was stopped."""
-        kept = {file for record in self._stages.values() for file in record.files}
-        for file in self._stale - kept:
-            (self.path / file).unlink(missing_ok=True)
-        self._stale = set()
-        self._save()
-
-    def forget_derived(self, content: bytes) -> None:
-        """Remove what was derived of another mesh than this `content`."""
-        mesh = self.path / CONTENT_NAME
-        if mesh.is_file() and read_regular(mesh) == content:
             return
-        self.release(*_DERIVED)
-        for pattern in _DERIVED:
-            for path in self.path.glob(pattern):
-                path.unlink()
-        with suppress(OSError):  # is missing, or holds foreign files
-            (self.path / VIEWS_FOLDER).rmdir()
+        with locked_folder(self.path):
+            self._is_held = True
+            try:
+                sweep_folder(self.path)
+                self._read_again()
+                yield
+            finally:
+                self._is_held = False
 
-    def is_done(self, name: str, key: str) -> bool:
-        """Whether a stage ran with this key and its files are unchanged."""
-        record = self._stages.get(name)
-        return (
-            record is not None
-            and record.key == key
-            and all(file_digest(self.path / file) == d for file, d in record.files.items())
-        )
+    def _read_again(self) -> None:
+        """Take over what another command recorded meanwhile."""
+        if not (self.path / RUN_NAME).is_file():
+            return
+        now = self.read(self.path)
+        if now.scene_digest == self.scene_digest:
+            self.__dict__ |= {name: getattr(now, name) for name in _RECORDED}
 
-    def mark_done(
-        self, name: str, key: str, files: Sequence[str], seconds: float, **measured: Any
-    ) -> None:
-        """Record a finished stage and what it wrote; `measured` as in :class:`StageRecord`."""
-        digests = {file: file_digest(self.path / file) or "" for file in files}
-        if "numbers" in measured:
-            measured["numbers"] = _plain(measured["numbers"])
-        if name in self._stages:
-            self._stale |= set(self._stages[name].files)
-        self._stages[name] = StageRecord(key=key, files=digests, seconds=seconds, **measured)
-        self._kept = {file: d for file, d in self._kept.items() if file not in digests}
-        self._save()
+    @contextmanager
+    def replacing(self, *, grows: bool = False) -> Iterator["RunFolder"]:
+        """Record of a new folder that takes the place of this one when the body ends.
 
-    def keep(self, *patterns: str) -> None:
-        """Record hashes of files of no stage, or rewritten after it, for :meth:`digests`."""
-        paths = [path for pattern in patterns for path in sorted(self.path.glob(pattern))]
-        for path in paths:
-            self._kept[path.relative_to(self.path).as_posix()] = file_digest(path) or ""
-        self._kept = {file: d for file, d in self._kept.items() if (self.path / file).is_file()}
-        self._save()
+        Where the body fails, this folder is as it was. It is filled file by file, its record last,
+        where it cannot be replaced (it is mounted, or somebody's working directory), and if it
+        `grows`: then its log goes on, too.
+        """
+        with self.locked():  # refused now, not after the work
+            before, place = file_digest(self.path / RUN_NAME), self.path.resolve()
+        in_place = grows or _is_fixed(place)
+        with temporary_sibling(place / "run" if in_place else place) as folder:
+            new = RunFolder(folder, self.scene_digest, self.scene_name)
+            new.place, new._former, new._is_inside = self.path, self, in_place
+            if grows and (self.path / LOG_NAME).is_file():
+                shutil.copy2(self.path / LOG_NAME, new.log_path)
+            try:
+                yield new
+                new.record_files()
+            except UserError as error:
+                text = str(error)
+                if str(folder) not in text:
+                    raise
+                raise type(error)(text.replace(str(folder), str(self.path))) from error
+            with self.locked():
+                if file_digest(self.path / RUN_NAME) != before:
+                    what = "another result was written here meanwhile"
+                    raise BusyFolderError(what, where=self.path)
+                if in_place:
+                    new._move_into(place)
+                else:
+                    take_place(folder, place)
+        self.__dict__ |= {name: getattr(new, name) for name in _RECORDED}
 
-    @property
-    def digests(self) -> dict[str, str]:
-        """Hash of each expected file, by its path in the folder."""
-        stages = {file: d for record in self._stages.values() for file, d in record.files.items()}
-        return {**stages, **self._kept}
+    def begin(self) -> None:
+        """Make the folder, unless it holds results of the scene; results of another one go."""
+        if not (self.path / RUN_NAME).is_file() or self.read(self.path).scene_digest != (
+            self.scene_digest
+        ):
+            with self.replacing() as new:
+                new.take_over()
 
-    def confirm(self, name: str, asked: str) -> None:
-        """Record that a finished stage answers this request, too."""
-        if self._stages[name].asked != asked:
-            self._stages[name] = replace(self._stages[name], asked=asked)
-            self._save()
+    def take_over(self) -> None:
+        """Keep of the former folder what this one does not replace.
+
+        Kept are the user's own files and, of the same scene, an image, and scores and views if the
+        mesh has the same bytes.
+        """
+        former = self._former
+        if former is None or not former.path.is_dir():
+            return
+        sweep_folder(former.path)
+        mesh = file_digest(former.path / CONTENT_NAME)
+        is_same_mesh = mesh is not None and mesh == file_digest(self.path / CONTENT_NAME)
+        stored = self.read(former.path) if (former.path / RUN_NAME).is_file() else former
+        is_same_scene = stored.scene_digest == self.scene_digest
+
+        def stays(file: str) -> bool:
+            if file in {RUN_NAME, LOG_NAME}:
+                return False
+            if _matches(file, f"{TRAINING_FOLDER}/*"):
+                return not (self.path / FIELDS_NAME).exists()
+            if "image" in stored.stages and _matches(file, *OF_IMAGE):
+                return is_same_scene
+            if _matches(file, *_OF_MESH):
+                return is_same_scene and is_same_mesh
+            return file not in stored.files
+
+        for path in require_no_links(former.path):
+            file = path.relative_to(former.path).as_posix()
+            is_own = file not in stored.files
+            if (self._is_inside and is_own) or (self.path / file).exists() or not stays(file):
+                continue
+            link_file(path, self.path / file)
+            inode = (self.path / file).stat().st_ino
+            self._taken_over[file] = inode, stored.files.get(file)
+        kept = {"image", *(["echo", "report"] if is_same_mesh else [])} if is_same_scene else set()
+        for name in [name for name in stored.stages if name in kept - self.stages.keys()]:
+            self.stages[name] = stored.stages[name]
+        if is_same_scene and "image" in stored.asked:
+            self.asked["image"] = stored.asked["image"]
+
+    def _move_into(self, place: Path) -> None:
+        """Move the files into an existing folder, whose record goes first and comes last."""
+        assert self._former is not None
+        (place / RUN_NAME).unlink(missing_ok=True)
+        files = [p.relative_to(self.path).as_posix() for p in require_no_links(self.path)]
+        gone = [f for f in self._former.files if f not in files]
+        for path in (*map(place.joinpath, gone), *_found(place, _OF_MESH)):
+            if path.relative_to(place).as_posix() not in files:
+                path.unlink(missing_ok=True)
+        for file in sorted(files, key=lambda file: file == RUN_NAME):
+            (place / file).parent.mkdir(parents=True, exist_ok=True)
+            (self.path / file).replace(place / file)
+        if FIELDS_NAME in files:
+            shutil.rmtree(place / TRAINING_FOLDER, ignore_errors=True)
+
+    def record_files(self) -> None:
+        """Hash all files of a new folder, and write its record."""
+        self.files = {}
+        for path in sorted(require_no_links(self.path)):
+            file = path.relative_to(self.path).as_posix()
+            inode, digest = self._taken_over.get(file, (None, None))
+            if file in {RUN_NAME, LOG_NAME} or (inode == path.stat().st_ino and digest is None):
+                continue
+            kept = digest if inode == path.stat().st_ino else None
+            self.files[file] = kept or file_digest(path) or ""
+        self.save()
+
+    @contextmanager
+    def rewriting(self, *patterns: str) -> Iterator[None]:
+        """Lock the folder, and record files of these patterns anew, which the body writes.
+
+        While they are written none has a hash.
+        """
+        with self.locked():
+            self.files = {f: d for f, d in self.files.items() if not _matches(f, *patterns)}
+            self.save()
+            yield
+            for path in _found(self.path, patterns):
+                file = path.relative_to(self.path).as_posix()
+                self.files[file] = file_digest(path) or ""
+            self.save()
 
     def written(self, name: str) -> Path | None:
-        """Path of a file that a stage of this run wrote, None if none did or it is gone."""
+        """Path of a file that is of the run; None if it has no such file, or it is gone."""
         path = self.path / name
-        recorded = any(name in record.files for record in self._stages.values())
-        return path if recorded and path.is_file() else None
-
-    def restart(self) -> None:
-        """Drop the warnings of an earlier start."""
-        self.warnings = []
-        self._save()
+        return path if name in self.files and path.is_file() else None
 
     def warn(self, text: str, level: str = "warning") -> None:
         """Record a line for the report, and log it; level: "info", "warning" or "error"."""
         self.warnings.append(text)
         self.log(text, level=level)
-        self._save()
 
     def log(self, event: str, **data: Any) -> None:
         """Append one line to log.jsonl."""
         entry = {"time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "event": event}
         line = json.dumps(entry | {k: _plain(v) for k, v in data.items()}) + "\n"
-        with (self.path / LOG_NAME).open("a", encoding="utf-8") as handle:
+        with self.log_path.open("a", encoding="utf-8") as handle:
             handle.write(line)
 
-    def _save(self) -> None:
+    def save(self) -> None:
+        """Write the record."""
+        stages = {name: _plain(asdict(record)) for name, record in self.stages.items()}
         write_json_atomic(
             self.path / RUN_NAME,
             {
                 "format": _FORMAT,
                 "version": _VERSION,
                 "scene": {"name": self.scene_name, "digest": self.scene_digest},
+                "asked": self.asked,
                 "warnings": self.warnings,
-                "stages": {name: asdict(record) for name, record in self._stages.items()},
-                "stale": sorted(self._stale),
-                "kept": self._kept,
+                "stages": stages,
+                "files": self.files,
             },
         )
 
 
-def _acquire(lock: SoftFileLock, path: Path) -> None:
-    """Acquire a lock, also one whose process was killed before it could name itself; Timeout."""
+def link_file(source: Path, target: Path) -> None:
+    """Give a file a second name, or copy it where the file system has no such names."""
+    target.parent.mkdir(parents=True, exist_ok=True)
     try:
-        lock.acquire()
-    except Timeout:
-        if not _is_empty(path):
-            raise
-        time.sleep(_NAMED_S)
-        if _is_empty(path):
-            path.unlink(missing_ok=True)
-        lock.acquire()
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
-def _is_empty(path: Path) -> bool:
+def _is_fixed(place: Path) -> bool:
+    """Whether a folder must stay where it is: it is mounted, or a working directory."""
+    if not place.is_dir():
+        return False
+    if place.is_mount() or not os.access(place.parent, os.W_OK):
+        return True
     with suppress(FileNotFoundError):
-        return path.stat().st_size == 0
+        return place in (Path.cwd(), *Path.cwd().parents)
     return False
 
 
-def _holder_of(lock: Path) -> str:
-    try:
-        pid, host, *_ = read_regular(lock, RECORD_BYTES).decode(errors="replace").split("\n")
-    except (OSError, ValueError, UserError):
-        return "an unnamed process"
-    return f"process {pid} on {host}"
+def _matches(file: str, *patterns: str) -> bool:
+    return any(fnmatchcase(file, pattern) for pattern in patterns)
+
+
+def _found(folder: Path, patterns: Iterable[str]) -> list[Path]:
+    return [
+        p
+        for p in sorted(require_no_links(folder))
+        if _matches(p.relative_to(folder).as_posix(), *patterns)
+    ]
 
 
 def stage_key(**inputs: Any) -> str:

@@ -169,7 +169,7 @@ def require_determined(run: RunFolder) -> None:
     if "size_m" not in run.stages[BOX_STAGE].numbers and error_mm > 1e3 * _MAX_ERROR_M:
         raise UserError(
             what="no walls of a box are seen, and the content has no certain surface",
-            where=run.path,
+            where=run.place,
             expected=f"a typical expected error below {1e3 * _MAX_ERROR_M:.0f} mm",
             got=f"{error_mm:.0f} mm",
             hint="give the outside of the box with --box X Y Z or --los MESH",

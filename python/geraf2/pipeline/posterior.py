@@ -82,6 +82,6 @@ def _file(run: RunFolder, name: str) -> Path:
         raise UserError(
             what=f"the run has no {name} to draw samples from",
             where=run.path,
-            hint="finish it with 'geraf2 reconstruct --resume'",
+            hint="repeat it with 'geraf2 reconstruct --overwrite'",
         )
     return path

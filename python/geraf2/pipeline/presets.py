@@ -1,30 +1,35 @@
 """Presets: lists of stages, each preset with one typed config."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from geraf2.baselines import (
+    BASELINE_VERSION,
     BackProjectionConfig,
     LevelConfig,
     MatchedFilterConfig,
     NormalFieldConfig,
 )
+from geraf2.baselines.level import LEVEL_VERSION
 from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
+from geraf2.echoes.glints import GLINTS_VERSION
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table, merged, nearest, to_table
-from geraf2.learned.config import CorrectedPaperConfig, PaperConfig
+from geraf2.learned.config import TRAINING_VERSION, CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.stages.baselines import (
-    BACK_PROJECTION_STAGES,
-    MATCHED_FILTER_STAGES,
-    NORMAL_FIELD_STAGES,
+    reconstruct_back_projection,
+    reconstruct_matched_filter,
+    reconstruct_normal_field,
 )
-from geraf2.pipeline.stages.direct import BEST_STAGES, FAST_STAGES
-from geraf2.pipeline.stages.learned import GERAF1_STAGES, PAPER_STAGES
-from geraf2.pipeline.stages.stage import Stages
+from geraf2.pipeline.stages.direct import reconstruct_best, reconstruct_fast
+from geraf2.pipeline.stages.job import Job
+from geraf2.pipeline.stages.learned import reconstruct_geraf1, reconstruct_paper
 from geraf2.surfaces import FitConfig
-from geraf2.surfaces.refinement import RefineConfig
+from geraf2.surfaces.extraction import MESH_VERSION
+from geraf2.surfaces.fit import FIT_VERSION
+from geraf2.surfaces.refinement import SELECTION_VERSION, RefineConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,20 +145,37 @@ PresetConfig: TypeAlias = (
     | NormalFieldPreset
     | BackProjectionPreset
 )
-_STAGES: dict[type[PresetConfig], Stages] = {
-    FastPreset: FAST_STAGES,
-    BestPreset: BEST_STAGES,
-    PaperPreset: PAPER_STAGES,
-    CorrectedPaperPreset: PAPER_STAGES,
-    Geraf1Preset: GERAF1_STAGES,
-    MatchedFilterPreset: MATCHED_FILTER_STAGES,
-    NormalFieldPreset: NORMAL_FIELD_STAGES,
-    BackProjectionPreset: BACK_PROJECTION_STAGES,
+
+
+@dataclass(frozen=True)
+class _Route:
+    """How a preset reconstructs."""
+
+    run: Callable[[Job], None]
+    versions: dict[str, int]
+    """Version of the algorithm of each step, in order; a new one may give another surface."""
+
+
+_SURFACE = {"sdf": FIT_VERSION, "mesh": MESH_VERSION}
+_TRAINED = {"train": TRAINING_VERSION, "mesh": MESH_VERSION}
+_ROUTES: dict[type[PresetConfig], _Route] = {
+    FastPreset: _Route(reconstruct_fast, {"glints": GLINTS_VERSION, **_SURFACE}),
+    BestPreset: _Route(
+        reconstruct_best, {"glints": GLINTS_VERSION, "selection": SELECTION_VERSION, **_SURFACE}
+    ),
+    PaperPreset: _Route(reconstruct_paper, _TRAINED),
+    CorrectedPaperPreset: _Route(reconstruct_paper, _TRAINED),
+    Geraf1Preset: _Route(reconstruct_geraf1, _TRAINED),
+    MatchedFilterPreset: _Route(
+        reconstruct_matched_filter, {"baseline": BASELINE_VERSION, "mesh": MESH_VERSION}
+    ),
+    NormalFieldPreset: _Route(
+        reconstruct_normal_field, {"mesh": 100 * BASELINE_VERSION + LEVEL_VERSION}
+    ),
+    BackProjectionPreset: _Route(reconstruct_back_projection, {"mesh": BASELINE_VERSION}),
 }
-PRESETS: dict[str, type[PresetConfig]] = {kind().preset: kind for kind in _STAGES}
+PRESETS: dict[str, type[PresetConfig]] = {kind().preset: kind for kind in _ROUTES}
 """Config type of each preset, by name."""
-STAGE_NAMES = frozenset(stage.name for stages in _STAGES.values() for stage in stages)
-"""Names of the stages of all presets."""
 
 
 def preset_type(name: str) -> type[PresetConfig]:
@@ -176,12 +198,21 @@ def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
     return from_table(table, tuple(PRESETS.values()), where)
 
 
-def stages_of(config: PresetConfig) -> Stages:
-    """Stages of a preset, in an order in which each follows its inputs."""
-    return _STAGES[type(config)]
+def run_preset(job: Job) -> None:
+    """Reconstruct with the preset of a job's config, and write the results."""
+    _ROUTES[type(job.config)].run(job)
+
+
+def step_names(config: PresetConfig) -> tuple[str, ...]:
+    """Names of the steps of a preset, in order."""
+    return tuple(_ROUTES[type(config)].versions)
+
+
+def is_trained(config: PresetConfig) -> bool:
+    """Whether a preset trains networks or grids, and can be resumed."""
+    return hasattr(config, "paper")
 
 
 def versions_of(config: PresetConfig) -> dict[str, int]:
-    """Version of each stage of a preset; stored results are valid for these versions."""
-    own = {stage.name: stage.version for stage in stages_of(config)}
-    return {"calibration": CALIBRATION_VERSION, **own}
+    """Version of each step of a preset; stored results are valid for these versions."""
+    return {"calibration": CALIBRATION_VERSION, **_ROUTES[type(config)].versions}

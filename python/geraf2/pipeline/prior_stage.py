@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from geraf2.fields.mesh_distance import grid_about
 from geraf2.imaging.volume import image_volume
-from geraf2.io.run_folder import RunFolder
+from geraf2.io.regular import require_no_links
+from geraf2.io.run_folder import TRAINING_FOLDER, RunFolder, StageRecord, link_file
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.scene import Capture, Grid, LosPrior
@@ -64,17 +65,23 @@ def find_prior_job(
     return None
 
 
-def made_prior(run: RunFolder, job: PriorJob, listener: Listener) -> Path:
-    """Folder of the prior in a run, made now unless it has the same key."""
+def make_prior(run: RunFolder, job: PriorJob, listener: Listener) -> Path:
+    """Folder of the prior in a new run folder.
+
+    It is made in that of unfinished trainings, where a failure leaves it for the next run. A prior
+    of the same key that is there, or in the former run, is kept.
+    """
     start, folder = time.perf_counter(), run.path / PRIOR_STAGE
-    kept = run.is_done(PRIOR_STAGE, job.key)
-    if not kept:
-        run.forget([PRIOR_STAGE])
-    files = job.make(folder, listener)
-    if not kept:
-        seconds = time.perf_counter() - start
-        run.mark_done(PRIOR_STAGE, job.key, [f"{PRIOR_STAGE}/{name}" for name in files], seconds)
-        run.log("done", level="info", stage=PRIOR_STAGE, seconds=round(seconds, 3))
+    training = run.place / TRAINING_FOLDER / PRIOR_STAGE
+    former = run.place / PRIOR_STAGE
+    if former.is_dir() and not training.exists():
+        for path in require_no_links(former):
+            link_file(path, training / path.relative_to(former))
+    for name in job.make(training, listener):
+        link_file(training / name, folder / name)
+    seconds = round(time.perf_counter() - start, 3)
+    run.stages[PRIOR_STAGE] = StageRecord(seconds=seconds)
+    run.log("done", level="info", stage=PRIOR_STAGE, seconds=seconds)
     return folder
 
 

@@ -50,7 +50,7 @@ class Reconstruction:
 
     def __init__(self, run: RunFolder) -> None:
         self.run = run
-        """Record of the run: stages, files, warnings."""
+        """Record of the run: steps, files, warnings."""
 
     def __repr__(self) -> str:
         done = ", ".join(self.run.stages)
@@ -163,7 +163,7 @@ class Reconstruction:
             raise UserError(
                 what="the run has no surface to show",
                 where=self.path,
-                hint="finish it with 'geraf2 reconstruct --resume'",
+                hint="make one with 'geraf2 reconstruct'",
             )
         notebook = sys.modules.get("IPython")
         if notebook is not None and notebook.get_ipython() is not None:
@@ -194,15 +194,15 @@ class Reconstruction:
         path = self.run.written(name)
         if path is None:
             raise UserError(
-                what=f"the run has no {name} yet",
+                what=f"the run has no {name}",
                 where=self.path,
-                hint="finish it with 'geraf2 reconstruct --resume'",
+                hint="make it with 'geraf2 reconstruct'",
             )
         return read_mesh(path)
 
 
 def load_run(path: Path | str) -> Reconstruction:
-    """Open the folder of a run, finished or not.
+    """Open the folder of a run.
 
     path: argument `out` of `reconstruct`; nothing in it changes.
 

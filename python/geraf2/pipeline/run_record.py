@@ -52,14 +52,16 @@ class RunRecord:
     config: PresetConfig = field(default_factory=BestPreset)
     """Preset and its constants."""
 
-    def write(self, path: Path) -> None:
+    def write(self, path: Path, *, seen_from: Path | None = None) -> None:
         """Write config.toml, which can be read from any folder.
 
         Paths are absolute, and also relative to the file, so that a folder moved together with its
         inputs still finds them. A path that is not UTF-8 text is left out.
+
+        seen_from: folder that the file is about to be in; that of `path` when None.
         """
         known = {n: absolute(p) for n, p in self._paths().items() if p is not None and _is_text(p)}
-        here = path.parent.resolve()
+        here = (seen_from or path.parent).resolve()
         record = self._with_paths(known)
         scene = {} if record.scene is None else {"scene": str(record.scene)}
         parts = (to_table(part) for part in (record.prior, record.options, record.config))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from geraf2.errors import UserError
 from geraf2.pipeline.reconstruction import Reconstruction
-from geraf2.pipeline.stages.calibration import corrected
+from geraf2.pipeline.stages.calibration import correct_capture
 from geraf2.scene import Capture, load_capture
 from geraf2.scene.store import capture_digest
 
@@ -37,4 +37,4 @@ def capture_of(result: Reconstruction, scene: Path | str | Capture | None) -> Ca
             expected=repr(result.run.scene_name),
             hint="name it with --scene",
         )
-    return corrected(result.run, capture)
+    return correct_capture(result.run, capture)

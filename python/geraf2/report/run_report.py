@@ -61,7 +61,7 @@ _MAX_TRUTH_FACES = 30_000  # of the copy for reports without the truth
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RunArtefacts:
-    """Files of a run folder; None where a stage has not run."""
+    """Files of a run folder; None where the run has none."""
 
     sdf: SdfGrid | None
     """`sdf.npz`."""
@@ -78,7 +78,9 @@ class RunArtefacts:
     warnings: tuple[str, ...]
     """Warnings and errors since the last start."""
     stages: Mapping[str, StageRecord]
-    """Finished stages."""
+    """Steps that are done."""
+    files: Mapping[str, str]
+    """Hash of each file."""
     silhouettes: Silhouettes | None = None
     """`silhouettes.npz`."""
     planes_m: Floats | None = None
@@ -113,6 +115,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         config_text=read_text(config) if config.is_file() else None,
         warnings=tuple(run.warnings),
         stages=run.stages,
+        files=run.files,
         silhouettes=Silhouettes.load(shadows) if shadows else None,
         planes_m=load_planes(folder / run_folder.PLANES_NAME).corners_m,
         scene=(run.scene_name, run.scene_digest),
@@ -122,6 +125,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
 def write_report(
     run_dir: AnyPath,
     *,
+    name: str | None = None,
     truth: TriangleMesh | None = None,
     heatmap: tuple[Array, Grid] | None = None,
     provenance: Mapping[str, str] | None = None,
@@ -130,6 +134,7 @@ def write_report(
     """Draw the pictures of a run and write `report.html`, one file with everything it shows.
 
     run_dir: run folder; its files are used where they exist.
+    name: of the folder in the title; its own when None.
     truth: true surface, drawn beside the reconstruction. Without it, earlier pictures with the
         truth of `metrics.json` are kept.
     heatmap: matched-filter volume and its grid; by default an existing `figures/projections.png` is
@@ -163,7 +168,7 @@ def write_report(
         *_losses(log, figures),
         *_growth(log, figures),
         *run_sections.tables(run.stages, run.metrics, run.surface),
-        *run_sections.provenance(folder, run.scene, run.stages, known, log),
+        *run_sections.provenance(folder, run.scene, run.files, known, log),
         *run_sections.settings(run.config_text, run.stages),
         *run_sections.definitions(run.stages, run.metrics, run.surface),
     ]
@@ -171,7 +176,7 @@ def write_report(
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
     page = html.render_template(
         "run.html",
-        title=f"geraf2: {folder.resolve().name}",
+        title=f"geraf2: {name or folder.resolve().name}",
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
         answer=answer,

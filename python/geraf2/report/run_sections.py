@@ -188,7 +188,7 @@ def _calibration(numbers: Mapping[str, Any]) -> list[Section]:
 def provenance(
     folder: Path,
     scene: tuple[str, str],
-    stages: Mapping[str, StageRecord],
+    digests: Mapping[str, str],
     known: Mapping[str, Any],
     log: Sequence[Mapping[str, Any]],
 ) -> list[Section]:
@@ -209,7 +209,6 @@ def provenance(
         rows.append(("scene", f"{scene[0]}, digest {scene[1]}"))
     rows += [(str(name), str(text)) for name, text in known.items()]
     parts = [html.part("table", "", (), rows, text=True)]
-    digests = {file: digest for done in stages.values() for file, digest in done.files.items()}
     files = []
     for name, what in _FILES.items():
         if (folder / name).is_file():

@@ -1,6 +1,5 @@
 """Jobs of a batch: folders, patterns, tables; errors before any work."""
 
-import os
 import shutil
 import socket
 from dataclasses import replace
@@ -13,7 +12,7 @@ from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
 from geraf2.apps.batch.engine import state_of
 from geraf2.apps.batch.folder import JobPaths
 from geraf2.cli.main import main
-from geraf2.io.run_folder import LOCK_NAME
+from geraf2.io.locks import BusyFolderError
 from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
 from helpers.console import the_error
@@ -153,26 +152,21 @@ def test_a_key_follows_scene_prior_truth_and_settings(scans):
     assert job.key != after
 
 
-def test_a_run_that_another_process_writes_is_waited_for_until_its_host_is_gone(scans, monkeypatch):
+def test_a_run_that_another_process_writes_is_waited_for(scans, monkeypatch):
     geraf2.save_capture(geraf2.examples.small_capture()[0], scans / "two", overwrite=True)
     tiny = (0.01, 0.01, 0.01)  # refused once it is looked at
     (job,) = read_jobs([scans / "two"], box=tiny, options=geraf2.RunOptions(calibrate="no"))
-    paths = JobPaths(scans / "out", job.key, "two")
-    paths.run.mkdir(parents=True)
-    # What a process that was killed before its first record left, and the lock of another host.
-    (paths.run / ".run-abcdefgh.tmp.json").write_text("{")
-    lock, waited = paths.run / LOCK_NAME, []
-    lock.write_text("1\nanother-host\n")
+    paths, waited = JobPaths(scans / "out", job.key, "two"), []
+    calls = iter([BusyFolderError("another command is writing"), geraf2.UserError("the box")])
 
-    def wait(seconds):
-        waited.append(seconds)
-        os.utime(lock, (1.0, 1.0))  # nobody touched it for long
+    def refuse(*_):
+        raise next(calls)
 
-    monkeypatch.setattr(work.time, "sleep", wait)
+    monkeypatch.setattr(work, "_reconstruct", refuse)
+    monkeypatch.setattr(work.time, "sleep", waited.append)
     with pytest.raises(geraf2.UserError, match="box"):
         work.do_job(job, paths)
-    assert waited
-    assert not lock.exists()
+    assert waited == [1.0]
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ def test_a_stopped_training_continues_and_another_run_begins_again(
     run.mkdir()
     (run / "mesh.ply").touch()
     if is_stopped:
+        (run / CHECKPOINT_NAME).parent.mkdir()
         (run / CHECKPOINT_NAME).touch()
 
     def interrupted(*_, resume, **__):

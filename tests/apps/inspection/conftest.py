@@ -9,9 +9,10 @@ import trimesh
 
 import geraf2
 from geraf2.io.mesh import TriangleMesh, write_mesh
-from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, RunFolder
+from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME
 from geraf2.pipeline.events import Listener
 from helpers.inspected import CUBES, SMALL, block, few_starts, measured_body, run_of, wedge
+from helpers.run_folders import record_run
 from helpers.solids import joined
 
 
@@ -65,7 +66,7 @@ def failed(tmp_path_factory):
     )
     write_mesh(content, out / CONTENT_NAME)
     write_mesh(block((0.16,) * 3, edge_m=0.2), out / BOX_NAME)
-    RunFolder(out, "digest", "crate").mark_done("mesh", "key", [CONTENT_NAME, BOX_NAME], 1.0)
+    record_run(out, "crate")
     models = [wedge(), block((0.04, 0.04, 0.003)), block((0.1, 0.08, 0.06))]
     with few_starts():
         answer = geraf2.inspect(out, models, expect=3, listener=steps)

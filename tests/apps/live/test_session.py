@@ -155,7 +155,7 @@ def test_what_a_session_cannot_do_is_refused_at_once(capture, tmp_path):
         _session(capture, options=geraf2.RunOptions(hold_out=(60.0,)))
     with (
         _session(capture, tmp_path / "out"),
-        pytest.raises(UserError, match="another run is writing into this folder"),
+        pytest.raises(UserError, match="another command is writing into this folder"),
     ):
         _session(capture, tmp_path / "out")
     _session(capture, tmp_path / "out").close()

@@ -21,11 +21,12 @@ from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import write_mesh
-from geraf2.io.run_folder import RunFolder, mesh_digest
+from geraf2.io.run_folder import mesh_digest
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
 from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
 from helpers.glint_sets import glints_on_sphere
+from helpers.run_folders import record_run
 
 RADIUS_M = 0.03
 GRID = Grid(origin_m=(-0.05, -0.05, -0.05), spacing_m=0.005, shape=(21, 21, 21))
@@ -51,9 +52,7 @@ def run(tmp_path_factory):
     write_npz_atomic(out / "figures" / "truth.npz", truth)
     scores = evaluate_mesh(ball, ball, n_samples=200, num_threads=1)
     write_metrics(scores, out / "metrics.json", extra=mesh_digest(out))
-    folder = RunFolder(out, "digest", "ball")
-    files = ["mesh_content.ply", "mesh_box.ply", "glints.npz", "sdf.npz"]
-    folder.mark_done("mesh", "key", files, 1.0)
+    record_run(out, "ball")
     return out
 
 

@@ -2,31 +2,25 @@
 
 import io
 import logging
-import os
-import socket
-import tempfile
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from threading import Event, Thread
 
 import numpy as np
 
 from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob
-from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
+from geraf2.io.locks import BusyFolderError
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.objects import is_file, local_folder
-from geraf2.io.regular import RECORD_BYTES, read_regular
-from geraf2.io.run_folder import LOCK_NAME, REPORT_NAME, RunFolder
+from geraf2.io.run_folder import REPORT_NAME, RunFolder
 from geraf2.pipeline.events import LOGGER
-from geraf2.pipeline.stages.stage import peak_memory_bytes
+from geraf2.pipeline.presets import is_trained
+from geraf2.pipeline.stages.job import peak_memory_bytes
 
-# Its holder touches a lock so often, and is gone if it did not for so long [s].
-_TOUCH_S, _GONE_S = 5.0, 30.0
 _WAIT_S = 1.0
 _THUMBNAIL_PIXELS = 288
 # The record has the warnings of a run: the worker does not print them.
@@ -48,21 +42,15 @@ def do_job(
         known = paths.read()
         if known is not None and is_answer(known, paths, report=report):
             return known  # by another client
-        result = None
-        with local_folder(paths.run) as run:
-            lock = run / LOCK_NAME
-            if not _is_held(lock):
-                try:
-                    with _touched(lock):
-                        result = _result_of(job, paths, run, num_threads, report)
-                except UserError:
-                    if not _is_held(lock):
-                        raise
-        if result is not None:
-            result = replace(result, numbers={**(numbers or {}), **result.numbers})
-            paths.write(result)
-            return result
-        time.sleep(_WAIT_S)  # until another client has done it
+        try:
+            with local_folder(paths.run) as run:
+                result = _result_of(job, paths, run, num_threads, report)
+        except BusyFolderError:  # another client does it
+            time.sleep(_WAIT_S)
+            continue
+        result = replace(result, numbers={**(numbers or {}), **result.numbers})
+        paths.write(result)
+        return result
 
 
 def is_answer(result: JobResult, paths: JobPaths, *, report: bool) -> bool:
@@ -104,38 +92,6 @@ def _worker() -> str:
         return "no worker"
 
 
-def _is_held(lock: Path) -> bool:
-    """Whether the process that holds a run folder exists; the lock of a lost host is removed."""
-    try:
-        pid, host, *_ = read_regular(lock, RECORD_BYTES).decode(errors="replace").split("\n")
-        if host.strip() == socket.gethostname():
-            return Path(f"/proc/{int(pid)}").exists()
-        with tempfile.NamedTemporaryFile(dir=lock.parent, prefix=".now-") as now:
-            age = os.fstat(now.fileno()).st_mtime - lock.stat().st_mtime  # by the same clock
-    except (OSError, ValueError):
-        return False
-    if age > _GONE_S:
-        lock.unlink(missing_ok=True)
-    return age <= _GONE_S
-
-
-@contextmanager
-def _touched(lock: Path) -> Iterator[None]:
-    """Touch a lock until the body ends, for processes of other hosts."""
-    ended = Event()
-
-    def touch() -> None:
-        while not ended.wait(_TOUCH_S):
-            with suppress(OSError):
-                os.utime(lock, follow_symlinks=False)
-
-    Thread(target=touch, daemon=True).start()
-    try:
-        yield
-    finally:
-        ended.set()
-
-
 def _mesh_numbers(run: RunFolder) -> dict[str, float]:
     """Return what is known of a mesh without its truth; empty where its preset has no errors."""
     known = run.stages["mesh"].numbers if "mesh" in run.stages else {}
@@ -160,7 +116,7 @@ def _reconstruct(
         job.config,
         run,
         options=job.options,
-        resume=True,
+        resume=is_trained(job.config),
         overwrite=True,
         report=report and job.truth is None,
         num_threads=num_threads,

@@ -413,9 +413,8 @@ def _write(
         Path(out).mkdir(parents=True, exist_ok=True)
         write(Path(out))
         return
-    with result.run.locked():
+    with result.run.rewriting(f"{INSPECTION_NAME}.*"):
         write(result.path)
-        result.run.keep(f"{INSPECTION_NAME}.*")
 
 
 def _put_on_content(tree: KDTree, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:

@@ -18,16 +18,22 @@ from geraf2.apps.live.target import Target
 from geraf2.calibration.corrections import Corrections
 from geraf2.errors import UserError
 from geraf2.io.growing_scene import GrowingScene
+from geraf2.io.outputs import require_folder
 from geraf2.io.pose_digest import PoseDigest
-from geraf2.io.run_folder import RUN_NAME, RunFolder
-from geraf2.pipeline.box_check import BoxCheck
+from geraf2.io.run_folder import (
+    CALIBRATION_NAME,
+    CONFIG_NAME,
+    RUN_NAME,
+    RunFolder,
+    link_file,
+)
+from geraf2.pipeline.box_check import BOX_STAGE, BoxCheck
 from geraf2.pipeline.commands.reconstruct import (
     Request,
-    calibrated_job,
     keep_inputs,
     logged,
+    make_surface,
     run_request,
-    run_stages,
     start_job,
     temporary_folder,
 )
@@ -35,9 +41,10 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig, preset_type
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.pipeline.run_log import RunListener
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from geraf2.pipeline.stages.calibration import COARSE_CALIBRATION
-from geraf2.pipeline.stages.stage import Job
+from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE, calibrate_job
+from geraf2.pipeline.stages.job import Job
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import require_plausible
@@ -59,6 +66,8 @@ _GROWTH = 1.25
 # Largest change of the box that leaves the peaks as they are until the end [m]: a fifth of the
 # margin around the box within which they are collected.
 _SAME_BOX_M = 0.01
+# Steps whose results further planes use.
+_SETTLED = (BOX_STAGE, CALIBRATION_STAGE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,7 +262,8 @@ class Session:
         self._run.scene_digest = self._scene_digest()
         request = self._request()
         self._box = request.box
-        run_request(request, self._run, peaks=self._peaks, report=report)
+        with self._run.replacing(grows=True) as new:
+            run_request(request, new, peaks=self._peaks, report=report)
         self._settled = None
         self._result = Reconstruction(self._run)
         return self._result
@@ -337,16 +347,15 @@ class Session:
         """Surface with box and corrections estimated from all planes so far."""
         request, options = self._request(), self._record.options
         self._box = request.box
-        with logged(self._run, resume=False):
-            job, name = start_job(request, self._run, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
+        corrections = Corrections()
+        with self._run.replacing(grows=True) as new, logged(new, resume=False):
+            job, name = start_job(request, new, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
             self._peaks = job.peaks
-            job = calibrated_job(job, options, request.where, COARSE_CALIBRATION)
+            if options.calibrate == "auto":
+                job, corrections = calibrate_job(job, with_positions=False)
             job = replace(job, capture=self._spooled(job.capture, ()))
             keep_inputs(job, request.summary.planes)
-            run_stages(job, name, options)
-        corrections = Corrections()
-        if options.calibrate == "auto":
-            corrections = job[COARSE_CALIBRATION].corrections
+            make_surface(job, name, options)
         return _Settled(
             n_planes=len(self),
             box=request.box,
@@ -358,18 +367,24 @@ class Session:
     def _extended(self, settled: _Settled, corrections: Corrections) -> _Settled:
         """Surface with box and corrections that are known."""
         capture = self.capture if settled.box is None else settled.box.placed(self.capture)
-        digest = self._run.scene_digest
-        job = replace(
-            settled.job,
-            capture=self._spooled(corrections.applied(capture), settled.job.capture.poses),
-            inputs={**settled.job.inputs, "scene": digest},
-            made_from={**settled.job.made_from, "scene": digest},
-            _done={},
-        )
-        self._run.restart()
-        with logged(self._run, resume=False):
+        digest, before = self._run.scene_digest, settled.job.run
+        poses = self._spooled(corrections.applied(capture), settled.job.capture.poses)
+        with self._run.replacing(grows=True) as new, logged(new, resume=False):
+            new.asked |= before.asked
+            new.stages |= {n: before.stages[n] for n in _SETTLED if n in before.stages}
+            for name in (CONFIG_NAME, CALIBRATION_NAME):
+                if self._run.written(name) is not None:
+                    link_file(self.path / name, new.path / name)
+            job = replace(
+                settled.job,
+                run=new,
+                listener=RunListener(new, self._listener),
+                capture=poses,
+                inputs={**settled.job.inputs, "scene": digest},
+                made_from={**settled.job.made_from, "scene": digest},
+            )
             keep_inputs(job, [Aperture.from_pose(pose) for pose in job.capture.poses])
-            run_stages(job, settled.prior_name, replace(self._record.options, trust_los=True))
+            make_surface(job, settled.prior_name, replace(self._record.options, trust_los=True))
         return replace(settled, job=job)
 
     def _spooled(self, capture: Capture, before: Sequence[Pose]) -> Capture:
@@ -382,15 +397,17 @@ class Session:
 
 
 def _run_of(path: Path, about: Capture) -> RunFolder:
-    """Run folder of a session, new or to be continued."""
-    if not (path / RUN_NAME).is_file():
-        return RunFolder.open(path, scene_digest=capture_digest(about), scene_name=SCENE_FOLDER)
-    run = RunFolder.read(path)
-    if run.stages and not (path / SCENE_FOLDER).is_dir():
+    """Record of a session's folder, new or to be continued."""
+    digest, is_session = capture_digest(about), (path / SCENE_FOLDER).is_dir()
+    if is_session and (path / RUN_NAME).is_file():
+        return RunFolder.read(path)
+    if (path / RUN_NAME).is_file():
         raise UserError(
             what="holds a run that is no session", where=path, hint="choose another folder"
         )
-    return run
+    require_folder(path, "run", own=is_session)
+    path.mkdir(parents=True, exist_ok=True)
+    return RunFolder(path, digest, SCENE_FOLDER)
 
 
 def _require_readable(source: PriorSource, listener: Listener) -> None:

@@ -78,17 +78,16 @@ def evaluate(
                 ],
                 num_threads=num_threads,
             )
-        result.run.release(METRICS_NAME, *REPORT_FILES)
-        (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
-        write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
-        scores = {name: round(score, 6) for name, score in metrics.headline().items()}
-        result.run.log("evaluate", level="info", **scores)
-        if report:
-            from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
+        with result.run.rewriting(METRICS_NAME, *REPORT_FILES):
+            (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
+            write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
+            scores = {name: round(score, 6) for name, score in metrics.headline().items()}
+            result.run.log("evaluate", level="info", **scores)
+            if report:
+                from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-            with listener.step("drawing the report"):
-                write_report(folder, truth=true, num_threads=num_threads)
-        result.run.keep(METRICS_NAME, *REPORT_FILES)
+                with listener.step("drawing the report"):
+                    write_report(folder, truth=true, num_threads=num_threads)
     return metrics
 
 

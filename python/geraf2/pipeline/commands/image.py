@@ -21,7 +21,7 @@ from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_dept
 from geraf2.imaging.slabs import SLAB_GIB, Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
-from geraf2.io.run_folder import IMAGE_NAME, RunFolder, stage_key
+from geraf2.io.run_folder import IMAGE_NAME, OF_IMAGE, RunFolder, StageRecord, stage_key
 from geraf2.ops import explain_method
 from geraf2.pipeline.estimates import DEFAULT_IMAGE_SIDE_M, DEFAULT_IMAGE_SPACING_M, image_estimate
 from geraf2.pipeline.events import Listener
@@ -130,41 +130,46 @@ def image_scene(
     grid = plan.grid
     run = RunFolder.open(out, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite)
     key = plan.key()
-    with run.locked("image", key, overwrite=overwrite):
-        start = time.perf_counter()
-        method = note_method(plan, run)
-        with listener.step(plan.step) as report:
-            volume = image_volume(
-                plan.imaged,
-                grid,
-                poses=plan.poses,
-                slabs=plan.slabs,
-                num_threads=num_threads,
-                progress=report,
-            )
-        sharpness = np.zeros(0)
-        if plan.axis is not None:
-            sharpness = depth_sharpness(volume, plan.axis)
-            plan.warn_of_ends(sharpness, listener)
-        result = ImageResult(
-            path=run.path,
-            files=(IMAGE_NAME, SIDECAR_NAME, *plan.pictures),
-            volume=volume,
-            grid=grid,
-            method=method,
-            depths_m=plan.depths_m,
-            sharpness=sharpness,
-            searched_m=plan.searched_m,
+    run.require_same("image", key, "image", overwrite=overwrite)
+    start, method = time.perf_counter(), explain_image(plan)
+    with listener.step(plan.step) as report:
+        volume = image_volume(
+            plan.imaged,
+            grid,
+            poses=plan.poses,
+            slabs=plan.slabs,
+            num_threads=num_threads,
+            progress=report,
         )
-        run.forget(["image"])
+    sharpness = np.zeros(0)
+    if plan.axis is not None:
+        sharpness = depth_sharpness(volume, plan.axis)
+        plan.warn_of_ends(sharpness, listener)
+    result = ImageResult(
+        path=run.path,
+        files=(IMAGE_NAME, SIDECAR_NAME, *plan.pictures),
+        volume=volume,
+        grid=grid,
+        method=method,
+        depths_m=plan.depths_m,
+        sharpness=sharpness,
+        searched_m=plan.searched_m,
+    )
+    run.begin()
+    with run.rewriting(*OF_IMAGE):
         _write(result, plan)
         with listener.step("drawing"):
             maxima = [volume.max(axis=axis) for axis in range(3)]
             draw_image(plan, run.path, maxima, sharpness, volume.take)
-        seconds = time.perf_counter() - start
-        run.mark_done("image", key, result.files, seconds, asked=key)
-        run.log("image", level="info", seconds=round(seconds, 2), poses=len(plan.poses))
+        note_image(run, key, time.perf_counter() - start, method)
     return result
+
+
+def note_image(run: RunFolder, key: str, seconds: float, method: str) -> None:
+    """Record a finished image."""
+    run.asked["image"] = key
+    run.stages["image"] = StageRecord(seconds=round(seconds, 3))
+    run.log("image", level="info", seconds=round(seconds, 2), method=method)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -289,18 +294,16 @@ def plan_image(
     )
 
 
-def note_method(plan: ImagePlan, run: RunFolder) -> str:
-    """Kernel of the first slab of the first pose, and the reason; also logged."""
+def explain_image(plan: ImagePlan) -> str:
+    """Kernel of the first slab of the first pose, and the reason."""
     pose = plan.imaged.poses[plan.poses[0]]
-    choice = explain_method(
+    return explain_method(
         pose.tx_positions,
         pose.rx_positions,
         plan.slabs.part(0),
         plan.imaged.waveform,
         dtype=pose.signal.dtype,
-    )
-    run.log("image_method", level="info", method=choice.method, reason=choice.reason)
-    return choice.reason
+    ).reason
 
 
 def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:

@@ -37,7 +37,7 @@ from geraf2.io.objects import (
 )
 from geraf2.io.outputs import require_consent
 from geraf2.io.regular import RECORD_BYTES
-from geraf2.io.run_folder import RUN_NAME, RunFolder
+from geraf2.io.run_folder import OF_IMAGE, RUN_NAME, RunFolder
 from geraf2.io.text import parse_json
 from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, group_text, write_group
 from geraf2.pipeline.commands.image import (
@@ -45,7 +45,8 @@ from geraf2.pipeline.commands.image import (
     ImagePlan,
     ImageRecord,
     draw_image,
-    note_method,
+    explain_image,
+    note_image,
     plan_image,
     with_angles,
 )
@@ -138,10 +139,12 @@ def image_tiles(
             folder, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite
         )
         key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
-        with run.locked("image", key, overwrite=overwrite):
+        run.require_same("image", key, "image", overwrite=overwrite)
+        run.begin()
+        with run.rewriting(*OF_IMAGE):
             start = time.perf_counter()
             _prepare(job, plan, key, overwrite=overwrite)
-            method, left = note_method(plan, run), job.left()
+            method, left = explain_image(plan), job.left()
             _image(job, left, run_slabs or partial(_here, num_threads), plan.step, listener)
             with listener.step("looking at the slabs"):
                 seen = _look(job, plan.axis)
@@ -151,10 +154,7 @@ def image_tiles(
             write_text_atomic(job.group / METADATA_NAME, group_text(attributes))
             with listener.step("drawing"):
                 draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
-            chunks = (p for p in sorted(run.path.glob(f"{TILES_NAME}/**/*")) if p.is_file())
-            files = [*(p.relative_to(run.path).as_posix() for p in chunks), *plan.pictures]
-            run.mark_done("image", key, files, time.perf_counter() - start, asked=key)
-            run.log("image", level="info", slabs=len(left), poses=len(plan.poses))
+            note_image(run, key, time.perf_counter() - start, method)
     return TiledImage(
         path=out,
         files=(TILES_NAME, *plan.pictures),

@@ -8,14 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
-from typing import Any
 from weakref import finalize
 
 import numpy as np
 
 from geraf2 import __version__
-from geraf2._types import Progress
-from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes.prior_check import require_echoes_inside
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
@@ -23,17 +20,16 @@ from geraf2.io.belt_file import MOTION_KEY
 from geraf2.io.outputs import require_consent
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
-    CALIBRATION_NAME,
+    CHECKPOINT_NAME,
     CONFIG_NAME,
     PLANES_NAME,
     PRIOR_NAME,
-    REPORT_FILES,
-    REPORT_NAME,
-    RUN_NAME,
     SAMPLES_NAME,
     RunFolder,
+    StageRecord,
     stage_key,
 )
+from geraf2.io.toml import to_table
 from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.box_check import (
     BOX_STAGE,
@@ -46,30 +42,21 @@ from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
-from geraf2.pipeline.presets import STAGE_NAMES, PresetConfig, preset_type, stages_of
+from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
 from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
-from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, made_prior
+from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, make_prior
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.pipeline.run_log import RunListener, logging_to
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import naming_the_sign, require_sign
-from geraf2.pipeline.stages.calibration import (
-    CALIBRATION,
-    CALIBRATION_STAGE,
-    COARSE_CALIBRATION,
-    calibrated,
-)
-from geraf2.pipeline.stages.stage import Job, Stage, kept_peaks, peak_memory_bytes
+from geraf2.pipeline.stages.calibration import calibrate_job
+from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding, require_plausible
 from geraf2.scene.los_checks import require_prior_in_view
 from geraf2.scene.store import capture_digest
 from geraf2.scene.summary import CaptureSummary, summarize_capture
-from geraf2.surfaces.samples import SurfaceSamples
-
-SAMPLES_STAGE = "samples"
-"""Name of the stage that `RunOptions.samples` asks for."""
 
 
 @limit_blas_threads
@@ -96,7 +83,7 @@ def reconstruct(
     preset: its name, or its constants: best, fast, paper, or a method to compare with.
     out: run folder; a temporary one when not given, which goes with the result.
     options: planes left out, whether to calibrate, seed, how photos are meant.
-    resume: keep stages in `out` that are done and would come out the same.
+    resume: continue the training that a stopped run of this preset left in `out`.
     overwrite: replace a finished result in `out` that has other settings or is of another scene.
     report: also draw pictures and write `report.html`.
     num_threads: all when None.
@@ -118,38 +105,34 @@ def reconstruct(
     config = preset_type(preset)() if isinstance(preset, str) else preset
     if options.samples:
         require_posterior(config, options.samples)
+    if resume and not is_trained(config):
+        raise UserError(
+            what="--resume continues a training, and this preset trains nothing",
+            expected="the preset paper, paper-corrected or geraf1",
+            got=config.preset,
+            hint="leave it out: the run starts again and takes seconds",
+        )
     scene = None if isinstance(capture, Capture) else Path(capture)
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
     record = RunRecord(scene=scene, prior=PriorSource.of(prior), options=options, config=config)
     given = prior if isinstance(prior, LosPrior) else None
-    digest, name = capture_digest(loaded), scene.resolve().name if scene else "capture"
-    if out is not None and not overwrite:
-        _require_replaceable(Path(out), digest, name, record)
-    request = Request.of(loaded, given, record, listener or Listener(), num_threads)
     folder = temporary_folder() if out is None else Path(out)
-    run = RunFolder.open(folder, scene_digest=digest, scene_name=name, overwrite=overwrite)
+    run = RunFolder.open(
+        folder,
+        scene_digest=capture_digest(loaded),
+        scene_name=scene.resolve().name if scene else "capture",
+        overwrite=overwrite,
+    )
     if out is None:
         finalize(run, rmtree, folder, ignore_errors=True)
-    with run.locked("mesh", request.key, overwrite=overwrite):
-        run_request(request, run, resume=resume, report=report)
+    run.require_same("mesh", _settings_key(record), "mesh", overwrite=overwrite)
+    if (folder / CHECKPOINT_NAME).is_file() and not resume:
+        require_consent(folder, "a training that --resume would finish", overwrite=overwrite)
+    request = Request.of(loaded, given, record, listener or Listener(), num_threads)
+    run.require_same("box", request.outside, "mesh", overwrite=overwrite)
+    with run.replacing() as new:
+        run_request(request, new, resume=resume, report=report)
     return Reconstruction(run)
-
-
-def _require_replaceable(folder: Path, digest: str, name: str, record: RunRecord) -> None:
-    """Raise UserError, before any work, where a folder holds a finished result of another request.
-
-    Another prior is noticed only when the folder is locked: a found one is not known before.
-    """
-    if not (folder / RUN_NAME).is_file():
-        return
-    run = RunFolder.open(folder, scene_digest=digest, scene_name=name)
-    try:
-        stored = RunRecord.read(folder / CONFIG_NAME)
-    except UserError:  # a broken record is replaced
-        return
-    key, asked = (_request_key("", one.options, one.config) for one in (stored, record))
-    if "mesh" in run.stages and key != asked:
-        require_consent(folder, "a finished mesh of other settings", overwrite=False)
 
 
 BY_RADAR = "the box by radar"
@@ -173,8 +156,8 @@ class Request:
     making: PriorJob | None
     """Job that makes it."""
     record: RunRecord
-    key: str
-    """Hash of all that the meshes depend on."""
+    outside: str
+    """Hash of the outside of the box, or of what it is made of."""
     listener: Listener
     num_threads: int | None
     started: float
@@ -220,7 +203,6 @@ class Request:
         if found:
             require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
-        outside = _prior_key(found[0]) if found else making.key if making else ""
         return cls(
             capture=capture if box is None else box.placed(capture),
             summary=summary,
@@ -230,7 +212,7 @@ class Request:
             box_seconds=box_seconds,
             making=making,
             record=record,
-            key=_request_key(outside, options, record.config),
+            outside=_prior_key(found[0]) if found else making.key if making else "",
             listener=listener,
             num_threads=num_threads,
             started=begin,
@@ -250,20 +232,21 @@ def run_request(
     resume: bool = False,
     report: bool = False,
 ) -> None:
-    """Run all stages of a request in a locked run folder.
+    """Do all steps of a request in a new run folder.
 
     peaks: of the capture's planes, where they are known; collected when None.
     """
     options = request.record.options
     with logged(run, resume=resume):
         job, prior_name = start_job(request, run, peaks=peaks, resume=resume)
-        has_motion = MOTION_KEY in request.capture.provenance
-        stage = COARSE_CALIBRATION if has_motion else CALIBRATION
-        job = calibrated_job(job, options, request.where, stage)
+        if options.calibrate == "auto":
+            has_motion = MOTION_KEY in request.capture.provenance
+            job, _ = calibrate_job(job, with_positions=not has_motion)
+        job = replace(job, capture=keep_planes(job.capture, options.hold_out, request.where))
         left_out = planes_at(request.capture, options.hold_out, request.where)
         keep_inputs(job, [p for n, p in enumerate(request.summary.planes) if n not in left_out])
         with naming_the_sign(request.capture, request.where, request.num_threads):
-            run_stages(job, prior_name, options, report=report)
+            make_surface(job, prior_name, options, report=report)
         seconds = round(time.perf_counter() - request.started, 2)
         memory = round(peak_memory_bytes() / 2**20)
         run.log("finished", level="info", seconds=seconds, peak_memory_mib=memory)
@@ -277,31 +260,27 @@ def start_job(
     tolerance_m: float = 0.0,
     resume: bool = False,
 ) -> tuple[Job, str]:
-    """Job of the stages in the run folder, with its prior; and the prior's name.
+    """Job in a new run folder, with its prior; and the prior's name.
 
     peaks: of planes that were imaged before; kept if the prior moved by at most `tolerance_m` [m].
     """
-    run.restart()
-    heard = RunListener(run, request.listener)
+    heard, record = RunListener(run, request.listener), request.record
     for finding in request.findings:
         run.warn(str(finding), finding.severity)
-    run.release(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
-    record = request.record
-    record.write(run.path / CONFIG_NAME)
+    run.asked = {"mesh": _settings_key(record), "box": request.outside}
+    record.write(run.path / CONFIG_NAME, seen_from=run.place)
     if request.prior is None:
         assert request.making is not None  # or there would be a prior
-        source = PriorSource(los=made_prior(run, request.making, heard))
+        source = PriorSource(los=make_prior(run, request.making, heard))
         prior, name = _prior(source, request.capture, request.summary, heard)
     else:
         prior, name = request.prior
-        run.forget([PRIOR_STAGE])  # of an earlier prior; its files stay for its photos
     key = _prior_key(prior)
-    run.forget([BOX_STAGE])
     if request.box is not None:
         box = request.box
-        numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
         seconds, cpu = (round(value, 3) for value in request.box_seconds)
-        run.mark_done(BOX_STAGE, key, [], seconds, cpu_seconds=cpu, numbers=numbers)
+        numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
+        run.stages[BOX_STAGE] = StageRecord(seconds=seconds, cpu_seconds=cpu, numbers=numbers)
         (heard if box.is_warning else request.listener).note(box.text)
     job = Job(
         run=run,
@@ -316,7 +295,6 @@ def start_job(
         else kept_peaks(prior, record.config, request.num_threads),
         num_threads=request.num_threads,
         resume=resume,
-        asked=request.key,
         made_from={
             "scene": run.scene_digest,
             "prior": key,
@@ -327,7 +305,7 @@ def start_job(
 
 
 def keep_inputs(job: Job, planes: Sequence[Aperture]) -> None:
-    """Write the prior and the planes that the run reads, and note them in its record."""
+    """Write the prior and the planes that the run reads."""
     run = job.run
     save_prior(job.prior, run.path / PRIOR_NAME)
     scanned = ScannedPlanes(
@@ -335,7 +313,6 @@ def keep_inputs(job: Job, planes: Sequence[Aperture]) -> None:
         wavelength_m=job.capture.waveform.center_wavelength_m,
     )
     save_planes(scanned, run.path / PLANES_NAME)
-    run.keep(CONFIG_NAME, PRIOR_NAME, PLANES_NAME)
 
 
 def temporary_folder() -> Path:
@@ -367,17 +344,17 @@ def _prior(
     return prior, name
 
 
-def _request_key(outside: str, options: RunOptions, config: PresetConfig) -> str:
-    """Hash of all that the meshes of a scene depend on, known before the work."""
+def _settings_key(record: RunRecord) -> str:
+    """Hash of all that the meshes depend on besides the scene and the outside of its box."""
+    options, config = record.options, to_table(record.config)
+    if is_trained(record.config):
+        config["paper"].pop("device", None)
     return stage_key(
-        prior=outside,
         hold_out=options.hold_out,
-        calibration=CALIBRATION_VERSION if options.calibrate == "auto" else None,
-        preset=config.preset,
-        stages=[
-            [stage.name, stage.version, stage.settings(config), options.seed if stage.seeded else 0]
-            for stage in stages_of(config)
-        ],
+        calibrate=options.calibrate,
+        seed=options.seed if is_trained(record.config) else 0,
+        versions=versions_of(record.config),
+        config=config,
     )
 
 
@@ -386,96 +363,46 @@ def _prior_key(prior: LosPrior) -> str:
     return stage_key(vertices=prior.vertices, faces=prior.faces, walls=prior.walls, **certain)
 
 
-def calibrated_job(
-    job: Job, options: RunOptions, where: object, stage: Stage[Any] = CALIBRATION
-) -> Job:
-    """Job on the planes that are not left out, corrected by the calibration of all planes."""
-    more: dict[str, str] = {}
-    if options.calibrate == "no":
-        job.run.forget([CALIBRATION_STAGE])
-        (job.run.path / CALIBRATION_NAME).unlink(missing_ok=True)
-    else:
-        capture, prior, more = calibrated(job, stage)
-        job = replace(job, capture=capture, prior=prior)
-    kept = keep_planes(job.capture, options.hold_out, where)
-    return replace(job, capture=kept, inputs={**job.inputs, **more})
-
-
-def run_stages(job: Job, prior_name: object, options: RunOptions, *, report: bool = False) -> None:
-    """Run the stages of a job's preset, and those that the options ask for."""
-    stages, run = stages_of(job.config), job.run
-    if options.samples:
-        stages = (*stages, _samples_stage(stages[-1], options.samples))
-    kept = {stage.name for stage in stages} if job.resume else set()
-    run.forget((STAGE_NAMES | {SAMPLES_STAGE}) - kept, stale=True)
-    if not job.resume:
-        run.forget(["report"])
-    if not (options.trust_los or run.is_done(stages[0].name, job.key(stages[0]))):
+def make_surface(
+    job: Job, prior_name: object, options: RunOptions, *, report: bool = False
+) -> None:
+    """Do the steps of a job's preset, and those that the options ask for."""
+    run, threads = job.run, job.num_threads
+    if not options.trust_los:
         with job.listener.step("prior"):
             peaks = job.peaks.of(job.capture)
             try:
                 require_echoes_inside(
-                    job.capture, job.prior, peaks, prior_name, num_threads=job.num_threads
+                    job.capture, job.prior, peaks, prior_name, num_threads=threads
                 )
             except UserError as error:
                 if prior_name != BY_RADAR:  # that is the best there is
                     raise
                 job.listener.warning(str(error))
-    for stage in stages:
-        job.do(stage)
+    run_preset(job)
     if prior_name == BY_RADAR:
         require_determined(run)
-    run.drop_stale()
+    run.take_over()
+    run.record_files()
+    if options.samples:
+        with job.step("samples") as step:
+            samples = Reconstruction(run).samples(
+                options.samples, seed=job.seed, num_threads=threads
+            )
+            samples.save(run.path / SAMPLES_NAME)
+            step.numbers |= {"n_samples": len(samples), **samples.size_numbers()}
     if report:
-        job.do(_report_stage(stages_of(job.config)[-1]))
-        run.keep(*REPORT_FILES)
-
-
-def _samples_stage(mesh: Stage[Any], n_samples: int) -> Stage[Any]:
-    def save(job: Job, samples: SurfaceSamples) -> list[str]:
-        samples.save(job.run.path / SAMPLES_NAME)
-        return [SAMPLES_NAME]
-
-    return Stage(
-        name=SAMPLES_STAGE,
-        version=1,
-        inputs=(mesh,),
-        settings=lambda _: n_samples,
-        seeded=True,
-        compute=lambda job, _: Reconstruction(job.run).samples(
-            n_samples, seed=job.seed, num_threads=job.num_threads
-        ),
-        save=save,
-        load=lambda job: None,
-        numbers=lambda samples: {"n_samples": len(samples), **samples.size_numbers()},
-    )
-
-
-def _report_stage(mesh: Stage[None]) -> Stage[None]:
-    def draw(job: Job, progress: Progress) -> None:
         from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-        progress(0.0)
-        heatmap = None
-        if PRIOR_STAGE in job.run.stages:
-            heatmap = heat_map(job.capture, job.prior, job.num_threads)
-        job.run.release(*REPORT_FILES)
-        write_report(
-            job.run.path,
-            heatmap=heatmap,
-            provenance=job.capture.provenance,
-            num_threads=job.num_threads,
-        )
-
-    return Stage(
-        name="report",
-        version=1,
-        inputs=(mesh,),
-        settings=lambda _: __version__,
-        compute=draw,
-        save=lambda job, _: [REPORT_NAME],
-        load=lambda job: None,
-    )
+        with job.step("report"):
+            is_made = PRIOR_STAGE in run.stages
+            write_report(
+                run.path,
+                name=run.place.resolve().name,
+                heatmap=heat_map(job.capture, job.prior, threads) if is_made else None,
+                provenance=job.capture.provenance,
+                num_threads=threads,
+            )
 
 
 @contextmanager
@@ -490,5 +417,5 @@ def logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
             text = " ".join(str(error).split())
             text = "interrupted" if isinstance(error, KeyboardInterrupt) else text
             with suppress(OSError):  # a full disk must not hide the error itself
-                run.warn(f"the run stopped: {text}", "error")
+                run.log(f"the run stopped: {text}", level="error")
             raise

@@ -13,6 +13,7 @@ from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import (
     CONTENT_NAME,
     ECHO_NAME,
@@ -21,6 +22,7 @@ from geraf2.io.run_folder import (
     REPORT_FILES,
     VIEWS_FOLDER,
     RunFolder,
+    StageRecord,
     mesh_digest,
     stage_key,
 )
@@ -147,10 +149,8 @@ def render(
         if result.report is not None:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-            result.run.release(*REPORT_FILES)
-            with views.listener.step("drawing the report"):
+            with views.listener.step("drawing the report"), result.run.rewriting(*REPORT_FILES):
                 write_report(result.path, num_threads=num_threads)
-            result.run.keep(*REPORT_FILES)
     return tuple(rendered)
 
 
@@ -169,7 +169,7 @@ def _require_rendered(result: Reconstruction, *, is_paper: bool) -> None:
         raise UserError(
             what=f"the run has no {needed}",
             where=result.path,
-            hint="finish it with 'geraf2 reconstruct ... --resume'",
+            hint="repeat it with 'geraf2 reconstruct --overwrite'",
         )
 
 
@@ -181,8 +181,7 @@ def _render(
 
     folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[RenderedPlane]()
     folder.mkdir(exist_ok=True)
-    views.run.release(f"{VIEWS_FOLDER}/*")
-    with views.listener.step("rendering") as progress:
+    with views.listener.step("rendering") as progress, views.run.rewriting(f"{VIEWS_FOLDER}/*"):
         for number, (pose, held_out) in enumerate(chosen, start=1):
             view, angle = view_of(pose), f"{pose.angle_deg:g}"
             plane = RenderedPlane(
@@ -203,11 +202,11 @@ def _render(
                 title = f"{kind}, {angle} degrees, PSNR {view.psnr_db:.1f} dB"
                 projections(arrays[kind], grid, folder / f"{name}_{kind}.png", title=title)
             progress(number / len(chosen))
-    found = {f"{plane.angle_deg:g}": plane.psnr_db for plane in values}
-    record: dict[str, Any] = {"psnr_db": found, "mean_psnr_db": float(np.mean([*found.values()]))}
-    text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
-    write_text_atomic(folder / PSNR_NAME, text)
-    views.run.keep(f"{VIEWS_FOLDER}/*")
+        found = {f"{plane.angle_deg:g}": plane.psnr_db for plane in values}
+        mean = float(np.mean([*found.values()]))
+        record: dict[str, Any] = {"psnr_db": found, "mean_psnr_db": mean}
+        text = json.dumps({**record, **mesh_digest(views.run.path)}, indent=2) + "\n"
+        write_text_atomic(folder / PSNR_NAME, text)
     views.run.log("render", level="info", **record)
     return values
 
@@ -259,7 +258,7 @@ def _echo_key(views: _Views) -> str:
     return stage_key(
         version=ECHO_VERSION,
         scene=views.run.scene_digest,
-        mesh=views.run.stages["mesh"].files[CONTENT_NAME],
+        mesh=views.run.files[CONTENT_NAME],
         planes=[pose.name for pose in views.capture.poses],
         spacing_m=views.grid.spacing_m,
         walls=views.prior.walls,
@@ -274,9 +273,10 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
 
     run, options, key = views.run, views.options, _echo_key(views)
     path, kind = run.path / ECHO_NAME, "surface-echo"
-    if run.is_done("echo", key):
-        return SurfaceEcho.of_arrays(load_checkpoint(path, kind=kind, version=ECHO_VERSION).arrays)
-    run.forget(["echo"])
+    if run.written(ECHO_NAME) is not None and file_digest(path) == run.files[ECHO_NAME]:
+        kept = load_checkpoint(path, kind=kind, version=ECHO_VERSION)
+        if kept.header.get("key") == key:
+            return SurfaceEcho.of_arrays(kept.arrays)
     start = time.perf_counter()
     with views.listener.step("fitting reflectivity") as progress:
         echo = fit_surface_echo(
@@ -290,8 +290,11 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
         )
     walls, reflectivity = np.abs(echo.walls).tolist(), echo.reflectivity.tolist()
     numbers = {"power": echo.power, "walls": walls, "reflectivity": reflectivity}
-    arrays, header = dict(echo.arrays()), {"config": asdict(options.echo)}
-    save_checkpoint(path, Checkpoint(kind=kind, version=ECHO_VERSION, arrays=arrays, header=header))
-    run.mark_done("echo", key, [ECHO_NAME], time.perf_counter() - start, numbers=numbers)
+    arrays, header = dict(echo.arrays()), {"config": asdict(options.echo), "key": key}
+    made = Checkpoint(kind=kind, version=ECHO_VERSION, arrays=arrays, header=header)
+    with run.rewriting(ECHO_NAME):
+        save_checkpoint(path, made)
+        seconds = round(time.perf_counter() - start, 3)
+        run.stages["echo"] = StageRecord(seconds=seconds, numbers=numbers)
     run.log("echo", level="info", **numbers)
     return echo

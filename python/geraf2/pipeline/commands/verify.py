@@ -9,7 +9,6 @@ from geraf2.io.digests import file_digest, require_digests
 from geraf2.io.regular import require_no_links
 from geraf2.io.run_folder import (
     CONTENT_NAME,
-    LOCK_NAME,
     LOG_NAME,
     METRICS_NAME,
     PSNR_NAME,
@@ -29,7 +28,7 @@ class Verified:
     n_files: int
     """Files that were compared with the hashes of their bytes; of a scene its planes."""
     notes: tuple[str, ...] = ()
-    """Remarks: unfinished files, and files of no stage."""
+    """Remarks, for example on files that are not of the run."""
 
 
 def verify(path: Path | str) -> Verified:
@@ -53,24 +52,23 @@ def verify(path: Path | str) -> Verified:
         require_digests(folder, files)
         return Verified(kind="prior", n_files=len(files))
     run = RunFolder.read(folder)
-    require_digests(folder, run.digests)
+    require_digests(folder, run.files)
     mesh = file_digest(folder / CONTENT_NAME)
     for name in (METRICS_NAME, f"{VIEWS_FOLDER}/{PSNR_NAME}"):
         scores = read_object(folder / name) if (folder / name).is_file() else {}
         if scores.get("mesh_digest", mesh) != mesh:
             raise UserError(what=f"is not of the {CONTENT_NAME} beside it", where=folder / name)
-    return Verified(kind="run", n_files=len(run.digests), notes=tuple(_notes(run)))
+    return Verified(kind="run", n_files=len(run.files), notes=tuple(_notes(run)))
 
 
 def _notes(run: RunFolder) -> list[str]:
     notes = []
-    if not {"mesh", "image"} & set(run.stages):
-        done = ", ".join(run.stages) or "nothing"
-        notes.append(f"the run is not finished; done: {done}")
-    known = {*run.digests, RUN_NAME, LOG_NAME, LOCK_NAME}
+    if not {"mesh", "image"} & run.stages.keys():
+        notes.append("the folder holds neither a mesh nor an image")
+    known = {*run.files, RUN_NAME, LOG_NAME}
     found = (path for path in sorted(run.path.rglob("*")) if path.is_file())
     others = [name for p in found if (name := p.relative_to(run.path).as_posix()) not in known]
     if others:
         more = f" and {len(others) - 4} more" if len(others) > 4 else ""
-        notes.append(f"of no finished stage: {', '.join(others[:4])}{more}")
+        notes.append(f"not of the run: {', '.join(others[:4])}{more}")
     return notes

@@ -1,32 +1,39 @@
-"""Stages of the presets paper and geraf1: training with checkpoints, then the mesh.
+"""Presets paper and geraf1: a training with checkpoints, then the mesh.
 
 geraf1 follows the paper's description of its predecessor, without walls. The box is cropped out of
 the radar image, the field is the distance of one region, and its transmittance is not corrected.
 The level is chosen after the training, in the publication by hand.
 """
 
+import shutil
 import time
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from geraf2._memory import require_memory
-from geraf2._types import Progress
 from geraf2.baselines.heat import counted_voxels
 from geraf2.baselines.level import best_level
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
+from geraf2.io.locks import locked_folder
 from geraf2.io.run_folder import (
     CHECKPOINT_NAME,
     FIELDS_NAME,
     FIT_NAME,
     LIVE_FOLDER,
+    LOG_NAME,
     TENSORBOARD_FOLDER,
+    TRAINING_FOLDER,
+    link_file,
+    stage_key,
 )
 from geraf2.learned.config import TRAINING_VERSION, PaperConfig
-from geraf2.pipeline.stages.direct import loader, mesh_stage, saver
-from geraf2.pipeline.stages.stage import Job, Stage, Stages
+from geraf2.pipeline.prior_stage import PRIOR_STAGE
+from geraf2.pipeline.stages.direct import draw_surface
+from geraf2.pipeline.stages.job import Job, Step
 from geraf2.scene import LosPrior
 
 if TYPE_CHECKING:
@@ -55,23 +62,23 @@ def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
     return prior.crop(crop_m)
 
 
-def _settings(config: PaperConfig) -> dict[str, Any]:
-    """Return the settings that determine the result of a training, without the device."""
-    return {name: value for name, value in asdict(config).items() if name != "device"}
+def reconstruct_paper(job: Job) -> None:
+    """Train the fields of the paper."""
+    config = job.config.paper
+    draw_surface(job, _train(job, job.prior, config), float(config.crop_m))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Training:
-    """Inputs of the training of a preset."""
+def reconstruct_geraf1(job: Job) -> None:
+    """Train inside the cropped box, and choose the level that explains the signals best."""
+    paper, threads = job.config.paper, job.num_threads
+    sdf = _train(job, cropped_prior(job.prior, paper.crop_m), geraf1_config(paper))
+    counted = counted_voxels(job.prior, sdf.grid, paper.crop_m, num_threads=threads)
+    level = best_level(sdf, counted, job.capture, 0.0, job.config.level, num_threads=threads)
+    values = (sdf.values - level).astype(sdf.values.dtype)
+    draw_surface(job, SdfGrid(grid=sdf.grid, values=values), float(paper.crop_m))
 
-    job: Job
-    key: str
-    """Hash of the training's inputs; a checkpoint with another hash is not resumed."""
-    prior: LosPrior
-    config: PaperConfig
 
-
-def _train(training: _Training, progress: Progress) -> SdfGrid:
+def _train(job: Job, prior: LosPrior, config: PaperConfig) -> SdfGrid:
     """Train both stages, or their remaining steps, and write the fields."""
     import torch  # noqa: PLC0415 - torch takes a second
 
@@ -79,124 +86,122 @@ def _train(training: _Training, progress: Progress) -> SdfGrid:
     from geraf2.learned.resources import training_bytes  # noqa: PLC0415 - needs torch
     from geraf2.learned.trainer import PaperTrainer, run_steps  # noqa: PLC0415 - needs torch
 
-    job, config, key = training.job, training.config, training.key
     if job.num_threads is not None:
         torch.set_num_threads(job.num_threads)
     require_memory(
         training_bytes(config, job.capture, torch.get_num_threads()),
         "lower --paper.n-cells, --paper.n-samples or --paper.n-antennas",
     )
-    trainer = PaperTrainer(
-        job.capture, training.prior, config, seed=job.seed, num_threads=job.num_threads
+    settings = {name: value for name, value in asdict(config).items() if name != "device"}
+    key = stage_key(
+        version=TRAINING_VERSION,
+        preset=job.config.preset,
+        config=settings,
+        seed=job.seed,
+        **job.inputs,
     )
-    job.run.log("device", level="info", device=str(trainer.device))
-    checkpoint = job.run.path / CHECKPOINT_NAME
-    if job.resume and checkpoint.is_file():
-        _resume(training, trainer, checkpoint)
-    watcher = _Watcher(training, trainer, checkpoint, progress)
-    try:
-        run_steps(trainer, on_step=watcher)
-        sdf, shift = trainer.distance(), trainer.glint_shift
-    except KeyboardInterrupt:
-        save_checkpoint(checkpoint, save_state(trainer, key))
-        raise
-    finally:
-        watcher.close()
-    save_checkpoint(job.run.path / FIELDS_NAME, save_state(trainer, key))
-    checkpoint.unlink(missing_ok=True)
-    if shift is not None:
-        outside_mm = [1e3 * outside_m for outside_m in shift.outside_m]
-        job.run.log(
-            "glint_level",
-            level="info",
-            glints=shift.n_glints,
-            inward_mm=1e3 * shift.inward_m,
-            outside_mm=outside_mm,
+    run, checkpoint = job.run, job.run.place / CHECKPOINT_NAME
+    with job.step("train") as step, _unfinished(job):
+        trainer = PaperTrainer(
+            job.capture, prior, config, seed=job.seed, num_threads=job.num_threads
         )
+        run.log("device", level="info", device=str(trainer.device))
+        if checkpoint.is_file():
+            _resume(job, trainer, key)
+        watcher = _Watcher(job, step, trainer, config, key, prior.center_m)
+        try:
+            run_steps(trainer, on_step=watcher)
+            sdf, shift = trainer.distance(), trainer.glint_shift
+        except KeyboardInterrupt:
+            save_checkpoint(checkpoint, save_state(trainer, key))
+            raise
+        finally:
+            watcher.close()
+        save_checkpoint(checkpoint, save_state(trainer, key))
+        if shift is not None:
+            run.log(
+                "glint_level",
+                level="info",
+                glints=shift.n_glints,
+                inward_mm=1e3 * shift.inward_m,
+                outside_mm=[1e3 * outside_m for outside_m in shift.outside_m],
+            )
+        sdf.save(run.path / FIT_NAME)
     return sdf
 
 
-def _save(job: Job, sdf: SdfGrid) -> list[str]:
-    return [FIELDS_NAME, *saver(FIT_NAME)(job, sdf)]
+@contextmanager
+def _unfinished(job: Job) -> Iterator[None]:
+    """Folder of the training beside the new one, whose files the new one gets at the end.
+
+    A failed training keeps it where there is a checkpoint.
+    """
+    run, was_there = job.run, job.run.place.exists()
+    folder = run.place / TRAINING_FOLDER
+    folder.mkdir(parents=True, exist_ok=True)
+    with locked_folder(folder):
+        if not job.resume:
+            for path in folder.iterdir():
+                if path.is_dir() and path.name != PRIOR_STAGE:
+                    shutil.rmtree(path)
+                elif path.is_file():
+                    path.unlink()
+        begun = run.log_path.read_bytes()
+        run.log_path = folder / LOG_NAME
+        with run.log_path.open("ab") as log:
+            log.write(begun)
+        try:
+            yield
+        except BaseException:
+            if not (run.place / CHECKPOINT_NAME).is_file():
+                shutil.rmtree(folder, ignore_errors=True)
+                with suppress(OSError):
+                    if not was_there:
+                        run.place.rmdir()
+            raise
+        for name, link in (
+            (CHECKPOINT_NAME, FIELDS_NAME),
+            (f"{TRAINING_FOLDER}/{LOG_NAME}", LOG_NAME),
+        ):
+            (run.path / link).unlink(missing_ok=True)
+            shutil.copy2(run.place / name, run.path / link)
+        for name in (LIVE_FOLDER, TENSORBOARD_FOLDER):
+            for path in sorted((folder / name).glob("*")):
+                link_file(path, run.path / name / path.name)
+        run.log_path = run.path / LOG_NAME
 
 
-TRAIN: Stage[SdfGrid] = Stage(
-    name="train",
-    version=TRAINING_VERSION,
-    settings=lambda config: _settings(config.paper),
-    seeded=True,
-    compute=lambda job, progress: _train(
-        _Training(job=job, key=job.key(TRAIN), prior=job.prior, config=job.config.paper), progress
-    ),
-    save=_save,
-    load=loader(FIT_NAME),
-)
-PAPER_STAGES: Stages = (
-    TRAIN,
-    mesh_stage((TRAIN,), lambda job: job[TRAIN], lambda job: float(job.config.paper.crop_m)),
-)
-
-
-def _train_geraf1(job: Job, progress: Progress) -> SdfGrid:
-    config = geraf1_config(job.config.paper)
-    prior = cropped_prior(job.prior, config.crop_m)
-    key = job.key(TRAIN_GERAF1)
-    return _train(_Training(job=job, key=key, prior=prior, config=config), progress)
-
-
-TRAIN_GERAF1: Stage[SdfGrid] = Stage(
-    name="train",
-    version=TRAINING_VERSION,
-    settings=lambda config: ["geraf1", _settings(geraf1_config(config.paper))],
-    seeded=True,
-    compute=_train_geraf1,
-    save=_save,
-    load=loader(FIT_NAME),
-)
-
-
-def _at_best_level(job: Job) -> SdfGrid:
-    """Field shifted to the level that explains the signals best."""
-    sdf, crop_m, threads = job[TRAIN_GERAF1], job.config.paper.crop_m, job.num_threads
-    counted = counted_voxels(job.prior, sdf.grid, crop_m, num_threads=threads)
-    level = best_level(sdf, counted, job.capture, 0.0, job.config.level, num_threads=threads)
-    return SdfGrid(grid=sdf.grid, values=(sdf.values - level).astype(sdf.values.dtype))
-
-
-GERAF1_STAGES: Stages = (
-    TRAIN_GERAF1,
-    mesh_stage(
-        (TRAIN_GERAF1,),
-        _at_best_level,
-        lambda job: float(job.config.paper.crop_m),
-        settings=lambda config: config.level,
-    ),
-)
-
-
-def _resume(training: _Training, trainer: "PaperTrainer", path: Path) -> None:
+def _resume(job: Job, trainer: "PaperTrainer", key: str) -> None:
     from geraf2.learned.checkpoints import KIND, VERSION, load_state  # noqa: PLC0415 - needs torch
 
+    path = job.run.place / CHECKPOINT_NAME
     checkpoint = load_checkpoint(path, kind=KIND, version=VERSION)
-    if checkpoint.header.get("key") != training.key:
-        training.job.listener.warning(f"{path} has other settings; the training starts again")
+    if checkpoint.header.get("key") != key:
+        job.listener.warning(f"{path} has other settings; the training starts again")
         return
-    load_state(trainer, checkpoint, training.key, path)
+    load_state(trainer, checkpoint, key, path)
 
 
 class _Watcher:
     """Logs, saves and draws during the training, and reports its progress."""
 
     def __init__(
-        self, training: _Training, trainer: "PaperTrainer", checkpoint: Path, progress: Progress
+        self,
+        job: Job,
+        step: Step,
+        trainer: "PaperTrainer",
+        config: PaperConfig,
+        key: str,
+        center_m: tuple[float, float, float],
     ) -> None:
-        self._training, self._run = training, training.job.run
-        self._trainer, self._checkpoint, self._progress = trainer, checkpoint, progress
+        self._run, self._progress = job.run, step.progress
+        self._trainer, self._config, self._key, self._center_m = trainer, config, key, center_m
+        self._folder = job.run.place / TRAINING_FOLDER
         self._sums: dict[str, float] = {}
         self._n_summed = 0
         self._saved = time.monotonic()
         self._writer: Any = None
-        if training.config.tensorboard:
+        if config.tensorboard:
             try:
                 from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - an extra
             except ImportError as error:
@@ -205,13 +210,13 @@ class _Watcher:
                     hint="pip install 'geraf2[tensorboard]'",
                 ) from error
             self._writer = SummaryWriter(
-                str(self._run.path / TENSORBOARD_FOLDER), purge_step=trainer.stages.steps_done
+                str(self._folder / TENSORBOARD_FOLDER), purge_step=trainer.stages.steps_done
             )
 
     def __call__(self, step: "StepReport") -> None:
         from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
 
-        config, n_done = self._training.config, self._trainer.stages.steps_done
+        config, n_done = self._config, self._trainer.stages.steps_done
         self._progress(n_done / max(self._trainer.stages.total_steps, 1))
         values = {"heatmap": step.heatmap, "eikonal": step.eikonal, "rsdf": step.rsdf}
         for name, value in values.items():
@@ -237,17 +242,18 @@ class _Watcher:
         due = time.monotonic() - self._saved > CHECKPOINT_S
         if due or n_done % config.checkpoint_every == 0:
             self._saved = time.monotonic()
-            save_checkpoint(self._checkpoint, save_state(self._trainer, self._training.key))
+            state = save_state(self._trainer, self._key)
+            save_checkpoint(self._run.place / CHECKPOINT_NAME, state)
         if config.slice_every and n_done % config.slice_every == 0:
             self._draw(n_done)
 
     def _draw(self, n_done: int) -> None:
         from geraf2.report.figures import sdf_slices  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-        folder = self._run.path / LIVE_FOLDER
+        folder = self._folder / LIVE_FOLDER
         folder.mkdir(exist_ok=True)
         sdf = self._trainer.model.sdf.sample_grid(self._trainer.domain.grid(65))
-        sdf_slices(sdf, folder / f"step_{n_done:06d}.png", center_m=self._training.prior.center_m)
+        sdf_slices(sdf, folder / f"step_{n_done:06d}.png", center_m=self._center_m)
 
     def close(self) -> None:
         """Close the TensorBoard writer."""
