@@ -12,7 +12,6 @@ import pytest
 import geraf2
 
 pytest.importorskip("distributed")
-yaml = pytest.importorskip("yaml")  # of dask
 
 # What the scripts call, from this environment.
 _COMMANDS = {
@@ -85,24 +84,3 @@ def test_machines_by_ssh_do_a_batch(project_root, position):
     script = str(project_root / "examples" / "batch_ssh.sh")
     where = {"SCHEDULER_HOST": "127.0.0.1", "SCHEDULER_PORT": _free_port()}
     _require_done([script, *BATCH], position, HOSTS="a", WORKERS="1", **where)
-
-
-def test_the_manifest_of_kubernetes_runs_the_same_three_commands(project_root):
-    text = (project_root / "examples" / "batch.kubernetes.yaml").read_text(encoding="utf-8")
-    pods = [
-        d["spec"]["template"]["spec"] for d in yaml.safe_load_all(text) if "template" in d["spec"]
-    ]
-    commands = [pod["containers"][0]["command"] for pod in pods]
-    assert [command[:2] for command in commands] == [
-        ["dask", "scheduler"],
-        ["dask", "worker"],
-        ["geraf2", "batch"],
-    ]
-    (service,) = [d for d in yaml.safe_load_all(text) if d["kind"] == "Service"]
-    address = f"tcp://{service['metadata']['name']}:{service['spec']['ports'][0]['port']}"
-    assert commands[1][2] == commands[2][-1] == address
-    assert commands[0][commands[0].index("--port") + 1] == "8786"
-    script = (project_root / "examples" / "batch_ssh.sh").read_text(encoding="utf-8")
-    for flag in commands[1][5:]:
-        assert flag in script or flag.isdigit()
-    assert all(isinstance(word, str) for command in commands for word in command)

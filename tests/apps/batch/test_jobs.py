@@ -65,7 +65,7 @@ def test_columns_of_a_table_give_the_box_and_the_truth(scans):
     assert (one.config, one.prior.box, one.truth) == (base, BOX, scans / "one" / "truth.ply")
 
 
-REFUSED = {
+TABLES = {
     "unknown column 'boxes', did you mean 'box'?": ["scene,boxes", "one,1"],
     "has no column 'scene'": ["box", "1 1 1"],
     "line 2: names no scene": ["scene,box", ",1 1 1"],
@@ -77,30 +77,20 @@ REFUSED = {
     "one: the same scene twice, with different boxes": ["scene,box", "one,1 1 1", "one,"],
     "there is no scene": ["scene"],
 }
+WORDS = {
+    "nowhere: no such scene": ["nowhere"],
+    "nowhere*: no scene has such a name": ["nowhere*"],
+    "scans.csv: no such file": ["scans.csv"],
+    "scans: is not a scene": ["scans"],
+    "either --workers or": ["scans/one", "--workers", "1", "--scheduler", "tcp://a:1"],
+}
 
 
-@pytest.mark.parametrize("what", REFUSED)
-def test_a_table_that_cannot_be_meant_is_one_line_before_any_work(what, scans, capsys):
-    assert main(["batch", str(_table(scans, *REFUSED[what])), str(scans / "out")]) == 2
-    assert what in the_error(capsys)
-    assert not (scans / "out").exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        (["nowhere"], "nowhere: no such scene"),
-        (["nowhere*"], "nowhere*: no scene has such a name"),
-        (["scans.csv"], "scans.csv: no such file"),
-        (["scans"], "scans: is not a scene"),
-        (["scans/one", "--workers", "1", "--scheduler", "tcp://a:1"], "either --workers or"),
-    ],
-)
-def test_a_command_line_that_cannot_be_meant_is_one_line(
-    arguments, what, scans, capsys, monkeypatch
-):
+@pytest.mark.parametrize("what", [*TABLES, *WORDS])
+def test_what_cannot_be_meant_is_one_line_before_any_work(what, scans, capsys, monkeypatch):
     monkeypatch.chdir(scans.parent)
-    assert main(["batch", *arguments, "out", *FLAGS]) == 2
+    words = WORDS[what] if what in WORDS else [str(_table(scans, *TABLES[what]))]
+    assert main(["batch", *words, "out", *FLAGS]) == 2
     assert what in the_error(capsys)
     assert not Path("out").exists()
 

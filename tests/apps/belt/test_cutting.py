@@ -73,10 +73,8 @@ def test_parcels_are_found_where_they_are_in_the_order_of_the_belt():
         assert not span.problem
         assert span.high_m - span.low_m == pytest.approx(0.8, abs=0.05)
         assert span.planes
-
-
-def test_the_result_does_not_depend_on_when_planes_come():
-    assert cut(stream(PARCELS))[0] == cut(stream(PARCELS), at_once=True)[0]
+    # The result does not depend on when planes come.
+    assert cut(stream(PARCELS), at_once=True)[0] == spans
 
 
 def test_a_window_ends_halfway_to_the_neighbour():
@@ -120,19 +118,8 @@ def test_travel_that_goes_back_leaves_the_plane_out():
     ("change", "message"),
     [
         (lambda p: replace(p, name="right/0"), "no array of the belt"),
-        (
-            lambda p: replace(p, tx_positions=p.tx_positions + np.array([0.0, 0.01, 0.0])),
-            "elsewhere",
-        ),
-        (
-            lambda p: replace(
-                p,
-                signal=p.signal[1:],
-                tx_positions=p.tx_positions[1:],
-                rx_positions=p.rx_positions[1:],
-            ),
-            "parts of frames",
-        ),
+        (lambda p: replace(p, tx_positions=p.tx_positions + np.array([0.0, 0.01, 0])), "elsewhere"),
+        (lambda p: p.select(np.arange(1, p.n_antennas)), "parts of frames"),
     ],
 )
 def test_a_plane_that_contradicts_the_record_is_one_line(change, message):

@@ -15,33 +15,37 @@ from geraf2.simulation.belt import belt_planes
 from geraf2.simulation.belt_spec import BeltArraySpec, BeltSpec
 from helpers.belt_stream import small_parcel
 
-SCAN = {"travel_m": 0.4, "frame_m": 0.004, "segment_m": 0.4}
+MOVED = {"speed_error": 0.01, "yaw_drift_deg": 1.0}
+
+
+def spec_of(changes):
+    """Belt of the left array alone, in one plane."""
+    array = BeltArraySpec(side="left", row_m=0.006, standoff_m=0.2)
+    return BeltSpec(arrays=(array,), travel_m=0.4, frame_m=0.004, segment_m=0.4, **changes)
 
 
 def found(**changes):
     return parcel_scan(*small_parcel(**changes), num_threads=1)
 
 
-@pytest.mark.parametrize("encoder", [True, False])
-def test_the_speed_is_found_to_half_a_thousandth(encoder):
-    _, motion = found(speed_error=0.01, encoder=encoder)
+def test_speed_and_yaw_are_found_and_move_the_antennas():
+    scan, motion = found(**MOVED)
     assert 1.0 + motion.scale == pytest.approx(1.0 / 1.01, abs=5e-4)
     assert motion.scale_sigma < 5e-4
     assert motion.n_pairs > 50
-
-
-def test_a_yaw_over_the_travel_is_found_and_moves_the_antennas():
-    scan, motion = found(yaw_drift_deg=1.0)
     assert np.rad2deg(motion.turn_rad_per_m) == pytest.approx(1.0 / 0.4, abs=0.3)
-    assert motion.scale == pytest.approx(0.0, abs=1.5e-3)
-    spec = BeltSpec(
-        arrays=(BeltArraySpec(side="left", row_m=0.006, standoff_m=0.2),),
-        **SCAN,
-        yaw_drift_deg=1.0,
-    )
-    _, true = next(belt_planes(spec, 0))
+    _, true = next(belt_planes(spec_of(MOVED), 0))
     left = np.concatenate([p.phase_centers for p in scan.poses if p.name.startswith("left")])
     assert np.abs(left - 0.5 * (true.tx + true.rx)).max() < 0.0015
+    # The second array of a line gives no planes.
+    assert {pose.name.rpartition("/")[0] for pose in scan.poses} == {"left", "above"}
+    for pose in scan.poses:
+        assert np.array_equal(pose.tx_positions, pose.rx_positions)
+
+
+def test_the_speed_is_found_without_an_encoder():
+    _, motion = found(speed_error=0.01, encoder=False)
+    assert 1.0 + motion.scale == pytest.approx(1.0 / 1.01, abs=5e-4)
 
 
 def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():
@@ -55,24 +59,14 @@ def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():
     assert changed**2 < 1e-3  # of the power
 
 
-def test_the_second_array_of_a_line_gives_no_planes():
-    scan, _ = found()
-    assert {pose.name.rpartition("/")[0] for pose in scan.poses} == {"left", "above"}
-    for pose in scan.poses:
-        assert np.array_equal(pose.tx_positions, pose.rx_positions)
-
-
 def test_without_a_second_array_the_motion_is_as_recorded():
-    _, motion = parcel_scan(*_alone(), num_threads=1)
-    assert motion == Motion()
-    assert "as recorded" in str(motion)
-
-
-def _alone():
     capture, record = small_parcel()
     kept = tuple(a for a in record.arrays if a.name != "speed")
     poses = tuple(p for p in capture.poses if not p.name.startswith("speed"))
-    return replace(capture, poses=poses), replace(record, arrays=kept)
+    alone = replace(capture, poses=poses), replace(record, arrays=kept)
+    _, motion = parcel_scan(*alone, num_threads=1)
+    assert motion == Motion()
+    assert "as recorded" in str(motion)
 
 
 def test_placed_antennas_follow_the_motion_written_out():
@@ -109,12 +103,7 @@ def test_a_vibration_is_found_frame_by_frame():
     pose = joined([at_midpoints(p, matrices) for p in capture.poses if p.name.startswith("left")])
     region = LosPrior.from_box((0.28, 0.28, 0.28))
     steady = steadied({"left": pose}, [array.n_channels], capture.waveform, region, 1)["left"]
-    spec = BeltSpec(
-        arrays=(BeltArraySpec(side="left", row_m=0.006, standoff_m=0.2),),
-        **SCAN,
-        **shaken,
-    )
-    recorded, true = next(belt_planes(spec, 0))
+    recorded, true = next(belt_planes(spec_of(shaken), 0))
     vibration = (true.tx - recorded.tx)[:, 1].reshape(101, -1).mean(axis=1)
     found_m = (steady.phase_centers - pose.phase_centers)[:, 1].reshape(101, -1).mean(axis=1)
     smooth = np.ones(15) / 15.0
