@@ -1,6 +1,7 @@
 """Runs rows; scenes and results are stored by a hash of their inputs."""
 
 import os
+import signal
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
@@ -29,6 +30,8 @@ RESULT_NAME = "result.json"
 SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 # Increased when the simulator or the evaluation changes its results.
 SCENE_VERSION, RESULT_VERSION = 1, 4
+_PATIENCE_S = 5.0
+"""Time that a process gets to clean up before it is killed [s]."""
 # Fields of a scan that are hashed only where they are set, so that names of older folders hold.
 _LATER = ("rings", "file", "sweeps")
 
@@ -113,10 +116,13 @@ class Runner:
             answer = ours.recv()
         except EOFError:
             process.join()
-            raise UserError(what=f"its process was ended: {process.exitcode}") from None
+            code = process.exitcode or 0
+            name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
+            raise UserError(what=f"its process was ended: {name}") from None
         finally:
             process.terminate()
-            process.join()
+            process.join(_PATIENCE_S)
+            process.kill()
         if isinstance(answer, str):
             raise UserError(what=answer)
         found: tuple[_T, float] = answer
@@ -205,9 +211,16 @@ def time_call(function: Callable[..., _T], *arguments: Any) -> tuple[_T, float]:
 
 
 def send_answer(connection: Connection, function: Callable[..., Any], *arguments: Any) -> None:
-    """Send the result of a call with its processor time, or its error as one line."""
+    """Send the result of a call with its processor time, or its error as one line.
+
+    A training that is ended stores a checkpoint, as after Ctrl-C, which is for the parent.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         answer: Any = time_call(function, *arguments)
+    except KeyboardInterrupt:
+        return
     except UserError as error:
         answer = error.args[0]
     except Exception as error:
