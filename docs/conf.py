@@ -34,6 +34,7 @@ templates_path = ["_templates"]
 default_role = "literal"
 nitpicky = False
 keep_warnings = False
+smartquotes_action = "qe"  # quotes and ellipses; two hyphens are a flag, no dash
 
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "deflist"]
