@@ -6,12 +6,11 @@ from skimage.measure import marching_cubes
 
 from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
 from geraf2.apps.inspection.bodies import Content, close_holes, part_of, split_bodies
-from geraf2.apps.inspection.matching import _split_glints, match_models
+from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3
 from geraf2.io.mesh import TriangleMesh
-from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, few_starts, measured_body
 
 BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.020)}
@@ -71,16 +70,6 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
     assert [match.status for match in found] == ["present", "present", "missing"]
     assert [match.body for match in found] == [0, 1, None]
     assert cut_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
-
-
-def test_glints_are_those_of_the_nearest_part():
-    sides, off = (0.02, 0.03, 0.03), (-0.014, 0.014)  # a gap of 8 mm
-    bodies = [measured_body(block(sides, (x, 0.0, 0.0)), np.eye(4)) for x in off]
-    points = np.array([[-0.004, 0.0, 0.0], [0.004, 0.0, 0.0], [0.024, 0.01, 0.0]])
-    left, right = _split_glints(bodies, glints_at(points, np.eye(3)))
-    assert left.positions == pytest.approx(points[:1])
-    assert right.positions == pytest.approx(points[1:])
-    assert _split_glints(bodies, None) == [None, None]
 
 
 def test_a_cut_is_closed_by_what_was_not_seen():

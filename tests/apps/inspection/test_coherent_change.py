@@ -11,7 +11,6 @@ from geraf2.apps.inspection.coherent_change import (
     Signals,
     Spots,
     compare_echoes,
-    fit_phases,
     log_ratio,
     refine_turn,
 )
@@ -112,18 +111,6 @@ def test_planes_that_stand_elsewhere_say_nothing(scans):
         none = compare_echoes(PUT_DOWN, here, again, (points[:0], points[:0]), workers)
     assert not spots.log_ratios.any()
     assert len(none.points) == 0
-
-
-def test_phases_of_blocks_and_over_the_content_are_found():
-    rng = np.random.default_rng(1)
-    one, lateral = noise(rng, 5, 200), rng.uniform(-0.04, 0.04, size=(200, 2))
-    phasors, slopes = np.exp(1j * rng.uniform(0, 6.28, 5)), np.array([45.0, -20.0])
-    other = one * phasors[:, None] * np.exp(1j * (lateral @ slopes)) + 0.1 * noise(rng, 5, 200)
-    found, blocks, share = fit_phases(one, other, lateral, 130.0)
-    assert found == pytest.approx(slopes, abs=1.5)
-    assert np.abs(np.angle(blocks / phasors)).max() < 0.1
-    assert share > 0.95
-    assert fit_phases(one, noise(rng, 5, 200), lateral, 130.0)[2] < 0.4
 
 
 def test_where_no_phase_holds_no_change_is_seen():

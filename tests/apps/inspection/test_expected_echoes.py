@@ -141,18 +141,6 @@ def test_errors_of_motions_are_as_large_as_stated():
     assert 0.75 < np.sqrt(np.mean(np.square(pulls))) < 1.35
 
 
-def test_distances_between_models_are_free_where_windows_have_gains_of_their_own():
-    rng = np.random.default_rng(3)
-    image = rng.normal(size=(80, 3, 1)) + 1j * rng.normal(size=(80, 3, 1))
-    image[:, 2] = 0.0  # not in view
-    seen = image[:, :, 0] @ np.exp(2j * np.pi * np.array([0.1, 0.6, 0.0]))
-    window = SimpleNamespace(plane=0, measured=seen + 1e-3 * rng.normal(size=80))
-    views = [SimpleNamespace(window=window)]
-    free, joint = (normal_equations(views, [image], by) for by in ("window", "plane"))
-    assert free.explained > 0.99999
-    assert joint.explained < 0.1  # half a cycle apart, the two cancel
-
-
 @pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
 def test_the_share_of_an_echo_that_came(share):
     rng = np.random.default_rng(1)
