@@ -135,7 +135,8 @@ def walk(
         else:
             word = prefix + word
         metavar = "" if in_place else (arg.metavar or metavar)
-        yield Flag(here, word, kinds, counts, default, metavar, in_place, kind, group, hidden)
+        is_hidden = hidden or arg.hidden
+        yield Flag(here, word, kinds, counts, default, metavar, in_place, kind, group, is_hidden)
     for flags in groups:
         yield from flags
 

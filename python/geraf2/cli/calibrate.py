@@ -1,11 +1,10 @@
 """`geraf2 calibrate`: delay, channel phases, frame, axis and antenna positions of a scene."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, ChannelCount, SignedM, Triple
-from geraf2.calibration.autofocus import AutofocusConfig
 from geraf2.calibration.driver import CalibrationConfig, DelaySource
 from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Threads, rows, say
@@ -55,8 +54,6 @@ class Config(PriorSource):
     """Leave the antennas' positions."""
     threads: Threads = None
     """Threads to use; all when not given."""
-    autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
-    """Constants of the search for errors of positions."""
 
 
 def main(config: Config) -> int:
@@ -128,5 +125,4 @@ def _settings(config: Config) -> CalibrationConfig:
         channels=not config.no_channels,
         positions=not config.no_positions,
         alignment=AlignmentConfig(delay_search_m=config.delay_search),
-        autofocus=config.autofocus,
     )

@@ -15,7 +15,10 @@ from geraf2.pipeline.commands.render import RenderOptions, render
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Render the heat maps of planes from a run and compare them with the measured ones."""
+    """Render the heat maps of planes from a run and compare them with the measured ones.
+
+    Constants of the fit, fields of `geraf2.RenderOptions`, are flags too: --echo.n-nodes 48.
+    """
 
     out: Positional[Annotated[Path, Arg(metavar="RUN")]]
     """Run folder of `geraf2 reconstruct` with the preset fast, best or paper. The surface of the

@@ -5,11 +5,11 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import numpy as np
 
-from geraf2._bounds import Bounded, CellM, Degrees, Few, Seed
+from geraf2._bounds import Arg, Bounded, CellM, Degrees, Few, Seed
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic, write_text_atomic
 from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
@@ -59,11 +59,11 @@ class RenderOptions(Bounded):
     those nearest to 0, 90, 180 and 270."""
     spacing_m: CellM = 0.004
     """Voxels of the heat maps [m]."""
-    n_draws: Few = 4
+    n_draws: Annotated[Few, Arg(hidden=True)] = 4
     """Draws of the samples whose powers are averaged; of the preset paper."""
-    seed: Seed = 0
+    seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Of the draws, and of the points at which reflectivity is fitted."""
-    echo: SurfaceFitConfig = field(default_factory=SurfaceFitConfig)
+    echo: Annotated[SurfaceFitConfig, Arg(hidden=True)] = field(default_factory=SurfaceFitConfig)
     """Rendering of a surface, and the fit of its reflectivity."""
 
 
