@@ -95,9 +95,7 @@ def refutation_error(numbers: Mapping[str, Any], source: object, pictures: objec
 
 
 def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Listener) -> None:
-    """Warn where a surface explains its photos badly; old records have no such numbers."""
-    if f"{TRAINED}psnr_db" not in numbers and "one_colour_db" not in numbers:
-        return
+    """Warn where a surface explains its photos badly."""
     overlap, gain = _evidence(numbers)
     if overlap is None:
         is_weak = gain < _GOOD_GAIN_DB

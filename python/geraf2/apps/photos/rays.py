@@ -50,7 +50,7 @@ class PhotoRays:
 
     def __init__(self, photos: PhotoSet, region: Region, *, seed: int = 0) -> None:
         self.has_masks = photos.masks is not None
-        self.region, self.cameras = region, photos.cameras
+        self.region = region
         self._positions = torch.tensor(photos.positions, dtype=torch.float32)
         rng = np.random.default_rng(seed)
         parts = [self._photo_rays(photos, index, rng) for index in range(len(photos))]
