@@ -148,7 +148,7 @@ def test_leakage_is_searched_around_a_tube(tube_scan, monkeypatch):
 
 def checked(capture, size, center):
     prior = LosPrior.from_box(size, center)
-    return box_check.checked_prior(capture, prior, "--box", None, Listener(), None)
+    return box_check.check_prior(capture, prior, "--box", None, Listener(), None)
 
 
 def test_a_cuboid_around_a_tube_becomes_the_tube_and_keeps_its_height(tube_scan):

@@ -159,7 +159,7 @@ def test_a_scan_of_a_skewed_box_gives_its_corners(scan):
 def test_a_given_cuboid_becomes_the_body_and_keeps_its_height(scan):
     def checked(*size):
         prior = LosPrior.from_box(size)
-        return box_check.checked_prior(scan, prior, "--box", None, Listener(), None)
+        return box_check.check_prior(scan, prior, "--box", None, Listener(), None)
 
     check = checked(0.16, 0.16, 0.3)
     assert check.is_warning

@@ -58,7 +58,7 @@ def test_a_quiet_run_ends_with_what_it_found_and_the_page_to_open(
 
 
 def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):
-    with CONSOLE.whole({"glints": ("finding echoes", 1.0), "mesh": ("drawing", 3.0)}):
+    with CONSOLE.show_as_one({"glints": ("finding echoes", 1.0), "mesh": ("drawing", 3.0)}):
         with CONSOLE.step("glints"):
             pass
         with CONSOLE.step("mesh (done before)"):

@@ -12,7 +12,7 @@ import pytest
 
 from geraf2 import __version__
 from geraf2.cli import _console, doctor, info
-from geraf2.cli._console import CONSOLE, printing, rows, say, warn
+from geraf2.cli._console import CONSOLE, rows, say, show_output, warn
 from geraf2.cli.main import COMMANDS, describe_error, main
 from geraf2.errors import UserError
 
@@ -136,7 +136,7 @@ def test_control_characters_of_names_do_not_reach_the_terminal(capsys):
     rows([("scene", name)])
     warn(name)
     CONSOLE.note(name)
-    with printing("info"):
+    with show_output("info"):
         logging.getLogger("geraf2.test").warning(name)
     assert main(["info", name]) == 2
     stated = capsys.readouterr()

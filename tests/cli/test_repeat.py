@@ -72,7 +72,7 @@ def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
 def test_a_second_command_is_refused_and_nothing_is_lost(finished_run, built_scene, capsys):
     script = (
         "import sys; from pathlib import Path; from geraf2.io.run_folder import RunFolder\n"
-        "with RunFolder.read(Path(sys.argv[1])).locked(): print('held', flush=True); input()"
+        "with RunFolder.read(Path(sys.argv[1])).lock(): print('held', flush=True); input()"
     )
     before = {p: p.read_bytes() for p in finished_run.rglob("*") if p.is_file()}
     with subprocess.Popen(

@@ -126,7 +126,7 @@ def run_of(out, *meshes, pose=POSE, box_m=(0.2, 0.2, 0.2), wavelength_m=0.0039, 
         glints = glints_of(body, apertures)
         glints.save(out / GLINTS_NAME)
         (out / PEAKS_NAME).write_bytes(cloud_bytes(glints.positions, glints.normals, {}))
-        none = PriorSource.of(None)
+        none = PriorSource.from_argument(None)
         record = RunRecord(scene=None, prior=none, options=RunOptions(), config=FastPreset())
         record.write(out / CONFIG_NAME)
     record_run(out, "crate")

@@ -28,7 +28,7 @@ class Settings:
 def write(out, mesh=b"mesh", digest="d", name="scene", **options):
     """Replace what is in a folder by a result of two files."""
     run = RunFolder.open(out, scene_digest=digest, scene_name=name, **options)
-    with run.replacing() as new:
+    with run.replace_whole() as new:
         new.stages["mesh"] = StageRecord(seconds=1.5)
         (new.path / MESH).write_bytes(mesh)
         (new.path / "glints.npz").write_bytes(b"glints of " + mesh)
@@ -46,7 +46,7 @@ def contents(folder):
 
 
 def add(run, name, content):
-    with run.rewriting(name):
+    with run.rewrite(name):
         (run.path / name).write_bytes(content)
 
 
@@ -104,7 +104,7 @@ def test_what_a_new_result_keeps_of_the_former(tmp_path, monkeypatch, in_place):
     out = tmp_path / "out"
     run = write(out)
     add(run, SCORES, b"scores")
-    with run.rewriting(IMAGE):
+    with run.rewrite(IMAGE):
         (out / IMAGE).write_bytes(b"image")
         run.stages["image"], run.asked["image"] = StageRecord(seconds=1.0), "key"
     (out / "own" / "deep").mkdir(parents=True)
@@ -126,7 +126,7 @@ def test_what_a_new_result_keeps_of_the_former(tmp_path, monkeypatch, in_place):
 
 
 def fail(run):
-    with run.replacing() as other:
+    with run.replace_whole() as other:
         (other.path / MESH).write_bytes(b"another")
         raise UserError(what="full", where=other.path / "glints.npz")
 
@@ -151,7 +151,7 @@ import os, signal, sys
 from pathlib import Path
 from geraf2.io.run_folder import RunFolder
 run = RunFolder.open(Path(sys.argv[1]), scene_digest="d", scene_name="scene")
-with run.replacing() as new:
+with run.replace_whole() as new:
     (new.path / "mesh_content.ply").write_bytes(b"half")
     os.kill(os.getpid(), signal.SIGKILL)
 """
@@ -172,7 +172,7 @@ import sys
 from pathlib import Path
 from geraf2.io.run_folder import RunFolder, StageRecord
 run = RunFolder.read(Path(sys.argv[1]))
-with run.rewriting("metrics.json"):
+with run.rewrite("metrics.json"):
     print("held", flush=True)
     sys.stdin.readline()
     run.stages["other"] = StageRecord(seconds=1.0)
@@ -211,7 +211,7 @@ def test_the_lock_goes_with_its_process(tmp_path, holder):
 
 def test_of_two_results_at_once_the_first_stays(tmp_path):
     run = RunFolder.open(tmp_path / "out", scene_digest="d", scene_name="scene")
-    with pytest.raises(BusyFolderError, match="another result was written"), run.replacing():
+    with pytest.raises(BusyFolderError, match="another result was written"), run.replace_whole():
         write(tmp_path / "out", b"first")
     assert contents(tmp_path / "out")[MESH] == b"first"
 

@@ -39,7 +39,7 @@ class Folders(RuleBasedStateMachine):
     @rule(content=CONTENTS, grows=st.booleans(), fails=st.booleans())
     def replace(self, content, grows, fails):
         try:
-            with self._open().replacing(grows=grows) as new:
+            with self._open().replace_whole(grows=grows) as new:
                 (new.path / "mesh.ply").write_bytes(content)
                 new.stages["mesh"] = StageRecord(seconds=1.0)
                 new.take_over()
@@ -62,7 +62,7 @@ class Folders(RuleBasedStateMachine):
         run = self._open()
         self.recorded = {k: v for k, v in self.recorded.items() if k != "notes.json"}
         try:
-            with run.rewriting("notes.json"):
+            with run.rewrite("notes.json"):
                 (self.path / "notes.json").write_bytes(content)
                 self.files = {**self.files, "notes.json": content}
                 if fails:

@@ -14,7 +14,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline import box_check
-from geraf2.pipeline.box_check import checked_prior
+from geraf2.pipeline.box_check import check_prior
 from geraf2.pipeline.commands import reconstruct as reconstruct_command
 from geraf2.pipeline.events import Listener
 from geraf2.scene import LosPrior
@@ -44,7 +44,7 @@ def a_box(seen=((2, 2), (2, 2), (0, 0)), degrees=0.0):
 def check(prior, found, monkeypatch):
     monkeypatch.setattr(box_check, "find_box", lambda *_, **__: found)
     capture = examples.small_capture()[0]
-    return checked_prior(capture, prior, "--box", None, Listener(), None)
+    return check_prior(capture, prior, "--box", None, Listener(), None)
 
 
 def given(size=SIZE, center=(0.0, 0.0, 0.0), degrees=0.0):
@@ -183,7 +183,7 @@ def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):
         found = a_box(degrees=degrees)
         monkeypatch.setattr(box_check, "find_box", lambda *_, found=found, **__: found)
         box = box_check.box_from_radar(capture, None, Listener(), None)
-        assert len(box.placed(capture).walls) == n_walls
+        assert len(box.place(capture).walls) == n_walls
         np.testing.assert_allclose(box.prior.walls[0].size_m, SIZE)
 
 

@@ -4,7 +4,7 @@ import pytest
 
 import geraf2
 from geraf2.errors import UserError
-from geraf2.pipeline.sign_check import naming_the_sign
+from geraf2.pipeline.sign_check import explain_sign_errors
 
 
 def conjugated(capture):
@@ -21,5 +21,5 @@ def test_a_run_of_a_capture_with_the_wrong_sign_names_the_sign(prior, tmp_path):
 
 def test_other_errors_do_not_change():
     capture, _ = geraf2.examples.small_capture()
-    with pytest.raises(UserError, match=r"^no box$"), naming_the_sign(capture, "capture"):
+    with pytest.raises(UserError, match=r"^no box$"), explain_sign_errors(capture, "capture"):
         raise UserError(what="no box")

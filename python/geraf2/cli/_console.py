@@ -52,7 +52,7 @@ _output = _Output()
 
 
 @contextmanager
-def printing(
+def show_output(
     command: str, *, as_json: bool = False, quiet: bool = False, verbose: bool = False
 ) -> Iterator[dict[str, Any]]:
     """Print as the flags of all commands ask for: `--json`, `--quiet`, `--verbose`.
@@ -211,7 +211,7 @@ class _ConsoleListener(Listener):
     _whole: _Steps | None = None
 
     @contextmanager
-    def whole(self, steps: Mapping[str, tuple[str, float]]) -> Iterator[None]:
+    def show_as_one(self, steps: Mapping[str, tuple[str, float]]) -> Iterator[None]:
         """Show the steps inside the block as one; see `_Steps`."""
         shown = err.is_terminal and not _output.quiet
         with _bar() if shown else nullcontext() as bar:

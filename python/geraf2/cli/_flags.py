@@ -42,12 +42,12 @@ def parse(
     defaults = values_of(default)
     flags = list(walk(kind, defaults))
     try:
-        given = _given(flags, arguments)
+        given = _read_given(flags, arguments)
         missing = [f.label for f in flags if f.default is MISSING and f.path not in given]
         if missing:
             raise UserError(what=f"missing from {prog}: {', '.join(missing)}")
         start = {name: value for name, value, _ in fields_of(kind, defaults)}
-        made: T = _made(kind, start, given, (), {flag.path: flag.name for flag in flags})
+        made: T = _make(kind, start, given, (), {flag.path: flag.name for flag in flags})
     except UserError as error:
         raise UserError(what=str(error), hint=f"see '{prog} --help'") from error.__cause__
     return made
@@ -86,7 +86,7 @@ def help_text(
         lines.append(f"  {flag.label}")
         lines += [
             f"      {line}"
-            for line in textwrap.wrap(f"{text} {_shown(flag.default)}".strip(), width - 6)
+            for line in textwrap.wrap(f"{text} {_show_default(flag.default)}".strip(), width - 6)
         ]
     return "\n".join(lines)
 
@@ -103,7 +103,7 @@ def _title(flags: Sequence[Flag], group: tuple[str, type[Any], str, str] | None)
     return f"{title}, explained by `{see} --help`: {', '.join(names)}."
 
 
-def _shown(default: Any) -> str:
+def _show_default(default: Any) -> str:
     """Default of a flag for its help; nothing where it is nothing."""
     if default in (MISSING, None, (), "") or isinstance(default, bool):
         return ""
@@ -132,7 +132,7 @@ def _texts(kind: type[Any]) -> dict[str, str]:
     return texts
 
 
-def _given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, ...], Any]:
+def _read_given(flags: Sequence[Flag], arguments: Sequence[str]) -> dict[tuple[str, ...], Any]:
     """Values that a command line gives, by path."""
     # The name of a preset among its constants is hidden by the flag that chooses the preset.
     fixed_first = sorted(flags, key=lambda flag: not flag.is_fixed)
@@ -186,7 +186,7 @@ def _is_flag(word: str) -> bool:
     return False
 
 
-def _made(
+def _make(
     kind: type[Any],
     start: Mapping[str, Any],
     given: Mapping[tuple[str, ...], Any],
@@ -201,7 +201,7 @@ def _made(
             values[name] = inner[()]
         else:
             group = start[name]
-            values[name] = _made(type(group), values_of(group), inner, (*at, name), names)
+            values[name] = _make(type(group), values_of(group), inner, (*at, name), names)
     try:
         made = kind(**values)
         check_bounds(made)

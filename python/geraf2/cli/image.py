@@ -59,7 +59,7 @@ def main(config: Config) -> int:
     """Run the command."""
     if config.scheduler is not None and not config.tiles:
         raise UserError(what="--scheduler needs --tiles")
-    made = _tiled(config) if config.tiles else _whole(config)
+    made = _image_tiles(config) if config.tiles else _image_whole(config)
     say(f"{'method':<14} {made.method}")
     say(f"largest at     ({', '.join(f'{x:z.3f}' for x in made.strongest_m)}) m")
     if made.searched_m is not None:
@@ -72,7 +72,7 @@ def main(config: Config) -> int:
     return 0
 
 
-def _whole(config: Config) -> ImageResult:
+def _image_whole(config: Config) -> ImageResult:
     return image_scene(
         config.scene,
         config.out,
@@ -83,7 +83,7 @@ def _whole(config: Config) -> ImageResult:
     )
 
 
-def _tiled(config: Config) -> TiledImage:
+def _image_tiles(config: Config) -> TiledImage:
     workers: AbstractContextManager[RunSlabs | None] = nullcontext()
     if config.scheduler is not None:
         from geraf2.apps.batch.options import BatchOptions  # noqa: PLC0415 - an extra

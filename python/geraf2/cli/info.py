@@ -197,7 +197,7 @@ def _calibration_row(found: CalibrationManifest) -> tuple[str, str]:
     return ("calibrated", f"{', '.join(parts)}; scene.toml has the numbers")
 
 
-def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
+def _describe_coverage(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     """Text of the directions that a surface at the focus must face to be seen."""
     planes = summary.planes
     share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
@@ -208,7 +208,7 @@ def _seen(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
     )
 
 
-def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
+def _describe_directions(summary: CaptureSummary) -> list[tuple[str, str]]:
     """Point that the planes face; of a single plane its resolution, as its depth needs focusing."""
     focus = summary.focus
     if summary.is_plane:
@@ -231,7 +231,7 @@ def _looking(summary: CaptureSummary) -> list[tuple[str, str]]:
     looked_at = f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m"
     return [
         ("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
-        ("normals seen", _seen(summary, focus)),
+        ("normals seen", _describe_coverage(summary, focus)),
     ]
 
 
@@ -275,7 +275,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             f"{1e3 * summary.spacing_m:.2f} mm, {verdict} than the Nyquist spacing "
             f"{1e3 * summary.nyquist_spacing_m:.2f} mm of {scene}",
         ),
-        *_looking(summary),
+        *_describe_directions(summary),
         *(
             (
                 f"wall {number}",

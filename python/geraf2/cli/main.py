@@ -44,7 +44,7 @@ def run() -> None:
         if signal.getsignal(number) != signal.SIG_IGN:  # as jobs in the background of a script
             signal.signal(number, stop)
     signal.signal(signal.SIGALRM, _raise_again)
-    sys.unraisablehook = _unraisable
+    sys.unraisablehook = _report_unraisable
     # After a signal, tasks of a store are abandoned, and asyncio would report their errors.
     logging.getLogger("asyncio").addFilter(lambda _: not _received)
     for stream in (sys.stdout, sys.stderr):  # what the locale cannot write is escaped
@@ -83,7 +83,7 @@ def _raise_again(_: int, frame: FrameType | None) -> None:
     signal.setitimer(signal.ITIMER_REAL, 0.01)
 
 
-def _unraisable(args: "sys.UnraisableHookArgs") -> None:
+def _report_unraisable(args: "sys.UnraisableHookArgs") -> None:
     """Report an error in a destructor; suppress errors of half-finished objects after a signal.
 
     A destructor swallows what the signal's handler raises, so that comes again.
@@ -265,9 +265,9 @@ def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     default = module.defaults(rest) if hasattr(module, "defaults") else None
     prog = f"geraf2 {name}"
     config = parse(module.Config, rest, prog=prog, description=description, default=default)
-    from geraf2.cli._console import printing  # noqa: PLC0415 - the module has loaded it
+    from geraf2.cli._console import show_output  # noqa: PLC0415 - the module has loaded it
 
-    with printing(
+    with show_output(
         name, as_json="--json" in asked, quiet="--quiet" in asked, verbose="--verbose" in asked
     ) as result:
         result["exit_code"] = module.main(config)

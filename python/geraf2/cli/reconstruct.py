@@ -86,7 +86,7 @@ def main(config: Config) -> int:
     """Run the command."""
     if config.open and config.no_report:
         raise UserError(what="--open and --no-report exclude each other")
-    with CONSOLE.whole(_steps(config)):
+    with CONSOLE.show_as_one(_steps(config)):
         result = reconstruct(
             config.scene,
             part_of(config, PriorSource),

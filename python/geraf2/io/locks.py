@@ -14,7 +14,7 @@ class BusyFolderError(UserError):
 
 
 @contextmanager
-def locked_folder(folder: Path) -> Iterator[None]:
+def lock_folder(folder: Path) -> Iterator[None]:
     """Hold a folder against other commands; BusyFolderError if one writes into it.
 
     The lock goes with its process. A network folder without locks is not held.

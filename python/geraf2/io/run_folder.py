@@ -3,7 +3,7 @@
 `run.json` names the scene by its hash, the request by another, and has the hash of every file, so
 that numbers of another run are never shown. A result is written into a folder beside and takes the
 place of the former one in one step: a failure, a full disk or a kill leaves what was there. What
-is added later (scores, views, inspections) is recorded by :meth:`RunFolder.rewriting`.
+is added later (scores, views, inspections) is recorded by :meth:`RunFolder.rewrite`.
 """
 
 import hashlib
@@ -23,10 +23,10 @@ import numpy as np
 from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, take_place, temporary_sibling, write_json_atomic
 from geraf2.io.digests import file_digest, inside
-from geraf2.io.locks import BusyFolderError, locked_folder
+from geraf2.io.locks import BusyFolderError, lock_folder
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
-from geraf2.io.stage_numbers import checked_numbers
+from geraf2.io.stage_numbers import check_numbers
 from geraf2.io.text import parse_json
 
 RUN_NAME = "run.json"
@@ -216,18 +216,18 @@ class RunFolder:
                 seconds=float(record["seconds"]),
                 cpu_seconds=float(record["cpu_seconds"]),
                 peak_memory_mib=float(record["peak_memory_mib"]),
-                numbers=checked_numbers(record["numbers"], f"{self.path / RUN_NAME}: {name}"),
+                numbers=check_numbers(record["numbers"], f"{self.path / RUN_NAME}: {name}"),
             )
             for name, record in values["stages"].items()
         }
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def lock(self) -> Iterator[None]:
         """Hold the folder against other commands; UserError if one writes into it."""
         if self._is_held or not self.path.is_dir():
             yield
             return
-        with locked_folder(self.path):
+        with lock_folder(self.path):
             self._is_held = True
             try:
                 sweep_folder(self.path)
@@ -245,14 +245,14 @@ class RunFolder:
             self.__dict__ |= {name: getattr(now, name) for name in _RECORDED}
 
     @contextmanager
-    def replacing(self, *, grows: bool = False) -> Iterator["RunFolder"]:
+    def replace_whole(self, *, grows: bool = False) -> Iterator["RunFolder"]:
         """Record of a new folder that takes the place of this one when the body ends.
 
         Where the body fails, this folder is as it was. It is filled file by file, its record last,
         where it cannot be replaced (it is mounted, or somebody's working directory), and if it
         `grows`: then its log goes on, too.
         """
-        with self.locked():  # refused now, not after the work
+        with self.lock():  # refused now, not after the work
             before, place = file_digest(self.path / RUN_NAME), self.path.resolve()
         in_place = grows or _is_fixed(place)
         with temporary_sibling(place / "run" if in_place else place) as folder:
@@ -268,7 +268,7 @@ class RunFolder:
                 if str(folder) not in text:
                     raise
                 raise type(error)(text.replace(str(folder), str(self.path))) from error
-            with self.locked():
+            with self.lock():
                 if file_digest(self.path / RUN_NAME) != before:
                     what = "another result was written here meanwhile"
                     raise BusyFolderError(what, where=self.path)
@@ -283,7 +283,7 @@ class RunFolder:
         if not (self.path / RUN_NAME).is_file() or self.read(self.path).scene_digest != (
             self.scene_digest
         ):
-            with self.replacing() as new:
+            with self.replace_whole() as new:
                 new.take_over()
 
     def take_over(self) -> None:
@@ -332,7 +332,7 @@ class RunFolder:
         (place / RUN_NAME).unlink(missing_ok=True)
         files = [p.relative_to(self.path).as_posix() for p in require_no_links(self.path)]
         gone = [f for f in self._former.files if f not in files]
-        for path in (*map(place.joinpath, gone), *_found(place, _OF_MESH)):
+        for path in (*map(place.joinpath, gone), *_find_files(place, _OF_MESH)):
             if path.relative_to(place).as_posix() not in files:
                 path.unlink(missing_ok=True)
         for file in sorted(files, key=lambda file: file == RUN_NAME):
@@ -354,21 +354,21 @@ class RunFolder:
         self.save()
 
     @contextmanager
-    def rewriting(self, *patterns: str) -> Iterator[None]:
+    def rewrite(self, *patterns: str) -> Iterator[None]:
         """Lock the folder, and record files of these patterns anew, which the body writes.
 
         While they are written none has a hash.
         """
-        with self.locked():
+        with self.lock():
             self.files = {f: d for f, d in self.files.items() if not _matches(f, *patterns)}
             self.save()
             yield
-            for path in _found(self.path, patterns):
+            for path in _find_files(self.path, patterns):
                 file = path.relative_to(self.path).as_posix()
                 self.files[file] = file_digest(path) or ""
             self.save()
 
-    def written(self, name: str) -> Path | None:
+    def find_file(self, name: str) -> Path | None:
         """Path of a file that is of the run; None if it has no such file, or it is gone."""
         path = self.path / name
         return path if name in self.files and path.is_file() else None
@@ -426,7 +426,7 @@ def _matches(file: str, *patterns: str) -> bool:
     return any(fnmatchcase(file, pattern) for pattern in patterns)
 
 
-def _found(folder: Path, patterns: Iterable[str]) -> list[Path]:
+def _find_files(folder: Path, patterns: Iterable[str]) -> list[Path]:
     return [
         p
         for p in sorted(require_no_links(folder))

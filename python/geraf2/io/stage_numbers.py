@@ -73,7 +73,7 @@ _TOGETHER = (
 )
 
 
-def checked_numbers(numbers: Any, where: object) -> dict[str, Any]:
+def check_numbers(numbers: Any, where: object) -> dict[str, Any]:
     """Numbers of one stage; UserError where one that others read has another type or is missing."""
     if not isinstance(numbers, Mapping):
         raise UserError(what="must be a table of numbers", where=where, got=repr(numbers)[:40])

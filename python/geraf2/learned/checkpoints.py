@@ -70,12 +70,12 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
             stored["state"][group["params"][0]] = state
     trainer.optimiser.load_state_dict(stored)
     trainer.draws.generator.set_state(torch.from_numpy(arrays["generator"]))
-    trainer.loss.remembered = _remembered(arrays, trainer.device)
+    trainer.loss.remembered = _read_remembered(arrays, trainer.device)
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
     """Parameters and open octaves by name, and the last voxel values of a network."""
-    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored(model)}
+    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored_tensors(model)}
     if isinstance(model.sdf, SdfMlpGrid):
         arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
     return arrays
@@ -88,7 +88,7 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
         if n_per_side > model.sdf.grid.shape[0]:
             model.sdf.upsample(n_per_side)
     with torch.no_grad():
-        for name, parameter in _stored(model):
+        for name, parameter in _stored_tensors(model):
             stored = arrays.get(f"model.{name}")
             if stored is None or stored.shape != tuple(parameter.shape):
                 raise UserError(
@@ -101,7 +101,7 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
     model.sdf.refresh()
 
 
-def _stored(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
+def _stored_tensors(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
     """Yield the stored tensors of a model by name: parameters, and a network's open octaves."""
     yield from model.named_parameters()
     yield from model.named_buffers()
@@ -112,7 +112,7 @@ def config_of(header: dict[str, Any], where: object) -> PaperConfig:
     return from_table(header.get("config"), PaperConfig, f"{where}: settings")
 
 
-def _remembered(
+def _read_remembered(
     arrays: dict[str, NDArray[Any]], device: torch.device
 ) -> dict[int, list[Remembered]]:
     found: dict[int, list[Remembered]] = {}

@@ -12,7 +12,7 @@ from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.prior import with_walls
+from geraf2.pipeline.prior import add_walls
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary
 
@@ -42,7 +42,7 @@ class BoxCheck:
     is_warning: bool = False
     """Whether the user is warned: the prior was corrected, or no box was found."""
 
-    def placed(self, capture: Capture) -> Capture:
+    def place(self, capture: Capture) -> Capture:
         """Capture with the walls of a new prior; without walls if the prior is rotated."""
         if not self.is_new:
             return capture
@@ -64,11 +64,11 @@ def box_from_radar(
                 "content in free air; if it is in a box, give --box X Y Z"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
-    prior = with_walls(found.prior, capture.walls)
+    prior = add_walls(found.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=str(found), is_new=True)
 
 
-def checked_prior(
+def check_prior(
     capture: Capture,
     prior: LosPrior,
     name: str,
@@ -97,7 +97,7 @@ def checked_prior(
         return BoxCheck(prior=prior, found=found, text=text)
     if isinstance(found, FoundTube | FoundBody):
         return _body_for(prior, found, name, capture)
-    difference = Difference.of(found, *prior.cuboid)
+    difference = Difference.measure(found, *prior.cuboid)
     if difference.is_other and difference.is_within and found.content_share < MIN_CONTENT:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
         return BoxCheck(prior=prior, found=None, text=text)
@@ -124,9 +124,9 @@ def checked_prior(
             most = 1e3 * float(np.abs(off_m).max())
             text = f"{found}; the prior agrees: sides of {sides} mm differ by at most {most:.1f} mm"
         return BoxCheck(prior=prior, found=found, text=text)
-    corrected = difference.corrected(found)
+    corrected = difference.correct(found)
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
-    prior = with_walls(corrected.prior, capture.walls)
+    prior = add_walls(corrected.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
 
 
@@ -158,7 +158,7 @@ def _body_for(prior: LosPrior, found: FoundBox, name: str, capture: Capture) -> 
         seen=np.where(given, Seen.GIVEN, found.seen),
     )
     text = f"the scan shows a {body}: it replaces the cuboid of the prior"
-    known = with_walls(body.prior, capture.walls)
+    known = add_walls(body.prior, capture.walls)
     return BoxCheck(prior=known, found=body, text=text, is_new=True, is_warning=True)
 
 
@@ -196,7 +196,9 @@ class Difference:
     """Size of the differences; empty if the prior agrees."""
 
     @classmethod
-    def of(cls, found: FoundBox, axes: Floats, size_m: Floats, center_m: Floats) -> "Difference":
+    def measure(
+        cls, found: FoundBox, axes: Floats, size_m: Floats, center_m: Floats
+    ) -> "Difference":
         """Compare with the axes, size and centre of the given cuboid."""
         square = found.seen == Seen.SQUARELY
         both, either = np.flatnonzero(square.all(axis=1)), np.flatnonzero(square.any(axis=1))
@@ -230,7 +232,7 @@ class Difference:
             text=", ".join(parts),
         )
 
-    def corrected(self, found: FoundBox) -> FoundBox:
+    def correct(self, found: FoundBox) -> FoundBox:
         """Found box, whose unseen faces are the given ones, as uncertain as the seen ones are off.
 
         Along an axis with one face seen the given size determines the other one.

@@ -66,7 +66,7 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
         glints = Glints.load(_file(run, GLINTS_NAME))
         return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit, FIT_NAME
     assert isinstance(config, BestPreset)  # see require_posterior
-    shadows = run.written(SILHOUETTES_NAME)
+    shadows = run.find_file(SILHOUETTES_NAME)
     selected = SelectedGlints(
         Glints.load(_file(run, GLINTS_NAME)),
         Glints.load(_file(run, RIM_NAME)),
@@ -77,7 +77,7 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
 
 
 def _file(run: RunFolder, name: str) -> Path:
-    path = run.written(name)
+    path = run.find_file(name)
     if path is None:
         raise UserError(
             what=f"the run has no {name} to draw samples from",

@@ -34,7 +34,9 @@ class PriorSource:
     """Centre of the box with these sides [m]."""
 
     @classmethod
-    def of(cls, prior: "LosPrior | PriorSource | Path | str | Triple | None") -> "PriorSource":
+    def from_argument(
+        cls, prior: "LosPrior | PriorSource | Path | str | Triple | None"
+    ) -> "PriorSource":
         """Source from a user's argument; empty for a prior in memory, and for none."""
         if isinstance(prior, PriorSource):
             return prior
@@ -65,7 +67,7 @@ class PriorSource:
             )
         source = self.los or self.box or ""
         prior = load_prior(source, center_m=self.box_center, walls=walls, listener=listener)
-        return prior, str(self.los) if self.box is None else f"--box {spaced(self.box)}"
+        return prior, str(self.los) if self.box is None else f"--box {format_lengths(self.box)}"
 
 
 def load_prior(
@@ -80,7 +82,7 @@ def load_prior(
     source: file of a closed mesh in metres, a folder with los.ply, or the three outer side lengths
         of a box, axes along the frame's [m].
     center_m: centre of the box if `source` is side lengths, (3,) [m].
-    walls: known walls, outermost first; see :func:`with_walls`.
+    walls: known walls, outermost first; see :func:`add_walls`.
     listener: warned if walls and prior differ in size.
 
     Returns the prior with a closed mesh. Raises UserError if there is no such mesh, if it is not
@@ -100,16 +102,18 @@ def load_prior(
                 hint="make one of photos, a scan or a box with 'geraf2 los'",
             )
         mesh = read_mesh(path / LOS_NAME if path.is_dir() else path)
-        return with_walls(LosPrior.from_mesh(mesh, where=path), walls, heard)
+        return add_walls(LosPrior.from_mesh(mesh, where=path), walls, heard)
     size, center = np.asarray(source, dtype=np.float64), np.asarray(center_m, dtype=np.float64)
     if size.shape != (3,) or not (np.isfinite(size).all() and size.min() > 0):
-        raise UserError(what="a box must have three positive side lengths [m]", got=spaced(source))
+        raise UserError(
+            what="a box must have three positive side lengths [m]", got=format_lengths(source)
+        )
     if center.shape != (3,) or not np.isfinite(center).all():
-        raise UserError(what="the centre of the box must be finite", got=spaced(center_m))
-    return with_walls(LosPrior.from_box(triple(size), triple(center)), walls, heard)
+        raise UserError(what="the centre of the box must be finite", got=format_lengths(center_m))
+    return add_walls(LosPrior.from_box(triple(size), triple(center)), walls, heard)
 
 
-def with_walls(
+def add_walls(
     prior: LosPrior, walls: tuple[Wall, ...], listener: Listener | None = None
 ) -> LosPrior:
     """Prior with the walls of a capture, the outermost with the measured size of the prior.
@@ -126,12 +130,12 @@ def with_walls(
     off_m = float(np.abs(np.asarray(outer.size_m) - size_m).max())
     if listener is not None and off_m > _WALL_MISMATCH_M:
         listener.warning(
-            f"by the scene the box is {spaced(outer.size_m)} m, the prior is "
-            f"{spaced(size_m)} m; the prior is used"
+            f"by the scene the box is {format_lengths(outer.size_m)} m, the prior is "
+            f"{format_lengths(size_m)} m; the prior is used"
         )
     if 2.0 * outer.thickness_m >= min(size_m):
         raise UserError(
-            what=f"the box is {spaced(size_m)} m, no larger than its walls are thick",
+            what=f"the box is {format_lengths(size_m)} m, no larger than its walls are thick",
             expected=f"more than {2.0 * outer.thickness_m:g} m",
             hint="is it in metres?",
         )
@@ -140,7 +144,7 @@ def with_walls(
     return replace(prior, walls=(fitted, *inner))
 
 
-def spaced(values: Sequence[float]) -> str:
+def format_lengths(values: Sequence[float]) -> str:
     """Format lengths as on a command line."""
     return " ".join(f"{value:g}" for value in values)
 

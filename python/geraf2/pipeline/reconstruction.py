@@ -85,13 +85,13 @@ class Reconstruction:
     @cached_property
     def sdf(self) -> SdfGrid | None:
         """Signed distance to the content, negative inside [m]; None for an open surface."""
-        path = self.run.written(SDF_NAME)
+        path = self.run.find_file(SDF_NAME)
         return SdfGrid.load(path) if path else None
 
     @cached_property
     def glints(self) -> Glints | None:
         """Oriented points; None for a preset without glints."""
-        path = self.run.written(GLINTS_NAME)
+        path = self.run.find_file(GLINTS_NAME)
         return Glints.load(path) if path else None
 
     @cached_property
@@ -191,7 +191,7 @@ class Reconstruction:
         return run_view(self.path)
 
     def _mesh(self, name: str) -> TriangleMesh:
-        path = self.run.written(name)
+        path = self.run.find_file(name)
         if path is None:
             raise UserError(
                 what=f"the run has no {name}",

@@ -30,7 +30,7 @@ class _RunLogHandler(logging.Handler):
 
 
 @contextmanager
-def logging_to(run: RunFolder) -> Iterator[None]:
+def record_logs(run: RunFolder) -> Iterator[None]:
     """Send records of geraf2 and warnings of Python to the run's log."""
     handler = _RunLogHandler(run)
     loggers = [logging.getLogger(name) for name in _LOGGERS]

@@ -9,7 +9,7 @@ from geraf2.scene import Capture
 
 
 @contextmanager
-def naming_the_sign(
+def explain_sign_errors(
     capture: Capture, where: object, num_threads: int | None = None
 ) -> Iterator[None]:
     """Replace an error inside the block by that of a wrong sign of the phase, if it is the cause.

@@ -103,9 +103,9 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
     """Read the artefacts of a run folder; UserError if the folder or a file in it is broken."""
     folder = Path(run_dir)
     run = RunFolder.read(folder)
-    sdf, glints = run.written(run_folder.SDF_NAME), run.written(run_folder.GLINTS_NAME)
-    content, box = run.written(run_folder.CONTENT_NAME), run.written(run_folder.BOX_NAME)
-    shadows, config = run.written(run_folder.SILHOUETTES_NAME), folder / run_folder.CONFIG_NAME
+    sdf, glints = run.find_file(run_folder.SDF_NAME), run.find_file(run_folder.GLINTS_NAME)
+    content, box = run.find_file(run_folder.CONTENT_NAME), run.find_file(run_folder.BOX_NAME)
+    shadows, config = run.find_file(run_folder.SILHOUETTES_NAME), folder / run_folder.CONFIG_NAME
     return RunArtefacts(
         sdf=SdfGrid.load(sdf) if sdf else None,
         glints=Glints.load(glints) if glints else None,

@@ -146,7 +146,7 @@ def _write(
     # takes 0.5 s
     from geraf2.apps.inspection.comparison_page import write_comparison  # noqa: PLC0415
 
-    box = run.run.written(BOX_NAME)
+    box = run.run.find_file(BOX_NAME)
     write_comparison(found, here, before, read_mesh(box) if box else None, out)
 
 
@@ -206,7 +206,7 @@ def _register_in_phase(
 
 def _require_peaks(result: Reconstruction) -> None:
     """Raise UserError for a preset without peaks."""
-    if result.glints is None or result.run.written(PEAKS_NAME) is None:
+    if result.glints is None or result.run.find_file(PEAKS_NAME) is None:
         raise UserError(
             what="the run has no peaks to compare",
             where=result.path,

@@ -384,7 +384,7 @@ def _write(
     # matplotlib takes 0.5 s
     from geraf2.apps.inspection.page import inspection_page, parts_glb  # noqa: PLC0415
 
-    box, n, tree = result.run.written(BOX_NAME), len(whole.seen), KDTree(whole.mesh.vertices)
+    box, n, tree = result.run.find_file(BOX_NAME), len(whole.seen), KDTree(whole.mesh.vertices)
     labelled = ((body, np.full(len(body.seen), float(k))) for k, body in enumerate(bodies, 1))
     numbers = _put_on_content(tree, labelled, np.zeros(n)).astype(np.int64)  # 0: ghosts and crumbs
     known = [
@@ -413,7 +413,7 @@ def _write(
         Path(out).mkdir(parents=True, exist_ok=True)
         write(Path(out))
         return
-    with result.run.rewriting(f"{INSPECTION_NAME}.*"):
+    with result.run.rewrite(f"{INSPECTION_NAME}.*"):
         write(result.path)
 
 

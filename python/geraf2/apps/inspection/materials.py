@@ -128,7 +128,7 @@ class Returns(NamedTuple):
 
 def returns_of(result: Reconstruction) -> Returns | None:
     """Read the returns of a run; None of a run without them."""
-    path = result.run.written(PEAKS_NAME)
+    path = result.run.find_file(PEAKS_NAME)
     cloud = None if path is None else read_cloud(path)
     if cloud is None or not {"label", "probability"} <= set(cloud.columns):
         return None

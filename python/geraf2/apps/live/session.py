@@ -31,7 +31,7 @@ from geraf2.pipeline.box_check import BOX_STAGE, BoxCheck
 from geraf2.pipeline.commands.reconstruct import (
     Request,
     keep_inputs,
-    logged,
+    log_run,
     make_surface,
     run_request,
     start_job,
@@ -129,14 +129,14 @@ class Session:
         self._given = prior if isinstance(prior, LosPrior) else None
         self._record = RunRecord(
             scene=self.path / SCENE_FOLDER,
-            prior=PriorSource.of(prior),
+            prior=PriorSource.from_argument(prior),
             options=options,
             config=config,
         )
         _require_readable(self._record.prior, self._listener)
         self._open = ExitStack()
         self._run = _run_of(self.path, replace(about, poses=()))
-        self._open.enter_context(self._run.locked())
+        self._open.enter_context(self._run.lock())
         self._close = finalize(self, self._open.close)
         if out is None:
             finalize(self, rmtree, self.path, ignore_errors=True)
@@ -262,7 +262,7 @@ class Session:
         self._run.scene_digest = self._scene_digest()
         request = self._request()
         self._box = request.box
-        with self._run.replacing(grows=True) as new:
+        with self._run.replace_whole(grows=True) as new:
             run_request(request, new, peaks=self._peaks, report=report)
         self._settled = None
         self._result = Reconstruction(self._run)
@@ -322,7 +322,7 @@ class Session:
         return capture_digest(self._about, self._digest)
 
     def _request(self) -> Request:
-        return Request.of(
+        return Request.check(
             self.capture,
             self._given,
             self._record,
@@ -348,7 +348,7 @@ class Session:
         request, options = self._request(), self._record.options
         self._box = request.box
         corrections = Corrections()
-        with self._run.replacing(grows=True) as new, logged(new, resume=False):
+        with self._run.replace_whole(grows=True) as new, log_run(new, resume=False):
             job, name = start_job(request, new, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
             self._peaks = job.peaks
             if options.calibrate == "auto":
@@ -366,14 +366,14 @@ class Session:
 
     def _extended(self, settled: _Settled, corrections: Corrections) -> _Settled:
         """Surface with box and corrections that are known."""
-        capture = self.capture if settled.box is None else settled.box.placed(self.capture)
+        capture = self.capture if settled.box is None else settled.box.place(self.capture)
         digest, before = self._run.scene_digest, settled.job.run
         poses = self._spooled(corrections.applied(capture), settled.job.capture.poses)
-        with self._run.replacing(grows=True) as new, logged(new, resume=False):
+        with self._run.replace_whole(grows=True) as new, log_run(new, resume=False):
             new.asked |= before.asked
             new.stages |= {n: before.stages[n] for n in _SETTLED if n in before.stages}
             for name in (CONFIG_NAME, CALIBRATION_NAME):
-                if self._run.written(name) is not None:
+                if self._run.find_file(name) is not None:
                     link_file(self.path / name, new.path / name)
             job = replace(
                 settled.job,

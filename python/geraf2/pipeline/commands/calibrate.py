@@ -18,8 +18,8 @@ from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
 from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.prior import with_walls
-from geraf2.pipeline.sign_check import naming_the_sign
+from geraf2.pipeline.prior import add_walls
+from geraf2.pipeline.sign_check import explain_sign_errors
 from geraf2.scene import Capture, LosPrior, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.summary import summarize_capture
@@ -122,12 +122,12 @@ def calibrate(
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
     listener.findings(require_plausible(summarize_capture(capture), scene))
-    prior = prior if prior.walls else with_walls(prior, capture.walls, listener)
+    prior = prior if prior.walls else add_walls(prior, capture.walls, listener)
     with listener.step("calibrating") as report:
         found = calibrate_capture(capture, prior, config, num_threads=num_threads, progress=report)
     for one in found.judgements:
         if one.error is not None:  # it was asked for
-            with naming_the_sign(capture, scene, num_threads):
+            with explain_sign_errors(capture, scene, num_threads):
                 raise one.error
     values = {
         "scene": Path(scene).resolve().name,

@@ -62,7 +62,7 @@ def evaluate(
         raise UserError(what="--seed must not be negative", got=seed)
     true = read_mesh(truth) if isinstance(truth, Path | str) else as_triangles(truth, "truth")
     folder = result.path
-    with result.run.locked():
+    with result.run.lock():
         now = load_run(folder)  # `result` may have been read before another run replaced the mesh
         mesh, of_mesh = now.content_mesh, mesh_digest(folder)
         seed = now.record.options.seed if seed is None else seed
@@ -78,7 +78,7 @@ def evaluate(
                 ],
                 num_threads=num_threads,
             )
-        with result.run.rewriting(METRICS_NAME, *REPORT_FILES):
+        with result.run.rewrite(METRICS_NAME, *REPORT_FILES):
             (folder / FIGURES_FOLDER / ERRORS_NAME).unlink(missing_ok=True)  # of an earlier truth
             write_metrics(metrics, folder / METRICS_NAME, extra=of_mesh)
             scores = {name: round(score, 6) for name, score in metrics.headline().items()}

@@ -156,7 +156,7 @@ def image_scene(
         searched_m=plan.searched_m,
     )
     run.begin()
-    with run.rewriting(*OF_IMAGE):
+    with run.rewrite(*OF_IMAGE):
         _write(result, plan)
         with listener.step("drawing"):
             maxima = [volume.max(axis=axis) for axis in range(3)]
@@ -217,7 +217,7 @@ class ImagePlan:
             scene=self.digest, grid=self.grid, poses=self.poses, angles_deg=angles, **more
         )
 
-    def about(self, file: str, sharpness: Floats) -> dict[str, object]:
+    def describe(self, file: str, sharpness: Floats) -> dict[str, object]:
         """Record of the volume, for its sidecar."""
         grid, angles = self.grid, self.options.angles_deg
         about: dict[str, object] = {
@@ -267,9 +267,9 @@ def plan_image(
     summary = summarize_capture(capture)
     listener.findings(require_plausible(summary, name if in_memory else scene))
     poses = _chosen_poses(options, capture)
-    imaged, searched = with_angles(options.angles_deg, capture, poses), None
+    imaged, searched = filter_angles(options.angles_deg, capture, poses), None
     if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
-        options, searched = _searched(options, imaged, listener)
+        options, searched = _search_depth(options, imaged, listener)
     axis, depths = None, np.zeros(0)
     first = capture.poses[poses[0]]
     with memory_of_parts() if in_parts else nullcontext():
@@ -317,7 +317,7 @@ def _chosen_poses(options: ImageOptions, capture: Capture) -> list[int]:
     return [options.plane]
 
 
-def _searched(
+def _search_depth(
     options: ImageOptions, capture: Capture, listener: Listener
 ) -> tuple[ImageOptions, float | None]:
     """Options with depths around the sharpest before a single plane, and that depth [m].
@@ -410,7 +410,7 @@ def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
     return np.asarray((positions - antennas) * np.sign(pose.axes[0, axis]))
 
 
-def with_angles(
+def filter_angles(
     angles_deg: tuple[float, float] | None, capture: Capture, poses: Sequence[int]
 ) -> Capture:
     """Capture without waves from other angles, of some poses; filtered when they are read."""
@@ -421,13 +421,13 @@ def with_angles(
         raise UserError(what="--angles-deg must be two rising angles", got=angles_deg)
     chosen, waveform = frozenset(poses), capture.waveform
 
-    def kept(index: int, pose: Pose) -> Pose:
+    def filter_pose(index: int, pose: Pose) -> Pose:
         return keep_angles(pose, waveform, low, high) if index in chosen else pose
 
     poses_kept = capture.poses
     if not isinstance(poses_kept, LazyPoses):
-        return replace(capture, poses=tuple(kept(i, p) for i, p in enumerate(poses_kept)))
-    return replace(capture, poses=poses_kept.map(kept))
+        return replace(capture, poses=tuple(filter_pose(i, p) for i, p in enumerate(poses_kept)))
+    return replace(capture, poses=poses_kept.map(filter_pose))
 
 
 def _write(result: ImageResult, plan: ImagePlan) -> None:
@@ -439,7 +439,7 @@ def _write(result: ImageResult, plan: ImagePlan) -> None:
         "poses": np.asarray(plan.poses, dtype=np.int64),
     }
     write_npz_atomic(result.path / IMAGE_NAME, arrays)
-    write_json_atomic(result.path / SIDECAR_NAME, plan.about(IMAGE_NAME, result.sharpness))
+    write_json_atomic(result.path / SIDECAR_NAME, plan.describe(IMAGE_NAME, result.sharpness))
 
 
 def draw_image(

@@ -46,9 +46,9 @@ from geraf2.pipeline.commands.image import (
     ImageRecord,
     draw_image,
     explain_image,
+    filter_angles,
     note_image,
     plan_image,
-    with_angles,
 )
 from geraf2.pipeline.estimates import slab_bytes
 from geraf2.pipeline.events import Listener
@@ -141,7 +141,7 @@ def image_tiles(
         key = plan.key(tiles=True, slab_layers=plan.slabs.n_layers)
         run.require_same("image", key, "image", overwrite=overwrite)
         run.begin()
-        with run.rewriting(*OF_IMAGE):
+        with run.rewrite(*OF_IMAGE):
             start = time.perf_counter()
             _prepare(job, plan, key, overwrite=overwrite)
             method, left = explain_image(plan), job.left()
@@ -150,7 +150,7 @@ def image_tiles(
                 seen = _look(job, plan.axis)
             if plan.axis is not None:
                 plan.warn_of_ends(seen.sharpness, listener)
-            attributes = {**plan.about(VOLUME_NAME, seen.sharpness), "key": key}
+            attributes = {**plan.describe(VOLUME_NAME, seen.sharpness), "key": key}
             write_text_atomic(job.group / METADATA_NAME, group_text(attributes))
             with listener.step("drawing"):
                 draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
@@ -189,7 +189,7 @@ def image_slab(job: SlabJob, number: int, num_threads: int | None = None) -> int
     if not is_file(job.group / METADATA_NAME):
         raise UserError(what="the worker does not see the image's folder", where=job.group)
     capture, part = open_capture(job.scene), job.slabs.part(number)
-    capture = with_angles(job.angles_deg, capture, job.poses)
+    capture = filter_angles(job.angles_deg, capture, job.poses)
     values = image_volume(capture, part, poses=job.poses, num_threads=num_threads)
     n_missing = job.slabs.n_layers - part.shape[job.slabs.axis]
     padding = [(0, 0)] * 3
@@ -243,7 +243,7 @@ def _prepare(job: SlabJob, plan: ImagePlan, key: str, *, overwrite: bool) -> Non
         attributes={"unit": "1", "long_name": "magnitude of the matched-filter image"},
     )
     with _new_group(job.group) as group:
-        write_group(group, {**plan.about(VOLUME_NAME, np.zeros(0)), "key": key})
+        write_group(group, {**plan.describe(VOLUME_NAME, np.zeros(0)), "key": key})
         volume.write_metadata(group)
 
 

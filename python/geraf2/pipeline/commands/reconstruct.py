@@ -35,7 +35,7 @@ from geraf2.pipeline.box_check import (
     BOX_STAGE,
     BoxCheck,
     box_from_radar,
-    checked_prior,
+    check_prior,
     require_determined,
 )
 from geraf2.pipeline.estimates import require_reconstructable
@@ -43,12 +43,12 @@ from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
 from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
-from geraf2.pipeline.prior import PriorSource, save_prior, with_walls
+from geraf2.pipeline.prior import PriorSource, add_walls, save_prior
 from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, make_prior
 from geraf2.pipeline.reconstruction import Reconstruction
-from geraf2.pipeline.run_log import RunListener, logging_to
+from geraf2.pipeline.run_log import RunListener, record_logs
 from geraf2.pipeline.run_record import RunOptions, RunRecord
-from geraf2.pipeline.sign_check import naming_the_sign, require_sign
+from geraf2.pipeline.sign_check import explain_sign_errors, require_sign
 from geraf2.pipeline.stages.calibration import calibrate_job
 from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
 from geraf2.scene import Capture, LosPrior, load_capture
@@ -114,7 +114,9 @@ def reconstruct(
         )
     scene = None if isinstance(capture, Capture) else Path(capture)
     loaded = capture if isinstance(capture, Capture) else load_capture(capture)
-    record = RunRecord(scene=scene, prior=PriorSource.of(prior), options=options, config=config)
+    record = RunRecord(
+        scene=scene, prior=PriorSource.from_argument(prior), options=options, config=config
+    )
     given = prior if isinstance(prior, LosPrior) else None
     folder = temporary_folder() if out is None else Path(out)
     run = RunFolder.open(
@@ -128,9 +130,9 @@ def reconstruct(
     run.require_same("mesh", _settings_key(record), "mesh", overwrite=overwrite)
     if (folder / CHECKPOINT_NAME).is_file() and not resume:
         require_consent(folder, "a training that --resume would finish", overwrite=overwrite)
-    request = Request.of(loaded, given, record, listener or Listener(), num_threads)
+    request = Request.check(loaded, given, record, listener or Listener(), num_threads)
     run.require_same("box", request.outside, "mesh", overwrite=overwrite)
-    with run.replacing() as new:
+    with run.replace_whole() as new:
         run_request(request, new, resume=resume, report=report)
     return Reconstruction(run)
 
@@ -164,7 +166,7 @@ class Request:
     """Time of its begin, of `time.perf_counter` [s]."""
 
     @classmethod
-    def of(
+    def check(
         cls,
         capture: Capture,
         given: LosPrior | None,
@@ -190,10 +192,10 @@ class Request:
             last = options.trust_los
             found = _prior(given or source, capture, summary, listener, is_last=last)
             if not options.trust_los:
-                with naming_the_sign(capture, where, num_threads):
-                    box = checked_prior(capture, *found, summary, listener, num_threads)
+                with explain_sign_errors(capture, where, num_threads):
+                    box = check_prior(capture, *found, summary, listener, num_threads)
         elif making is None:
-            with naming_the_sign(capture, where, num_threads):
+            with explain_sign_errors(capture, where, num_threads):
                 box = box_from_radar(capture, summary, listener, num_threads)
         if box is not None:
             if box.found is None:  # no wall is seen where it is
@@ -204,7 +206,7 @@ class Request:
             require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
         return cls(
-            capture=capture if box is None else box.placed(capture),
+            capture=capture if box is None else box.place(capture),
             summary=summary,
             findings=findings,
             prior=found,
@@ -237,7 +239,7 @@ def run_request(
     peaks: of the capture's planes, where they are known; collected when None.
     """
     options = request.record.options
-    with logged(run, resume=resume):
+    with log_run(run, resume=resume):
         job, prior_name = start_job(request, run, peaks=peaks, resume=resume)
         if options.calibrate == "auto":
             has_motion = MOTION_KEY in request.capture.provenance
@@ -245,7 +247,7 @@ def run_request(
         job = replace(job, capture=keep_planes(job.capture, options.hold_out, request.where))
         left_out = planes_at(request.capture, options.hold_out, request.where)
         keep_inputs(job, [p for n, p in enumerate(request.summary.planes) if n not in left_out])
-        with naming_the_sign(request.capture, request.where, request.num_threads):
+        with explain_sign_errors(request.capture, request.where, request.num_threads):
             make_surface(job, prior_name, options, report=report)
         seconds = round(time.perf_counter() - request.started, 2)
         memory = round(peak_memory_bytes() / 2**20)
@@ -339,7 +341,7 @@ def _prior(
     """
     prior, name = (source, "prior") if isinstance(source, LosPrior) else source.load((), listener)
     if not prior.walls:
-        prior = with_walls(prior, capture.walls, listener if is_last else None)
+        prior = add_walls(prior, capture.walls, listener if is_last else None)
     require_prior_in_view(prior, summary, name)
     return prior, name
 
@@ -406,9 +408,9 @@ def make_surface(
 
 
 @contextmanager
-def logged(run: RunFolder, *, resume: bool) -> Iterator[None]:
+def log_run(run: RunFolder, *, resume: bool) -> Iterator[None]:
     """Log start and stop of a run, and all log records between."""
-    with logging_to(run):
+    with record_logs(run):
         python = sys.version.split()[0]
         run.log("start", level="info", version=__version__, python=python, resume=resume)
         try:

@@ -142,14 +142,14 @@ def render(
         num_threads=num_threads,
         listener=listener or Listener(),
     )
-    with result.run.locked():
+    with result.run.lock():
         # `result` may have been read before another run replaced the mesh
         view = _of_fields(views) if is_paper else _of_surface(views, load_run(result.path))
         rendered = _render(views, chosen, view)
         if result.report is not None:
             from geraf2.report import write_report  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-            with views.listener.step("drawing the report"), result.run.rewriting(*REPORT_FILES):
+            with views.listener.step("drawing the report"), result.run.rewrite(*REPORT_FILES):
                 write_report(result.path, num_threads=num_threads)
     return tuple(rendered)
 
@@ -165,7 +165,7 @@ def _require_rendered(result: Reconstruction, *, is_paper: bool) -> None:
             got=config.preset,
         )
     needed = FIELDS_NAME if is_paper else CONTENT_NAME
-    if result.run.written(needed) is None:
+    if result.run.find_file(needed) is None:
         raise UserError(
             what=f"the run has no {needed}",
             where=result.path,
@@ -181,7 +181,7 @@ def _render(
 
     folder, grid, values = views.run.path / VIEWS_FOLDER, views.grid, list[RenderedPlane]()
     folder.mkdir(exist_ok=True)
-    with views.listener.step("rendering") as progress, views.run.rewriting(f"{VIEWS_FOLDER}/*"):
+    with views.listener.step("rendering") as progress, views.run.rewrite(f"{VIEWS_FOLDER}/*"):
         for number, (pose, held_out) in enumerate(chosen, start=1):
             view, angle = view_of(pose), f"{pose.angle_deg:g}"
             plane = RenderedPlane(
@@ -273,7 +273,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
 
     run, options, key = views.run, views.options, _echo_key(views)
     path, kind = run.path / ECHO_NAME, "surface-echo"
-    if run.written(ECHO_NAME) is not None and file_digest(path) == run.files[ECHO_NAME]:
+    if run.find_file(ECHO_NAME) is not None and file_digest(path) == run.files[ECHO_NAME]:
         kept = load_checkpoint(path, kind=kind, version=ECHO_VERSION)
         if kept.header.get("key") == key:
             return SurfaceEcho.of_arrays(kept.arrays)
@@ -292,7 +292,7 @@ def _echo(views: _Views, renderer: "SurfaceRenderer") -> "SurfaceEcho":
     numbers = {"power": echo.power, "walls": walls, "reflectivity": reflectivity}
     arrays, header = dict(echo.arrays()), {"config": asdict(options.echo), "key": key}
     made = Checkpoint(kind=kind, version=ECHO_VERSION, arrays=arrays, header=header)
-    with run.rewriting(ECHO_NAME):
+    with run.rewrite(ECHO_NAME):
         save_checkpoint(path, made)
         seconds = round(time.perf_counter() - start, 3)
         run.stages["echo"] = StageRecord(seconds=seconds, numbers=numbers)

@@ -60,5 +60,5 @@ def calibrate_job(job: Job, *, with_positions: bool = True) -> tuple[Job, Correc
 
 def correct_capture(run: RunFolder, capture: Capture) -> Capture:
     """Capture with the corrections of a run."""
-    path = run.written(CALIBRATION_NAME)
+    path = run.find_file(CALIBRATION_NAME)
     return capture if path is None else Corrections.load(path).applied(capture)

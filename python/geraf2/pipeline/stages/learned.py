@@ -18,7 +18,7 @@ from geraf2.baselines.level import best_level
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
-from geraf2.io.locks import locked_folder
+from geraf2.io.locks import lock_folder
 from geraf2.io.run_folder import (
     CHECKPOINT_NAME,
     FIELDS_NAME,
@@ -55,7 +55,7 @@ def geraf1_config(config: PaperConfig) -> PaperConfig:
     )
 
 
-def cropped_prior(prior: LosPrior, crop_m: float) -> LosPrior:
+def crop_prior(prior: LosPrior, crop_m: float) -> LosPrior:
     """Bounding box of the innermost known box, cropped on every side [m], without walls."""
     if len(prior.walls) > 1:
         prior = LosPrior.from_box(prior.walls[-1].size_m, prior.walls[-1].center_m)
@@ -71,7 +71,7 @@ def reconstruct_paper(job: Job) -> None:
 def reconstruct_geraf1(job: Job) -> None:
     """Train inside the cropped box, and choose the level that explains the signals best."""
     paper, threads = job.config.paper, job.num_threads
-    sdf = _train(job, cropped_prior(job.prior, paper.crop_m), geraf1_config(paper))
+    sdf = _train(job, crop_prior(job.prior, paper.crop_m), geraf1_config(paper))
     counted = counted_voxels(job.prior, sdf.grid, paper.crop_m, num_threads=threads)
     level = best_level(sdf, counted, job.capture, 0.0, job.config.level, num_threads=threads)
     values = (sdf.values - level).astype(sdf.values.dtype)
@@ -101,7 +101,7 @@ def _train(job: Job, prior: LosPrior, config: PaperConfig) -> SdfGrid:
         **job.inputs,
     )
     run, checkpoint = job.run, job.run.place / CHECKPOINT_NAME
-    with job.step("train") as step, _unfinished(job):
+    with job.step("train") as step, _keep_unfinished(job):
         trainer = PaperTrainer(
             job.capture, prior, config, seed=job.seed, num_threads=job.num_threads
         )
@@ -131,7 +131,7 @@ def _train(job: Job, prior: LosPrior, config: PaperConfig) -> SdfGrid:
 
 
 @contextmanager
-def _unfinished(job: Job) -> Iterator[None]:
+def _keep_unfinished(job: Job) -> Iterator[None]:
     """Folder of the training beside the new one, whose files the new one gets at the end.
 
     A failed training keeps it where there is a checkpoint.
@@ -139,7 +139,7 @@ def _unfinished(job: Job) -> Iterator[None]:
     run, was_there = job.run, job.run.place.exists()
     folder = run.place / TRAINING_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
-    with locked_folder(folder):
+    with lock_folder(folder):
         if not job.resume:
             for path in folder.iterdir():
                 if path.is_dir() and path.name != PRIOR_STAGE:
