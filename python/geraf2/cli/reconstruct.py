@@ -34,7 +34,7 @@ class Config(RunOptions, PriorSource):
     out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("out")
     """Run folder for meshes, fields, report, log."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
-    """best: 10 seconds of a core. fast: coarser, 4. paper: the learned method, minutes to an
+    """best: seconds. fast: coarser, in half the time. paper: the learned method, minutes to an
     hour; paper-corrected: its level corrected. To compare with: geraf1, matched-filter,
     normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None

@@ -16,6 +16,8 @@ class Listener:
     By default steps are silent, and messages go to the logger "geraf2.events". Only the command
     line prints: its listener writes to the terminal. What a listener raises ends the job.
 
+    Examples
+    --------
     >>> class Loud(geraf2.Listener):
     ...     def step(self, label):
     ...         print(label)  # a context manager that yields a function of 0 to 1

@@ -1,4 +1,4 @@
-"""Presets: lists of stages, each preset with one typed config."""
+"""Presets: each is one function and one typed config."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -34,10 +34,15 @@ from geraf2.surfaces.refinement import SELECTION_VERSION, RefineConfig
 
 @dataclass(frozen=True, kw_only=True)
 class FastPreset:
-    """Oriented points and a linear fit: seconds. Lengths in metres.
+    """Oriented points and a linear fit. Lengths in metres.
 
-    Raises ValueError for constants out of range.
+    Raises
+    ------
+    ValueError
+        For constants out of range.
 
+    Examples
+    --------
     >>> from geraf2.surfaces import FitConfig
     >>> geraf2.FastPreset(fit=FitConfig(spacing_m=0.006)).fit.spacing_m  # voxels [m]
     0.006
@@ -52,10 +57,17 @@ class FastPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class BestPreset:
-    """More accurate, and for few planes: also rim sub-apertures and shadows; 8 s of CPU.
+    """More accurate, and for few planes: also rim sub-apertures and shadows.
 
-    Lengths in metres. Raises ValueError for constants out of range.
+    Lengths in metres.
 
+    Raises
+    ------
+    ValueError
+        For constants out of range.
+
+    Examples
+    --------
     >>> geraf2.BestPreset().refine.fit.spacing_m
     0.003
     """
@@ -69,10 +81,15 @@ class BestPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class PaperPreset:
-    """The learned method of the paper: minutes to an hour. Lengths in metres.
+    """The learned method of the paper. Lengths in metres.
 
-    Raises ValueError for constants out of range.
+    Raises
+    ------
+    ValueError
+        For constants out of range.
 
+    Examples
+    --------
     >>> geraf2.PaperPreset().preset
     'paper'
     """
@@ -86,8 +103,13 @@ class PaperPreset:
 class CorrectedPaperPreset:
     """The learned method of the paper with a corrected level. Lengths in metres.
 
-    Raises ValueError for constants out of range.
+    Raises
+    ------
+    ValueError
+        For constants out of range.
 
+    Examples
+    --------
     >>> geraf2.CorrectedPaperPreset().paper.two_way
     'unbiased'
     """

@@ -79,15 +79,30 @@ def load_prior(
 ) -> LosPrior:
     """Outside of the box, in the capture frame.
 
-    source: file of a closed mesh in metres, a folder with los.ply, or the three outer side lengths
-        of a box, axes along the frame's [m].
-    center_m: centre of the box if `source` is side lengths, (3,) [m].
-    walls: known walls, outermost first; see :func:`add_walls`.
-    listener: warned if walls and prior differ in size.
+    Parameters
+    ----------
+    source
+        File of a closed mesh in metres, a folder with los.ply, or the three outer side lengths of a
+        box whose axes are those of the frame [m].
+    center_m
+        Centre of the box if `source` is side lengths, (3,) [m].
+    walls
+        Known walls, outermost first; see :func:`add_walls`.
+    listener
+        Receives a warning if walls and prior differ in size.
 
-    Returns the prior with a closed mesh. Raises UserError if there is no such mesh, if it is not
-    closed, or if the lengths are not three positive numbers.
+    Returns
+    -------
+    LosPrior
+        Prior with a closed mesh [m].
 
+    Raises
+    ------
+    UserError
+        If there is no such mesh, it is not closed, or the lengths are not three positive numbers.
+
+    Examples
+    --------
     >>> geraf2.load_prior((0.22, 0.22, 0.22), center_m=(0.0, 0.0, 0.1)).center_m
     (0.0, 0.0, 0.1)
     """

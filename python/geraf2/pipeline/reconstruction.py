@@ -40,6 +40,8 @@ class Reconstruction:
 
     A missing mesh is a UserError; missing sdf, glints and report are None.
 
+    Examples
+    --------
     >>> result = geraf2.examples.small_run()
     >>> error_m = result.content.vertex_attributes["expected_error_m"]
     >>> error_m.shape == result.content.vertices.shape[:1], result.sdf.values.ndim
@@ -109,13 +111,30 @@ class Reconstruction:
     ) -> "SurfaceSamples":
         """Draw surfaces from the posterior, all with the triangles of `content_mesh`.
 
-        n: number of surfaces, at least 2; each takes 10 to 25 ms on one core.
-        seed: of the draws.
-
         The samples include offsets that echoes share: of the scan, of a plane, of a face of the
-        box. The uncertainty of any quantity of the mesh is its spread over the samples. Raises
-        UserError for a preset without glints.
+        box. The uncertainty of any quantity of the mesh is its spread over the samples.
 
+        Parameters
+        ----------
+        n
+            Number of surfaces, at least 2; each takes 10 to 25 ms on one core.
+        seed
+            Seed of the draws.
+        num_threads
+            Threads of the kernels; all when None.
+
+        Returns
+        -------
+        SurfaceSamples
+            Displacements of the vertices along their normals, (n, n_vertices) [m].
+
+        Raises
+        ------
+        UserError
+            For a preset without glints, and for a single sample.
+
+        Examples
+        --------
         >>> samples = geraf2.examples.small_run().samples(8)
         >>> low, high = samples.interval(lambda mesh: mesh.vertices[:, 2].max())  # 95 % [m]
         >>> samples.displacements_m.shape[0], bool(low < high)
@@ -155,8 +174,15 @@ class Reconstruction:
     def show(self) -> Path | None:
         """Show the content in 3D: in a notebook below the cell, elsewhere in a browser.
 
-        Returns the page that the browser shows, a temporary file; None in a notebook. Raises
-        UserError if there is no surface yet.
+        Returns
+        -------
+        Path or None
+            The page that the browser shows, a temporary file; None in a notebook.
+
+        Raises
+        ------
+        UserError
+            If the run has no surface.
         """
         page = self._view()
         if page is None:
@@ -204,11 +230,23 @@ class Reconstruction:
 def load_run(path: Path | str) -> Reconstruction:
     """Open the folder of a run.
 
-    path: argument `out` of `reconstruct`; nothing in it changes.
+    Parameters
+    ----------
+    path
+        The folder, argument `out` of `reconstruct`; nothing in it changes.
 
-    Returns the result, lengths in metres. Raises UserError if the folder is no run, or has another
-    version.
+    Returns
+    -------
+    Reconstruction
+        The result, lengths in metres.
 
+    Raises
+    ------
+    UserError
+        If the folder is no run, holds an unfinished training, or has another version.
+
+    Examples
+    --------
     >>> geraf2.load_run(geraf2.examples.small_run().path).box.is_watertight
     True
     """

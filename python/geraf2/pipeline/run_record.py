@@ -19,8 +19,13 @@ from geraf2.pipeline.prior import PriorSource
 class RunOptions(Bounded):
     """Options of a run besides capture, prior and the preset's constants.
 
-    Raises UserError for a value out of bounds.
+    Raises
+    ------
+    UserError
+        For a value out of bounds.
 
+    Examples
+    --------
     >>> geraf2.RunOptions(hold_out=(60.0, 180.0)).hold_out
     (60.0, 180.0)
     """

@@ -100,16 +100,33 @@ def calibrate(
 ) -> CalibratedScene:
     """Find errors of delay, channels, frame and positions; see `geraf2.calibration.driver`.
 
-    scene: folder of the scene; stays as it is.
-    prior: outside of the box, roughly in the capture frame; without walls, it takes the scene's.
-    config: which corrections are searched.
-    prior_name: what to call the prior in the scene's record.
-    num_threads: all cores when None.
-    listener: hears the step "calibrating" and what is implausible about the scene.
+    Parameters
+    ----------
+    scene
+        Folder of the scene, which does not change.
+    prior
+        Outside of the box, roughly in the capture frame [m]; without walls, it takes the scene's.
+    config
+        Corrections that are searched.
+    prior_name
+        Name of the prior in the scene's record.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives the step "calibrating" and what is implausible about the scene.
 
-    Returns what was found [m, rad] and the corrected capture; `save` writes it. Raises UserError
-    where the scene is not plausible, or walls or reflector are too weak.
+    Returns
+    -------
+    CalibratedScene
+        Corrections [m, rad] and the corrected capture; `save` writes it.
 
+    Raises
+    ------
+    UserError
+        If the scene is not plausible, or the echoes of walls or reflector are too weak.
+
+    Examples
+    --------
     >>> from geraf2.calibration.driver import CalibrationConfig
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
     True

@@ -37,18 +37,36 @@ def evaluate(
 ) -> MeshMetrics:
     """Measure the content of a run against the truth; nothing is aligned, scaled or cropped.
 
-    run: a reconstruction, or its run folder, which gets `metrics.json`.
-    truth: true surface in metres in the capture's frame: a mesh, of trimesh too, or its file.
-    n_samples: points drawn from each surface.
-    seed: of these points; the run's own when None.
-    report: draw the report again, with the truth in it.
-    num_threads: all when None.
-    listener: hears progress and warnings.
+    Parameters
+    ----------
+    run
+        A reconstruction, or its folder, which gets `metrics.json`.
+    truth
+        True surface in metres in the capture's frame: a mesh, also of trimesh, or its file.
+    n_samples
+        Number of points drawn from each surface.
+    seed
+        Seed of these points; that of the run when None.
+    report
+        Draw the report again, with the truth in it.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives progress and warnings.
 
-    Returns F1 at several distances [m], the Chamfer distance [1e-3 m^2], errors of volume, extents
-    and offset, each with its definition. Raises UserError where the run has no mesh yet, the truth
-    is no mesh, or another process writes into the run folder.
+    Returns
+    -------
+    MeshMetrics
+        F1 at several distances [m], the Chamfer distance [1e-3 m^2], and errors of volume, extents
+        and offset, each with its definition.
 
+    Raises
+    ------
+    UserError
+        If the run has no mesh, the truth is no mesh, or another command writes into the folder.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> metrics = geraf2.evaluate(geraf2.examples.small_run(), truth, report=False)
     >>> metrics.f1(0.005) > 0.8  # at 5 mm

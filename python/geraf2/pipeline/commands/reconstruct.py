@@ -75,24 +75,47 @@ def reconstruct(
 ) -> Reconstruction:
     """Reconstruct the surface of what is hidden in the box.
 
-    capture: scene folder, or a capture in memory.
-    prior: outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh
-    in metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses; None:
-    found by radar (`geraf2.find_box`). A cuboid that is off by millimetres or degrees is corrected.
-    A prior without walls takes those that the capture knows.
-    preset: its name, or its constants: best, fast, paper, or a method to compare with.
-    out: run folder; a temporary one when not given, which goes with the result.
-    options: planes left out, whether to calibrate, seed, how photos are meant.
-    resume: continue the training that a stopped run of this preset left in `out`.
-    overwrite: replace a finished result in `out` that has other settings or is of another scene.
-    report: also draw pictures and write `report.html`.
-    num_threads: all when None.
-    listener: hears progress and warnings.
+    Parameters
+    ----------
+    capture
+        Scene folder, or a capture in memory.
+    prior
+        Outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh in
+        metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. The
+        box is found by radar (`geraf2.find_box`) when None. A cuboid that is off by millimetres or
+        degrees is corrected, and a prior without walls takes those of the capture.
+    preset
+        Name of a preset, or its constants: best, fast, paper, or a method to compare with.
+    out
+        Result folder, which is written whole or not at all. When None it is a temporary one, which
+        is removed together with the result.
+    options
+        Planes left out, calibration, seed, posterior samples, interpretation of photos.
+    resume
+        Continue the training that a stopped run of this preset left in `out`.
+    overwrite
+        Replace a finished result in `out` that has other settings or is of another scene.
+    report
+        Also draw pictures and write `report.html`.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives progress and warnings.
 
-    Returns meshes [m], signed distance [m], glints and numbers, as they lie in the run folder.
-    Raises UserError where capture and prior do not go together, no box is found, echoes come from
-    outside the box, or `out` holds something else or is being written into.
+    Returns
+    -------
+    Reconstruction
+        Meshes [m], signed distance [m], glints and numbers, read from the folder on first use.
 
+    Raises
+    ------
+    UserError
+        If capture and prior contradict each other, no box is found, echoes come from outside the
+        box, `out` holds something else or is being written into, or `resume` is asked of a preset
+        that trains nothing.
+
+    Examples
+    --------
     >>> from geraf2.surfaces import FitConfig
     >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
     >>> capture, truth = geraf2.examples.small_capture()

@@ -48,8 +48,15 @@ View: TypeAlias = "Callable[[Pose], PlaneView]"
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(Bounded):
-    """Which planes are rendered, and how finely. UserError for a value out of bounds.
+    """Which planes are rendered, and how finely.
 
+    Raises
+    ------
+    UserError
+        For a value out of bounds.
+
+    Examples
+    --------
     >>> geraf2.RenderOptions(angles=(60.0,)).spacing_m  # [m]
     0.004
     """
@@ -102,17 +109,33 @@ def render(
 ) -> tuple[RenderedPlane, ...]:
     """Render heat maps of planes from a run and compare them with the measured ones.
 
-    run: of the preset fast, best, paper or paper-corrected, or its folder, which gets pictures
-    and arrays in `views/`; its report, if there is one, shows them. The surface of the first two
-    gets its reflectivity here, from the planes that the run did not leave out.
-    options: which planes, and how finely.
-    scene: capture of the run or its folder, where it is no longer where the run found it.
-    num_threads: all when None.
-    listener: hears progress.
+    Parameters
+    ----------
+    run
+        A reconstruction of the preset fast, best, paper or paper-corrected, or its folder, which
+        gets pictures and arrays in `views/`. Its report, if there is one, shows them. The surface
+        of the first two presets gets its reflectivity here, from the planes that the run used.
+    options
+        Which planes are rendered, and how finely.
+    scene
+        Capture of the run or its folder, if it is no longer where the run found it.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives progress.
 
-    Returns how near each map is to the measured one [dB], in the order of the angles. Raises
-    UserError for another preset, an unfinished run, another scene, or an angle without a plane.
+    Returns
+    -------
+    tuple of RenderedPlane
+        How near each map is to the measured one [dB], in the order of the angles.
 
+    Raises
+    ------
+    UserError
+        For another preset, a run without a surface, another scene, or an angle without a plane.
+
+    Examples
+    --------
     >>> from geraf2.surfaces.config import SurfaceFitConfig
     >>> echo = SurfaceFitConfig(max_edge_m=0.006, wall_edge_m=0.01, n_planes=1, n_targets=200)
     >>> options = geraf2.RenderOptions(angles=(60.0,), spacing_m=0.02, echo=echo)
