@@ -26,7 +26,7 @@ LINES = (
     "benchmark out --list",
     "demo out",
     "inspect run",
-    f"batch scene out {BOX} --list",
+    f"batch scene out {BOX}",
     IMPORT,
 )
 """Command lines whose flags are walked."""

@@ -44,14 +44,6 @@ def test_a_file_and_a_folder_stay_what_they_were(tmp_path, error):
     assert names(tmp_path / "f") == ["old"]
 
 
-def test_a_folder_is_replaced_whole(tmp_path):
-    for name in ("old", "new"):
-        with atomic_folder(tmp_path / "f") as folder:
-            (folder / name).write_text(name)
-    assert names(tmp_path) == ["f"]
-    assert names(tmp_path / "f") == ["new"]
-
-
 def test_objects_and_nan_are_refused_rather_than_pickled(tmp_path):
     with pytest.raises(TypeError, match="array 'a' has dtype object"):
         write_npz_atomic(tmp_path / "a.npz", {"a": np.array([{}])})

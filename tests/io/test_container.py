@@ -65,22 +65,6 @@ def test_the_digest_of_a_capture_survives_the_disk_and_sees_each_part(scene, rag
     assert capture_digest(replace(ragged, provenance={"importer": "other"})) == digest
 
 
-def test_arrays_carry_dimension_names_and_units(scene):
-    group = zarr.open_group(str(scene / "radar.zarr"), mode="r")
-    assert group["signal"].metadata.dimension_names == ("pose", "antenna", "sample")
-    assert group["tx_positions"].attrs["unit"] == "m"
-    assert group["angle"].attrs["unit"] == "deg"
-    assert group["signal"].chunks == (1, 36, 32)
-    assert group.metadata.zarr_format == 3
-
-
-def test_a_pose_is_read_without_the_others(scene):
-    for chunk in (scene / "radar.zarr" / "signal" / "c").iterdir():
-        if chunk.name != "1":
-            (chunk / "0" / "0").write_bytes(b"not a chunk")
-    assert SceneReader(scene).read_pose(1).signal.shape == (16, 32)
-
-
 def without_checksums(scene):
     """As a version of geraf2 before them wrote it."""
     path = scene / "radar.zarr" / "zarr.json"

@@ -121,10 +121,3 @@ def test_a_finished_scene_does_not_grow(capture, tmp_path):
         GrowingScene(tmp_path / "scene", _about(capture))
     after = {p: p.read_bytes() for p in (tmp_path / "scene").rglob("*") if p.is_file()}
     assert after == before
-
-
-def test_other_files_are_not_touched(capture, tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(UserError, match="holds files but no scene"):
-        GrowingScene(tmp_path, _about(capture))
-    assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]

@@ -94,14 +94,6 @@ def test_concave_polygons_are_cut_inside(tmp_path, name, start):
     assert total == pytest.approx(2 * area(outline) + perimeter)
 
 
-def test_a_concave_polygon_of_too_many_corners_is_refused(tmp_path):
-    x = np.linspace(0, 1, 6000)
-    outline = [*zip(x, np.sin(9 * x) - 2, strict=True), (1, 5), (0, 5)]
-    (tmp_path / "a.obj").write_text(obj(*prism(outline)))
-    with pytest.raises(UserError, match="6002 corners, more than 4096"):
-        read_mesh(tmp_path / "a.obj")
-
-
 def stl(n=None, head=b"made by hand", tail=b""):
     corners = np.array(V, dtype="<f4")
     triangles = [t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))]

@@ -48,26 +48,6 @@ def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
 
 
 @pytest.mark.parametrize(
-    ("layout", "n_rx", "given", "swap"),
-    [("4-lane", 1, None, False), ("iq", 2, None, False), ("4-lane", 3, 3, True)],
-)
-def test_receivers_are_counted_or_given(tmp_path, layout, n_rx, given, swap):
-    signal = beat(n_rx=n_rx)
-    path = write_words(tmp_path / "a.bin", signal, layout, swap_iq=swap)
-    recording = opened(path, raw=RawManifest(n_rx=given))
-    order = recording.evidence.order
-    assert (order.n_rx, order.swap_iq) == (n_rx, swap)
-    assert np.array_equal(samples(recording), signal)
-
-
-@pytest.mark.parametrize("n_samples", [60, 200])
-def test_samples_per_chirp_are_found_out(tmp_path, n_samples):
-    recording = opened(write_words(tmp_path / "a.bin", beat(n_samples=n_samples)))
-    assert recording.evidence.n_samples == n_samples
-    assert recording.evidence.jump_ratio > 3
-
-
-@pytest.mark.parametrize(
     ("radar", "text"),
     [
         ({"raw": RawManifest(layout="2-lane-pairs")}, "contradict the layout given"),
@@ -157,13 +137,6 @@ class TestPackets:
         assert "3 lost" in dict(recording.facts)["packets"]
         assert any(f"{3 * 1456} bytes zero-filled" in note for note in recording.notes)
 
-    def test_the_first_packets_may_be_lost(self, tmp_path):
-        path = self.write(tmp_path, packets_of(self.data)[2:])
-        recording = opened(path, raw=GIVEN, n_samples=64)
-        assert "2 lost" in dict(recording.facts)["packets"]
-        assert not samples(recording)[:2].any()
-        assert np.array_equal(samples(recording)[3:], beat()[3:])
-
     def test_reads_anywhere_agree_with_one_read(self, tmp_path):
         packets = packets_of(self.data)
         order = [0, 1, 3, 2, 4, 7, 8, *range(10, len(packets))]
@@ -175,13 +148,6 @@ class TestPackets:
             part = np.ones(stop - first, dtype=np.uint8)
             stream.read_into(first, part)
             assert np.array_equal(part, whole[first:stop])
-
-    def test_packets_out_of_order_are_put_in_order(self, tmp_path):
-        packets = packets_of(self.data)
-        packets[5], packets[6] = packets[6], packets[5]
-        recording = opened(self.write(tmp_path, [*packets[:9], packets[8], *packets[9:]]))
-        assert np.array_equal(samples(recording), beat())
-        assert "1 out of order" in dict(recording.facts)["packets"]
 
     def test_a_broken_header_is_refused_or_ends_the_capture(self, tmp_path):
         packets = packets_of(self.data)
@@ -211,19 +177,6 @@ class TestConfigurations:
         assert recording.config.frame_period_s == pytest.approx(4e-3)
         assert (recording.n_chirps_per_frame, recording.n_tx, recording.n_frames) == (2, 1, 20)
 
-    @pytest.mark.parametrize(
-        ("key", "value", "text"),
-        [
-            ("numAdcSamples", 128, "number of samples per chirp, expected 64"),
-            ("laneEn", "0x3", "contradict the layout given"),
-            ("b2AdcOutFmt", 0, "states real ones, .* got complex ones"),
-        ],
-    )
-    def test_studio_json_that_contradicts_is_refused(self, tmp_path, key, value, text):
-        write_words(tmp_path / "adc_data.bin", beat())
-        with pytest.raises(UserError, match=text):
-            opened(self.studio(tmp_path, **{key: value}))
-
     def test_another_number_of_frames_is_refused_or_noted(self, tmp_path):
         write_words(tmp_path / "adc_data.bin", beat())
         folder = self.studio(tmp_path, numFrames=30)
@@ -239,22 +192,6 @@ class TestConfigurations:
         assert (recording.n_tx, recording.n_chirps_per_frame, recording.n_frames) == (2, 20, 2)
         assert recording.config.first_sample_hz() == pytest.approx(77.36e9)
         assert recording.config.sample_rate_hz == pytest.approx(1e6)
-
-    def test_the_capture_card_defines_the_lanes(self, tmp_path):
-        text = '{"DCA1000Config": {"lvdsMode": %d, "dataFormatMode": 3}}'
-        write_words(tmp_path / "a.bin", beat())
-        (tmp_path / "cf.json").write_text(text % 1)
-        assert opened(tmp_path).evidence.order.layout == "4-lane"
-        (tmp_path / "cf.json").write_text(text % 2)
-        with pytest.raises(UserError, match="which states 2 lanes"):
-            opened(tmp_path)
-
-    def test_two_files_that_disagree_are_named(self, tmp_path):
-        self.studio(tmp_path)
-        (tmp_path / "radar.cfg").write_text(PROFILE.replace("0 77 ", "0 76 "))
-        write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=r"radar\.cfg: contradicts .* on ramp_start_hz"):
-            opened(tmp_path)
 
 
 class TestPositions:
@@ -311,14 +248,6 @@ class TestPositions:
         scan = self.scan(path, ImportOptions(keep_good=True), raster=self.raster)
         assert scan.n_antennas == (22 * 4,)
 
-    def test_a_radar_that_stood_still_becomes_one_position(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(_recording, "BLOCK_BYTES", 5000)
-        signal = beat()
-        scan = self.scan(write_words(tmp_path / "a.bin", signal), ImportOptions(static=True))
-        got, tx, _ = whole_pose(scan)
-        assert np.allclose(got, signal.mean(axis=0), rtol=1e-6)
-        assert np.array_equal(tx, np.zeros((4, 3)))
-
     def test_transmitters_take_turns_and_loops_are_averaged(self, tmp_path):
         signal = beat(n_chirps=48)
         tx = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.002], [0.0, 0.004, 0.0]]
@@ -341,13 +270,6 @@ class TestPositions:
             self.scan(path)
         with pytest.raises(UserError, match="exclude each other"):
             self.scan(path, ImportOptions(static=True), raster=self.raster)
-
-    def test_without_a_waveform_what_lacks_is_named(self, tmp_path):
-        path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(
-            UserError, match="start_frequency_hz, chirp_slope_hz_per_s, sample_rate"
-        ):
-            load_importer("dca1000").open(path, RadarManifest(), ImportOptions(static=True))
 
     def test_memory_does_not_grow_with_the_file(self, tmp_path, monkeypatch):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", 1 << 20)

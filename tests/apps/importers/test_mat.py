@@ -121,11 +121,6 @@ def test_arrays_that_do_not_fit_are_named(save, arrays, name, value, text):
     assert "scan.mat" in str(caught.value)
 
 
-def test_an_unknown_name_of_ours_is_named(save, arrays):
-    with pytest.raises(UserError, match=r"arrays\.signals is no array"):
-        opened(save(arrays), arrays={"signals": "adc"})
-
-
 @pytest.mark.parametrize("in_struct", [False, True])
 def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
     """SciPy alone crashes on some of these: it does not check number types."""
@@ -144,21 +139,6 @@ def test_no_broken_byte_ends_the_process(tmp_path, in_struct):
         except UserError:
             n_refused += 1
     assert n_refused > 30
-
-
-def test_one_frequency_needs_no_chirp(save, capture):
-    pose = capture.poses[0]
-    arrays = {
-        "signal": pose.signal[:, :1],
-        "positions": pose.phase_centers,
-        "axes": pose.axes,
-        "start_frequency_hz": 24e9,
-    }
-    scan = load_importer("mat").open(save(arrays), RadarManifest(), ImportOptions())
-    assert scan.manifest.waveform.frequencies_hz == pytest.approx([24e9])
-    assert not scan.notes
-    (read,) = scan.poses()
-    assert np.array_equal(read.signal, pose.signal[:, :1])
 
 
 def _external_link(file, name, other):
@@ -225,14 +205,6 @@ def test_groups_of_hdf5_are_found(tmp_path, arrays):
     (part,) = opened(tmp_path / "a.mat").poses()
     assert np.allclose(part.signal, arrays["signal"][1])
     assert np.allclose(part.rx_positions, arrays["rx_positions"][1])
-
-
-def test_names_of_the_command_line_go_before_those_of_the_file(save, arrays):
-    pose = {"sarData": arrays["signal"][1], "r": arrays["tx_positions"][1], "x": np.zeros(3)}
-    options = ImportOptions(arrays=("signal=sarData", "positions=r"))
-    scan = opened(save({**pose, **NUMBERS}), options, arrays={"signal": "x"})
-    (part,) = scan.poses()
-    assert np.allclose(part.signal, arrays["signal"][1])
 
 
 @pytest.mark.parametrize(

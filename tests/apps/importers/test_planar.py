@@ -40,12 +40,6 @@ def test_positions_frequencies_and_samples_are_those_of_the_scan(tmp_path):
     assert scan.phase_sign == -1
 
 
-def test_without_the_phase_of_the_antenna_notes_warn(tmp_path):
-    scan = opened(write_planar(tmp_path / "scan", phase=False))
-    assert any("antenna_phase.txt" in note for note in scan.notes)
-    assert any("path_bias_m" in note for note in scan.notes)
-
-
 def test_nan_samples_are_refused(tmp_path):
     data = np.random.default_rng(0).normal(size=(2, 11, 5, 4))
     data[0, 3, 2, 1] = np.nan
@@ -107,20 +101,6 @@ def test_the_phase_of_the_antenna_is_subtracted_with_either_sign(tmp_path, sign)
     phase = (HOLOGRAM_FREQUENCIES - 21e9) * 1e-9
     # exp(-j phase) on a signal that runs as exp(-j k d): the opposite on its conjugate.
     assert np.abs(corrected - np.exp(1j * (sign or 1) * phase)).max() < 1e-5
-
-
-@pytest.mark.parametrize("alone", [False, True])
-def test_one_frequency_is_enough(tmp_path, alone):
-    path = write_hologram(tmp_path / "letter.npy", frequencies=22e9, n=9)
-    if alone:
-        with path.open("rb") as handle:
-            data = np.load(handle)
-        write_hologram(path, frequencies=22e9, data=data[0])
-    scan = opened(path)
-    (pose,) = scan.poses()
-    assert scan.manifest.waveform.frequencies_hz == pytest.approx([22e9])
-    assert np.abs(pose.signal.conj() - letter_signal(0.1, [22e9], pose.tx_positions)).max() < 1e-6
-    assert not any("path_bias_m" in note for note in scan.notes)
 
 
 @pytest.mark.parametrize(

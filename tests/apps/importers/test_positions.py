@@ -46,14 +46,6 @@ def test_positions_are_interpolated_at_the_frames(log):
     assert np.array_equal(rotations, np.broadcast_to(np.eye(3), (16, 3, 3)))
 
 
-def test_alternating_transmitters_have_positions_of_their_own_times(log):
-    assert track(log).tx_positions is None
-    sent = track(log, tx_delays_s=(-0.01, 0.0, 0.01)).tx_positions[3:5]
-    times = 0.05 * np.arange(3, 5)[:, None] + np.array([-0.01, 0.0, 0.01])
-    expected = np.stack([0.3 + 0.2 * times, -0.1 * times, np.full((2, 3), 0.05)], axis=-1)
-    assert np.allclose(sent, expected, atol=1e-9)
-
-
 def test_npy_tables_and_records_are_read(tmp_path):
     table = np.column_stack([TIMES, POSITIONS])
     np.save(tmp_path / "a.npy", table)
@@ -124,21 +116,6 @@ def test_receivers_of_a_ti_board_are_the_default():
         board_of(AntennaManifest(rx_offsets_m=[[0.0] * 3]), n_tx=1, n_rx=4, center_hz=78e9)
     with pytest.raises(UserError, match="must be orthonormal"):
         board_of(AntennaManifest(axes=[[1.0, 0, 0]] * 3), n_tx=1, n_rx=4, center_hz=78e9)
-
-
-def test_time_stamps_that_do_not_overlap_are_refused(log):
-    for keep_good in (False, True):
-        with pytest.raises(UserError, match=r"do not overlap, expected frames 50\.0"):
-            track(log, start=50.0, keep_good=keep_good)
-
-
-def test_frames_outside_the_log_are_refused_or_left_out(log):
-    with pytest.raises(UserError, match="4 of 19 frames lie outside the time stamps"):
-        track(log, start=-0.2)
-    found = track(log, start=-0.2, keep_good=True)
-    assert found.ranges == ((4, 19),)
-    assert "4 of 19 frames" in found.notes[0]
-    assert track(log, n_frames=30, keep_good=True).ranges == ((0, 19),)
 
 
 def test_the_first_row_is_the_first_frame_when_nothing_else_is_known(log):

@@ -60,14 +60,6 @@ def test_files_of_any_name_are_joined_with_a_word(tmp_path):
     assert note == ("2 files were joined as the parts of one recording: scan_0.bin, scan_1.bin")
 
 
-def test_packets_that_continue_in_the_next_file_are_one_recording(tmp_path):
-    packets = packets_of(DATA)
-    pieces = [b"".join(packets[:20]), b"".join(packets[20:])]
-    recording = open_recording(write(tmp_path, pieces, "a_Raw_{}.bin"), RadarManifest())
-    assert "0 lost" in dict(recording.facts)["packets"]
-    assert recording.n_frames == 40
-
-
 def opened(folder, positions=None, *, keep_good=False, **radar):
     options = ImportOptions(
         file_per_position=positions is None, positions=positions, keep_good=keep_good
@@ -85,11 +77,6 @@ def test_each_file_is_a_position_of_the_raster(tmp_path, n_chirps):
     assert np.allclose(signal, scan_signal(POSITIONS).reshape(-1, 64), rtol=1e-6)
     assert scan.integers == (n_chirps == 1)
     assert dict(scan.facts)["files"] == "16, one for each position"
-
-
-def test_packet_headers_of_each_file_are_removed(tmp_path):
-    scan = opened(write(tmp_path / "scan", [b"".join(packets_of(x)) for x in recorded(3)]))
-    assert np.allclose(whole_pose(scan)[0], scan_signal(POSITIONS).reshape(-1, 64), rtol=1e-6)
 
 
 def rows(folder, names, positions=POSITIONS):
@@ -145,16 +132,6 @@ def test_an_empty_position_is_refused_or_left_out(tmp_path):
     with pytest.raises(UserError, match=r"scan_15\.bin: is empty"):
         opened(folder)
     assert opened(folder, keep_good=True).n_antennas == (15 * 4,)
-
-
-def test_files_that_do_not_fill_the_raster_are_refused(tmp_path):
-    folder = write(tmp_path / "scan", recorded()[:-1])
-    with pytest.raises(UserError, match="files and positions of the raster differ in number, exp"):
-        opened(folder)
-    log = rows(folder, [f"scan_{k}.bin" for k in range(15)], POSITIONS[:15])
-    log.write_text(log.read_text() + "\nscan_0.bin")
-    with pytest.raises(UserError, match="rows and names differ in number"):
-        opened(folder, log)
 
 
 def test_one_position_and_many_exclude_each_other(tmp_path):

@@ -68,14 +68,6 @@ def test_a_layout_that_another_beats_is_doubted(tmp_path):
     assert "as 4-lane, two-complement" in note
 
 
-@pytest.mark.parametrize("layout", ["4-lane", "2-lane-pairs", "iq"])
-def test_a_wrong_number_of_receivers_is_refused(tmp_path, layout):
-    path = write_words(tmp_path / "a.bin", beat(), layout)
-    for given in ({"n_rx": 2}, {"n_rx": 2, "layout": layout, "offset_binary": False}):
-        with pytest.raises(UserError, match=r"2 receivers, the energy .* 4 receivers,"):
-            opened(path, raw=RawManifest(**given))
-
-
 @pytest.mark.parametrize("share", [0.0, 0.01, 1.0])
 def test_dead_receivers_are_named(tmp_path, share):
     signal = beat()

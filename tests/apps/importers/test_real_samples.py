@@ -19,7 +19,6 @@ from helpers.raw_capture import (
     WAVEFORM,
     beat,
     opened,
-    quantised,
     raster_positions,
     scan_signal,
     write_words,
@@ -72,15 +71,6 @@ def test_a_single_real_echo_never_passes_for_complex(tmp_path, layout, n_samples
     assert (evidence.order.layout, evidence.n_samples) == (layout, n_samples // 2)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_two_real_echoes_never_pass_for_complex(tmp_path, seed):
-    path = tmp_path / "a.bin"
-    frequencies = np.random.default_rng(seed).uniform(0.02, 0.4, 2)
-    path.write_bytes(real_words(real_echoes(frequencies, seed=seed), LAYOUTS[seed % 2]))
-    with pytest.raises(UserError, match="samples are real"):
-        opened(path)
-
-
 @pytest.mark.parametrize("layout", COMPLEX_LAYOUTS)
 @pytest.mark.parametrize(("noise", "offset"), [(0.01, True), (0.1, False)])
 def test_complex_samples_are_none_of_these(tmp_path, layout, noise, offset):
@@ -88,54 +78,6 @@ def test_complex_samples_are_none_of_these(tmp_path, layout, noise, offset):
     signal[:, 2] = 0  # a dead receiver
     recording = opened(write_words(tmp_path / "a.bin", signal, layout, offset_binary=offset))
     assert recording.evidence.order.layout == layout
-
-
-def random_signal(rng):
-    """One to three echoes at 0 to 20 dB over noise, still or moving, with offsets."""
-    n_rx, n_samples, n_chirps = 4, int(rng.choice([64, 128, 200, 256])), int(rng.choice([48, 96]))
-    n_echoes = int(rng.integers(1, 4))
-    frequencies = rng.uniform(0.02, 0.45, (n_echoes, 1))
-    n_phases = n_chirps if rng.integers(2) else 1
-    phases = rng.uniform(0, 2 * np.pi, (n_phases, n_rx, n_echoes, 1))
-    amplitudes = rng.uniform(0.3, 1.0, (n_echoes, 1))
-    wave = amplitudes * np.exp(1j * (2 * np.pi * frequencies * np.arange(n_samples) + phases))
-    noise = rng.normal(size=(n_chirps, n_rx, n_samples, 2)) @ [1, 1j] / np.sqrt(2)
-    level = 10 ** (-rng.uniform(0, 20) / 20) * np.sqrt(np.square(amplitudes).sum())
-    offsets = rng.normal(size=(1, n_rx, 1, 2)) @ [1, 1j] * rng.choice([0, 0.5])
-    return 10 ** rng.uniform(1.5, 3.3) * (wave.sum(axis=2) + level * noise + offsets)
-
-
-def decision(path):
-    """What a recording is read as without any parameters."""
-    try:
-        opened(path)
-    except UserError as error:
-        return "real" if "samples are real" in str(error) else "refused"
-    return "complex"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("layout", [*LAYOUTS, *COMPLEX_LAYOUTS])
-def test_noise_hides_neither_kind(tmp_path, layout):
-    path, found = tmp_path / "a.bin", []
-    for trial in range(12):
-        rng = np.random.default_rng([trial, [*LAYOUTS, *COMPLEX_LAYOUTS].index(layout)])
-        signal = random_signal(rng)
-        if layout in LAYOUTS:
-            path.write_bytes(real_words(signal.real, layout))
-        else:
-            write_words(path, quantised(signal), layout)
-        found.append(decision(path))
-    wrong = "complex" if layout in LAYOUTS else "real"
-    assert found.count(wrong) <= 2, found  # noise, or an echo at a quarter of the rate
-    assert found.count("refused") <= 6  # noise over the echoes
-
-
-def test_a_layout_that_is_given_is_believed(tmp_path):
-    path = tmp_path / "a.bin"
-    path.write_bytes(real_words(real_echoes([0.24]), "real-alternating"))
-    given = RawManifest(layout="4-lane", n_rx=4, offset_binary=False)
-    assert opened(path, n_samples=64, raw=given).evidence.order.layout == "4-lane"
 
 
 def test_odd_numbers_and_configurations_of_the_other_kind_are_refused(tmp_path):

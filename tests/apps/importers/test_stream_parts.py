@@ -8,7 +8,7 @@ import pytest
 from geraf2.apps.importers import ImportOptions
 from geraf2.errors import UserError
 from geraf2.io.manifest import RawManifest
-from helpers.raw_capture import beat, opened, packets_of, samples, words_of
+from helpers.raw_capture import beat, opened, samples, words_of
 
 LAYOUTS = ["4-lane", "2-lane-sequential", "2-lane-pairs", "iq"]
 SYNCS = {
@@ -30,12 +30,6 @@ def test_headers_of_chirps_are_removed(tmp_path, layout, sync):
     recording = opened(path)
     assert np.array_equal(samples(recording), beat())
     assert "64 bytes before each 1024 were removed" in recording.notes
-
-
-def test_headers_within_packets_are_removed_too(tmp_path):
-    data = with_headers(words_of(beat()), 40, SYNCS["two lanes"])
-    (tmp_path / "a.bin").write_bytes(b"".join(packets_of(data)))
-    assert np.array_equal(samples(opened(tmp_path / "a.bin")), beat())
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

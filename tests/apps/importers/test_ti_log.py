@@ -1,15 +1,10 @@
 """LogFile.txt of mmWave Studio and its scripts as configuration of a raw recording."""
 
-import json
-
 import pytest
 
-from geraf2.apps.importers._recording import open_recording
 from geraf2.apps.importers._ti_config import read_ti_configs
 from geraf2.apps.importers._ti_values import Transmitters
 from geraf2.errors import UserError
-from geraf2.io.manifest import RadarManifest
-from helpers.raw_capture import STUDIO, beat, words_of
 
 # Made by hand: codes of 77 GHz, 60.012 MHz/us, 6 us, 5 ns steps of 50 ms.
 LOG = """25-Oct-2018 12:00:01: API:select_chip_version,AR1243,0,
@@ -54,41 +49,6 @@ def test_calls_define_chirp_and_frame(tmp_path, text, name):
     assert config.interleaved == (True if name == "LogFile.txt" else None)
 
 
-@pytest.mark.parametrize("line", ["API:select_chip_version,IWR6843,0,", 'ar1.bands("60G")'])
-def test_devices_of_60_ghz_have_smaller_steps(tmp_path, line):
-    log = LOG.replace("API:select_chip_version,AR1243,0,", line)
-    config = read(tmp_path, log.replace("1435384036", "1491308089"))
-    assert config.ramp_start_hz == pytest.approx(60e9, abs=30)
-    assert config.chirp_slope_hz_per_s == pytest.approx(1243 * 36.21e9, rel=1e-4)
-
-
-def test_a_log_beside_the_recording_is_used(tmp_path):
-    (tmp_path / "LogFile.txt").write_text(LOG)
-    (tmp_path / "a_Raw_0.bin").write_bytes(words_of(beat()).tobytes())
-    recording = open_recording(tmp_path, RadarManifest())
-    assert (recording.n_tx, recording.n_frames, recording.evidence.n_samples) == (2, 20, 64)
-    # Of a single file only the log of its own name.
-    assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 1
-    (tmp_path / "LogFile.txt").rename(tmp_path / "a_LogFile.txt")
-    assert open_recording(tmp_path / "a_Raw_0.bin", RadarManifest()).n_tx == 2
-    (tmp_path / "a_LogFile.txt").write_text("25-Oct-2018 12:00:01: API:SensorStart,0,")
-    assert open_recording(tmp_path, RadarManifest()).n_tx == 1
-
-
-def test_a_log_and_a_configuration_agree_to_the_steps_of_the_chip(tmp_path):
-    text = json.dumps(STUDIO).replace(
-        '"freqSlopeConst_MHz_usec": 60.0', '"freqSlopeConst_MHz_usec": 60.01'
-    )
-    (tmp_path / "a.mmwave.json").write_text(text)
-    log = "\n".join(line for line in LOG.splitlines() if "Chirp" not in line)
-    (tmp_path / "LogFile.txt").write_text(log.replace("0,1,20,1,10000000", "0,0,20,2,800000"))
-    config = read_ti_configs([tmp_path / "a.mmwave.json", tmp_path / "LogFile.txt"])
-    assert config.chirp_slope_hz_per_s == 60.01e12
-    (tmp_path / "LogFile.txt").write_text(log.replace(",1243,", ",1043,"))
-    with pytest.raises(UserError, match=r"contradicts .* on chirp_slope_hz_per_s"):
-        read_ti_configs([tmp_path / "a.mmwave.json", tmp_path / "LogFile.txt"])
-
-
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
@@ -128,11 +88,6 @@ def test_different_calls_in_branches_are_refused_with_both(tmp_path, name):
     # A comment is no call.
     text = f"{comment} {both['b']}\n" + form.format(a=both["a"], b=both["a"])
     assert read(tmp_path, text, name).ramp_start_hz == 77e9
-
-
-def test_repeated_calls_without_branches_are_valid_to_the_last(tmp_path):
-    text = f"{CALL.format(60, 4000)}\n{CALL.format(77, 5000)}\n"
-    assert read(tmp_path, text, "a.lua").sample_rate_hz == 5e6
 
 
 def test_a_call_may_take_several_lines_and_comments_several_too(tmp_path):
@@ -183,9 +138,3 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
 def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, reported):
     with pytest.raises(UserError, match=reported):
         read(tmp_path, text, name)
-
-
-def test_names_in_capitals_are_found(tmp_path):
-    (tmp_path / "ADC_Raw_0.bin").write_bytes(words_of(beat()).tobytes())
-    (tmp_path / "A.MMWAVE.JSON").write_text(json.dumps(STUDIO))
-    assert open_recording(tmp_path, RadarManifest()).config.sample_rate_hz == 1e6

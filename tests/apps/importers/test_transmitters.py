@@ -129,20 +129,6 @@ def test_what_cannot_be_separated_is_refused_and_named(tmp_path, capsys, write, 
     assert "no code separates them" in shown
 
 
-def test_a_given_number_of_transmitters_takes_the_chirps_as_they_are(tmp_path):
-    recorded(tmp_path, [3, 3], {}, [0, 1])
-    config = profile(tmp_path, [3, 3], {})
-    signal, _, _ = whole_pose(scan(tmp_path, config, 1, n_tx=1))
-    assert signal.shape == (4, 64)
-
-
-def test_a_pattern_that_repeats_within_a_frame_is_its_shortest_period(tmp_path):
-    config = read_ti_configs([profile(tmp_path, [1, 4, 1, 4], {})])
-    assert config.transmitters.masks == (1, 4)
-    assert config.n_chirps_per_frame == 80
-    assert str(config.transmitters) == "masks 1, 4, chirp by chirp"
-
-
 def test_a_chirp_without_transmitter_is_refused(tmp_path):
     with pytest.raises(UserError, match="chirp 1 has no transmitter"):
         read_ti_configs([profile(tmp_path, [1, 0], {})])
