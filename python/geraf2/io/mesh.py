@@ -66,8 +66,15 @@ class Evidence(IntEnum):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class TriangleMesh(Short):
-    """Triangles in metres; outward winding where closed. ValueError for other shapes.
+    """Triangles in metres; outward winding where closed.
 
+    Raises
+    ------
+    ValueError
+        For arrays of other shapes than stated below.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> truth.vertices.shape[1], truth.faces.shape[1], truth.corners.shape[1:]
     (3, 3, (3, 3))
@@ -123,15 +130,37 @@ class TriangleMesh(Short):
 
 
 def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
-    """Read a PLY, OBJ, STL or glTF mesh; coordinates are taken as metres.
-
-    any_unit: the caller knows the unit, whatever `<path>.json` states; else that must be metres.
+    """Read a PLY, OBJ, STL or glTF mesh.
 
     Vertices at exactly the same position become one. Faces that thereby lose their area, and
     vertices that no face uses, are dropped: many writers repeat a vertex per face, and a closed
     surface would not be closed. glTF files are +Y up by their standard and are turned to +Z up.
-    Of vertex columns those of `VERTEX_COLUMNS` (PLY) are kept. Raises UserError for
-    anything that is not a usable mesh.
+
+    Parameters
+    ----------
+    path
+        File, or its address in an object store. Coordinates are taken as metres.
+    any_unit
+        The caller knows the unit, whatever `<path>.json` states; else that must be metres.
+
+    Returns
+    -------
+    TriangleMesh
+        Vertices (n_vertices, 3) [m] and faces (n_faces, 3); of a PLY also the vertex columns of
+        `VERTEX_COLUMNS`.
+
+    Raises
+    ------
+    UserError
+        For anything that is not a usable mesh: another kind of file, one that is cut off, no
+        triangles, coordinates that are not finite or beyond a thousand kilometres.
+
+    Examples
+    --------
+    >>> from geraf2.io.mesh import read_mesh, write_mesh
+    >>> write_mesh(geraf2.examples.small_capture()[1], "truth.glb")
+    >>> read_mesh("truth.glb").vertices.shape[1]
+    3
     """
     source = Path(path)
     if is_remote(source):
@@ -201,10 +230,30 @@ def write_mesh(
     PLY: float x, y, z [m] in the frame, uchar red, green, blue, and where the mesh has them
     float `expected_error_m` [m], uchar `evidence` (`Evidence`), float `confidence`, and `quality`,
     which viewers colour by: the expected error again. GLB: the same numbers but `quality`, turned
-    to glTF's +Y up by the node's rotation, vertex normals and colours, and `_EXPECTED_ERROR_M`,
-    `_EVIDENCE` and `_CONFIDENCE`, all float. STL: only triangles. Each file appears whole or not
-    at all. The colour shows the expected error (blue 0, dark red 5 mm), grey without one. What the
-    mesh was made from, and by which command, is recorded in PLY, GLB and `<path>.json`.
+    to glTF's +Y up by the node's transform, vertex normals and colours, and `_EXPECTED_ERROR_M`,
+    `_EVIDENCE` and `_CONFIDENCE`, all float. STL: only triangles. The colour shows the expected
+    error (blue 0, dark red 5 mm), grey without one.
+
+    Parameters
+    ----------
+    mesh
+        Vertices in metres.
+    path
+        Name that ends in .ply, .glb or .stl. Each file appears whole or not at all.
+    frame
+        Name of the frame of the vertices.
+    made_from
+        What the mesh was made from, and by which command; recorded in PLY, GLB and `<path>.json`.
+
+    Raises
+    ------
+    UserError
+        For another ending, or where the file cannot be written.
+
+    Examples
+    --------
+    >>> from geraf2.io.mesh import write_mesh
+    >>> write_mesh(geraf2.examples.small_capture()[1], "truth.ply", frame="turntable")
     """
     target, made_from = Path(path), made_from or {}
     suffix = target.suffix.lower()

@@ -58,18 +58,37 @@ def import_capture(
     The capture is read in parts of a pose, twice unless the importer can read scattered antennas.
     Samples with phases exp(+j...) are conjugated.
 
-    format_name: one of :func:`geraf2.apps.importers.importer_names`.
-    source: file or folder of the capture.
-    scene: folder to write, whole or not at all; the same scene there stays untouched.
-    radar: parameters that the capture lacks, SI units [m, Hz]; override its own.
-    options: positions, configuration of the radar's software, treatment of broken parts.
-    overwrite: replace another scene in the folder.
-    num_threads: overrides that of `options`; all cores when both are None.
-    listener: receives steps, notes and implausible values.
+    Parameters
+    ----------
+    format_name
+        One of :func:`geraf2.apps.importers.importer_names`.
+    source
+        File or folder of the capture.
+    scene
+        Folder to write, whole or not at all; the same scene there stays untouched.
+    radar
+        Parameters that the capture lacks, SI units [m, Hz]; they override its own.
+    options
+        Positions, configuration of the radar's software, treatment of broken parts.
+    overwrite
+        Replace another scene in the folder.
+    num_threads
+        Overrides that of `options`; all cores when both are None.
+    listener
+        Receives steps, notes and implausible values.
 
-    Returns sizes, sign and notes. Raises UserError where the capture cannot be read or is
-    implausible, or the folder holds something else.
+    Returns
+    -------
+    ImportedCapture
+        Sizes, sign of the phase and notes; the samples are in the scene.
 
+    Raises
+    ------
+    UserError
+        Where the capture cannot be read or is implausible, or the folder holds something else.
+
+    Examples
+    --------
     >>> from scipy.io import savemat
     >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
     >>> names = ("start_frequency_hz", "chirp_slope_hz_per_s", "sample_rate_hz", "path_bias_m")
