@@ -10,7 +10,7 @@ import pytest
 
 from geraf2 import examples, load_capture, save_capture
 from geraf2.cli.main import main
-from geraf2.io.mesh import read_mesh, write_mesh
+from geraf2.io.mesh import read_mesh
 
 
 def _run(script: Path, *arguments: str, folder: Path) -> str:
@@ -50,19 +50,11 @@ def test_a_scan_is_played_into_a_folder(project_root, tmp_path):
 
 @pytest.mark.slow
 def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
-    capture, truth = examples.small_capture()
+    capture, _ = examples.small_capture()
     save_capture(capture, tmp_path / "scene")
-    write_mesh(truth, tmp_path / "truth.ply")
     script = project_root / "examples" / "reconstruct.py"
     out = _run(script, "scene", *map(str, examples.BOX_M), folder=tmp_path)
     assert "content.ply" in out
-    assert len(read_mesh(tmp_path / "content.ply").faces) > 500
-    # The same lines stand in the README, and the scores.
-    readme = (project_root / "README.md").read_text(encoding="utf-8")
-    (code,) = re.findall(r"```python\n(.*?)```", readme, flags=re.DOTALL)
-    (tmp_path / "readme.py").write_text(code)
-    (tmp_path / "content.ply").unlink()
-    assert 0.8 < float(_run(tmp_path / "readme.py", folder=tmp_path)) <= 1.0
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
 
 
