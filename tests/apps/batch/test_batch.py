@@ -144,31 +144,36 @@ def test_faults_of_one_job_are_its_own(client, named, tmp_path):
     assert {r.scene: (r.state, r.error) for r in results.values()} == {
         name: (state, error) for name, (state, _, error) in wanted.items()
     }
-    assert _calls(out) == {name: count for name, (_, count, _) in wanted.items()}
+    calls = _calls(out)
+    # A killed worker takes answers with it that the client has not fetched: those that are in no
+    # file are asked for again.
+    for name, (state, count, _) in wanted.items():
+        assert count <= calls[name] <= count + 2 * (state not in ("done", "killed"))
     assert results["raises"].log_tail[-1] == "ZeroDivisionError: a bug"
     with (out / "batch.csv").open() as handle:
         table = {row["scene"]: row["error"] for row in csv.DictReader(handle)}
     assert table == {name: error for name, (_, _, error) in wanted.items()}
     # The same again: what is done and what is bad stays, the others get another chance.
     run([job for job in jobs if job.scene.name != "killer"], out, client, options=options)
-    again = _calls(out) - Counter({name: count for name, (_, count, _) in wanted.items()})
-    assert again == {"lost": 2, "raises": 1}
+    assert _calls(out) - calls == {"lost": 2, "raises": 1}
 
 
 def test_a_worker_that_is_killed_in_a_job_costs_nothing_but_time(client, named, tmp_path):
-    jobs, out, heard = named(*(f"nap-{i}" for i in range(12))), tmp_path / "out", []
+    jobs, out = named("hangs", *(f"good-{i}" for i in range(11))), tmp_path / "out"
+    heard, killed = [], []
 
     def hear(result):
         heard.append(result.scene)
-        if len(heard) == 3:
-            begun = [line.split() for line in (out / "calls.txt").read_text().splitlines()]
-            running_now = [int(pid) for name, pid in begun if name not in heard]
-            os.kill(running_now[-1], signal.SIGKILL)
+        begun = dict(line.split() for line in (out / "calls.txt").read_text().splitlines())
+        if "hangs" in begun and not killed:
+            killed.append(int(begun["hangs"]))
+            os.kill(killed[0], signal.SIGKILL)
 
     results = run(jobs, out, client, hear)
+    assert killed
     assert [r.state for r in results] == ["done"] * 12
     assert sorted(heard) == sorted(job.scene.name for job in jobs)
-    assert _calls(out).total() == 13  # the one that was begun is done again
+    assert _calls(out) == {job.scene.name: 1 for job in jobs} | {"hangs": 2}
 
 
 def test_tasks_are_made_when_there_is_room_for_them(client):
