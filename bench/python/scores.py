@@ -27,7 +27,7 @@ from typing import Any
 import tomli_w
 
 from geraf2.apps.batch import BatchOptions
-from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.cluster import connect_workers
 from geraf2.apps.batch.engine import Failure, Task, drive
 from reconstruct import Measurement, geraf2_command, measure
 
@@ -244,7 +244,7 @@ def scores_of(bench: Bench, cases: list[Case], options: BatchOptions) -> Iterato
     """Scores in the order of the cases, by workers; scenes first, each once."""
     scenes = {case.of or case.name: case for case in cases}
     found: dict[str, Score] = {}
-    with connected(options) as client:
+    with connect_workers(options) as client:
         for function, some in ((make_scene, list(scenes.values())), (score, cases)):
             tasks = (Task(name=case.name, arguments=(bench, case)) for case in some)
             for name, answer in drive(client, function, tasks):

@@ -4,7 +4,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from geraf2.apps.belt.coverage import Coverage, coverage
-from geraf2.apps.belt.monostatic import far_apart
+from geraf2.apps.belt.monostatic import list_wide_baselines
 from geraf2.apps.belt.motion import pairs_on_a_line
 from geraf2.cli._console import keep, rows, warn
 from geraf2.errors import UserError
@@ -31,7 +31,7 @@ def show_belt(path: Path, box_m: tuple[float, float, float] | None) -> int:
             ("motion", f"from {', '.join(pairs)}" if pairs else "as recorded"),
         ]
     )
-    for line in far_apart(record, spec.waveform):
+    for line in list_wide_baselines(record, spec.waveform):
         warn(line)
     return 0
 

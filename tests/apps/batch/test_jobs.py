@@ -9,7 +9,7 @@ import pytest
 
 import geraf2
 from geraf2.apps.batch import BatchFolder, cluster, read_jobs, work
-from geraf2.apps.batch.engine import state_of
+from geraf2.apps.batch.engine import error_state
 from geraf2.apps.batch.folder import JobPaths
 from geraf2.cli.main import main
 from geraf2.io.locks import BusyFolderError
@@ -171,8 +171,8 @@ def test_a_run_that_another_process_writes_is_waited_for(scans, monkeypatch):
     ],
 )
 def test_errors_have_their_states(error, state):
-    assert state_of(error) == state
+    assert error_state(error) == state
     raised = geraf2.UserError("cannot be read")
     raised.__context__ = error  # as after `raise ... from None` within `except`
     is_repeated = state in ("out of memory", "lost files")
-    assert state_of(raised) == (state if is_repeated else "bad input")
+    assert error_state(raised) == (state if is_repeated else "bad input")

@@ -56,8 +56,8 @@ def cut(planes, longest_m=0.5, *, at_once=False):
         except UserError as error:
             problems.append(str(error))
         if not at_once:
-            spans += list(cutter.ready())
-    return [*spans, *cutter.ready(is_last=True)], problems
+            spans += list(cutter.pop_parcels())
+    return [*spans, *cutter.pop_parcels(is_last=True)], problems
 
 
 PARCELS = [(-0.15, 0.15), (-1.1, -0.8), (-1.9, -1.5)]
@@ -100,7 +100,7 @@ def test_a_belt_that_stops_repeats_frames_which_are_dropped():
     cutter = Cutter(RECORD, 0.5)
     stood = [cutter.add(pose, k) for k, pose in enumerate([*planes[:5], still, *planes[5:]])]
     assert sum(stood) == 20
-    spans = list(cutter.ready(is_last=True))
+    spans = list(cutter.pop_parcels(is_last=True))
     assert [(s.start_m, s.end_m) for s in spans] == [(s.start_m, s.end_m) for s in cut(planes)[0]]
 
 

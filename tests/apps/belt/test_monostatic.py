@@ -1,7 +1,12 @@
 import numpy as np
 import pytest
 
-from geraf2.apps.belt.monostatic import at_midpoints, far_apart, midpoint_error_m, stretching
+from geraf2.apps.belt.monostatic import (
+    list_wide_baselines,
+    midpoint_error_m,
+    move_to_midpoints,
+    stretch_matrices,
+)
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.io.belt_file import BeltStation
 from geraf2.records import Pose
@@ -26,7 +31,7 @@ def echo(tx, rx, point):
 def phase_errors(array, point, shift=0.0):
     tx, rx = (np.array(x) - [shift, 0.0, 0.0] for x in (array.tx_m, array.rx_m))
     pose = Pose(signal=echo(tx, rx, point), tx_positions=tx, rx_positions=rx, axes=np.eye(3))
-    moved = at_midpoints(pose, stretching(array, AWR1843))
+    moved = move_to_midpoints(pose, stretch_matrices(array, AWR1843))
     assert np.array_equal(moved.tx_positions, moved.rx_positions)
     middle = echo(moved.tx_positions, moved.rx_positions, point)
     # The window keeps what a sharp end of the chirp spreads out of the sum.
@@ -70,17 +75,17 @@ def test_frames_at_other_travel_are_stretched_alike():
 def test_antennas_beside_each_other_are_kept():
     rows = tuple((0.004 * k, 0.0005) for k in range(-3, 4))
     others = tuple((across, -along) for across, along in rows)
-    assert stretching(cascade(tx_m=rows, rx_m=others), AWR1843) is None
+    assert stretch_matrices(cascade(tx_m=rows, rx_m=others), AWR1843) is None
 
 
 def test_images_take_account_of_one_baseline_of_all_channels():
     tx, rx = (tuple((0.005 * k + end, 0.0) for k in range(-9, 10)) for end in (0.1, -0.1))
     array = cascade(tx_m=tx, rx_m=rx)
-    assert stretching(array, AWR1843) is None
+    assert stretch_matrices(array, AWR1843) is None
     record = belt_record(BeltSpec(arrays=(BeltArraySpec(side="left", tx_m=tx, rx_m=rx),)))
-    assert list(far_apart(record, AWR1843)) == []
+    assert list(list_wide_baselines(record, AWR1843)) == []
     mixed = BeltArraySpec(side="left", tx_m=tx, rx_m=tuple((2.0 * a, b) for a, b in rx))
-    (line,) = far_apart(belt_record(BeltSpec(arrays=(mixed,))), AWR1843)
+    (line,) = list_wide_baselines(belt_record(BeltSpec(arrays=(mixed,))), AWR1843)
     assert "baselines of up to 345 mm that differ" in line
 
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.apps.belt.monostatic import at_midpoints, stretching
-from geraf2.apps.belt.motion import Motion, most_coherent
-from geraf2.apps.belt.parcel import parcel_scan, without_offset
-from geraf2.apps.belt.vibration import steadied
+from geraf2.apps.belt.monostatic import move_to_midpoints, stretch_matrices
+from geraf2.apps.belt.motion import Motion, find_most_coherent
+from geraf2.apps.belt.parcel import parcel_scan, remove_offset
+from geraf2.apps.belt.vibration import remove_vibration
 from geraf2.io.container import joined
 from geraf2.scene import LosPrior
 from geraf2.simulation.belt import belt_planes
@@ -53,7 +53,7 @@ def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():
     array, pose = record.arrays[0], capture.poses[0]
     offset = np.tile(np.arange(1, array.n_channels + 1), pose.n_antennas // array.n_channels)
     shifted = replace(pose, signal=pose.signal + (1j * offset[:, None]).astype(np.complex64))
-    rest, echoes = (without_offset(p, array.n_channels).signal for p in (shifted, pose))
+    rest, echoes = (remove_offset(p, array.n_channels).signal for p in (shifted, pose))
     np.testing.assert_allclose(rest, echoes, atol=1e-4)
     changed = np.linalg.norm(echoes - pose.signal) / np.linalg.norm(pose.signal)
     assert changed**2 < 1e-3  # of the power
@@ -75,7 +75,7 @@ def test_placed_antennas_follow_the_motion_written_out():
     travel = 0.2 * (1.0 + 0.02 + 0.1 * 0.2)
     angle = -0.3 * travel
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    x, y, z = motion.placed(nominal, recorded)[0]
+    x, y, z = motion.place_antennas(nominal, recorded)[0]
     assert (x, y) == pytest.approx(turn @ [0.1 - travel, 0.301])
     assert z == 0.05
 
@@ -90,7 +90,7 @@ def test_phases_give_the_motion_several_periods_from_that_of_the_ranges():
     true = np.array([-0.0099 - first.scale, 0.0, 0.07 - first.turn_rad_per_m])
     misfit = design @ true + 3e-5 * rng.normal(size=200) + 1e-4
     misfit -= 0.5 * wavelength_m * np.rint(misfit / (0.5 * wavelength_m))
-    found_motion = most_coherent(first, [(misfit, design)], wavelength_m)
+    found_motion = find_most_coherent(first, [(misfit, design)], wavelength_m)
     assert found_motion.scale == pytest.approx(-0.0099, abs=1e-4)
     assert found_motion.turn_rad_per_m == pytest.approx(0.07, abs=2e-3)
 
@@ -99,10 +99,14 @@ def test_a_vibration_is_found_frame_by_frame():
     shaken = {"vibration_rms_m": 0.0002}
     capture, record = small_parcel(**shaken)
     array = record.arrays[0]
-    matrices = stretching(array, capture.waveform)
-    pose = joined([at_midpoints(p, matrices) for p in capture.poses if p.name.startswith("left")])
+    matrices = stretch_matrices(array, capture.waveform)
+    pose = joined(
+        [move_to_midpoints(p, matrices) for p in capture.poses if p.name.startswith("left")]
+    )
     region = LosPrior.from_box((0.28, 0.28, 0.28))
-    steady = steadied({"left": pose}, [array.n_channels], capture.waveform, region, 1)["left"]
+    steady = remove_vibration({"left": pose}, [array.n_channels], capture.waveform, region, 1)[
+        "left"
+    ]
     recorded, true = next(belt_planes(spec_of(shaken), 0))
     vibration = (true.tx - recorded.tx)[:, 1].reshape(101, -1).mean(axis=1)
     found_m = (steady.phase_centers - pose.phase_centers)[:, 1].reshape(101, -1).mean(axis=1)

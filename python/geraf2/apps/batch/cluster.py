@@ -43,7 +43,7 @@ _SETTINGS = {
 
 
 @contextmanager
-def connected(options: BatchOptions, memory_bytes: float = 0.0) -> Iterator["Client"]:
+def connect_workers(options: BatchOptions, memory_bytes: float = 0.0) -> Iterator["Client"]:
     """Yield a client of the given scheduler, or of processes of this machine.
 
     memory_bytes: of the largest job; limits the default number of processes.
@@ -59,7 +59,7 @@ def connected(options: BatchOptions, memory_bytes: float = 0.0) -> Iterator["Cli
         ) from None
     if options.scheduler is not None:
         try:
-            asyncio.run(asyncio.wait_for(_answer_of(options.scheduler), _CONNECT_S))
+            asyncio.run(asyncio.wait_for(_ask_identity(options.scheduler), _CONNECT_S))
             client = distributed.Client(options.scheduler, timeout=_CONNECT_S)
         except TimeoutError:
             what = f"no dask scheduler answers within {_CONNECT_S:g} s"
@@ -83,7 +83,7 @@ def connected(options: BatchOptions, memory_bytes: float = 0.0) -> Iterator["Cli
         yield client
 
 
-async def _answer_of(address: str) -> None:
+async def _ask_identity(address: str) -> None:
     """Ask a scheduler for its identity; a client would wait for ever for one that is silent."""
     from distributed import Security, rpc  # noqa: PLC0415 - an extra
 

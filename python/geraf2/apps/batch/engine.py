@@ -146,7 +146,7 @@ def attempt(function: Callable[..., Any], version: str, *arguments: Any) -> Any:
     try:
         return function(*arguments)
     except Exception as error:
-        failure = _failure_of(error)
+        failure = _make_failure(error)
         if failure.state in (LOST, MEMORY):
             raise RepeatError(failure) from None
         return failure
@@ -163,11 +163,11 @@ def _answer(future: "Future") -> Any:
     if isinstance(error, KilledWorker):
         n_died = error.allowed_failures + 1
         return Failure(state=KILLED, error=f"its worker died {n_died} times while it ran")
-    return _failure_of(error)
+    return _make_failure(error)
 
 
-def _failure_of(error: BaseException) -> Failure:
-    state, line = state_of(error), " ".join(str(error).split())
+def _make_failure(error: BaseException) -> Failure:
+    state, line = error_state(error), " ".join(str(error).split())
     if state != FAILED:
         return Failure(state=state, error=line or type(error).__name__)
     tail = "".join(traceback.format_exception(error)).splitlines()[-_N_TAIL:]
@@ -175,7 +175,7 @@ def _failure_of(error: BaseException) -> Failure:
     return Failure(state=FAILED, error=line, log_tail=tuple(tail))
 
 
-def state_of(error: BaseException) -> str:
+def error_state(error: BaseException) -> str:
     """State of a task that raised an exception."""
     causes = list(_causes(error))
     if any(isinstance(e, MemoryError) or "can't allocate memory" in str(e) for e in causes):

@@ -47,7 +47,7 @@ class BatchJob:
     config: PresetConfig = field(default_factory=BestPreset)
     """Preset and its constants."""
 
-    def resolved(self) -> "BatchJob":
+    def resolve(self) -> "BatchJob":
         """Return the job with absolute paths; UserError for missing files."""
         if not is_scene(self.scene):
             read_scene_manifest(self.scene)  # raises the error
@@ -129,11 +129,11 @@ def read_jobs(
         options=options or RunOptions(),
         config=config or BestPreset(),
     )
-    found = (job.resolved() for source in sources for job in _jobs_of(str(source), base))
-    return distinct(found)
+    found = (job.resolve() for source in sources for job in _read_source(str(source), base))
+    return require_distinct(found)
 
 
-def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
+def require_distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
     """Jobs without repetitions; UserError for conflicting jobs, equal names, or no job."""
     by_scene: dict[Path, BatchJob] = {}
     by_name: dict[str, Path] = {}
@@ -156,21 +156,21 @@ def distinct(jobs: Iterable[BatchJob]) -> list[BatchJob]:
     return list(by_scene.values())
 
 
-def _jobs_of(source: str, base: BatchJob) -> Iterator[BatchJob]:
+def _read_source(source: str, base: BatchJob) -> Iterator[BatchJob]:
     path = Path(source)
     if path.suffix == ".csv":
-        yield from _rows_of(path, base)
+        yield from _read_table(path, base)
         return
     names = [source]
     if glob.has_magic(source) and not exists(path):
-        names = sorted(_names_like(path))
+        names = sorted(_match_names(path))
         if not names:
             raise UserError(what="no scene has such a name", where=source)
     for name in names:
         yield replace(base, scene=Path(name), truth=_own_truth(Path(name)))
 
 
-def _names_like(pattern: Path) -> list[str]:
+def _match_names(pattern: Path) -> list[str]:
     """Folders whose path matches a pattern; in an object store, scenes only."""
     if not is_remote(pattern):
         return glob.glob(str(pattern), recursive=True)  # noqa: PTH207 - may be absolute
@@ -184,7 +184,7 @@ def _own_truth(scene: Path) -> Path | None:
     return scene / TRUTH_NAME if is_file(scene / TRUTH_NAME) else None
 
 
-def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
+def _read_table(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     reader = csv.DictReader(read_lines(table), skipinitialspace=True)
     try:
         rows = [(f"{table}, line {reader.line_num}", row) for row in reader]
@@ -199,25 +199,25 @@ def _rows_of(table: Path, base: BatchJob) -> Iterator[BatchJob]:
     for where, row in rows:
         if None in row or None in row.values():
             raise UserError(what="has more or fewer cells than columns", where=where)
-        yield _job_of(row, table.parent, base, where)
+        yield _read_row(row, table.parent, base, where)
 
 
-def _job_of(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> BatchJob:
+def _read_row(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> BatchJob:
     if not row["scene"]:
         raise UserError(what="names no scene", where=where)
-    scene, prior, box = _beside(folder, row["scene"]), row.get("prior"), row.get("box")
+    scene, prior, box = _resolve_cell(folder, row["scene"]), row.get("prior"), row.get("box")
     if prior and box:
         raise UserError(what="give either box or prior", where=where, got="both")
     source = base.prior
     if prior:
-        source = PriorSource(los=_beside(folder, prior))
+        source = PriorSource(los=_resolve_cell(folder, prior))
     if box:
         source = PriorSource(box=_lengths(box, where))
-    truth = _beside(folder, row["truth"]) if row.get("truth") else _own_truth(scene)
+    truth = _resolve_cell(folder, row["truth"]) if row.get("truth") else _own_truth(scene)
     return replace(base, scene=scene, prior=source, truth=truth)
 
 
-def _beside(folder: Path, name: str) -> Path:
+def _resolve_cell(folder: Path, name: str) -> Path:
     """Path in a cell, relative to the table, or absolute, or an address."""
     return Path(name) if is_remote(name) else folder / name
 

@@ -5,10 +5,10 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from geraf2.apps.batch.cluster import connected, require_workers
+from geraf2.apps.batch.cluster import connect_workers, require_workers
 from geraf2.apps.batch.engine import Failure, Task, drive
 from geraf2.apps.batch.folder import BatchFolder, JobPaths, JobResult
-from geraf2.apps.batch.jobs import BatchJob, distinct
+from geraf2.apps.batch.jobs import BatchJob, require_distinct
 from geraf2.apps.batch.options import BatchOptions
 from geraf2.apps.batch.page import Pages
 from geraf2.apps.batch.work import do_job, is_answer
@@ -38,7 +38,7 @@ def run(
     UserError before any work for unusable jobs, folder or workers.
     """
     options = options or BatchOptions()
-    by_key = {job.key: job for job in distinct(job.resolved() for job in jobs)}
+    by_key = {job.key: job for job in require_distinct(job.resolve() for job in jobs)}
     settings = {job.settings for job in by_key.values()}
     if len(settings) > 1:
         raise UserError(what="jobs of different settings", hint="give each settings a batch")
@@ -54,7 +54,7 @@ def run(
     sizes = {key: _memory_bytes(job) for key, job in by_key.items() if key not in known}
     connection: AbstractContextManager[Client | None] = nullcontext(client)
     if sizes and client is None:
-        connection = connected(options, max(sizes.values()))
+        connection = connect_workers(options, max(sizes.values()))
     with connection as one:
         if sizes and one is not None:
             require_workers(one)
@@ -64,7 +64,7 @@ def run(
         pages = Pages(folder.out, f"geraf2 batch {folder.out.name}")
         try:
             if sizes and one is not None:
-                threads = threads_of(one, options)
+                threads = job_threads(one, options)
                 tasks = (
                     Task(
                         name=key,
@@ -83,7 +83,7 @@ def run(
     return [known[key] for key in by_key]
 
 
-def threads_of(client: "Client", options: BatchOptions) -> int:
+def job_threads(client: "Client", options: BatchOptions) -> int:
     """Threads of each job: as asked for, else the share of a process of this machine."""
     if options.threads is not None:
         return options.threads

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.cluster import connect_workers
 from geraf2.apps.batch.engine import Failure, Task, drive
 from geraf2.apps.batch.options import BatchOptions
 from geraf2.errors import UserError
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @contextmanager
 def slab_workers(options: BatchOptions) -> Iterator[RunSlabs]:
     """Yield a function that images slabs on workers; UserError where no scheduler answers."""
-    with connected(options) as client:
+    with connect_workers(options) as client:
         yield lambda job, slabs: run_slabs(client, job, slabs, options)
 
 

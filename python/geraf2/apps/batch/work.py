@@ -44,7 +44,7 @@ def do_job(
             return known  # by another client
         try:
             with local_folder(paths.run) as run:
-                result = _result_of(job, paths, run, num_threads, report)
+                result = _make_result(job, paths, run, num_threads, report)
         except BusyFolderError:  # another client does it
             time.sleep(_WAIT_S)
             continue
@@ -60,7 +60,7 @@ def is_answer(result: JobResult, paths: JobPaths, *, report: bool) -> bool:
     return result.state != DONE or not report or is_file(paths.run / REPORT_NAME)
 
 
-def _result_of(
+def _make_result(
     job: BatchJob, paths: JobPaths, run: Path, num_threads: int, report: bool
 ) -> JobResult:
     with suppress(OSError):  # the peak of the resident set is that of this job

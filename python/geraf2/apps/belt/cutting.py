@@ -46,7 +46,7 @@ class Frames:
     """Mean power, (n_frames,)."""
 
 
-def travel_of(
+def frame_travel(
     pose: Pose, array: BeltStation, record: BeltRecord, last_m: float | None
 ) -> tuple[Floats, Bools]:
     """`x_m` and `kept` of a plane's frames; UserError where positions contradict the record.
@@ -127,14 +127,14 @@ class Cutter:
     def add(self, pose: Pose, plane: int) -> int:
         """Add a plane; returns the number of frames at which the belt stood still."""
         array = self.record.of_plane(pose.name)
-        x, kept = travel_of(pose, array, self.record, self._last.get(array.name))
+        x, kept = frame_travel(pose, array, self.record, self._last.get(array.name))
         if kept.any():
             self._last[array.name] = float(x[kept][-1])
         power = np.square(np.abs(pose.signal)).reshape(len(x), -1).mean(axis=1)
         self.frames.append(Frames(array=array.name, plane=plane, x_m=x, kept=kept, power=power))
         return int((~kept).sum())
 
-    def ready(self, *, is_last: bool = False) -> Iterator[Span]:
+    def pop_parcels(self, *, is_last: bool = False) -> Iterator[Span]:
         """Yield parcels, in the order of the belt, whose frames have all come.
 
         is_last: no more frames will come.

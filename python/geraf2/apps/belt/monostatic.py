@@ -53,7 +53,7 @@ def midpoint_error_m(array: BeltStation) -> float:
     """Rms error of the range from the midpoints, over channels and content [m].
 
     Of the half path via points of a cube about the middle of the belt, less that which
-    :func:`stretching` subtracts. Its half sides are 0.3 times the distance of the array.
+    :func:`stretch_matrices` subtracts. Its half sides are 0.3 times the distance of the array.
     """
     tx, rx = np.array(array.tx_m), np.array(array.rx_m)
     middles = 0.5 * (tx + rx)
@@ -70,7 +70,7 @@ def _is_common(array: BeltStation) -> bool:
     return common_half_baseline(np.array(array.tx_m), np.array(array.rx_m)) is not None
 
 
-def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
+def list_wide_baselines(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
     """Yield a line for each array whose midpoints err by more than 1/28 of the wavelength."""
     max_m = _MAX_ERROR * waveform.center_wavelength_m
     for array in record.arrays:
@@ -84,7 +84,7 @@ def far_apart(record: BeltRecord, waveform: Waveform) -> Iterator[str]:
             )
 
 
-def stretching(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] | None:
+def stretch_matrices(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] | None:
     """Matrices that turn samples into those at the midpoints, (n_channels, n_samples, n_samples).
 
     None where transmitters and receivers are so close that midpoints are exact, or where all
@@ -103,7 +103,7 @@ def stretching(array: BeltStation, waveform: Waveform) -> NDArray[np.complex64] 
     return np.asarray(delay[:, None] * np.array(matrices) * delay.conj(), dtype=np.complex64)
 
 
-def at_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
+def move_to_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
     """Plane of whole frames with transmitter and receiver of each channel at its midpoint."""
     if matrices is None:
         return pose
@@ -116,7 +116,7 @@ def at_midpoints(pose: Pose, matrices: NDArray[np.complex64] | None) -> Pose:
     )
 
 
-def on_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
+def move_to_raster(pose: Pose, n_channels: int, waveform: Waveform) -> Pose:
     """Plane of whole frames with antennas on a raster, at most 4 mm from where they were.
 
     Transmitters that take turns, an encoder's errors and a parcel that turns displace them. The

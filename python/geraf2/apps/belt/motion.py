@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
-from geraf2.apps.belt.monostatic import on_raster
+from geraf2.apps.belt.monostatic import move_to_raster
 from geraf2.echoes.echo_phases import response_at
 from geraf2.imaging.peaks import PeakSet, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -79,7 +79,7 @@ class Motion:
             f"{np.rad2deg(self.turn_sigma_rad_per_m):.2f} degrees a metre, {self.n_pairs} pairs"
         )
 
-    def placed(self, nominal: Floats, recorded: Floats) -> Floats:
+    def place_antennas(self, nominal: Floats, recorded: Floats) -> Floats:
         """Positions in the parcel's frame, (n, 3) [m].
 
         nominal: where the arrays stand, (n, 3) [m]. recorded: positions in the record, (n, 3) [m].
@@ -91,12 +91,12 @@ class Motion:
         return np.stack([cos * x - sin * y, sin * x + cos * y, recorded[:, 2]], axis=1)
 
 
-def corrected(pose: Pose, array: BeltStation, motion: Motion) -> Pose:
+def correct_plane(pose: Pose, array: BeltStation, motion: Motion) -> Pose:
     """Plane of whole frames with its antennas where the motion puts them."""
     n_frames = pose.n_antennas // array.n_channels
     recorded = pose.phase_centers
     nominal = np.tile(array.phase_centers_m, (n_frames, 1))
-    return pose.moved(motion.placed(nominal, recorded) - recorded)
+    return pose.moved(motion.place_antennas(nominal, recorded) - recorded)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +115,8 @@ def common_lines(record: BeltRecord, poses: dict[str, Pose]) -> list[Line]:
     found = []
     for *pair, rows in pairs_on_a_line(record):
         kept = tuple(
-            _rows_of(array, poses[array.name], own) for array, own in zip(pair, rows, strict=True)
+            _select_rows(array, poses[array.name], own)
+            for array, own in zip(pair, rows, strict=True)
         )
         arrays, planes = zip(*kept, strict=True)
         found.append(Line(arrays=arrays, poses=planes))
@@ -138,7 +139,7 @@ def pairs_on_a_line(
             yield one, other, (np.flatnonzero(near[0]), np.flatnonzero(near[1]))
 
 
-def _rows_of(array: BeltStation, pose: Pose, channels: Ints) -> tuple[BeltStation, Pose]:
+def _select_rows(array: BeltStation, pose: Pose, channels: Ints) -> tuple[BeltStation, Pose]:
     index = (np.arange(pose.n_antennas).reshape(-1, array.n_channels)[:, channels]).ravel()
     parts: dict[str, Any] = {
         name: tuple(getattr(array, name)[c] for c in channels)
@@ -159,9 +160,9 @@ def find_motion(
     if not lines:
         return Motion()
     first = Motion(scale=_coarse_scale(lines[0]))
-    seen = [_seen(waveform, line, first, region, num_threads) for line in lines]
+    seen = [_find_peaks(waveform, line, first, region, num_threads) for line in lines]
     pairs = [_pairs(line, *peaks) for line, peaks in zip(lines, seen, strict=True)]
-    motion = _fitted(first, pairs, np.geomspace(_MAX_MISFIT_M, _GATE_M, _N_ROUNDS))
+    motion = _fit(first, pairs, np.geomspace(_MAX_MISFIT_M, _GATE_M, _N_ROUNDS))
     if not motion.n_pairs:
         return motion
     size_m, wavelength_m = _SIZE * region.size_m[0], waveform.center_wavelength_m
@@ -175,15 +176,15 @@ def find_motion(
     # By ranges a change of the speed is mistaken for an error of speed and yaw, and the reverse.
     motion = replace(motion, change_per_m=0.0)
     for _ in range(_N_GRID_ROUNDS):
-        motion = most_coherent(motion, phases(motion), wavelength_m)
+        motion = find_most_coherent(motion, phases(motion), wavelength_m)
     # Phases are unambiguous within a quarter of the wavelength.
     gates = np.full(_N_ROUNDS, 0.22 * wavelength_m)
     for _ in range(_N_PHASE_ROUNDS):
-        motion = _fitted(motion, phases(motion), gates)
+        motion = _fit(motion, phases(motion), gates)
     return motion
 
 
-def most_coherent(
+def find_most_coherent(
     motion: Motion, rows: Sequence[tuple[Floats, Floats]], wavelength_m: float
 ) -> Motion:
     """Motion whose speed and yaw, within four standard errors, make the most phases agree.
@@ -224,24 +225,24 @@ def _coarse_scale(line: Line) -> float:
     apart = line.arrays[1].station_m - line.arrays[0].station_m
     lags = np.arange(-_MAX_WRONG * abs(apart), _MAX_WRONG * abs(apart) + step, 0.5 * step)
     x = np.arange(max(x1[0], x2[0] - lags[0]), min(x1[-1], x2[-1] - lags[-1]), step)
-    first = _interpolated(x, x1, one)
-    scores = np.array([np.vdot(first, _interpolated(x + lag, x2, other)) for lag in lags])
+    first = _interpolate(x, x1, one)
+    scores = np.array([np.vdot(first, _interpolate(x + lag, x2, other)) for lag in lags])
     # The recorded distance of one position is -scale error times that of the stations.
     return float(lags[int(scores.argmax())]) / apart
 
 
-def _interpolated(x: Floats, known: Floats, values: Floats) -> Floats:
+def _interpolate(x: Floats, known: Floats, values: Floats) -> Floats:
     found = np.stack([np.interp(x, known, column) for column in values.T], axis=1)
     found -= found.mean(axis=0)
     return np.asarray(found / max(float(np.linalg.norm(found)), 1e-300))
 
 
-def _seen(
+def _find_peaks(
     waveform: Waveform, line: Line, first: Motion, region: LosPrior, num_threads: int | None
 ) -> tuple[PeakSet, PeakSet]:
     """Peaks of both arrays, on their recorded raster at the scale that was found first."""
     planes = tuple(
-        on_raster(corrected(pose, array, first), array.n_channels, waveform)
+        move_to_raster(correct_plane(pose, array, first), array.n_channels, waveform)
         for pose, array in zip(line.poses, line.arrays, strict=True)
     )
     capture = Capture(waveform=waveform, poses=planes)
@@ -255,7 +256,7 @@ def _seen(
 
 def _pairs(line: Line, one: PeakSet, other: PeakSet) -> tuple[Floats, Floats]:
     """Misfits R_2 - R_1 + (c_2 - c_1) . u of pairs, (n,) [m], and derivatives, (n, 4)."""
-    i, j = _near(one.centers, other.centers, _NEAR_M)
+    i, j = _near_pairs(one.centers, other.centers, _NEAR_M)
     misfit, mean = _misfit(one, i, other, j)
     keep = (np.abs(misfit) < _MAX_MISFIT_M) & (
         np.abs(one.directions[i] - other.directions[j]).max(axis=1) < _SAME_COSINE
@@ -294,10 +295,10 @@ def _phase_misfits(
     recorded[:, 0] = array.station_m - (array.station_m - recorded[:, 0]) / (1.0 + first.scale)
     nominal = recorded.copy()
     nominal[:, 0] = array.station_m
-    centers = motion.placed(nominal, recorded)
+    centers = motion.place_antennas(nominal, recorded)
     points = strong.points + centers - strong.centers
     sums = [
-        _focused(waveform, corrected(pose, own, motion), centers, points, size_m)
+        _focus(waveform, correct_plane(pose, own, motion), centers, points, size_m)
         for own, pose in zip(line.arrays, line.poses, strict=True)
     ]
     both = sums[1] * sums[0].conj()
@@ -308,7 +309,7 @@ def _phase_misfits(
     return misfit[keep], _design(line, centers, centers, directions)[keep]
 
 
-def _focused(
+def _focus(
     waveform: Waveform, pose: Pose, centers: Floats, points: Floats, size_m: float
 ) -> NDArray[np.complex128]:
     """Sum the antennas around each centre, focused on its point, (n,)."""
@@ -346,7 +347,7 @@ def _misfit(one: PeakSet, i: Ints, other: PeakSet, j: Ints) -> tuple[Floats, Flo
     return other.ranges_m[j] - one.ranges_m[i] + np.einsum("ni,ni->n", apart, mean), mean
 
 
-def _near(one: Floats, other: Floats, max_m: float) -> tuple[Ints, Ints]:
+def _near_pairs(one: Floats, other: Floats, max_m: float) -> tuple[Ints, Ints]:
     """Pairs of positions at most so far apart [m]."""
     found = KDTree(one).query_ball_tree(KDTree(other), max_m)
     counts = [len(part) for part in found]
@@ -359,7 +360,7 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     period = float(peaks.periods[0, 0]) if len(peaks) else np.inf
     if not np.isfinite(period):
         return peaks
-    i, j = _near(peaks.centers, peaks.centers, _ALIAS_M[1])
+    i, j = _near_pairs(peaks.centers, peaks.centers, _ALIAS_M[1])
     along = (peaks.centers[j] - peaks.centers[i]) @ pose.axes[1]
     keep = (np.abs(along) > _ALIAS_M[0]) & (
         np.abs(peaks.directions[i] - peaks.directions[j]).max(axis=1) < _SAME_COSINE
@@ -386,7 +387,7 @@ def _true_directions(peaks: PeakSet, pose: Pose) -> PeakSet:
     return replace(found, directions=np.column_stack([ahead, cosines]) @ pose.axes)
 
 
-def _fitted(first: Motion, rows: Sequence[tuple[Floats, Floats]], gates_m: Floats) -> Motion:
+def _fit(first: Motion, rows: Sequence[tuple[Floats, Floats]], gates_m: Floats) -> Motion:
     """Robust least squares with the expected errors as prior; a limit of misfit for each round."""
     misfit, design = (np.concatenate(part) for part in zip(*rows, strict=True))
     known = np.array([first.scale, first.change_per_m, first.turn_rad_per_m, 0.0])

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from geraf2.apps.belt.cutting import Span, travel_of
-from geraf2.apps.belt.monostatic import at_midpoints, on_raster, stretching
-from geraf2.apps.belt.motion import Motion, common_lines, corrected, find_motion
-from geraf2.apps.belt.vibration import steadied
+from geraf2.apps.belt.cutting import Span, frame_travel
+from geraf2.apps.belt.monostatic import move_to_midpoints, move_to_raster, stretch_matrices
+from geraf2.apps.belt.motion import Motion, common_lines, correct_plane, find_motion
+from geraf2.apps.belt.vibration import remove_vibration
 from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
 from geraf2.io.container import SceneReader, is_scene, joined
 from geraf2.io.samples import complex_pose
@@ -43,13 +43,13 @@ def parcel_scan(
     present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
     whole = {}
     for array in present.arrays:
-        pose = without_offset(complex_pose(joined(parts[array.name])), array.n_channels)
-        pose = at_midpoints(pose, stretching(array, waveform))
-        whole[array.name] = on_raster(pose, array.n_channels, waveform)
+        pose = remove_offset(complex_pose(joined(parts[array.name])), array.n_channels)
+        pose = move_to_midpoints(pose, stretch_matrices(array, waveform))
+        whole[array.name] = move_to_raster(pose, array.n_channels, waveform)
     distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]
     region = LosPrior.from_box((_REGION * float(min(distances)),) * 3)
     n_channels = [array.n_channels for array in present.arrays]
-    whole = steadied(whole, n_channels, waveform, region, num_threads)
+    whole = remove_vibration(whole, n_channels, waveform, region, num_threads)
     lines = common_lines(present, whole)
     motion = find_motion(waveform, lines, region, num_threads)
     second = {line.arrays[1].name for line in lines}
@@ -57,17 +57,17 @@ def parcel_scan(
     for array in present.arrays:
         if array.name in second:
             continue
-        moved = corrected(whole[array.name], array, motion)
+        moved = correct_plane(whole[array.name], array, motion)
         n_planes = max(1, round(float(np.ptp(moved.phase_centers[:, 0])) / _PLANE_M))
         frames = np.arange(moved.n_antennas).reshape(-1, array.n_channels)
         for number, own in enumerate(np.array_split(frames, n_planes)):
             plane = replace(moved.select(own.ravel()), name=f"{array.name}/{number}")
-            poses.append(on_raster(along_path(plane), array.n_channels, waveform))
+            poses.append(move_to_raster(turn_along_path(plane), array.n_channels, waveform))
     about = {**recorded.provenance, MOTION_KEY: json.dumps(asdict(motion))}
     return replace(recorded, poses=tuple(poses), provenance=about), motion
 
 
-def without_offset(pose: Pose, n_channels: int) -> Pose:
+def remove_offset(pose: Pose, n_channels: int) -> Pose:
     """Plane of whole frames without the constant that a converter adds to each channel.
 
     Over all frames an echo has hardly any mean: its phase turns as the parcel passes.
@@ -77,7 +77,7 @@ def without_offset(pose: Pose, n_channels: int) -> Pose:
     return replace(pose, signal=rest.reshape(pose.signal.shape))
 
 
-def along_path(pose: Pose) -> Pose:
+def turn_along_path(pose: Pose) -> Pose:
     """Plane whose axes are turned about the vertical, into the direction of its path."""
     x, y = (pose.phase_centers - pose.phase_centers.mean(axis=0))[:, :2].T
     slope = float(x @ y) / max(float(x @ x), 1e-300)
@@ -99,7 +99,7 @@ def cut_parcel(stream: Path, folder: Path, span: Span, *, num_threads: int | Non
     for number in span.planes:
         pose = reader.read_pose(number)
         array = record.of_plane(pose.name)
-        x, kept = travel_of(pose, array, record, last.get(array.name))
+        x, kept = frame_travel(pose, array, record, last.get(array.name))
         own = kept & (x >= span.low_m) & (x <= span.high_m)
         if kept.any():
             last[array.name] = float(x[kept][-1])

@@ -12,14 +12,14 @@ from annotated_types import Interval
 
 from geraf2._bounds import LengthM
 from geraf2.apps.batch import BatchFolder, BatchJob, BatchOptions, JobResult
-from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.cluster import connect_workers
 from geraf2.apps.batch.engine import BAD_INPUT, Failure, Task, drive
 from geraf2.apps.batch.folder import DONE, JobPaths
 from geraf2.apps.batch.page import NUMBERS, Pages
-from geraf2.apps.batch.running import record_answer, threads_of
+from geraf2.apps.batch.running import job_threads, record_answer
 from geraf2.apps.batch.work import do_job, is_answer
 from geraf2.apps.belt.cutting import Cutter, Span
-from geraf2.apps.belt.monostatic import far_apart
+from geraf2.apps.belt.monostatic import list_wide_baselines
 from geraf2.apps.belt.parcel import cut_parcel
 from geraf2.apps.live.sources import SceneSource
 from geraf2.errors import UserError
@@ -103,7 +103,7 @@ def run_belt(
     spans = _spans(stream, options, on_line)
     first = next(span for span in spans if span)  # errors of the stream leave no folder
     folder.add({})
-    for line in far_apart(read_belt(stream), SceneReader(stream).manifest.waveform):
+    for line in list_wide_baselines(read_belt(stream), SceneReader(stream).manifest.waveform):
         on_line(line)
     table = _Table(out, config.preset, on_line)
 
@@ -125,8 +125,8 @@ def run_belt(
                 arguments = stream, span, job, paths, threads, options.report
                 yield Task(name=paths.key, arguments=arguments)
 
-    with connected(options) as client:
-        waiting = tasks(threads_of(client, options))
+    with connect_workers(options) as client:
+        waiting = tasks(job_threads(client, options))
         try:
             for key, answer in drive(client, do_parcel, waiting, retries=options.retries):
                 table.take(key, answer)
@@ -225,7 +225,7 @@ def _spans(
             except UserError as error:
                 on_line(f"{error}; left out")
         is_last = is_last or bool(source.ending)
-        spans = list(cutter.ready(is_last=is_last))
+        spans = list(cutter.pop_parcels(is_last=is_last))
         for span in spans:
             yield span
             last = time.monotonic()  # while all workers are busy, nobody looks for planes

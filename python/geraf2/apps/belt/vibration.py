@@ -32,7 +32,7 @@ _N_STRONG, _PIECE_M = 8, 0.03
 _MIN_ECHOES = 20
 
 
-def steadied(
+def remove_vibration(
     poses: dict[str, Pose],
     n_channels: Sequence[int],
     waveform: Waveform,
@@ -49,7 +49,7 @@ def steadied(
     for number, ((name, pose), n_at_once) in enumerate(zip(poses.items(), n_channels, strict=True)):
         one, own = replace(capture, poses=(pose,)), peaks.of_plane(number)
         own = replace(own, subaperture_planes=np.zeros_like(own.subaperture_planes))
-        strong = own.select(_strong(own, pose))
+        strong = own.select(_strongest_peaks(own, pose))
         echoes = collect_phases(one, strong, size_m=DRIFT_SIZE_M, n_echoes=len(strong))
         n = max(4, round(float(np.ptp(pose.phase_centers[:, 0])) / _KNOT_M))
         config = AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M, n_at_once=n_at_once)
@@ -60,7 +60,7 @@ def steadied(
     return found
 
 
-def _strong(peaks: PeakSet, pose: Pose) -> Ints:
+def _strongest_peaks(peaks: PeakSet, pose: Pose) -> Ints:
     """Return the indices of the strongest peaks of each piece of travel, (n,)."""
     piece = np.floor(peaks.centers @ pose.axes[1] / _PIECE_M)
     order = np.lexsort((-peaks.magnitudes, piece))

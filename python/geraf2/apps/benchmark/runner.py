@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from geraf2.apps.batch.cluster import connected
+from geraf2.apps.batch.cluster import connect_workers
 from geraf2.apps.batch.engine import Failure, Task, drive
 from geraf2.apps.batch.options import BatchOptions
 from geraf2.apps.benchmark.making import copy_with_walls, make_row, make_scene
@@ -262,7 +262,7 @@ def run_on_workers(
         if result is not None:
             report(run, result)
     if remaining:
-        with connected(options) as client:
+        with connect_workers(options) as client:
             for scenes in (true_scenes, others):  # others are copies of true scenes
                 missing = [row for scene, row in scenes.items() if not scene.is_dir()]
                 for _ in _answers(client, Runner.simulate, runner, missing):

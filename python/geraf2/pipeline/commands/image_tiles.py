@@ -78,7 +78,7 @@ class SlabJob:
         index[self.slabs.axis] = str(number)
         return self.group.joinpath(VOLUME_NAME, "c", *index)
 
-    def left(self) -> list[int]:
+    def remaining(self) -> list[int]:
         """Slabs that are not done."""
         numbers = range(len(self.slabs))
         if is_remote(self.group):  # one question for all
@@ -144,16 +144,16 @@ def image_tiles(
         with run.rewrite(*OF_IMAGE):
             start = time.perf_counter()
             _prepare(job, plan, key, overwrite=overwrite)
-            method, left = explain_image(plan), job.left()
-            _image(job, left, run_slabs or partial(_here, num_threads), plan.step, listener)
+            method, left = explain_image(plan), job.remaining()
+            _image(job, left, run_slabs or partial(_image_here, num_threads), plan.step, listener)
             with listener.step("looking at the slabs"):
-                seen = _look(job, plan.axis)
+                seen = _survey(job, plan.axis)
             if plan.axis is not None:
                 plan.warn_of_ends(seen.sharpness, listener)
             attributes = {**plan.describe(VOLUME_NAME, seen.sharpness), "key": key}
             write_text_atomic(job.group / METADATA_NAME, group_text(attributes))
             with listener.step("drawing"):
-                draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_take, job))
+                draw_image(plan, run.path, seen.maxima, seen.sharpness, partial(_read_slice, job))
             note_image(run, key, time.perf_counter() - start, method)
     return TiledImage(
         path=out,
@@ -207,7 +207,7 @@ def _image(
     with listener.step(f"{label} in {n_slabs} slabs") as report:
         for n_done, _ in enumerate(run_slabs(job, left) if left else ()):
             report((n_slabs - len(left) + n_done + 1) / n_slabs)
-    if missing := job.left():
+    if missing := job.remaining():
         raise UserError(
             what=f"{len(missing)} of {n_slabs} slabs are missing",
             where=job.group,
@@ -215,7 +215,7 @@ def _image(
         )
 
 
-def _here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[int]:
+def _image_here(num_threads: int | None, job: SlabJob, left: list[int]) -> Iterator[int]:
     for number in left:
         yield image_slab(job, number, num_threads)
 
@@ -268,7 +268,7 @@ class _Seen:
     sharpness: Floats
 
 
-def _look(job: SlabJob, axis: int | None) -> _Seen:
+def _survey(job: SlabJob, axis: int | None) -> _Seen:
     """Iterate over the slabs, one in memory at a time."""
     grid = job.slabs.grid
     shapes = [tuple(n for a, n in enumerate(grid.shape) if a != along) for along in range(3)]
@@ -294,7 +294,7 @@ def _look(job: SlabJob, axis: int | None) -> _Seen:
     return _Seen(maxima=maxima, strongest_m=strongest, sharpness=sharpness)
 
 
-def _take(job: SlabJob, index: int, axis: int) -> NDArray[np.float32]:
+def _read_slice(job: SlabJob, index: int, axis: int) -> NDArray[np.float32]:
     slabs = job.slabs
     if axis == slabs.axis:
         number, inside = divmod(index, slabs.n_layers)
