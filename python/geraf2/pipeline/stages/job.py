@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from geraf2._types import Progress
-from geraf2.imaging import SubapertureConfig
 from geraf2.imaging.peaks import DETECTION_DB, KeptPeaks
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.pipeline.events import Listener
@@ -68,15 +67,10 @@ class Job:
 
 def kept_peaks(prior: LosPrior, config: Any, num_threads: int | None) -> KeptPeaks:
     """Peaks of a run, collected with the settings of its preset's glints, or with the defaults."""
-    return KeptPeaks(prior, *peak_settings(config), num_threads=num_threads)
-
-
-def peak_settings(config: Any) -> tuple[SubapertureConfig | None, float]:
-    """Sub-apertures and detection threshold [dB] of a preset; the defaults without glints."""
     glints = getattr(config, "glints", None)
     if glints is None:
-        return None, DETECTION_DB
-    return glints.subaperture, glints.noise_margin_db
+        return KeptPeaks(prior, None, DETECTION_DB, num_threads=num_threads)
+    return KeptPeaks(prior, glints.subaperture, glints.noise_margin_db, num_threads=num_threads)
 
 
 def peak_memory_bytes() -> int:
