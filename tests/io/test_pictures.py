@@ -4,7 +4,7 @@ from PIL import EpsImagePlugin, Image
 
 from geraf2.apps.photos.formats.images import read_image, read_mask, read_size
 from geraf2.errors import UserError
-from geraf2.io.pictures import PICTURE_FORMATS, opened_picture
+from geraf2.io.pictures import PICTURE_FORMATS, open_picture
 from geraf2.report.html import picture
 
 EPS = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 8 8\n%%EndComments\nshowpage\n%%EOF\n"
@@ -45,6 +45,6 @@ def test_a_picture_beyond_the_limit_is_not_decoded(tmp_path, monkeypatch):
     Image.new("L", (8, 8)).save(tmp_path / "photo.png")
     with (
         pytest.raises(UserError, match=r"too large, expected at most 63 pixels, got 8 x 8"),
-        opened_picture(tmp_path / "photo.png"),
+        open_picture(tmp_path / "photo.png"),
     ):
         pass

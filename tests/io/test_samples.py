@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.io.samples import NO_SAMPLE, complex_samples, conjugated_samples, stored_integers
+from geraf2.io.samples import NO_SAMPLE, complex_samples, conjugate_samples, stored_integers
 
 
 @pytest.fixture
@@ -24,8 +24,8 @@ def test_integers_are_complex_numbers_to_the_last_bit(integers):
 
 def test_the_conjugate_of_the_lowest_integer_does_not_wrap(integers):
     want = np.conj(complex_samples(stored_integers(integers)))
-    got = conjugated_samples(integers.copy())
+    got = conjugate_samples(integers.copy())
     assert got.dtype == np.int16
     assert np.array_equal(complex_samples(got), want)
     signal = complex_samples(integers)
-    assert np.array_equal(conjugated_samples(signal), np.conj(signal))
+    assert np.array_equal(conjugate_samples(signal), np.conj(signal))

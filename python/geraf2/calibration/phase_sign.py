@@ -18,7 +18,7 @@ from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.imaging.plane_waves import search_depth
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.io.samples import complex_pose
 from geraf2.ops import matched_filter
 from geraf2.records import RawPose
@@ -152,7 +152,7 @@ class SignSample:
 
     def poses(self) -> list[Pose]:
         """Return the collected poses."""
-        return [complex_pose(joined(parts)) for parts in self._parts.values()]
+        return [complex_pose(join_parts(parts)) for parts in self._parts.values()]
 
 
 def find_phase_sign(

@@ -65,7 +65,7 @@ CHECKSUMS = "checksums"
 """Attribute of the group: CRC-32 of each pose, antennas without padding, by array, in hex."""
 
 
-def joined(parts: Sequence[RawPose]) -> RawPose:
+def join_parts(parts: Sequence[RawPose]) -> RawPose:
     """Antennas of all parts as one pose; its axes, name and angle are those of the first."""
     if len(parts) == 1:
         return parts[0]

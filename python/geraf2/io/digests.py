@@ -24,7 +24,7 @@ def file_digest(path: AnyPath) -> str | None:
         return None
 
 
-def inside(file: object) -> str:
+def require_inside(file: object) -> str:
     """Name of a file in a folder; ValueError for one that leads out of it."""
     parts = PurePosixPath(str(file)).parts
     if not parts or ".." in parts or str(file).startswith("/"):
@@ -38,7 +38,7 @@ def require_digests(folder: Path, digests: Mapping[str, str]) -> None:
     wrong = []
     for name, digest in digests.items():
         try:
-            got = file_digest(folder / inside(name))
+            got = file_digest(folder / require_inside(name))
         except (OSError, ValueError) as error:
             wrong.append(f"{name} (cannot be read: {error})")
             continue

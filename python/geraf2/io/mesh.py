@@ -264,12 +264,12 @@ def write_mesh(
         columns += [name for name, *_ in _ply_columns(mesh)]
     elif suffix == ".glb":
         colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
-        columns_of = {name: values for name, values, _ in _known(mesh)}
+        columns_of = {name: values for name, values, _ in _known_columns(mesh)}
         data = glb_bytes(mesh.vertices, mesh.faces, colours, columns_of, made_from)
         # Coordinates as a glTF reader places them, after the node's rotation.
         frame_from_file = FRAME_FROM_GLTF
         columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
-        columns += [f"_{name.upper()}" for name, *_ in _known(mesh)]
+        columns += [f"_{name.upper()}" for name, *_ in _known_columns(mesh)]
     elif suffix == ".stl":
         data = stl_bytes(mesh.vertices, mesh.faces)
         frame_from_file, columns = np.eye(4), ["x [m]", "y [m]", "z [m]"]
@@ -297,7 +297,7 @@ def write_mesh(
     write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
 
 
-def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
+def _known_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
     """Columns of the vertices besides positions: name, values, type in a file."""
     values = ((name, getattr(mesh, name), kind) for name, kind in VERTEX_COLUMNS.items())
     return [(name, array, kind) for name, array, kind in values if array is not None]
@@ -305,7 +305,7 @@ def _known(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
 
 def _ply_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
     """Those of a PLY: the expected error once more, under the name that viewers colour by."""
-    error, known = mesh.expected_error_m, _known(mesh)
+    error, known = mesh.expected_error_m, _known_columns(mesh)
     return known if error is None else [*known, ("quality", error, "<f4")]
 
 
@@ -368,13 +368,13 @@ def _load(source: Path) -> TriangleMesh:
             where=source,
             hint="the file may be cut off or in another format than its name suggests",
         ) from error
-    return TriangleMesh(vertices=raw.vertices, faces=raw.faces, **_stored(raw.columns))
+    return TriangleMesh(vertices=raw.vertices, faces=raw.faces, **_stored_columns(raw.columns))
 
 
 _PARSERS = {".obj": parse_obj, ".stl": parse_stl, ".ply": parse_ply}
 
 
-def _stored(columns: Mapping[str, Array]) -> dict[str, Array]:
+def _stored_columns(columns: Mapping[str, Array]) -> dict[str, Array]:
     """Columns of the vertices that `write_mesh` writes, where their values fit."""
     found: dict[str, Array] = {}
     error, evidence = columns.get("expected_error_m"), columns.get("evidence")

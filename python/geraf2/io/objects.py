@@ -38,7 +38,7 @@ def is_remote(path: Path | str) -> bool:
     return _ADDRESS.fullmatch(str(path)) is not None
 
 
-def absolute(path: Path) -> Path:
+def absolute_path(path: Path) -> Path:
     """Absolute path without links; an address stays as it is."""
     return path if is_remote(path) else path.resolve()
 
@@ -76,7 +76,7 @@ def is_file(path: Path) -> bool:
 
 def exists(path: Path) -> bool:
     """Whether there is a file, or a folder with files."""
-    return (is_file(path) or bool(listed(path, most=1))) if is_remote(path) else path.exists()
+    return (is_file(path) or bool(list_files(path, most=1))) if is_remote(path) else path.exists()
 
 
 def remove(path: Path) -> None:
@@ -92,7 +92,7 @@ def remove(path: Path) -> None:
         pass
 
 
-def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
+def list_files(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
     """Size and version tag of each file below a remote folder, by its path."""
     store, key = _address(folder)
     found: dict[str, tuple[int, str]] = {}
@@ -108,7 +108,7 @@ def listed(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
 
 def fetch(source: Path, folder: Path, only: Collection[str] | None = None) -> None:
     """Copy all files below a remote folder to one on the disk, or `only` some."""
-    for name in listed(source):
+    for name in list_files(source):
         if only is not None and name not in only:
             continue
         if ".." in PurePosixPath(name).parts or name.startswith("/"):

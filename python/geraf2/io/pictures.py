@@ -17,7 +17,7 @@ MAX_PIXELS = 200_000_000
 
 
 @contextmanager
-def opened_picture(path: Path) -> Iterator[Image.Image]:
+def open_picture(path: Path) -> Iterator[Image.Image]:
     """Open a picture, which is not decoded yet; UserError if it is missing, broken or too large."""
     refuse_other_kind(path, ("image",))
     with ExitStack() as stack:

@@ -32,7 +32,7 @@ _NAMES = {
 def open_regular(path: AnyPath, most: int | None = None) -> BufferedReader:
     """Open a file to read; OSError as of `open`, UserError beyond `most` bytes or for no file."""
     require_regular(path, most)  # to open a device may change it
-    handle = open(path, "rb", opener=_without_waiting)  # noqa: SIM115 - the caller closes it
+    handle = open(path, "rb", opener=_open_without_waiting)  # noqa: SIM115 - the caller closes it
     try:
         _require_regular(path, os.fstat(handle.fileno()), most)
     except BaseException:
@@ -75,7 +75,7 @@ def require_no_links(folder: Path) -> list[Path]:
     return found
 
 
-def _without_waiting(path: str, flags: int) -> int:
+def _open_without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 
 

@@ -64,7 +64,7 @@ def bag_files(path: Path) -> list[Path]:
 
 
 @contextmanager
-def opened_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
+def open_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
     """Reader of a rosbag2 folder, .mcap or .db3; UserError for what cannot be read.
 
     is_cut: read what is there of a bag whose end is missing, as one that is being recorded.

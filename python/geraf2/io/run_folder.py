@@ -22,7 +22,7 @@ import numpy as np
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, take_place, temporary_sibling, write_json_atomic
-from geraf2.io.digests import file_digest, inside
+from geraf2.io.digests import file_digest, require_inside
 from geraf2.io.locks import BusyFolderError, lock_folder
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
@@ -210,7 +210,7 @@ class RunFolder:
     def _take(self, values: Mapping[str, Any]) -> None:
         self.warnings = [str(text) for text in values["warnings"]]
         self.asked = {str(k): str(v) for k, v in values["asked"].items()}
-        self.files = {inside(k): str(v) for k, v in values["files"].items()}
+        self.files = {require_inside(k): str(v) for k, v in values["files"].items()}
         self.stages = {
             str(name): StageRecord(
                 seconds=float(record["seconds"]),

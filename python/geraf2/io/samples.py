@@ -30,7 +30,7 @@ def complex_pose(pose: RawPose) -> Pose:
     return Pose(**{**vars(pose), "signal": complex_samples(pose.signal)})
 
 
-def conjugated_samples(samples: Samples) -> Samples:
+def conjugate_samples(samples: Samples) -> Samples:
     """Conjugate samples, integers in place; -32768 becomes -32767 first."""
     if np.iscomplexobj(samples):
         return np.asarray(np.conj(samples))

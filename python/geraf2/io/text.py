@@ -38,13 +38,13 @@ def read_lines(path: Path) -> list[str]:
 def parse_json(text: str | bytes) -> Any:
     """Value of JSON text; ValueError for what is none, nested too deep, or no finite number."""
     try:
-        return json.loads(text, parse_float=_finite, parse_constant=_finite)
+        return json.loads(text, parse_float=_finite_number, parse_constant=_finite_number)
     except RecursionError:
         msg = "tables and lists are nested too deep"
         raise ValueError(msg) from None
 
 
-def _finite(text: str) -> float:
+def _finite_number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
         msg = f"{text} is no finite number"

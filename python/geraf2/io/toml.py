@@ -103,38 +103,38 @@ def from_table(
 
 def to_table(value: Any) -> dict[str, Any]:
     """Nested tables, lists, numbers and text of a record; what is None is left out."""
-    plain = _plain(value)
+    plain = _plain_value(value)
     if not isinstance(plain, dict):
         msg = f"only a record or a table becomes a table, got {type(value).__name__}"
         raise TypeError(msg)
     return plain
 
 
-def merged(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
+def merge_tables(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
     """Nested tables of both; where both have a value, the second counts."""
     out = dict(low)
     for key, value in high.items():
         known = out.get(key)
         both = isinstance(known, Mapping) and isinstance(value, Mapping)
-        out[key] = merged(known, value) if both else value  # type: ignore[arg-type]
+        out[key] = merge_tables(known, value) if both else value  # type: ignore[arg-type]
     return out
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def nearest_name(name: str, known: Iterable[str]) -> str:
     """Suggest the name that was meant, ", did you mean ...?"; nothing where none is near."""
     near = get_close_matches(name, known, 1)
     return f", did you mean {near[0]!r}?" if near else ""
 
 
-def _plain(value: Any) -> Any:
+def _plain_value(value: Any) -> Any:
     if is_dataclass(value):
         value = {entry.name: getattr(value, entry.name) for entry in fields(value)}
     elif hasattr(value, "model_dump"):
         value = value.model_dump()
     if isinstance(value, Mapping):
-        return {str(k): _plain(entry) for k, entry in value.items() if entry is not None}
+        return {str(k): _plain_value(entry) for k, entry in value.items() if entry is not None}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [_plain_value(entry) for entry in value]
     return str(value) if isinstance(value, Path) else value
 
 
@@ -154,7 +154,7 @@ def _preset_type(
     got = table.get("preset")
     if isinstance(got, str) and got in by_name:
         return by_name[got]
-    unknown = f"key 'preset': unknown name {got!r}{nearest(str(got), by_name)}"
+    unknown = f"key 'preset': unknown name {got!r}{nearest_name(str(got), by_name)}"
     raise UserError(
         what=unknown if "preset" in table else "key 'preset' is missing",
         where=where,
@@ -165,19 +165,21 @@ def _preset_type(
 def _complaint(item: "ErrorDetails", table: Any, kind: Any) -> str:
     missing = item["type"] == "missing"
     location = _location(item["loc"][1:], table, missing=missing)
-    key = _dotted(location)
+    key = _dotted_key(location)
     if missing:
         return f"key {key!r} is missing"
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"unknown key {key!r}" + nearest(str(location[-1]), _known(kind, location[:-1]))
+        return f"unknown key {key!r}" + nearest_name(
+            str(location[-1]), _known_keys(kind, location[:-1])
+        )
     if item["type"] == "value_error":  # of a __post_init__, which may name its own key
         reason = item["msg"].removeprefix("Value error, ")
         first = reason.split(maxsplit=1)[0].split(".")[0]
         if not location or first in location:
             return reason
-        return f"{key}.{reason}" if first in _known(kind, location) else f"{key}: {reason}"
+        return f"{key}.{reason}" if first in _known_keys(kind, location) else f"{key}: {reason}"
     reason = item["msg"][:1].lower() + item["msg"][1:]
-    return (f"key {key!r}: " if key else "") + f"{reason}, got {_short(item['input'])}"
+    return (f"key {key!r}: " if key else "") + f"{reason}, got {_short_text(item['input'])}"
 
 
 def _location(
@@ -195,24 +197,24 @@ def _location(
     return (*out, *location[end:])
 
 
-def _known(kind: Any, location: tuple[int | str, ...]) -> set[str]:
+def _known_keys(kind: Any, location: tuple[int | str, ...]) -> set[str]:
     """Names of the keys that a table has at a location."""
     if members := get_args(kind):
         inside = location[1:] if get_origin(kind) in (tuple, list, dict) else location
-        return set().union(*(_known(member, inside) for member in members))
+        return set().union(*(_known_keys(member, inside) for member in members))
     names = getattr(kind, "__dataclass_fields__", None) or getattr(kind, "model_fields", None)
     if not names or not location:
         return set(names or ())
-    return _known(get_type_hints(kind).get(str(location[0])), location[1:])
+    return _known_keys(get_type_hints(kind).get(str(location[0])), location[1:])
 
 
-def _dotted(location: tuple[int | str, ...]) -> str:
+def _dotted_key(location: tuple[int | str, ...]) -> str:
     text = ""
     for part in location:
         text += f"[{part}]" if isinstance(part, int) else f".{part}" if text else part
     return text
 
 
-def _short(value: Any) -> str:
+def _short_text(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

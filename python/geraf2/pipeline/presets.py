@@ -16,7 +16,7 @@ from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
 from geraf2.echoes.glints import GLINTS_VERSION
 from geraf2.errors import UserError
-from geraf2.io.toml import from_table, merged, nearest, to_table
+from geraf2.io.toml import from_table, merge_tables, nearest_name, to_table
 from geraf2.learned.config import TRAINING_VERSION, CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.stages.baselines import (
     reconstruct_back_projection,
@@ -204,7 +204,8 @@ def preset_type(name: str) -> type[PresetConfig]:
     """Config type of a preset; the UserError of an unknown one suggests a name."""
     if name not in PRESETS:
         raise UserError(
-            what=f"unknown preset {name!r}{nearest(name, PRESETS)}", expected=", ".join(PRESETS)
+            what=f"unknown preset {name!r}{nearest_name(name, PRESETS)}",
+            expected=", ".join(PRESETS),
         )
     return PRESETS[name]
 
@@ -216,7 +217,7 @@ def preset_of_table(table: Mapping[str, Any], where: object) -> PresetConfig:
     """
     name = table.get("preset")
     if isinstance(name, str) and name in PRESETS:
-        table = merged(to_table(PRESETS[name]()), table)
+        table = merge_tables(to_table(PRESETS[name]()), table)
     return from_table(table, tuple(PRESETS.values()), where)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
-from geraf2.io.objects import absolute, is_remote
+from geraf2.io.objects import absolute_path, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
@@ -65,7 +65,9 @@ class RunRecord:
 
         seen_from: folder that the file is about to be in; that of `path` when None.
         """
-        known = {n: absolute(p) for n, p in self._paths().items() if p is not None and _is_text(p)}
+        known = {
+            n: absolute_path(p) for n, p in self._paths().items() if p is not None and _is_text(p)
+        }
         here = (seen_from or path.parent).resolve()
         record = self._with_paths(known)
         scene = {} if record.scene is None else {"scene": str(record.scene)}
@@ -135,7 +137,7 @@ class RunRecord:
 def _is_text(path: Path) -> bool:
     """Whether the absolute path can be encoded as text."""
     try:
-        str(absolute(path)).encode()
+        str(absolute_path(path)).encode()
     except UnicodeEncodeError:
         return False
     return True

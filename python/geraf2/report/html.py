@@ -63,9 +63,9 @@ def part(name: str, *arguments: Any, **named: Any) -> str:
 
 def picture(path: AnyPath, caption: str = "", *, name: str = "") -> str:
     """Embedded picture, in panels where it has some; `parts.html` describes those with a name."""
-    from geraf2.io.pictures import opened_picture  # noqa: PLC0415 - takes 0.1 s
+    from geraf2.io.pictures import open_picture  # noqa: PLC0415 - takes 0.1 s
 
-    with opened_picture(Path(path)) as image:
+    with open_picture(Path(path)) as image:
         about = _panels_of(image)
         shown = image.convert("RGB")
     rows = [

@@ -14,7 +14,7 @@ from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.scan_file import SweptArray
-from geraf2.io.toml import nearest
+from geraf2.io.toml import nearest_name
 
 TX_RX_DISTANCE_M = 0.005
 """From the transmitters to the receivers: to the last of these, or to their line [m]."""
@@ -147,6 +147,6 @@ def find_array(name: str) -> AntennaArray:
     """Board of this name; UserError where none is known."""
     if name not in ARRAYS:
         raise UserError(
-            what=f"no such array {name!r}" + nearest(name, ARRAYS), expected=", ".join(ARRAYS)
+            what=f"no such array {name!r}" + nearest_name(name, ARRAYS), expected=", ".join(ARRAYS)
         )
     return ARRAYS[name]

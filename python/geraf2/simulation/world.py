@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Interval
 
 from geraf2._bounds import Bounded, LengthM, NotNegative, Share
-from geraf2.io.toml import nearest
+from geraf2.io.toml import nearest_name
 
 _Angle = Annotated[float, Interval(ge=0.0, le=3600.0)]
 _TurnDeg = Annotated[float, Interval(ge=-10.0, le=10.0)]
@@ -121,7 +121,7 @@ class WorldSpec(Bounded):
     def __post_init__(self) -> None:
         for effect in self.effects:
             if effect not in EFFECTS:
-                hint = nearest(effect, EFFECTS) or "; there are " + ", ".join(EFFECTS)
+                hint = nearest_name(effect, EFFECTS) or "; there are " + ", ".join(EFFECTS)
                 msg = f"effects has an unknown effect {effect!r}{hint}"
                 raise ValueError(msg)
         if self.effects and self.preset == "none":

@@ -91,17 +91,17 @@ def test_files_of_a_store_are_read_written_and_listed(store, tmp_path):
     objects.write_bytes(folder / "a" / "b.txt", b"one")
     objects.write_bytes(folder / "c", memoryview(b"three"))
     assert objects.read_bytes(folder / "a" / "b.txt") == b"one"
-    assert {name: size for name, (size, _) in objects.listed(folder).items()} == {
+    assert {name: size for name, (size, _) in objects.list_files(folder).items()} == {
         "a/b.txt": 3,
         "c": 5,
     }
     assert (objects.exists(folder / "a"), objects.is_file(folder / "a")) == (True, False)
     objects.remove(folder / "c")
     objects.remove(folder / "c")
-    assert list(objects.listed(folder)) == ["a/b.txt"]
+    assert list(objects.list_files(folder)) == ["a/b.txt"]
     with pytest.raises(FileNotFoundError):
         objects.read_bytes(folder / "c")
-    assert not objects.listed(Path("memory://other/where"))
+    assert not objects.list_files(Path("memory://other/where"))
 
 
 def test_a_scene_in_memory_is_the_scene_on_the_disk(scene, tmp_path, monkeypatch):
@@ -141,7 +141,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
     assert s3.n_refused == 0
     assert [r.state for r in results] == ["done"]
     assert results[0].scores["f1_15mm"] > 0.5
-    files = objects.listed(out)
+    files = objects.list_files(out)
     assert [name for name in files if name.endswith(CONTENT_NAME)]
     assert {"batch.json", "batch.html", "batch.csv"} <= set(files)
     assert not [name for name in files if name.endswith((".begun", ".lock"))]

@@ -9,7 +9,7 @@ from geraf2.apps.belt.monostatic import move_to_midpoints, stretch_matrices
 from geraf2.apps.belt.motion import Motion, find_most_coherent
 from geraf2.apps.belt.parcel import parcel_scan, remove_offset
 from geraf2.apps.belt.vibration import remove_vibration
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.scene import LosPrior
 from geraf2.simulation.belt import belt_planes
 from geraf2.simulation.belt_spec import BeltArraySpec, BeltSpec
@@ -100,7 +100,7 @@ def test_a_vibration_is_found_frame_by_frame():
     capture, record = small_parcel(**shaken)
     array = record.arrays[0]
     matrices = stretch_matrices(array, capture.waveform)
-    pose = joined(
+    pose = join_parts(
         [move_to_midpoints(p, matrices) for p in capture.poses if p.name.startswith("left")]
     )
     region = LosPrior.from_box((0.28, 0.28, 0.28))

@@ -14,7 +14,7 @@ import pytest
 from geraf2.apps.importers import ImportOptions, RecordingOptions, load_importer
 from geraf2.apps.live.opening import open_source
 from geraf2.errors import UserError
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.plane_stream import FrameReader, end_frame, plane_frame, scan_frame
 from geraf2.scene.store import manifest_of
@@ -173,7 +173,7 @@ def _imported(name, source, **options):
         own = []
         while sum(part.n_antennas for part in own) < n_antennas:
             own.append(parts.pop(0))
-        planes.append(joined(own))
+        planes.append(join_parts(own))
     return planes
 
 

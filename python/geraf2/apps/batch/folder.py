@@ -19,7 +19,7 @@ from geraf2 import __version__
 from geraf2.apps.batch.engine import BAD_INPUT
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
-from geraf2.io.digests import inside
+from geraf2.io.digests import require_inside
 from geraf2.io.objects import is_remote, read_bytes
 from geraf2.io.outputs import require_folder
 from geraf2.io.regular import RECORD_BYTES
@@ -146,7 +146,9 @@ class BatchFolder:
             values: Any = parse_json(read_bytes(file, RECORD_BYTES))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
-            jobs = {inside(name): inside(key) for name, key in values["jobs"].items()}
+            jobs = {
+                require_inside(name): require_inside(key) for name, key in values["jobs"].items()
+            }
             return {"settings": str(values["settings"]), "jobs": jobs}
         except (FileNotFoundError, NotADirectoryError):
             return None

@@ -16,11 +16,11 @@ from geraf2.io.container import (
     is_scene,
     read_scene_manifest,
 )
-from geraf2.io.objects import absolute, exists, is_file, is_remote, listed, read_bytes
+from geraf2.io.objects import absolute_path, exists, is_file, is_remote, list_files, read_bytes
 from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
 from geraf2.io.text import parse_json, read_lines
-from geraf2.io.toml import nearest
+from geraf2.io.toml import nearest_name
 from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.pipeline.estimates import Estimate, reconstruct_cost
 from geraf2.pipeline.presets import BestPreset, PresetConfig, versions_of
@@ -57,8 +57,10 @@ class BatchJob:
         for path in (prior.los, self.truth):
             if path is not None and not exists(path):
                 raise UserError(what="no such file", where=path)
-        los, truth = (None if p is None else absolute(p) for p in (prior.los, self.truth))
-        return replace(self, scene=absolute(self.scene), prior=replace(prior, los=los), truth=truth)
+        los, truth = (None if p is None else absolute_path(p) for p in (prior.los, self.truth))
+        return replace(
+            self, scene=absolute_path(self.scene), prior=replace(prior, los=los), truth=truth
+        )
 
     @property
     def settings(self) -> str:
@@ -98,7 +100,7 @@ class BatchJob:
 def fingerprint(path: Path) -> str:
     """Hash of names, sizes and times of change of a file, or of all files of a folder."""
     if is_remote(path):
-        found = listed(path)
+        found = list_files(path)
         return stage_key(files=[[name, size, tag] for name, (size, tag) in found.items()])
     paths = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     stats = [(p, p.stat()) for p in paths]
@@ -176,7 +178,7 @@ def _match_names(pattern: Path) -> list[str]:
         return glob.glob(str(pattern), recursive=True)  # noqa: PTH207 - may be absolute
     first = next(i for i, part in enumerate(pattern.parts) if glob.has_magic(part))
     above = Path(*pattern.parts[:first])
-    scenes = (above / name for name in listed(above) if PurePath(name).name == MANIFEST_NAME)
+    scenes = (above / name for name in list_files(above) if PurePath(name).name == MANIFEST_NAME)
     return [str(scene.parent) for scene in scenes if scene.parent.match(str(pattern))]
 
 
@@ -192,7 +194,7 @@ def _read_table(table: Path, base: BatchJob) -> Iterator[BatchJob]:
         raise UserError(what=f"cannot be read: {error}", where=table) from None
     for name in reader.fieldnames or ():
         if name not in COLUMNS:
-            what = f"unknown column {name!r}{nearest(name, COLUMNS)}"
+            what = f"unknown column {name!r}{nearest_name(name, COLUMNS)}"
             raise UserError(what=what, where=table, expected=", ".join(COLUMNS))
     if "scene" not in (reader.fieldnames or ()):
         raise UserError(what="has no column 'scene'", where=table)

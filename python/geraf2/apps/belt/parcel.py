@@ -11,7 +11,7 @@ from geraf2.apps.belt.monostatic import move_to_midpoints, move_to_raster, stret
 from geraf2.apps.belt.motion import Motion, common_lines, correct_plane, find_motion
 from geraf2.apps.belt.vibration import remove_vibration
 from geraf2.io.belt_file import MOTION_KEY, BeltRecord, read_belt
-from geraf2.io.container import SceneReader, is_scene, joined
+from geraf2.io.container import SceneReader, is_scene, join_parts
 from geraf2.io.samples import complex_pose
 from geraf2.io.text import parse_json
 from geraf2.ops._threads import limit_blas_threads
@@ -43,7 +43,7 @@ def parcel_scan(
     present = replace(record, arrays=tuple(a for a in record.arrays if parts[a.name]))
     whole = {}
     for array in present.arrays:
-        pose = remove_offset(complex_pose(joined(parts[array.name])), array.n_channels)
+        pose = remove_offset(complex_pose(join_parts(parts[array.name])), array.n_channels)
         pose = move_to_midpoints(pose, stretch_matrices(array, waveform))
         whole[array.name] = move_to_raster(pose, array.n_channels, waveform)
     distances = [np.abs(a.phase_centers_m[:, 1:]).max(axis=1).min() for a in record.arrays]

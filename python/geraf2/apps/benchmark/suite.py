@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from geraf2.errors import UserError
-from geraf2.io.toml import from_table, merged, read_toml
+from geraf2.io.toml import from_table, merge_tables, read_toml
 from geraf2.pipeline.presets import PresetConfig, preset_of_table
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.simulation import SceneSpec, parse_spec
@@ -114,14 +114,14 @@ class Suite:
 
     def spec(self, scene: str, case: Case) -> SceneSpec:
         """Spec of a scene in a case."""
-        return parse_spec(merged(self.scenes[scene], case.scene), where=f"scene {scene}")
+        return parse_spec(merge_tables(self.scenes[scene], case.scene), where=f"scene {scene}")
 
     def config(self, method: str, case: Case | None = None) -> PresetConfig:
         """Constants of a method, in a case."""
         how, where = self.methods[method], f"method {method}"
         changes = how.settings
         if case is not None and case.settings:
-            changes, where = merged(changes, case.settings), f"{where} in case {case.label!r}"
+            changes, where = merge_tables(changes, case.settings), f"{where} in case {case.label!r}"
         config = preset_of_table({**changes, "preset": how.preset}, where)
         if how.kind == "oracle" and config.preset != "matched-filter":
             raise UserError(what="an oracle is of the preset matched-filter", where=where)
@@ -145,16 +145,18 @@ def load_suite(path: Path | None = None, *, quick: bool = False) -> Suite:
 def _suite(file: _File, quick: bool, folder: Path | None) -> Suite:
     scenes = {}
     for name, own in file.scenes.items():
-        spec = merged(file.base, own)
+        spec = merge_tables(file.base, own)
         if quick:
-            spec = merged(spec, file.quick)
+            spec = merge_tables(spec, file.quick)
         mesh = spec.get("figure", {}).get("mesh")
         if mesh is not None and folder is not None:
-            spec = merged(spec, {"figure": {"mesh": str(folder / mesh)}})
+            spec = merge_tables(spec, {"figure": {"mesh": str(folder / mesh)}})
         scenes[name] = spec
     methods, chosen = file.methods, file.experiments
     if quick:
-        methods = {k: replace(m, settings=merged(m.settings, m.quick)) for k, m in methods.items()}
+        methods = {
+            k: replace(m, settings=merge_tables(m.settings, m.quick)) for k, m in methods.items()
+        }
         chosen = {name: _quick(e) for name, e in chosen.items() if e.quick}
     chosen = {name: _with_scene(e) for name, e in chosen.items()}
     return Suite(scenes=scenes, methods=methods, experiments=chosen, is_quick=quick)
@@ -164,7 +166,7 @@ def _with_scene(experiment: Experiment) -> Experiment:
     """Experiment with its common changes of scenes copied into its cases."""
     if not experiment.scene:
         return experiment
-    cases = (replace(c, scene=merged(experiment.scene, c.scene)) for c in experiment.cases)
+    cases = (replace(c, scene=merge_tables(experiment.scene, c.scene)) for c in experiment.cases)
     return replace(experiment, cases=tuple(cases))
 
 

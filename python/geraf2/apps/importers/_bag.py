@@ -19,9 +19,9 @@ from geraf2._types import Floats, Ints
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._raw_stream import ByteStream
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._rows import note_omission
 from geraf2.errors import UserError
-from geraf2.io.ros import opened_bag
+from geraf2.io.ros import open_bag
 
 _TF = "tf2_msgs/msg/TFMessage"
 _POSES = ("geometry_msgs/msg/PoseStamped", "nav_msgs/msg/Odometry")
@@ -72,7 +72,7 @@ class Bag:
 
 def list_bag(source: Path) -> tuple[list[tuple[str, str]], list[str]]:
     """Names and values of a bag's contents, and what it lacks for an import."""
-    with opened_bag(source) as reader:
+    with open_bag(source) as reader:
         topics = _topics(reader)
         samples, poses = _samples_topics(reader, topics), _poses_topics(topics)
         start = datetime.fromtimestamp(1e-9 * reader.start_time, UTC)
@@ -92,13 +92,13 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
 
     period_s: time between frames where the radar's configuration states it.
     """
-    with opened_bag(source, is_cut=options.keep_good) as reader, TemporaryFile() as file:
+    with open_bag(source, is_cut=options.keep_good) as reader, TemporaryFile() as file:
         topics = _topics(reader)
         samples = _samples_topic(reader, topics, options, source)
         table, frame_id = _copy_frames(reader, samples, file, source)
         log, origin = _read_log(reader, topics, options, frame_id, int(table[0, 0]), source)
         frame_bytes = int(np.median(table[:, 1]))
-        notes, good = _usable(table, frame_bytes, samples, options, source)
+        notes, good = _usable_messages(table, frame_bytes, samples, options, source)
         table = table[good]
         times = (table[:, 0] - table[0, 0]) * 1e-9
         numbers, start_s, period_s = frame_clock(times, period_s, samples, source)
@@ -114,7 +114,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
             "got": f"none {times[np.searchsorted(numbers, lost[0]) - 1]:.4g} s after the first",
             "hint": "--keep-good imports the others",
         }
-        notes.append(left_out(text, options.keep_good, source, **details))
+        notes.append(note_omission(text, options.keep_good, source, **details))
     return Bag(
         frames=frames,
         frame_bytes=frame_bytes,
@@ -152,7 +152,7 @@ def frame_clock(
     return numbers, float(start_s), float(period_s)
 
 
-def _usable(
+def _usable_messages(
     table: Ints, frame_bytes: int, topic: str, options: ImportOptions, where: Path
 ) -> tuple[list[str], NDArray[np.bool_]]:
     """Mask of the usable messages, after notes on the others."""
@@ -163,7 +163,7 @@ def _usable(
         expected, hint = f"{frame_bytes} bytes", "--keep-good leaves them out"
         got = f"{table[odd][0, 1]} bytes"
         more = {"expected": expected, "got": got, "hint": hint}
-        notes.append(left_out(text, options.keep_good, where, **more))
+        notes.append(note_omission(text, options.keep_good, where, **more))
     latest = np.maximum.accumulate(np.concatenate([[-1], table[:-1, 0]]))
     back = table[:, 0] <= latest
     if back.any():
@@ -171,7 +171,7 @@ def _usable(
             f"time stamps of {topic} do not increase at {int(back.sum())} of {len(back)} messages"
         )
         hint = "--keep-good leaves them out"
-        notes.append(left_out(text, options.keep_good, where, hint=hint))
+        notes.append(note_omission(text, options.keep_good, where, hint=hint))
     return notes, np.asarray(~odd & ~back)
 
 
@@ -306,7 +306,7 @@ def _read_log(
     for stamp, message in _messages(reader, single[0]):
         pose = message.pose.pose if topics[single[0]] == _POSES[1] else message.pose
         rows.append(_row(stamp, zero_ns, pose.position, pose.orientation))
-    link = _checked(rows, single[0], options, where)
+    link = _check_rows(rows, single[0], options, where)
     return _log(link, where), f"{single[0]} ({topics[single[0]]}), {len(link)} poses"
 
 
@@ -316,7 +316,7 @@ def _row(stamp: int, zero_ns: int, position: Any, turn: Any) -> list[float]:
     return [(stamp - zero_ns) * 1e-9, *at]
 
 
-def _checked(rows: list[list[float]], name: str, options: ImportOptions, where: Path) -> Floats:
+def _check_rows(rows: list[list[float]], name: str, options: ImportOptions, where: Path) -> Floats:
     """Poses (n, 8) in rising order of time, without repetitions; UserError for broken ones."""
     table = np.array(rows, dtype=np.float64).reshape(-1, 8)
     sizes = np.linalg.norm(table[:, 4:], axis=1)
@@ -329,7 +329,7 @@ def _checked(rows: list[list[float]], name: str, options: ImportOptions, where: 
     ):
         if wrong.any():
             text = f"{int(wrong.sum())} of {len(wrong)} poses of {name} {reason}"
-            left_out(text, options.keep_good, where, hint="--keep-good leaves them out")
+            note_omission(text, options.keep_good, where, hint="--keep-good leaves them out")
     good = table[~bad & (times > latest)]
     if not len(good):
         raise UserError(what=f"{name} holds no usable pose", where=where)
@@ -376,7 +376,7 @@ def _log_of_tree(
             hint="--frames FIXED RADAR names them",
         )
     tables = [
-        _checked(links[parent, child], f"{parent} to {child}", options, where)
+        _check_rows(links[parent, child], f"{parent} to {child}", options, where)
         for child, parent in pairwise(chain)
     ]
     moving = [table for table in tables if len(table) > 1]

@@ -12,7 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._real_samples import predicted_as_real, real_advantage
+from geraf2.apps.importers._real_samples import is_predicted_as_real, real_advantage
 from geraf2.apps.importers._word_order import (
     LAYOUTS,
     MIN_JUMP,
@@ -182,8 +182,8 @@ def find_layout(
             order: _chirp_ratio(beginning, order, n_samples, ratio)
             for order, ratio in ratios.items()
         }
-    chosen, notes = _chosen_order(ratios, allowed, where)
-    if layout is None and predicted_as_real(words, chosen):
+    chosen, notes = _choose_order(ratios, allowed, where)
+    if layout is None and is_predicted_as_real(words, chosen):
         raise _unclear_receivers(n_samples, where)
     is_open = layout is None or offset_binary is None or n_rx is None
     if is_open and _one_sided(ratios[chosen]) < MIN_RATIO:
@@ -216,8 +216,8 @@ def _real_order(
         sides = {
             one: _one_sided(_segment_ratio(words[:_LAYOUT_WORDS], one, _SEGMENT)) for one in known
         }
-        best = _best(sides)
-        if sides[best] >= MIN_RATIO and predicted_as_real(words, best):
+        best = _best_order(sides)
+        if sides[best] >= MIN_RATIO and is_predicted_as_real(words, best):
             advantage = _REAL_ADVANTAGE
     if is_real is None:
         return order if advantage >= _REAL_ADVANTAGE else None
@@ -265,13 +265,13 @@ def _unclear_receivers(n_samples: int | None, where: object) -> UserError:
     )
 
 
-def _chosen_order(
+def _choose_order(
     ratios: Mapping[WordOrder, float], allowed: Sequence[WordOrder], where: object
 ) -> tuple[WordOrder, tuple[str, ...]]:
     """Best allowed order, and notes; UserError where another one contradicts it."""
     one_sided = {order: _one_sided(ratio) for order, ratio in ratios.items()}
-    best = _best(one_sided)
-    chosen = _best({order: one_sided[order] for order in allowed})
+    best = _best_order(one_sided)
+    chosen = _best_order({order: one_sided[order] for order in allowed})
     if one_sided[best] <= CONTRADICTION * one_sided[chosen]:
         return chosen, ()
     names = (
@@ -327,7 +327,7 @@ def _require_pairs(layout: Layout | None, n_samples: int | None, where: object) 
         )
 
 
-def _best(one_sided: dict[WordOrder, float]) -> WordOrder:
+def _best_order(one_sided: dict[WordOrder, float]) -> WordOrder:
     best = max(one_sided, key=lambda order: one_sided[order])
     enough = max(MIN_RATIO, _FASTER_SHARE * one_sided[best])
     for order in sorted(one_sided, key=lambda order: order.n_alternating):

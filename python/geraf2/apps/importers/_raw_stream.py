@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Ints
-from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._rows import note_omission
 from geraf2.errors import UserError
 from geraf2.io.regular import open_regular
 
@@ -109,7 +109,7 @@ def _is_sync(words: NDArray[np.uint16]) -> NDArray[np.bool_]:
     return np.asarray((first == 2) & (second == 2))
 
 
-def without_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
+def remove_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
     """Stream without headers of chirps, and notes on what was removed."""
     words = stream.read(0, min(stream.n_bytes, _SCAN_BYTES) // 2 * 2).view("<u2")
     if len(words) < _N_SYNC:
@@ -232,7 +232,7 @@ class PacketStream(ByteStream):
         sequence, n_good = self._read_headers()
         self.notes: tuple[str, ...] = ()
         if n_good < self._n_slots:
-            text = left_out(
+            text = note_omission(
                 f"packet {n_good} of {self._n_slots} has a broken header",
                 keep_good,
                 plain,

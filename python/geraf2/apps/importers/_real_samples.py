@@ -75,10 +75,10 @@ def real_advantage(
     _, length, advantage = min(found)
     levels = _levels(some, real_orders, length, _whole_level)
     white = float(np.log(powers[offset] + _ROUNDING))
-    return _preferred(levels, white), advantage
+    return _preferred_order(levels, white), advantage
 
 
-def _preferred(levels: dict[WordOrder, float], white: float) -> WordOrder:
+def _preferred_order(levels: dict[WordOrder, float], white: float) -> WordOrder:
     """Best order, or the one with most alternating receivers that is nearly as good."""
     best = min(levels, key=lambda order: levels[order])
     enough = white - _SAME_SHARE * (white - levels[best])
@@ -141,7 +141,7 @@ def _complex_level(power: Floats) -> float:
     return 0.5 * min(lines[0] + noise[1], lines[1] + noise[0])
 
 
-def predicted_as_real(words: NDArray[np.int16], order: WordOrder) -> bool:
+def is_predicted_as_real(words: NDArray[np.int16], order: WordOrder) -> bool:
     """Whether words are predicted better as real samples than in this order."""
     some = words[: min(_N_PREDICTED, len(words) // _OFFSET_WORDS * _OFFSET_WORDS)]
     as_complex = _residuals(channels(some, order), 0.5, _MEAN_COMPLEX)

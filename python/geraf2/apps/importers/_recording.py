@@ -23,11 +23,11 @@ from geraf2.apps.importers._raw_stream import (
     leading_zeros,
     position_files,
     recording_files,
+    remove_chirp_headers,
     trailing_zeros,
-    without_chirp_headers,
 )
 from geraf2.apps.importers._robot_log import read_log
-from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._rows import note_omission
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import (
@@ -164,7 +164,7 @@ def _odd_positions(
     named = ", ".join(f"{files.names[k]} ({n_frames[k]})" for k in odd[:MAX_NAMED])
     text = f"{len(odd)} of {len(n_frames)} files do not hold {usual} frames as the others do"
     note = f"{text}: {named}"
-    left_out(note, keep_good, where, hint="--keep-good leaves these positions out")
+    note_omission(note, keep_good, where, hint="--keep-good leaves these positions out")
     return odd, [f"{note}; left out"]
 
 
@@ -274,13 +274,13 @@ def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _
         plain = PlainStream(group)
         if not plain.n_bytes and not (per_position and options.keep_good):
             raise UserError(what="is empty", where=group[0])
-        stream, more, found = _without_headers(plain, options.keep_good)
-        stream, headers = without_chirp_headers(stream)
+        stream, more, found = _remove_headers(plain, options.keep_good)
+        stream, headers = remove_chirp_headers(stream)
         more += headers
         if stream.n_bytes % 2:
             wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
             got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
-            left_out("has an odd number of bytes", options.keep_good, group[0], **got)
+            note_omission("has an odd number of bytes", options.keep_good, group[0], **got)
             more.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
         streams.append(stream)
         notes += [f"{group[0].name}: {note}" for note in more] if per_position else more
@@ -330,7 +330,7 @@ def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> li
     ]
 
 
-def _without_headers(
+def _remove_headers(
     plain: PlainStream, keep_good: bool
 ) -> tuple[ByteStream, list[str], list[tuple[str, str]]]:
     packets = find_packets(plain)
@@ -399,11 +399,11 @@ def _count_frames(
         text = f"the last frame is cut short after {rest} of {frame_bytes} bytes"
         hint = f"--keep-good keeps the {n_frames} whole ones"
         wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
-        notes.append(f"{left_out(text, options.keep_good, source, **wrong)} and was left out")
+        notes.append(f"{note_omission(text, options.keep_good, source, **wrong)} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
         text = f"the configuration states {config.n_frames} frames, the file holds {n_frames}"
         hint = "--keep-good takes what is there"
-        notes.append(left_out(text, options.keep_good, source, hint=hint))
+        notes.append(note_omission(text, options.keep_good, source, hint=hint))
     return n_frames
 
 

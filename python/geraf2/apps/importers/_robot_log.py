@@ -19,7 +19,7 @@ from geraf2.apps.importers._log_columns import (
     quantity_of,
     require_read_turns,
 )
-from geraf2.apps.importers._rows import left_out, require_equal
+from geraf2.apps.importers._rows import note_omission, require_equal
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
 from geraf2.io.scan_file import ScanFile, read_scan_file
@@ -211,7 +211,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     if not path.is_file():
         raise UserError(what="no such file", where=path)
     if path.suffix == ".json":
-        return _of_scan(read_scan_file(path), path)
+        return _log_of_scan(read_scan_file(path), path)
     table, names, files, notes = read_table(path)
     columns = find_columns(names, path)
     if not len(table):
@@ -224,14 +224,14 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     good = np.asarray(np.isfinite(used).all(axis=1))
     if not good.all():
         text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
-        left_out(text, keep_good, path, hint="--keep-good leaves them out")
+        note_omission(text, keep_good, path, hint="--keep-good leaves them out")
         notes.append(f"{path.name}: {text}; left out")
     if "time" in columns.of:
         times = np.where(good, columns.take(table, ("time",))[:, 0], -np.inf)
         back = good & (times <= np.concatenate([[-np.inf], np.maximum.accumulate(times)[:-1]]))
         if back.any():
             text = f"time stamps do not increase at {int(back.sum())} rows, first {rows[back][0]}"
-            left_out(text, keep_good, path, hint="--keep-good leaves these rows out")
+            note_omission(text, keep_good, path, hint="--keep-good leaves these rows out")
             notes.append(f"{path.name}: {text}; left out")
             good &= ~back
     if good.sum() < 1:
@@ -271,7 +271,7 @@ def _quaternions(columns: Columns, table: Floats, rows: Ints, path: Path) -> Flo
     return quaternions
 
 
-def _of_scan(scan: ScanFile, path: Path) -> RobotLog:
+def _log_of_scan(scan: ScanFile, path: Path) -> RobotLog:
     rows = scan.log_rows()
     return RobotLog(
         path=path,

@@ -22,8 +22,8 @@ from geraf2.apps.importers._ti_values import (
     TiConfig,
     Transmitters,
     bpm_mask,
+    count_ones,
     is_real_16,
-    ones,
     profile_values,
     require_count,
     to_number,
@@ -111,7 +111,7 @@ def _read_one(path: Path) -> TiConfig:
     )
 
 
-def _at(values: Any, keys: str, path: Path) -> Any:
+def _value_at(values: Any, keys: str, path: Path) -> Any:
     """Value at dotted keys of a JSON object; UserError names the first one that is missing."""
     for key in keys.split("."):
         if not isinstance(values, Mapping) or key not in values:
@@ -121,7 +121,7 @@ def _at(values: Any, keys: str, path: Path) -> Any:
 
 
 def _number(values: Any, keys: str, path: Path) -> float:
-    return to_number(_at(values, keys, path), keys, path)
+    return to_number(_value_at(values, keys, path), keys, path)
 
 
 def _optional(values: Any, keys: str, path: Path) -> float | None:
@@ -133,7 +133,7 @@ def _optional(values: Any, keys: str, path: Path) -> float | None:
 
 def _tables(values: Any, keys: str, inner: str, path: Path) -> list[Any]:
     """Objects `inner` of a list; entries without it are skipped."""
-    entries = _at(values, keys, path)
+    entries = _value_at(values, keys, path)
     if not isinstance(entries, list):
         raise UserError(what=f"key {keys!r} is no list", where=path)
     return [entry[inner] for entry in entries if isinstance(entry, Mapping) and inner in entry]
@@ -149,7 +149,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     if not isinstance(devices, list) or len(devices) != 1:
         got = len(devices) if isinstance(devices, list) else type(devices).__name__
         raise UserError(what="must describe one radar device", where=path, got=got)
-    rf, raw = _at(devices[0], "rfConfig", path), "rawDataCaptureConfig"
+    rf, raw = _value_at(devices[0], "rfConfig", path), "rawDataCaptureConfig"
     profiles = _tables(rf, "rlProfiles", "rlProfileCfg_t", path)
     if not profiles:
         raise UserError(what="has no rlProfileCfg_t", where=path)
@@ -161,7 +161,7 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
     own = [one for one in profiles if _optional(one, "profileId", path) in used]
     profile = (own or profiles)[0]
     table = [(*_span(c, path), int(_number(c, "txEnable", path))) for c in chirps]
-    first, last = _span(_at(rf, "rlFrameCfg_t", path), path)
+    first, last = _span(_value_at(rf, "rlFrameCfg_t", path), path)
     codes = _tables(rf, "rlBpmChirps", "rlBpmChirpCfg_t", path) if "rlBpmChirps" in rf else ()
     turned = [(*_span(c, path), bpm_mask(_number(c, "constBpmVal", path))) for c in codes]
     lanes = _optional(devices[0], f"{raw}.rlDevLaneEnable_t.laneEn", path)
@@ -179,12 +179,12 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         chirp_slope_hz_per_s=1e12 * _number(profile, "freqSlopeConst_MHz_usec", path),
         sample_rate_hz=1e3 * _number(profile, "digOutSampleRate", path),
         n_samples=int(_number(profile, "numAdcSamples", path)),
-        n_rx=None if rx_mask is None else ones(rx_mask),
+        n_rx=None if rx_mask is None else count_ones(rx_mask),
         transmitters=transmitters_of(table, first, last, path, turned) if table else None,
         n_chirps_per_frame=(last - first + 1) * int(_number(rf, "rlFrameCfg_t.numLoops", path)),
         n_frames=int(_number(rf, "rlFrameCfg_t.numFrames", path)) or None,
         frame_period_s=1e-3 * _number(rf, "rlFrameCfg_t.framePeriodicity_msec", path),
-        n_lanes=None if lanes is None else ones(lanes),
+        n_lanes=None if lanes is None else count_ones(lanes),
         is_real=is_real,
         interleaved=None if interleave is None else interleave == 0,
     )
@@ -262,7 +262,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
             )
     return TiConfig(
         **profile_values(profile, (1, 3, 7, 9, 10), TYPED),
-        n_rx=ones(channel[0]) if channel else None,
+        n_rx=count_ones(channel[0]) if channel else None,
         is_real=is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,

@@ -19,8 +19,8 @@ from geraf2.apps.importers._ti_values import (
     TYPED,
     TiConfig,
     bpm_mask,
+    count_ones,
     is_real_16,
-    ones,
     profile_values,
     require_count,
     to_number,
@@ -102,10 +102,10 @@ def read_log(text: str, path: Path) -> TiConfig:
     if "LVDSLaneConfig" in last:
         n_lanes = _mask(last["LVDSLaneConfig"].values[1:5]).bit_count()
     elif "LaneConfig" in last:
-        n_lanes = ones(last["LaneConfig"].values[0])
+        n_lanes = count_ones(last["LaneConfig"].values[0])
         n_lanes = n_lanes if n_lanes in (2, 4) else 0
     known |= {
-        "n_rx": ones(rx_mask) if rx_mask else None,
+        "n_rx": count_ones(rx_mask) if rx_mask else None,
         "n_lanes": n_lanes or None,
         "is_real": is_real_16(codes[0], codes[1], path) if codes else None,
     }

@@ -152,7 +152,7 @@ def profile_values(
     }
 
 
-def ones(mask: float) -> int:
+def count_ones(mask: float) -> int:
     """Count the bits of a mask."""
     return int(mask).bit_count()
 

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from geraf2._types import Floats
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import left_out
+from geraf2.apps.importers._rows import note_omission
 from geraf2.errors import UserError
 from geraf2.io.manifest import RasterManifest
 
@@ -73,7 +73,7 @@ def raster_track(
     if rest:
         text, hint = f"{n_frames} frames do not fill the raster", "--keep-good uses what there is"
         expected = f"a multiple of {n_rows} x {n_columns} = {n_rows * n_columns}"
-        notes.append(left_out(text, keep_good, where, expected=expected, hint=hint))
+        notes.append(note_omission(text, keep_good, where, expected=expected, hint=hint))
         per_position = max(per_position, 1)
     used = min(n_rows * n_columns, n_frames // per_position)
     row, column = np.divmod(np.arange(used), n_columns)
@@ -92,7 +92,7 @@ def raster_track(
     )
 
 
-def without_positions(track: Track, missing: Sequence[int]) -> Track:
+def remove_positions(track: Track, missing: Sequence[int]) -> Track:
     """Remove some positions from a track; UserError if none remains."""
     ranges = list(track.ranges)
     for position in missing:
@@ -116,7 +116,7 @@ def planes_of(track: Track) -> list[Track]:
     ]
 
 
-def divided_at_turns(track: Track, period_s: float) -> Track:
+def divide_at_turns(track: Track, period_s: float) -> Track:
     """Track whose planes are the stretches in which the board keeps its rotation.
 
     Frames during a turn are left out, unless the board turns all the time.
@@ -216,7 +216,7 @@ def log_track(
             notes.append(f"{n_frames - n_used} of {n_frames} frames lie between the lines")
     else:
         outside += _require_rows_between(frames, covered)
-        ranges, more = _without_jumps(frames, covered)
+        ranges, more = _remove_jumps(frames, covered)
         notes = [*log.notes, *notes, *outside, *more]
     times_s = np.asarray(start_time_s + frame_period_s * np.arange(n_frames))
     # Rounding may put the last frame after the last row.
@@ -275,7 +275,7 @@ def _covered_frames(frames: _Frames) -> tuple[Range, list[str]]:
         return covered, []
     text = f"{n_out} of {n_frames} frames lie outside the time stamps"
     hint = "--keep-good leaves them out"
-    left_out(text, frames.keep_good, frames.log.path, hint=hint, **spans)
+    note_omission(text, frames.keep_good, frames.log.path, hint=hint, **spans)
     return covered, [f"{n_out} of {n_frames} frames outside the time stamps were left out"]
 
 
@@ -315,7 +315,7 @@ def _frames_on_lines(frames: _Frames) -> tuple[tuple[int, ...], tuple[Range, ...
                 text = f"no frame was recorded on a line of plane {plane.name!r}"
                 wanted, got = f"{line.start_s:.6g} s", f"{frames.time_s(frames.n_frames - 1):.6g} s"
                 span = {"expected": wanted, "got": f"frames until {got}"}
-                left_out(text, frames.keep_good, frames.log.path, **span)
+                note_omission(text, frames.keep_good, frames.log.path, **span)
         starts += [own[0][0]] if own else []
         ranges += own
     return tuple(starts), tuple(ranges)
@@ -366,7 +366,7 @@ def _require_small_steps(log: RobotLog, used: int) -> None:
         )
 
 
-def _without_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], list[str]]:
+def _remove_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], list[str]]:
     """Ranges of frames outside the jumps and holes of the log, and a note."""
     log, rows_s = frames.log, frames.rows_s
     if len(rows_s) == 1:

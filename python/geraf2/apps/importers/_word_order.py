@@ -61,7 +61,7 @@ class WordOrder:
 def decode(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> NDArray[np.complex64]:
     """Complex samples of whole chirps, (n_chirps, n_rx, n_samples); see `decode_integers`."""
     if order.is_real:
-        return analytic(real_words(words, order, 2 * n_samples))
+        return analytic_signal(real_words(words, order, 2 * n_samples))
     return complex_samples(decode_integers(words, order, n_samples))
 
 
@@ -76,7 +76,7 @@ def real_words(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> ND
     return np.ascontiguousarray(chirps, dtype=np.float32)
 
 
-def analytic(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
+def analytic_signal(samples: NDArray[np.float32]) -> NDArray[np.complex64]:
     """Every other sample of the analytic signal, (..., n) -> (..., n / 2): half the rate."""
     half = samples.shape[-1] // 2
     spectrum = rfft(samples, axis=-1)

@@ -22,14 +22,14 @@ from geraf2.apps.importers._rows import require_equal
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.apps.importers._tracks import (
     Track,
-    divided_at_turns,
+    divide_at_turns,
     log_track,
     planes_of,
     raster_track,
-    without_positions,
+    remove_positions,
 )
 from geraf2.errors import UserError
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.io.manifest import RadarManifest
 from geraf2.records import RawPose, Samples
 
@@ -50,7 +50,7 @@ class Dca1000Importer:
         is_one = log.times_s is None or log.scan is not None or recording.n_positions is not None
 
         def divide(track: Track) -> Track:
-            return track if is_one or not period_s else divided_at_turns(track, period_s)
+            return track if is_one or not period_s else divide_at_turns(track, period_s)
 
         return scan_of("dca1000", recording, radar, options, log=log, divide=divide)
 
@@ -76,7 +76,7 @@ def scan_of(
     manifest, notes = scene_manifest(
         name,
         recording.source,
-        _of_complex(radar, per_complex),
+        _complex_radar(radar, per_complex),
         {
             "start_frequency_hz": config.first_sample_hz(),
             "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
@@ -94,7 +94,7 @@ def scan_of(
         center_hz=waveform.start_frequency_hz + half_sweep_s * waveform.chirp_slope_hz_per_s,
     )
     track = divide(_track(recording, radar, options, board, log))
-    tracks = planes_of(without_positions(track, recording.missing_positions))
+    tracks = planes_of(remove_positions(track, recording.missing_positions))
     per_position = recording.n_tx * evidence.order.n_rx
 
     def poses() -> Iterator[RawPose]:
@@ -117,7 +117,7 @@ def scan_of(
     )
 
 
-def _of_complex(radar: RadarManifest, per_complex: int) -> RadarManifest:
+def _complex_radar(radar: RadarManifest, per_complex: int) -> RadarManifest:
     """Parameters of the complex samples that those of the recording make."""
     rate, n_samples = radar.sample_rate_hz, radar.n_samples
     values = {
@@ -235,4 +235,4 @@ def _read_some(recording: Recording, track: Track, board: Board, n_antennas: int
         frames = recording.read_frames(first, first + n_frames)
         signal = np.asarray(frames.mean(axis=(0, 1)))[None]
         parts.append(_part(recording, track, board, axes, int(position), signal))
-    return joined(parts)
+    return join_parts(parts)

@@ -25,10 +25,10 @@ from geraf2.apps.importers._rows import wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import read_npy
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.io.manifest import RadarManifest, SceneManifest
 from geraf2.io.text import read_object
-from geraf2.io.toml import nearest
+from geraf2.io.toml import nearest_name
 from geraf2.records import RawPose
 
 ARRAY_NAMES = ("tpos", "rpos", "adcr", "adci", "rotation")
@@ -186,7 +186,7 @@ def _common_n_samples(frames: Sequence[Frame]) -> int:
 def read_group(group: Sequence[Frame]) -> RawPose:
     """Pose of frames that belong together."""
     parts = [_read_frame(frame) for frame in group]
-    return replace(joined(parts), name="+".join(part.name for part in parts))
+    return replace(join_parts(parts), name="+".join(part.name for part in parts))
 
 
 def _read_frame(frame: Frame) -> RawPose:
@@ -257,8 +257,8 @@ def _belong_together(group: Sequence[Frame], frame: Frame) -> bool:
         np.hstack([load(one, "tpos"), load(one, "rpos")]) / _SAME_POSITION_M
         for one in (*group, frame)
     ]
-    joined = np.round(np.concatenate(positions))
-    return len(np.unique(joined, axis=0)) == len(joined)
+    join_parts = np.round(np.concatenate(positions))
+    return len(np.unique(join_parts, axis=0)) == len(join_parts)
 
 
 def read_capture_json(source: Path) -> dict[str, Any]:
@@ -271,7 +271,7 @@ def read_capture_json(source: Path) -> dict[str, Any]:
             continue
         values = read_object(path)
         for key in values:  # misspelt ones; others belong to other programs
-            if key not in _KNOWN_KEYS and (meant := nearest(key, _KNOWN_KEYS)):
+            if key not in _KNOWN_KEYS and (meant := nearest_name(key, _KNOWN_KEYS)):
                 raise UserError(what=f"unknown key {key!r}{meant}", where=path)
         return values
     return {}

@@ -12,7 +12,7 @@ from geraf2.apps.importers import ImportOptions, Scan, load_importer
 from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.io.container import SceneReader, require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
-from geraf2.io.samples import complex_pose, conjugated_samples
+from geraf2.io.samples import complex_pose, conjugate_samples
 from geraf2.io.scene_writer import SceneWriter
 from geraf2.pipeline.events import Listener
 from geraf2.records import RawPose
@@ -117,7 +117,7 @@ def import_capture(
     if scan.thinned is None:
         sample = SignSample(scan.n_antennas)
         with listener.step("checking") as report:
-            summary = summarize(_sampled(scan, sample, report))
+            summary = summarize(_sample_poses(scan, sample, report))
         require_plausible(summary, source)
         some = sample.poses()
     else:
@@ -128,7 +128,7 @@ def import_capture(
         sign = replace(sign, is_forced=options.phase_sign is not None)
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
     with writer, listener.step("writing" if summary else "checking and writing") as report:
-        parts = _written(scan, writer, sign, report)
+        parts = _write_parts(scan, writer, sign, report)
         if summary is None:
             summary = summarize(parts)
         else:
@@ -153,7 +153,7 @@ def _may_be_same(scan: Scan, old: SceneReader) -> bool:
     return same_sizes and old.manifest.waveform == scan.manifest.waveform
 
 
-def _sampled(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
+def _sample_poses(scan: Scan, sample: SignSample, report: Progress) -> Iterator[RawPose]:
     """All parts; some of their antennas are added to the sample."""
     for number, part, done in scan_parts(scan):
         sample.add(number, part)
@@ -185,7 +185,7 @@ def _writer(scan: Scan, scene: Path, sign: PhaseSign, *, overwrite: bool) -> Sce
     )
 
 
-def _written(
+def _write_parts(
     scan: Scan, writer: SceneWriter, sign: PhaseSign, report: Progress
 ) -> Iterator[RawPose]:
     """All parts, each written by one thread while another reads the next."""
@@ -196,7 +196,7 @@ def _written(
             coming = readers.submit(next, parts, None)
             number, part, done = item
             if sign.is_positive:
-                part = replace(part, signal=conjugated_samples(part.signal))
+                part = replace(part, signal=conjugate_samples(part.signal))
             if writing is not None:
                 writing.result()
             writing = writers.submit(writer.append, part, n_antennas=scan.n_antennas[number])

@@ -27,7 +27,13 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
 from geraf2.apps.importers._recording import Recording, open_recording, read_positions
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import NpzRows, good_rows, left_out, require_equal, wrong_shape
+from geraf2.apps.importers._rows import (
+    NpzRows,
+    good_rows,
+    note_omission,
+    require_equal,
+    wrong_shape,
+)
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
@@ -203,14 +209,14 @@ def _check_frames(recording: Recording, options: ImportOptions) -> list[str]:
         return []
     text = f"{recording.source.name} holds {recording.n_frames} frames"
     hint = "--keep-good takes them"
-    left_out(text, options.keep_good, recording.source, expected=N_FRAMES, hint=hint)
+    note_omission(text, options.keep_good, recording.source, expected=N_FRAMES, hint=hint)
     return [f"{text} instead of {N_FRAMES}"]
 
 
 def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLog:
     """Positions of the transmitter, from the nearest antenna*.npz above the recording."""
     folder, found = source, list[Path]()
-    for folder in _upwards(recording.parent, source):
+    for folder in _folders_above(recording.parent, source):
         inside = folder.is_relative_to(source.resolve())
         found = sorted(folder.rglob("antenna*.npz") if inside else folder.glob("antenna*.npz"))
         if found:
@@ -235,7 +241,7 @@ def _robot_log(recording: Path, source: Path, options: ImportOptions) -> RobotLo
     )
 
 
-def _upwards(folder: Path, source: Path) -> Iterator[Path]:
+def _folders_above(folder: Path, source: Path) -> Iterator[Path]:
     """Folder and those above it, up to two levels above the source."""
     folder, source = folder.resolve(), source.resolve()
     outermost = source.parents[min(1, len(source.parents) - 1)]
@@ -253,7 +259,7 @@ def _positions(array: Array, where: Path, name: str) -> Floats:
 
 def _experiment_info(folder: Path, top: Path) -> dict[str, Any]:
     """Contents of the nearest experiment_info.json above; empty without one."""
-    paths = (parent / "experiment_info.json" for parent in _upwards(folder, top))
+    paths = (parent / "experiment_info.json" for parent in _folders_above(folder, top))
     path = next((path for path in paths if path.is_file()), None)
     return {} if path is None else read_object(path)
 

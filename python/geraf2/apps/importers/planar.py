@@ -24,7 +24,7 @@ import numpy as np
 
 from geraf2._types import Array, Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
-from geraf2.apps.importers._rows import left_out, require_equal, wrong_shape
+from geraf2.apps.importers._rows import note_omission, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY, NPY_MAGIC
@@ -123,7 +123,7 @@ def _read_scan(path: Path) -> _PlanarScan:
     (low,), (high,), (n_frequencies,), step, (depth,) = values
     if not (step > 0).all():
         raise UserError(what="steps must be positive", where=path, got=step)
-    data = _checked_samples(data, int(n_frequencies), path)
+    data = _check_samples(data, int(n_frequencies), path)
     what = "number of frequencies contradicts the samples"
     require_equal(what, path, f"{data.shape[-3]:g}", f"{n_frequencies:g}")
     if n_frequencies > 1 and not high > low:
@@ -140,7 +140,7 @@ def _read_scan(path: Path) -> _PlanarScan:
     )
 
 
-def _checked_samples(data: Array, n_frequencies: int, path: Path) -> Array:
+def _check_samples(data: Array, n_frequencies: int, path: Path) -> Array:
     """Check that the samples have one of the two layouts; a complex plane is one frequency."""
     if data.dtype.kind == "c" and data.ndim == 2 and n_frequencies == 1:
         data = data[None]
@@ -185,7 +185,7 @@ def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats |
     good = np.asarray(np.isfinite(table).all(axis=0))
     if not good.all():
         text = f"{int((~good).sum())} of {good.size} columns hold NaN"
-        left_out(text, options.keep_good, path, hint="--keep-good leaves them out")
+        note_omission(text, options.keep_good, path, hint="--keep-good leaves them out")
         notes.append(f"{path.name}: {text}; left out")
         table = table[:, good]
     frequencies, phases = table

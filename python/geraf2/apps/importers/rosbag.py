@@ -15,7 +15,7 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._bag import Bag, read_bag
 from geraf2.apps.importers._recording import Recording, open_recording
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
-from geraf2.apps.importers._tracks import divided_at_turns
+from geraf2.apps.importers._tracks import divide_at_turns
 from geraf2.apps.importers.dca1000 import scan_of
 from geraf2.calibration.clock_offset import (
     MAX_OFFSET_S,
@@ -80,7 +80,7 @@ class RosbagImporter:
             radar.model_copy(update={"raw": raw}),
             options,
             log=bag.log,
-            divide=lambda track: divided_at_turns(track, bag.period_s),
+            divide=lambda track: divide_at_turns(track, bag.period_s),
         )
 
 

@@ -14,7 +14,7 @@ from geraf2.apps.importers.import_capture import scan_parts
 from geraf2.apps.live.sources import NewPlane, Source
 from geraf2.calibration.phase_sign import find_phase_sign
 from geraf2.errors import UserError
-from geraf2.io.container import joined
+from geraf2.io.container import join_parts
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.ros import bag_files, is_finished_bag
 from geraf2.io.samples import complex_pose
@@ -92,7 +92,7 @@ class RecordingSource(Source):
         for number, parts in groupby(scan_parts(scan), key=lambda part: part[0]):
             pieces = [part for _, part, _ in parts]
             if self._n_done <= number < n_whole:
-                pose = self._pose(scan, number, joined(pieces))
+                pose = self._pose(scan, number, join_parts(pieces))
                 self._n_done += 1
                 yield NewPlane(name=str(number), pose=pose)
             if self._n_done == n_whole:

@@ -26,11 +26,11 @@ from geraf2.imaging.slabs import Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io.atomic import atomic_folder, write_bytes_atomic, write_text_atomic
 from geraf2.io.objects import (
-    absolute,
+    absolute_path,
     exists,
     is_file,
     is_remote,
-    listed,
+    list_files,
     local_folder,
     read_bytes,
     remove,
@@ -82,7 +82,7 @@ class SlabJob:
         """Slabs that are not done."""
         numbers = range(len(self.slabs))
         if is_remote(self.group):  # one question for all
-            there = listed(self.group)
+            there = list_files(self.group)
             return [n for n in numbers if str(self.chunk(n).relative_to(self.group)) not in there]
         return [n for n in numbers if not self.chunk(n).is_file()]
 
@@ -172,8 +172,8 @@ def slab_job(plan: ImagePlan, scene: Path, group: Path) -> SlabJob:
     """Paths and numbers of a plan, for workers."""
     largest = max(plan.imaged.pose_sizes, default=0) * plan.imaged.waveform.n_samples
     return SlabJob(
-        scene=absolute(scene),
-        group=absolute(group),
+        scene=absolute_path(scene),
+        group=absolute_path(group),
         slabs=plan.slabs,
         poses=tuple(plan.poses),
         angles_deg=plan.options.angles_deg,
@@ -254,7 +254,7 @@ def _new_group(path: Path) -> Iterator[Path]:
         with atomic_folder(path) as folder:
             yield folder
         return
-    for name in listed(path):
+    for name in list_files(path):
         remove(path / name)
     with local_folder(path) as folder:
         yield folder

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageOps
 
 from geraf2._types import Bools
-from geraf2.io.pictures import broken_picture, opened_picture
+from geraf2.io.pictures import broken_picture, open_picture
 
 _EIGHT_BITS = 255.0
 _ORIENTATION = 0x0112
@@ -33,7 +33,7 @@ def read_image(path: Path, size: tuple[int, int] | None = None) -> ReadImage:
     size: width and height of the picture that poses and intrinsics belong to. A stored picture of
         the other orientation is turned if its EXIF tag states so; else pixels stay as stored.
     """
-    with opened_picture(path) as stored:
+    with open_picture(path) as stored:
         try:
             stored.load()
             image = _turn_to_size(stored, size)
@@ -65,7 +65,7 @@ def read_mask(path: Path) -> Bools:
 
 def read_size(path: Path) -> tuple[int, int]:
     """Width and height of an image as stored; UserError as :func:`read_image`."""
-    with opened_picture(path) as image:
+    with open_picture(path) as image:
         return image.width, image.height
 
 
