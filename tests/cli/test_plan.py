@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 
 import geraf2
-from geraf2.apps.planning.next_plane import next_planes
-from geraf2.apps.planning.scan_time import Scanner
 from geraf2.cli.main import main
 from geraf2.io.scan_file import read_scan_file
 
@@ -94,7 +92,7 @@ def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, ca
         assert text in shown
 
 
-def test_a_plan_in_minutes_is_simulated_explained_and_continued(tmp_path, capsys):
+def test_a_plan_in_minutes_is_simulated_and_explained(tmp_path, capsys):
     scan, scene = tmp_path / "scan.json", tmp_path / "scene"
     arm = ["--channels", "8", "--speed-m-per-s", "0.1"]
     size = ["--aperture", "0.06", "0.06", "--spacing", "0.01", "--max-elevation-deg", "50"]
@@ -140,20 +138,3 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     # m/s; two turns of a minute.
     least = float(error.split("at least ")[1].split(" ")[0])
     assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)
-
-
-def test_planes_after_a_run_are_in_order_and_each_from_another_side(tmp_path, capsys):
-    run, out = geraf2.examples.small_run().path, tmp_path / "next.csv"
-    arguments = ["--channels", "8", "--max-elevation-deg", "0", "--out", str(out)]
-    assert main(["plan", "--after", str(run), *arguments]) == 0
-    assert "mean expected error" in capsys.readouterr().out
-    assert out.read_text().startswith("time_s,x_m,y_m,z_m,qw")
-    options = {"standoff_m": 0.4, "aperture_m": (0.14, 0.2), "spacing_m": 0.004}
-    planes = next_planes(run, Scanner(channels=8), **options, max_elevation_deg=20.0)
-    gains = [one.gain_m_per_minute for one in planes]
-    assert gains == sorted(gains, reverse=True)
-    assert gains[0] > 0.0
-    assert len({(one.azimuth_deg, one.elevation_deg) for one in planes}) == len(planes) == 3
-    inside = ["--box", "0.1", "0.1", "0.1", "--standoff", "0.0799"]
-    assert main(["plan", "--after", str(run), *inside]) == 2
-    assert "the plane would lie in the box" in capsys.readouterr().err

@@ -2,11 +2,9 @@
 
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 from annotated_types import Interval
 
 from geraf2._bounds import Arg
@@ -44,7 +42,7 @@ class Config(PriorSource, RecordingOptions):
     idle: Annotated[float, Interval(ge=0.1, le=1e6), Arg(metavar="SECONDS")] = 60.0
     """End when no plane came for this time, or when all came that SOURCE announces."""
     view: bool = False
-    """Show the surface in a browser while it grows, with the planes so far and the next one."""
+    """Show the surface in a browser while it grows, with the planes so far."""
     port: Annotated[int, Interval(ge=1, le=65535)] = 8080
     """Port of that page, on this machine alone."""
     radar: Path | None = None
@@ -66,7 +64,6 @@ def main(config: Config) -> int:
         report=not config.no_report,
     )
     with ExitStack() as stack:
-        page = None
         if config.view:
             page = LiveView([config.out], port=config.port, waits=True)
             stack.callback(page.stop)
@@ -79,7 +76,7 @@ def main(config: Config) -> int:
             config.preset,
             ending=ending,
             listener=CONSOLE,
-            on_plane=partial(_show, page),
+            on_plane=_show,
             num_threads=config.threads,
         )
     say(f"{found.n_planes} planes: {found.reason}")
@@ -90,13 +87,10 @@ def main(config: Config) -> int:
     return 0
 
 
-def _show(page: LiveView | None, report: PlaneReport) -> None:
+def _show(report: PlaneReport) -> None:
     if report.is_left_out:
         warn(report.problem)
         return
-    if page is not None:
-        corners = report.next_corners_m
-        page.next_plane_m = None if corners is None else np.array(corners)
     found = f"no surface yet: {report.problem}"
     if report.expected_error_mm is not None and report.seen_share is not None:
         found = (
@@ -105,7 +99,4 @@ def _show(page: LiveView | None, report: PlaneReport) -> None:
         )
     if report.stated_f1 is not None:
         found += "  F1 {:.2f} ({:.2f} to {:.2f})".format(*report.stated_f1)
-    if report.next_deg is not None and report.next_error_mm is not None:
-        azimuth, elevation = report.next_deg
-        found += f"  next {azimuth:.0f} degrees, {elevation:.0f} up"
     say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")

@@ -9,14 +9,12 @@ import numpy as np
 
 from geraf2._bounds import Arg
 from geraf2.apps.planning.expected import BOX_M, Expected
-from geraf2.apps.planning.next_plane import NextPlane
 from geraf2.apps.planning.planning import (
     LikeScene,
     PlanOptions,
     make_plan,
     make_plane,
     make_timed_plan,
-    plan_after,
     plan_like,
 )
 from geraf2.apps.planning.scan_time import TimedPlan
@@ -36,8 +34,7 @@ class Config(PlanOptions):
     """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
 
     With --depth in place of --box: a single plane at this distance from its object. With --minutes:
-    what is best in that time; --like explains a scan, --after proposes what to scan next. What is
-    not given is suggested.
+    what is best in that time; --like explains a scan. What is not given is suggested.
     """
 
     figure: Path | None = None
@@ -54,12 +51,12 @@ def main(config: Config) -> int:
         return _write_page(config, config.figure)
     if config.belt is not None:
         return show_belt(config.belt, config.box)
-    if any(one is not None for one in (config.minutes, config.like, config.after)):
+    if config.minutes is not None or config.like is not None:
         return _show_lines(config)
     if config.array is not None:
-        raise UserError(what="--array is swept by a plan of --minutes, --like or --after: give one")
+        raise UserError(what="--array is swept by a plan of --minutes or --like: give one")
     if config.out is not None:
-        raise UserError(what="--out writes what --minutes, --like or --after planned: give one")
+        raise UserError(what="--out writes what --minutes or --like planned: give one")
     if config.depth is not None:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
@@ -108,7 +105,7 @@ def main(config: Config) -> int:
 def _write_page(config: Config, path: Path) -> int:
     from geraf2.apps.planning.plan_page import write_plan_page  # noqa: PLC0415 - matplotlib takes 0.5 s
 
-    for name in ("like", "after", "depth", "out"):
+    for name in ("like", "depth", "out"):
         if getattr(config, name) is not None:
             raise UserError(what=f"--{name} has no page: --figure then ends in .png", got=path)
     require_file(path, (".html",))
@@ -121,11 +118,9 @@ def _show_lines(config: Config) -> int:
     if config.out is not None:
         require_file(config.out, (".json", ".csv"))
     if config.figure is not None:
-        raise UserError(what="--figure draws a plan of rings, without --minutes, --like or --after")
-    if sum(one is not None for one in (config.minutes, config.like, config.after)) > 1:
-        raise UserError(what="give one of --minutes, --like and --after", got="several")
-    if config.after is not None:
-        return _show_next(plan_after(config), config.out)
+        raise UserError(what="--figure draws a plan of rings, without --minutes or --like")
+    if config.minutes is not None and config.like is not None:
+        raise UserError(what="give either --minutes or --like", got="both")
     if config.like is not None:
         return _show_like(plan_like(config.like, config.scanner), config.out)
     return _show_timed(make_timed_plan(config), config)
@@ -161,23 +156,6 @@ def _show_like(like: LikeScene, out: Path | None) -> int:
         ]
     )
     return 0
-
-
-def _show_next(planes: list[NextPlane], out: Path | None) -> int:
-    best = planes[0]
-    error = ("mean expected error", f"{1e3 * best.error_m:.2f} mm")
-    rows([error, *map(_next_row, planes), *_written(best.scan, out)])
-    return 0
-
-
-def _next_row(one: NextPlane) -> tuple[str, str]:
-    width, height = 2e3 * one.plane.half_m
-    x, y, z = one.plane.middle_m
-    return (
-        f"{one.azimuth_deg:z.0f} degrees, {one.elevation_deg:z.0f} up",
-        f"{width:.0f} x {height:.0f} mm about ({x:z.3f}, {y:z.3f}, {z:z.3f}) m, "
-        f"{_duration(one.seconds)}: {1e3 * one.error_after_m:.2f} mm",
-    )
 
 
 def _reached(

@@ -28,7 +28,6 @@ _MAX_BOX_FACES = 4_000
 _MAX_GLINTS = 15_000
 _CONTENT_COLOUR, _BOX_COLOUR = "#b9c0c7", "#b08d57"  # of metal, of cardboard
 PART_COLOURS = ("#56B4E9", "#E69F00", "#009E73", "#CC79A7", "#F0E442", "#0072B2", "#D55E00")
-_NEXT_COLOUR = "#E69F00"
 _EVIDENCE_COLOURS = (RED, "#009E73", SKY)
 _N_COLOURS = 17  # of a scale; the view interpolates
 _BOX_OPACITY, _TRUTH_OPACITY, _PLANE_OPACITY = 0.2, 0.45, 0.6
@@ -282,13 +281,6 @@ def view_scene(
         scene["faces"] = _faces(around.faces)
     scene["volumes"] = [_volume(volume) for volume in around.volumes]
     return scene
-
-
-def plane_layer(label: str, corners_m: Floats) -> dict[str, Any]:
-    """Layer of a view for one plane of antennas, corners (4, 3) [m]."""
-    faces = np.array([[0, 1, 2], [0, 2, 3]])
-    mesh = TriangleMesh(vertices=np.asarray(corners_m, dtype=np.float64), faces=faces)
-    return _mesh(mesh, label, _NEXT_COLOUR, opacity=_PLANE_OPACITY, walls=True, edges=True)
 
 
 def scene_json(scene: dict[str, Any]) -> str:

@@ -208,13 +208,3 @@ def test_no_plane_is_an_error(capture, tmp_path):
     with pytest.raises(UserError, match="no plane came"):
         _followed(tmp_path / "scan", tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_after_each_plane_the_next_one_is_proposed(capture, tmp_path):
-    _growing(capture, tmp_path / "scene", capture.poses[:2])
-    _, reports = _followed(tmp_path / "scene", tmp_path / "out")
-    looking = -np.mean([pose.axes[0] for pose in capture.poses[:2]], axis=0)
-    seen_deg = np.rad2deg(np.arctan2(looking[1], looking[0]))
-    azimuth_deg, elevation_deg = reports[-1].next_deg
-    assert abs((azimuth_deg - seen_deg + 180.0) % 360.0 - 180.0) > 45.0 or elevation_deg > 45.0
-    assert 0.0 < reports[-1].next_error_mm < reports[-1].mean_error_mm

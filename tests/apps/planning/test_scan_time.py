@@ -16,6 +16,8 @@ from geraf2.apps.planning.scan_time import (
 )
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
+from geraf2.scene import Pose
+from geraf2.scene.aperture import Aperture
 
 BOX, STANDOFF_M, APERTURE_M, WAVELENGTH_M = (0.22, 0.22, 0.22), 0.4, (0.14, 0.25), 0.0038
 HALF = 0.5 * np.array(APERTURE_M)
@@ -122,3 +124,22 @@ def test_a_plane_is_a_line_lower_where_that_lets_another_one_in():
     assert len(plan.scan.planes[0].lines) == len(less.scan.planes[0].lines) - 1
     assert plan.seen_share > 1.1 * less.seen_share
     assert best(5).design.aperture_m == APERTURE_M
+
+
+def test_the_plane_of_a_pose_covers_its_phase_centres():
+    rng = np.random.default_rng(0)
+    beside = plane_at(0.0, 0.0, 0.4, HALF)
+    local = rng.uniform(-1, 1, (50, 2)) * HALF + [0.01, 0.02]
+    centers = beside.middle_m + local @ beside.axes[1:]
+    apart = np.array([0.0, 0.001, 0.0])
+    pose = Pose(
+        signal=np.zeros((50, 1), np.complex64),
+        tx_positions=centers + apart,
+        rx_positions=centers - apart,
+        axes=beside.axes,
+    )
+    plane = Aperture.of_pose(pose).right_handed()
+    assert plane.half_m == pytest.approx(0.5 * np.ptp(local, axis=0))
+    assert plane.axes == pytest.approx(beside.axes)
+    inside = np.abs((centers - plane.middle_m) @ plane.axes[1:].T) <= plane.half_m + 1e-12
+    assert inside.all()

@@ -8,15 +8,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
-import numpy as np
-
 from geraf2.apps.importers import RecordingOptions
 from geraf2.apps.live.opening import open_source
 from geraf2.apps.live.session import Session, samples_digest
 from geraf2.apps.live.sources import NewPlane, Source
 from geraf2.apps.live.target import Target
-from geraf2.apps.planning.next_plane import NextPlane, next_planes
-from geraf2.apps.planning.scan_time import Scanner
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
 from geraf2.pipeline.events import Listener
@@ -24,7 +20,6 @@ from geraf2.pipeline.presets import PresetConfig
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene import Capture
-from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding
 from geraf2.surfaces.stated_score import stated_f1
 
@@ -53,14 +48,6 @@ class PlaneReport:
     stated_f1: tuple[float, float, float] | None = None
     """F1 at 5 mm that the surface is stated to have: median and ends of the 90 % interval; None
     without a box in sight."""
-    mean_error_mm: float | None = None
-    """Mean expected error of the surface [mm]."""
-    next_deg: tuple[float, float] | None = None
-    """Azimuth and elevation of the plane that would lower it most [degrees]."""
-    next_error_mm: float | None = None
-    """Mean expected error with that plane [mm]."""
-    next_corners_m: list[list[float]] | None = None
-    """Corners of that plane, (4, 3) [m]."""
     problem: str = ""
     """Why the plane was left out, or there is no surface yet."""
     is_left_out: bool = False
@@ -225,38 +212,7 @@ def _surface(session: Session) -> dict[str, Any]:
     if session.has_box:
         score = stated_f1(session.result.content_mesh)
         found["stated_f1"] = tuple(round(x, 4) for x in (score.median, *score.interval))
-    best = proposed_plane(session)
-    if best is None:
-        return found
-    return found | {
-        "mean_error_mm": round(1e3 * best.error_m, 3),
-        "next_deg": (best.azimuth_deg, best.elevation_deg),
-        "next_error_mm": round(1e3 * best.error_after_m, 3),
-        "next_corners_m": np.round(best.plane.corners_m, 4).tolist(),
-    }
-
-
-def proposed_plane(session: Session) -> NextPlane | None:
-    """Plane like those of the session that lowers the mean expected error most; None if none can.
-
-    It takes 0.3 s of a core.
-    """
-    planes = [Aperture.from_pose(pose) for pose in session.capture.poses]
-    center = np.asarray(session.result.prior.center_m)
-    half = np.median([plane.half_m for plane in planes], axis=0)
-    n_antennas = np.median(session.capture.pose_sizes)
-    try:
-        return next_planes(
-            session.path,
-            Scanner(),
-            standoff_m=float(np.median([np.linalg.norm(p.middle_m - center) for p in planes])),
-            aperture_m=(2.0 * float(half[0]), 2.0 * float(half[1])),
-            spacing_m=float(np.sqrt(4.0 * half.prod() / n_antennas)),
-            n_best=1,
-            shapes=((1.0, 1.0),),
-        )[0]
-    except UserError:  # the planes are too near to the box, or too narrow
-        return None
+    return found
 
 
 class _Once(Listener):

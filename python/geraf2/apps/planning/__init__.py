@@ -1,1 +1,1 @@
-"""Plan of a scan before it is made: spacing, planes, time, coverage, the next plane."""
+"""Plan of a scan before it is made: spacing, planes, time, and coverage."""

@@ -9,7 +9,6 @@ from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
 from geraf2.apps.planning.expected import Expected, expected_of
-from geraf2.apps.planning.next_plane import NextPlane, next_planes
 from geraf2.apps.planning.scan_time import (
     COARSEST,
     Order,
@@ -23,7 +22,6 @@ from geraf2.freespace.specular import seen_share
 from geraf2.io.manifest import AntennaManifest, RadarManifest
 from geraf2.io.scan_file import ScanFile, SweptArray
 from geraf2.io.toml import read_toml
-from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene import Waveform
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.arrays import ARRAYS, find_array
@@ -78,8 +76,8 @@ class PlanOptions(Bounded):
     """TOML file with the chirp, as for `geraf2 import`; the positions of its antennas, where it
     gives them, are the array that is swept."""
     preset: Preset | None = None
-    """Or the chirp of a known radar; awr1843 when neither is given. With --minutes or --after its
-    board is swept, too, where its antennas are known."""
+    """Or the chirp of a known radar; awr1843 when neither is given. With --minutes its board
+    is swept, too, where its antennas are known."""
     standoff: PlanM | None = None
     """Planes to the turntable's axis [m]."""
     aperture: Annotated[tuple[PlanM, PlanM] | None, Arg(metavar="W H")] = None
@@ -114,8 +112,6 @@ class PlanOptions(Bounded):
     """From one plane to the next: turning the table, or moving the arm [s]."""
     max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
     """What the arm reaches: below 90 no plane lies above the box [degrees]."""
-    after: Path | None = None
-    """Run folder: propose the plane that reduces its expected error most per minute."""
     out: Path | None = None
     """Scan file to write: .json for `geraf2 simulate` and `import`, .csv for a robot."""
 
@@ -168,21 +164,19 @@ def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
     return SweptArray(tx_offsets_m=tx, rx_offsets_m=rx, order=order)
 
 
-def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan | list[NextPlane]:
+def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
     """Plan a scan; what is not given is suggested.
 
     options: box or depth [m], and what is known of radar and scanner.
 
-    Returns a plan of rings; of a single plane with `depth`; of planes with lines within `minutes`;
-    or planes to scan next `after` a run, the best first. Raises UserError for settings that do not
-    go together, or a plan that no scanner reaches.
+    Returns a plan of rings; of a single plane with `depth`; or of planes with lines within
+    `minutes`. Raises UserError for settings that do not go together, or a plan that no scanner
+    reaches.
 
     >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22)))
     >>> rings.n_planes, rings.spacing_m  # [m]
     (36, 0.0033)
     """
-    if options.after is not None:
-        return plan_after(options)
     if options.minutes is not None:
         return make_timed_plan(options)
     return make_plan(options) if options.depth is None else make_plane(options)
@@ -205,21 +199,6 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
         wavelength_m=plan.waveform.center_wavelength_m,
         max_elevation_deg=options.max_elevation_deg,
         spacing_m=options.spacing,
-    )
-
-
-def plan_after(options: PlanOptions) -> list[NextPlane]:
-    """Propose planes after the run of `after`, the best first."""
-    assert options.after is not None
-    box = options.box or load_run(options.after).prior.size_m
-    plan = make_plan(replace(options, box=box, planes=1))
-    return next_planes(
-        options.after,
-        options.scanner,
-        standoff_m=plan.standoff_m,
-        aperture_m=plan.aperture_m,
-        spacing_m=plan.spacing_m,
-        max_elevation_deg=options.max_elevation_deg,
     )
 
 

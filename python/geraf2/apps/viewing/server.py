@@ -12,7 +12,6 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.io.container import RADAR_NAME, is_scene
 from geraf2.io.mesh import TriangleMesh
@@ -24,7 +23,6 @@ from geraf2.report.view3d import (
     NOTHING,
     Around,
     Other,
-    plane_layer,
     scene_json,
     view_scene,
 )
@@ -63,8 +61,6 @@ class LiveView:
         waits: bool = False,
     ) -> None:
         self._paths, self.host, self._waits = tuple(paths), host, waits
-        self.next_plane_m: Floats | None = None
-        """Corners of the plane to be scanned next, which is shown, (4, 3) [m]."""
         if not waits:
             page(self._paths)
         require_free(host, port)
@@ -92,7 +88,7 @@ class LiveView:
         self._server.server_close()
 
     def _handler(self) -> type[BaseHTTPRequestHandler]:
-        paths, host, waits, view = self._paths, self.host, self._waits, self
+        paths, host, waits = self._paths, self.host, self._waits
 
         class Handler(BaseHTTPRequestHandler):
             def do_GET(self) -> None:
@@ -106,7 +102,7 @@ class LiveView:
                     status, text = HTTPStatus.NOT_FOUND, "no such page\n"
                 else:
                     try:
-                        text = page(paths, view.next_plane_m, needs_surface=waits)
+                        text = page(paths, needs_surface=waits)
                         kind = "text/html"
                     except (UserError, OSError) as error:  # as one that is being written
                         status, text = HTTPStatus.SERVICE_UNAVAILABLE, f"{error}\n"
@@ -139,20 +135,17 @@ def _changed(file: Path) -> str:
         return "-"
 
 
-def page(
-    paths: Sequence[Path | str], next_plane_m: Floats | None = None, *, needs_surface: bool = False
-) -> str:
+def page(paths: Sequence[Path | str], *, needs_surface: bool = False) -> str:
     """HTML page of runs or scenes side by side, which follows their files.
 
-    next_plane_m: corners of the plane to be scanned next, (4, 3) [m].
-    needs_surface: raise UserError for a run without one, as between two updates.
+    needs_surface: of a scan in progress, whose planes are shown; raise UserError for a run without
+    a surface, as between two updates.
     """
     files = version(paths)
     scenes = [scene_of(path) for path in paths]
     if needs_surface and not scenes[0]["meshes"][0]["indices"]["data"]:
         raise UserError(what="has no surface yet", where=paths[0])
-    if next_plane_m is not None:
-        scenes[0]["meshes"].append(plane_layer("next plane", next_plane_m))
+    if needs_surface:
         scenes[0].get("planes", {})["visible"] = True
     return html.render_template(
         "view_page.html",
