@@ -1,18 +1,13 @@
-"""Scans that grow: stated against achieved F1, when to stop, and the end against `reconstruct`.
+"""Scans that grow: time of an update, F1 after each plane, and the end against `reconstruct`.
 
     python bench/python/live.py run ROWS SCENE... [--preset fast] [--every 1] [--whole]
-    python bench/python/live.py fit ROWS
     python bench/python/live.py check ROWS
 
 `run` adds the planes of each scene (a folder with truth.ply) to a session, evenly around the box,
 and appends a line for every N-th to the file ROWS; scenes that are there are left out. With
 `--whole`, the last line of a scene compares the end with `reconstruct`, of the planes as they were
-added and in the order of the scan. `fit` estimates sigma of surfaces/stated_score.py: log s is the
-factor of all expected errors at which the stated share is the score. Of its absolute value the
-68 % quantile is taken, which no lost scan rules; every scene has the same weight. `check` states
-how often the interval holds the score, what a stop at a target reaches, with how many planes more
-than the first scan that reaches it, and the time of an update in the first and the last quarter of
-the planes.
+added and in the order of the scan. `check` states these, and the time of an update in the first and
+the last quarter of the planes.
 """
 
 import argparse
@@ -23,19 +18,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy.special import ndtri
 
 import geraf2
-from geraf2.apps.live.target import SURE
 from geraf2.errors import UserError
 from geraf2.evaluation.mesh_metrics import evaluate_mesh
 from geraf2.io.mesh import read_mesh
-from geraf2.surfaces.stated_score import SIGMA, stated_f1
 
 TAU_M = 0.005
-# Quantiles of a normal distribution: half width of the 90 % interval, and of a sure target.
-NINETY, SURELY = float(ndtri(0.95)), float(ndtri(SURE))
-TARGETS = (0.90, 0.95)
 
 
 def even_order(n: int) -> list[int]:
@@ -74,15 +63,10 @@ def run(rows: Path, scene: Path, preset: str, every: int, is_whole: bool) -> Non
                 write(plane=number, error=str(error))
                 continue
             seconds, cpu = time.perf_counter() - start[0], time.process_time() - start[1]
-            f1, stated = f1_of(mesh, truth), stated_f1(mesh)
             write(
                 plane=number,
                 n_planes=len(order),
-                has_box=session.has_box,
-                f1=f1,
-                stated=stated.median,
-                log_scale=stated.log_scale(f1),
-                target_log_scales=[stated.log_scale(target) for target in TARGETS],
+                f1=f1_of(mesh, truth),
                 seen=session.result.numbers["mesh"]["evidence_shares"]["seen"],
                 error_mm=session.result.numbers["mesh"]["expected_error_median_mm"],
                 seconds=round(seconds, 2),
@@ -109,47 +93,13 @@ def read(rows: Path) -> tuple[dict[str, list[dict]], list[dict]]:
         row = json.loads(line)
         if "end" in row:
             ends.append(row)
-        elif "f1" in row and row["has_box"]:  # else no score is stated
+        elif "f1" in row:
             growing[row["scene"]].append(row)
     return growing, ends
 
 
-def fit(rows: Path) -> None:
-    growing, _ = read(rows)
-    lines = [row | {"weight": 1.0 / len(own)} for own in growing.values() for row in own]
-    scale, weight = (np.array([line[k] for line in lines]) for k in ("log_scale", "weight"))
-    order = np.argsort(np.abs(scale))
-    below = np.cumsum(weight[order]) / weight.sum()
-    sigma = np.abs(scale)[order][below.searchsorted(0.683)]
-    print(f"{len(growing)} scenes, {len(lines)} surfaces")
-    print(f"log s: mean {weight @ scale / weight.sum():+.3f}, 68 % within {sigma:.3f}")
-
-
 def check(rows: Path) -> None:
     growing, ends = read(rows)
-    inside, off = [], []
-    for own in growing.values():
-        for row in own:
-            inside.append(abs(row["log_scale"]) <= NINETY * SIGMA)
-            off.append(row["stated"] - row["f1"])
-    print(f"90 % interval holds {np.mean(inside):.3f} of {len(inside)} surfaces")
-    print(f"mean of stated less achieved {np.mean(off):+.3f}, rms {np.std(off):.3f}")
-    for name, own in growing.items():
-        held = np.mean([abs(row["log_scale"]) <= NINETY * SIGMA for row in own])
-        print(f"  {name}: {held:.2f} of {len(own)}")
-    for number, target in enumerate(TARGETS):
-        stops, reached, ratios = 0, 0, []
-        for own in growing.values():
-            sure = (row["target_log_scales"][number] >= SURELY * SIGMA for row in own)
-            stop = next((row for row, met in zip(own, sure, strict=True) if met), None)
-            first = next((r for r in own if r["f1"] >= target), None)
-            if stop is not None:
-                stops += 1
-                reached += stop["f1"] >= target
-                if first is not None:
-                    ratios.append(stop["plane"] / first["plane"])
-        ratio = f"{np.median(ratios):.2f} (largest {max(ratios):.2f})" if ratios else "none"
-        print(f"target {target}: stopped {stops} of {len(growing)}, reached {reached}, {ratio}")
     for row in (row for row in ends if row["end"] is not None):
         f1 = ", ".join(f"{name} {row[name]:.4f}" for name in ("end", "whole", "in_scan_order"))
         print(f"{row['scene']}: {f1}, glints {row['n_glints']}")
@@ -168,7 +118,7 @@ def check(rows: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("what", choices=("run", "fit", "check"))
+    parser.add_argument("what", choices=("run", "check"))
     parser.add_argument("rows", type=Path)
     parser.add_argument("scenes", type=Path, nargs="*")
     parser.add_argument("--preset", default="fast")
@@ -181,7 +131,7 @@ def main() -> None:
             if f'"scene": "{scene.name}", "preset": "{given.preset}"' not in known:
                 run(given.rows, scene, given.preset, given.every, given.whole)
     else:
-        {"fit": fit, "check": check}[given.what](given.rows)
+        check(given.rows)
 
 
 if __name__ == "__main__":

@@ -31,7 +31,6 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
     shown = capsys.readouterr()
     lines = re.findall(
         r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %  "
-        r"F1 0\.\d\d \(0\.\d\d to 0\.\d\d\)  "
         r"[\d.]+ s$",
         shown.out,
         flags=re.MULTILINE,

@@ -37,8 +37,7 @@ class Config(PriorSource, RecordingOptions):
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best or fast."""
     until: Annotated[str | None, Arg(metavar="TARGET")] = None
-    """End when the surface is stated to be as good: "expected 1 mm over 90 %" of the area, or "F1 5
-    mm 0.95" with a probability of 0.9."""
+    """End when the surface is expected to be as good: "expected 1 mm over 90 %" of the area."""
     idle: Annotated[float, Interval(ge=0.1, le=1e6), Arg(metavar="SECONDS")] = 60.0
     """End when no plane came for this time, or when all came that SOURCE announces."""
     view: bool = False
@@ -97,6 +96,4 @@ def _show(report: PlaneReport) -> None:
             f"expected error {report.expected_error_mm:.2f} mm  "
             f"seen {100 * report.seen_share:.0f} %"
         )
-    if report.stated_f1 is not None:
-        found += "  F1 {:.2f} ({:.2f} to {:.2f})".format(*report.stated_f1)
     say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")

@@ -21,7 +21,6 @@ from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.scene import Capture
 from geraf2.scene.checks import Finding
-from geraf2.surfaces.stated_score import stated_f1
 
 PLANE_EVENT = "plane"
 """Event of log.jsonl for each plane."""
@@ -45,9 +44,6 @@ class PlaneReport:
     """Not exceeded on half of the area [mm]; None without a surface."""
     seen_share: float | None = None
     """Share of the area that an echo came from."""
-    stated_f1: tuple[float, float, float] | None = None
-    """F1 at 5 mm that the surface is stated to have: median and ends of the 90 % interval; None
-    without a box in sight."""
     problem: str = ""
     """Why the plane was left out, or there is no surface yet."""
     is_left_out: bool = False
@@ -62,7 +58,7 @@ class LiveOptions:
     recording: RecordingOptions | None = None
     """Positions, topics and clock of a recording."""
     until: Target | None = None
-    """End when the surface is stated to be as good."""
+    """End when the surface is expected to be as good."""
     idle_s: float = 60.0
     """End when no plane came for this time [s]."""
     report: bool = True
@@ -205,14 +201,10 @@ def _surface(session: Session) -> dict[str, Any]:
         numbers = session.result.numbers["mesh"]
     except UserError as error:
         return {"problem": str(error)}
-    found = {
+    return {
         "expected_error_mm": numbers["expected_error_median_mm"],
         "seen_share": numbers["evidence_shares"]["seen"],
     }
-    if session.has_box:
-        score = stated_f1(session.result.content_mesh)
-        found["stated_f1"] = tuple(round(x, 4) for x in (score.median, *score.interval))
-    return found
 
 
 class _Once(Listener):

@@ -147,7 +147,6 @@ class Session:
         self._last_s = -np.inf
         self._peaks: KeptPeaks | None = None
         self._settled: _Settled | None = None
-        self._box: BoxCheck | None = None
         self._result: Reconstruction | None = None
         self._about = replace(about, poses=())
         if len(self._scene):
@@ -233,25 +232,18 @@ class Session:
         return self._result
 
     def done(self, target: Target | str) -> bool:
-        """Whether the surface is stated to be as good as this.
+        """Whether the surface is expected to be as good as this.
 
-        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area;
-        or "F1 5 mm 0.95": such a score with a probability of at least 0.9.
+        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
 
-        False without a surface, and for a score as long as no box is seen. Raises UserError for
-        another text.
+        False without a surface. Raises UserError for another text.
         """
         wanted = Target.of(target)
         try:
             result = self.result
         except UserError:
             return False
-        return (wanted.error_m is not None or self.has_box) and wanted.is_met(result)
-
-    @property
-    def has_box(self) -> bool:
-        """Whether a box was given or is seen; else walls may be part of the content."""
-        return self._box is None or self._box.found is not None or not self._box.is_new
+        return wanted.is_met(result)
 
     def finish(self, *, report: bool = False) -> Reconstruction:
         """Reconstruct the whole scan, as `geraf2.reconstruct` does of the folder `scene`.
@@ -260,10 +252,8 @@ class Session:
         """
         self._require_planes()
         self._run.scene_digest = self._scene_digest()
-        request = self._request()
-        self._box = request.box
         with self._run.replace_whole(grows=True) as new:
-            run_request(request, new, peaks=self._peaks, report=report)
+            run_request(self._request(), new, peaks=self._peaks, report=report)
         self._settled = None
         self._result = Reconstruction(self._run)
         return self._result
@@ -346,7 +336,6 @@ class Session:
     def _estimated(self) -> _Settled:
         """Surface with box and corrections estimated from all planes so far."""
         request, options = self._request(), self._record.options
-        self._box = request.box
         corrections = Corrections()
         with self._run.replace_whole(grows=True) as new, log_run(new, resume=False):
             job, name = start_job(request, new, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
