@@ -1,4 +1,4 @@
-"""The box or tube around the content, from a scan alone."""
+"""The box around the content, from a scan alone."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import Bools, Floats, Ints
+from geraf2._types import Floats, Ints
 from geraf2.calibration.box_edges import (
     SQUARE_COSINE,
     content_reach,
@@ -30,26 +30,23 @@ from geraf2.calibration.box_search import (
 )
 from geraf2.calibration.found_box import (
     SKEW_RAD,
-    FoundBody,
     FoundBox,
-    FoundTube,
+    NoCuboidError,
     Seen,
     WallsNotFoundError,
     face_names,
 )
 from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
-from geraf2.calibration.tube_search import TubeFit, find_tube
-from geraf2.calibration.wall_alignment import AlignmentConfig, Group, WallProblem
+from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
 from geraf2.calibration.wall_faces import N_MODES
-from geraf2.calibration.wall_search import find_walls
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.ops._threads import limit_blas_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, summarize_capture
 
-BOX_VERSION = 7
+BOX_VERSION = 8
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, min_echoes=3)
@@ -66,9 +63,9 @@ _LEAKAGE_DB = -25.0
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
-# Expected displacement of the rim of a wall of any angle [m]; least deviation of four walls from a
-# cuboid, in their errors: 1 of 10,000 exceed it by chance.
-_TILT_M, _CONTRADICTION = 0.02, 5.0
+# Least number of sub-apertures with walls that are no cuboid's, and least share of those with its
+# walls: four overlap, and three count.
+_MIN_BESIDE, _BESIDE_SHARE = 12, 0.5
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 MIN_CONTENT = 0.02
@@ -83,17 +80,17 @@ def find_box(
     summary: CaptureSummary | None = None,
     num_threads: int | None = None,
 ) -> FoundBox:
-    """Find the box, or the upright tube, around the content from the scan alone.
+    """Find the box around the content from the scan alone: a cuboid at any yaw.
 
     capture: the scan. Its instrument delay must be known to a centimetre.
     expected: a cuboid whose orientation is preferred if the scan allows several.
     summary: of the capture, if already computed.
     num_threads: all cores when None.
 
-    Returns the cuboid, or a FoundBody or FoundTube, in the capture's frame [m]. Faces that no
-    antenna sees at a right angle have an interval. Without any bound but the seen walls, they get a
-    margin.
-    Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them.
+    Returns the cuboid in the capture's frame [m]. Faces that no antenna sees at a right angle have
+    an interval. Without any bound but the seen walls, they get a margin.
+    Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them, and
+    NoCuboidError if they are those of another shape.
 
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
@@ -109,7 +106,7 @@ def find_box(
     capture = _shifted(capture, -focus)
     peaks = scene_peaks(np.zeros(3), reach, num_threads)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    tries, leakage_db = _initial_boxes(capture, peaks, reach, like)
+    tries, leakage_db, flashes = _initial_boxes(capture, peaks, reach, like)
     if leakage_db > _LEAKAGE_DB:
         first = next(tries)
         leakage = find_leakage(capture, first[0].prior, peaks)
@@ -117,34 +114,36 @@ def find_box(
             tries = chain([first], tries)
         else:
             capture = without_leakage(capture, leakage)
-            tries, _ = _initial_boxes(capture, peaks, reach, like)
+            tries, _, flashes = _initial_boxes(capture, peaks, reach, like)
     reasons = list[WallsNotFoundError]()
-    for box, seen in tries:
+    for start, seen in tries:
         try:
-            return _finished(capture, box, _Known(peaks, seen)).moved(focus)
+            box = _finished(capture, start, _Known(peaks, seen))
         except WallsNotFoundError as error:
             reasons.append(error)
+            continue
+        if not (box.seen[:2] == Seen.SQUARELY).any(axis=1).all():
+            _require_cuboid(flashes, box.normals.reshape(6, 3))
+        return box.moved(focus)
+    _require_cuboid(flashes, np.outer([-1.0, 1.0], upward(capture)))
     raise reasons[0]
 
 
+def _require_cuboid(flashes: Flashes, sides: Floats) -> None:
+    """Raise NoCuboidError where walls stand beside a cuboid's sides. sides: normals, (n, 3)."""
+    along, beside = flashes.walls_beside(sides)
+    if beside >= max(_MIN_BESIDE, _BESIDE_SHARE * along):
+        raise NoCuboidError
+
+
 def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
-    """Box after the fit, with bounds for its unseen faces; a tube is fitted already."""
-    is_tube = isinstance(box, FoundTube)
+    """Box after the fit, with bounds for its unseen faces."""
     if not box.size_m.min() > MIN_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
-    if not is_tube:
-        box = _refined(capture, box, peaks)
-    if isinstance(box, FoundBody):
-        # Flashes at a wall's rim have another direction: which these are follows from the edges.
-        sure = box.seen == Seen.SQUARELY
-        box = _refined(capture, _bounded(capture, box, peaks.known), peaks, sure)
-    if isinstance(box, FoundBody) and box.contradiction() < _CONTRADICTION:
-        raise WallsNotFoundError(seen="walls at right angles")
+    box = _refined(capture, box, peaks)
     if 0 < (box.seen == Seen.SQUARELY).sum() < _MIN_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
     box = replace(box, content_share=_content_share(box, peaks.known))
-    if is_tube and box.content_share <= MIN_CONTENT:
-        raise WallsNotFoundError(seen="a tube that holds nothing, which may be content")
     return _bounded(capture, box, peaks.known)
 
 
@@ -155,10 +154,10 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
 
 def _initial_boxes(
     capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
-    """Boxes before the fit with corrected peaks, and the leakage's level relative to walls [dB].
+) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float, Flashes]:
+    """Find boxes before the fit with corrected peaks.
 
-    A tube, or walls at any angles, are the first of them if they have more flashes than any cuboid.
+    Returns them, the leakage's level relative to walls [dB], and the flashes.
     """
     found = peaks.of(capture)
     leaks = leaking(capture, found, reach_m)
@@ -171,42 +170,20 @@ def _initial_boxes(
     flashes = Flashes.of(capture, kept, lobes, index)
     up = upward(capture)
     found_faces = rough_faces(flashes, up, reach_m, capture.waveform, like)
-    first, tube = next(found_faces), find_tube(flashes, up, reach_m)
-    walls = find_walls(flashes, up, reach_m, capture.waveform)
-    if walls is not None and walls.score <= first.score:
-        walls = None
-    if tube is not None and tube.score <= max(first.score, walls.score if walls else 0.0):
-        tube = None
-    if tube is None and walls is None and np.isnan(first.offsets_m).all():
+    first = next(found_faces)
+    if np.isnan(first.offsets_m).all():
+        _require_cuboid(flashes, np.outer([-1.0, 1.0], up))
         raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
 
     def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
-        if tube is not None:
-            yield _tube(tube), kept
-        for rough in chain([walls] if walls else [], [first], found_faces):
+        for rough in chain([first], found_faces):
             if not np.isnan(rough.offsets_m).all():
                 corrected = explained(kept, lobes, index, flashes, rough)
                 yield _initial_box(rough, corrected), corrected
 
     leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
     level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
-    return boxes(), level_db
-
-
-def _tube(fit: TubeFit) -> FoundTube:
-    """Tube whose ends lie its radius from the origin, until they are bounded."""
-    seen = np.array([[Seen.SQUARELY] * 2, [Seen.SQUARELY] * 2, [Seen.NOT] * 2], dtype=np.int64)
-    across = fit.axes[:2] @ fit.center_m
-    offsets = np.full((3, 2), fit.radius_m)
-    offsets[:2] += np.stack([-across, across], axis=1)
-    return FoundTube(
-        axes=fit.axes,
-        turn_sigma_rad=np.full(3, _ANY_YAW_RAD),
-        offsets_m=offsets,
-        sigmas_m=np.where(seen == Seen.SQUARELY, np.sqrt(2.0) * fit.radius_sigma_m, np.inf),
-        bounds_m=np.zeros((3, 2, 2)),
-        seen=seen,
-    )
+    return boxes(), level_db, flashes
 
 
 def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
@@ -225,18 +202,13 @@ def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
     for k, side in np.argwhere(unseen):
         foot = flash_reach(peaks, rough.normals, rough.offsets_m, ~unseen, (k, side))
         offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
-    box = FoundBox(
+    return FoundBox(
         axes=rough.axes,
         turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
         offsets_m=offsets,
         sigmas_m=np.where(unseen, np.inf, _ROUGH.wall_sigma_m),
         bounds_m=np.zeros((3, 2, 2)),
         seen=np.where(unseen, Seen.NOT, Seen.SQUARELY).astype(np.int64),
-    )
-    if np.array_equal(rough.normals, box.normals):
-        return box
-    return FoundBody(
-        **vars(box), planes=rough.normals, angle_sigmas_rad=np.full((3, 2, 2), _ANY_YAW_RAD)
     )
 
 
@@ -252,53 +224,31 @@ class _Known(KeptPeaks):
         return self.known
 
 
-def _refined(
-    capture: Capture, box: FoundBox, peaks: KeptPeaks, sure: Bools | None = None
-) -> FoundBox:
-    """Box after one joint estimate of delay, orientation and each wall's distance.
-
-    sure: faces that are known to be seen squarely, and stay where they are without echoes, (3, 2).
-    """
+def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
+    """Box after one joint estimate of delay, orientation and each wall's distance."""
     try:
         problem = WallProblem(capture, box.prior, _ROUGH, peaks, at_middles=True)
     except UserError as error:
         raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
-    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, :3]
-    is_body = isinstance(box, FoundBody)
-    if is_body:
-        problem.sigmas[shapes[:, 1:]] = _TILT_M
-    groups: tuple[Group, ...] = ("delay",) if is_body else ("delay", "frame")
-    fit = problem.fit(groups)
+    shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]
+    fit = problem.fit(("delay", "frame"))
     found, echoes = problem.result(fit), problem.walls_of(fit.values, 1.0)
     turn = found.prior_to_capture[:3, :3]
     axes, offsets, widths = box.axes @ turn.T, box.offsets_m.copy(), box.sigmas_m.copy()
-    seen, normals = box.seen.copy(), box.normals.copy()
-    angles = box.angle_sigmas_rad.copy() if isinstance(box, FoundBody) else np.zeros((3, 2, 2))
+    seen = box.seen.copy()
     rows = np.full((3, 2), -1, dtype=np.int64)
     for wall, normal in enumerate(problem.faces.normals):
         face = np.unravel_index((box.normals @ normal).argmax(), (3, 2))
         own = echoes.index[echoes.walls == wall]
-        is_sure = sure is not None and bool(sure[face])
-        if is_sure and len(np.unique(problem.echoes.subapertures[own])) < _MIN_FLASHES:
-            continue
-        values, covariance = fit.values[shapes[wall]], fit.covariance[np.ix_(*2 * [shapes[wall]])]
-        outward, across = turn @ normal, problem.faces.across[wall]
+        row, outward = shapes[wall], turn @ normal
         middle = found.center_m + turn @ (problem.faces.centers[wall] - found.center_m)
-        if is_body and face[0] < 2:
-            normals[face] = normal - values[1:] @ across
-            normals[face] /= np.linalg.norm(normals[face])
-            angles[face] = _angle_sigmas(covariance[1:, 1:], across, normal, axes[2])
-        else:
-            normals[face] = outward
-        offsets[face] = (middle + values[0] * outward) @ normals[face]
-        widths[face], rows[face] = np.sqrt(covariance[0, 0]), shapes[wall, 0]
-        seen[face] = Seen.SQUARELY if is_sure or _is_seen(problem, own, wall) else Seen.NOT
+        offsets[face] = (middle + fit.values[row] * outward) @ outward
+        widths[face], rows[face] = np.sqrt(fit.covariance[row, row]), row
+        seen[face] = Seen.SQUARELY if _is_seen(problem, own, wall) else Seen.NOT
     n_pairs = int((seen[:2] == Seen.SQUARELY).any(axis=1).sum())
     skew = (SKEW_RAD / np.sqrt(2.0 * n_pairs) if n_pairs else _ANY_YAW_RAD) * axes[2]
     common = fit.covariance[rows[:, 0], rows[:, 1]] / widths.prod(axis=1)
     is_pair = ((seen == Seen.SQUARELY) & (rows >= 0)).all(axis=1)
-    if isinstance(box, FoundBody):
-        box = replace(box, planes=normals, angle_sigmas_rad=angles)
     return replace(
         box,
         axes=axes,
@@ -308,16 +258,6 @@ def _refined(
         correlations=np.where(is_pair, common, 0.0),
         seen=seen,
     )
-
-
-def _angle_sigmas(covariance: Floats, across: Floats, normal: Floats, up: Floats) -> Floats:
-    """Return the standard deviations of a wall's yaw and lean, (2,) [rad].
-
-    covariance: of its tilts, (2, 2) [m^2]. across: directions over half extents, (2, 3) [1/m].
-    """
-    level = np.cross(up, normal)
-    slopes = np.stack([level, np.cross(normal, level)]) @ across.T
-    return np.asarray(np.sqrt(np.diag(slopes @ covariance @ slopes.T)))
 
 
 def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
@@ -368,7 +308,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
         content = content_reach(peaks, normals, box.offsets_m, square, face)
         edge = find_edge(peaks, normals, box.offsets_m, square, face, max(least, content))
         if edge is None:
-            offsets[face] = min(max(least, content, usual), _end_of_taper(box, face))
+            offsets[face] = max(least, content, usual)
             bounds[face] = max(least, content), np.inf
         else:
             offsets[face], sigmas[face] = edge
@@ -376,15 +316,6 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
             bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
     _require_outside(capture, normals, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
-
-
-def _end_of_taper(box: FoundBox, face: tuple[int, int]) -> float:
-    """Offset of top or bottom shortly before leaning walls meet [m]; infinite without."""
-    end = box.normals[face]
-    closing = (box.normals[:2] @ end).sum(axis=1) if face[0] == 2 else np.zeros(2)
-    tapers = closing > 1e-6
-    heights = 0.9 * box.size_m[:2][tapers] / closing[tapers]
-    return float(box.center_m @ end + heights.min(initial=np.inf))
 
 
 def _content_share(box: FoundBox, peaks: PeakSet) -> float:

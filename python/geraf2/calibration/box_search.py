@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import OVERLAP, WallMiddles
@@ -36,23 +37,21 @@ _RIVAL_SHARE, _MAX_RIVALS = 0.9, 3
 OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].
-LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
+LEVEL_STEP_DB, _LEVEL_SIGMA_DB, _N_LEVELS = 2.0, 4.0, 20
 # Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
-_LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
-LEVEL_RANGE_DB = 8.0
-"""Largest difference of a flash to the level of the walls, in a fit of planes [dB]."""
+_LOWEST_DB, _LOWEST_PAIR_DB = -22.0, -32.0
 # Largest error of the recorded delay, one-way, and its standard deviation [m].
-MAX_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
+_MAX_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
-FLASH_NATS = 7.0
+_FLASH_NATS = 7.0
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
 # the scan [m], which the smallest boxes exceed.
 _FACING_COSINE, _FOOT_M = 0.98, 0.06
 # Least count of a wall, and least share of the largest count on its side.
-MIN_COUNT, _MIN_SHARE = 1.0, 0.5
+_MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
 # without loss. The null may lie off the middle.
 _PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
@@ -63,7 +62,7 @@ _EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 MIN_SIDE_M = 0.04
 """Least side length of a box [m]."""
-MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * MAX_SHIFT_M + OFFSET_STEP_M
+MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * _MAX_SHIFT_M + OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
 APERTURE_M = _COARSE.size_m
 """Side of the sub-apertures in which walls are searched [m]."""
@@ -111,7 +110,7 @@ class Flashes:
         near_m, far_m = middles.depths_m
         level = 20.0 * np.log10(lobes.strengths / lobes.strengths.max(initial=1e-300))
         n_directions = np.bincount(index, minlength=len(peaks))[index]
-        weight = np.maximum(1.0 - np.log(n_directions) / FLASH_NATS, 0.0)
+        weight = np.maximum(1.0 - np.log(n_directions) / _FLASH_NATS, 0.0)
         return cls(
             normals=np.concatenate([-lobes.directions, lobes.directions]),
             offsets_m=np.concatenate(
@@ -146,17 +145,47 @@ class Flashes:
             found.append(Counts(density, int((is_near & facing).sum())))
         return found[0], found[1]
 
+    def walls_beside(self, sides: Floats) -> tuple[int, int]:
+        """Count sub-apertures with flashes of walls along and beside these sides.
+
+        Board of any shape answers from the front and, through the box, from behind with one normal,
+        one offset and one level; metal does not answer from behind. The error of the delay is the
+        one at which most flashes have such a partner.
+
+        sides: outward normals of a cuboid, or of some of its sides, (n, 3).
+        """
+        ahead = np.einsum("ij,ij->i", self.ahead[self.subapertures], self.normals)
+        usable = (np.abs(ahead) > _FACING_COSINE) & (self.levels_db > _LOWEST_DB)
+        near, far = (np.flatnonzero(usable & (self.far == kind)) for kind in (False, True))
+        best = (0, 0)
+        most = round(_MAX_SHIFT_M / OFFSET_STEP_M)
+        for shift in range(-most, most + 1, 2) if len(near) and len(far) else ():
+            moved = self.offsets_m + shift * OFFSET_STEP_M * np.where(self.far, -1.0, 1.0)
+            scaled = np.column_stack(
+                [
+                    self.normals / MAX_ANGLE_RAD,
+                    moved / (2.0 * OFFSET_SIGMA_M),
+                    self.levels_db / (2.0 * _LEVEL_SIGMA_DB),
+                ]
+            )
+            distances, _ = KDTree(scaled[far]).query(scaled[near])
+            found = near[(distances < 1.0) & (moved[near] > 0.5 * MIN_SIDE_M)]
+            along = (self.normals[found] @ sides.T > np.cos(MAX_ANGLE_RAD)).any(axis=1)
+            counts = [len(np.unique(self.subapertures[found[own]])) for own in (along, ~along)]
+            best = max(best, (counts[0], counts[1]), key=sum)
+        return best
+
     def density(self, own: Ints, offsets_m: Floats, weights: Floats, n_offsets: int) -> Floats:
         """Smoothed count over offset and level, one flash of each sub-aperture in a few cells."""
         offset = (offsets_m / OFFSET_STEP_M).astype(np.int64)
-        level = (self.levels_db[own] / LEVEL_STEP_DB).astype(np.int64) + N_LEVELS - 1
+        level = (self.levels_db[own] / LEVEL_STEP_DB).astype(np.int64) + _N_LEVELS - 1
         level = np.maximum(level, 0)
-        cell = (self.subapertures[own] * n_offsets + offset // 4) * N_LEVELS + level // 4
+        cell = (self.subapertures[own] * n_offsets + offset // 4) * _N_LEVELS + level // 4
         order = np.lexsort((-weights, cell))
         first = order[np.unique(cell[order], return_index=True)[1]]
-        shape = n_offsets, N_LEVELS
+        shape = n_offsets, _N_LEVELS
         count = np.bincount(
-            (offset * N_LEVELS + level)[first], weights[first], n_offsets * N_LEVELS
+            (offset * _N_LEVELS + level)[first], weights[first], n_offsets * _N_LEVELS
         )
         widths = OFFSET_SIGMA_M / OFFSET_STEP_M, _LEVEL_SIGMA_DB / LEVEL_STEP_DB
         smooth = gaussian_filter(count.reshape(shape), widths, mode="constant")
@@ -237,16 +266,10 @@ def upward(capture: Capture) -> Floats:
     return np.asarray(np.eye(3)[nearest] * np.sign(mean[nearest]))
 
 
-def across(up: Floats) -> tuple[Floats, Floats]:
-    """Axes of the capture's frame at right angles to its vertical, (3,) each."""
-    first = np.abs(np.roll(up, 1))
-    return first, np.cross(up, first)
-
-
 def shift_penalty(cells: int) -> float:
     """Flashes that an error of the delay costs by its prior. cells: the error, in offset steps."""
     sigma = _SHIFT_SIGMA_M / OFFSET_STEP_M
-    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / FLASH_NATS)
+    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / _FLASH_NATS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,8 +278,6 @@ class RoughFaces:
 
     axes: Floats
     """Unit vectors in rows, (3, 3)."""
-    normals: Floats
-    """Outward normals of the faces against and along each axis, (3, 2, 3)."""
     offsets_m: Floats
     """Offsets of the faces against and along each axis, outward, (3, 2) [m]; NaN: unseen."""
     shift_m: float = 0.0
@@ -265,8 +286,11 @@ class RoughFaces:
     """Half the distance between the two echoes of each wall, whose faces cancel; 0: one [m]."""
     level_db: float = 0.0
     """Level of the walls relative to the strongest peak [dB]."""
-    score: float = 0.0
-    """Count of flashes less missed ones."""
+
+    @property
+    def normals(self) -> Floats:
+        """Outward normals of the faces against and along each axis, (3, 2, 3)."""
+        return np.stack([-self.axes, self.axes], axis=1)
 
 
 class Hypothesis(NamedTuple):
@@ -286,7 +310,8 @@ class BoxSearch:
 
     def __init__(self, flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform) -> None:
         self.flashes, self.up = flashes, up
-        self.first, self.second = across(up)
+        self.first = np.abs(np.roll(up, 1))
+        self.second = np.cross(up, self.first)
         self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
         pair_m = pair_distance_m(waveform)
         shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
@@ -307,7 +332,7 @@ class BoxSearch:
 
     def lowest_level(self, pair: int) -> int:
         """Index of the lowest level of walls. pair: half the distance of two echoes, in cells."""
-        return N_LEVELS + int((LOWEST_PAIR_DB if pair else _LOWEST_DB) / LEVEL_STEP_DB)
+        return _N_LEVELS + int((_LOWEST_PAIR_DB if pair else _LOWEST_DB) / LEVEL_STEP_DB)
 
     def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[Hypothesis]:
         """Best hypothesis at each yaw.
@@ -323,7 +348,7 @@ class BoxSearch:
             sides = self.sides(yaw)
             tries = []
             for pair in self.pairs:
-                total = np.repeat(-penalty[:, None], N_LEVELS, axis=1)
+                total = np.repeat(-penalty[:, None], _N_LEVELS, axis=1)
                 start = self.unmoved if pair else 0
                 for near, far in sides:
                     n, f = shifted(near.score(pair), start), shifted(far.score(pair), -start)
@@ -331,17 +356,17 @@ class BoxSearch:
                         both = n[least - shift : end - shift] + f[least + shift : end + shift]
                         total[number] += both.max(axis=0)
                 total[:, : self.lowest_level(pair)] = -np.inf
-                row, level = divmod(int(total.argmax()), N_LEVELS)
+                row, level = divmod(int(total.argmax()), _N_LEVELS)
                 tries.append(Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
             found.append(max(tries))
         return found
 
     def faces(self, found: Hypothesis) -> Floats:
         """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
-        offsets = [self.outermost(side, found) for side in self.sides(found.yaw_rad)]
+        offsets = [self._outermost(side, found) for side in self.sides(found.yaw_rad)]
         return np.array(offsets).reshape(3, 2)
 
-    def outermost(self, side: tuple[Counts, Counts], found: Hypothesis) -> float:
+    def _outermost(self, side: tuple[Counts, Counts], found: Hypothesis) -> float:
         """Outermost offset of a side with enough flashes [m]; NaN without.
 
         side: near and far flashes of its normal.
@@ -350,24 +375,10 @@ class BoxSearch:
         score = shifted(near, found.shift) + shifted(far, -found.shift)
         count = score[:, found.level]
         count[: round(0.5 * MIN_SIDE_M / OFFSET_STEP_M)] = 0.0
-        least = max(MIN_COUNT, _MIN_SHARE * float(count.max()))
+        least = max(_MIN_COUNT, _MIN_SHARE * float(count.max()))
         rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
         peaks = np.flatnonzero(rises & falls & (count >= least))
         return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
-
-    def rough(
-        self, axes: Floats, normals: Floats, offsets_m: Floats, found: Hypothesis
-    ) -> RoughFaces:
-        """Faces of a hypothesis. normals: (3, 2, 3), offsets_m: (3, 2)."""
-        return RoughFaces(
-            axes=axes,
-            normals=normals,
-            offsets_m=offsets_m,
-            shift_m=found.shift * OFFSET_STEP_M,
-            pair_m=found.pair * OFFSET_STEP_M,
-            level_db=LEVEL_STEP_DB * (found.level + 1 - N_LEVELS),
-            score=found.score,
-        )
 
 
 def rough_faces(
@@ -383,7 +394,7 @@ def rough_faces(
     like: axes that are preferred if nearly as many flashes agree, (3, 3).
     """
     search = BoxSearch(flashes, up, reach_m, waveform)
-    most = round(MAX_SHIFT_M / OFFSET_STEP_M)
+    most = round(_MAX_SHIFT_M / OFFSET_STEP_M)
     coarse, fine = _YAW_STEPS_RAD
     found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
     score = np.array([each.score for each in found])
@@ -411,7 +422,13 @@ def _faces_of(search: BoxSearch, best: Hypothesis) -> RoughFaces:
     for _ in range(quarters % 4):
         offsets = offsets[[1, 0, 2]]
         offsets[0] = offsets[0, ::-1]
-    return search.rough(axes, np.stack([-axes, axes], axis=1), offsets, best)
+    return RoughFaces(
+        axes=axes,
+        offsets_m=offsets,
+        shift_m=best.shift * OFFSET_STEP_M,
+        pair_m=best.pair * OFFSET_STEP_M,
+        level_db=LEVEL_STEP_DB * (best.level + 1 - _N_LEVELS),
+    )
 
 
 def explained(

@@ -1,4 +1,4 @@
-"""Outside of a box or tube from a scan, with standard deviations and bounds for unseen faces."""
+"""Outside of a box from a scan, with standard deviations and bounds for unseen faces."""
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
@@ -9,15 +9,12 @@ import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.errors import UserError
-from geraf2.geometry.boxes import FACES, SIGNS
 from geraf2.geometry.transforms import triple
 from geraf2.scene import LosPrior
 
 SKEW_RAD = float(np.deg2rad(0.34))
 """RMS angle by which a carton's opposite walls are off a right angle to the others, a property of
 the simulated population [rad]. The yaw is the mean of both pairs, or that of one of them."""
-_N_SIDES = 128
-"""Sides of the polygon that stands for a tube: within 0.1 mm of a radius of 0.3 m."""
 
 
 class Seen(IntEnum):
@@ -60,7 +57,7 @@ class FoundBox:
     @property
     def normals(self) -> Floats:
         """Outward unit normals of the faces, (3, 2, 3)."""
-        return _along(self.axes)
+        return np.stack([-self.axes, self.axes], axis=1)
 
     @property
     def size_m(self) -> Floats:
@@ -155,129 +152,6 @@ class FoundBox:
         return f"box of {' x '.join(sizes)} mm, turned by {turn}; faces {self._seen_text()}"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FoundTube(FoundBox):
-    """A tube or drum: the upright cylinder in this cuboid."""
-
-    @property
-    def radius_m(self) -> float:
-        """Radius of the outer side [m]."""
-        return 0.25 * float(self.size_m[:2].sum())
-
-    @property
-    def prior(self) -> LosPrior:
-        """Line-of-sight prior of the cylinder, without walls."""
-        turn = 2.0 * np.pi * np.arange(_N_SIDES) / _N_SIDES
-        rim = self.radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-        half = 0.5 * self.size_m[2]
-        ends = [np.column_stack([rim, np.full(_N_SIDES, z)]) for z in (-half, half)]
-        vertices = np.concatenate([*ends, [[0.0, 0.0, -half], [0.0, 0.0, half]]])
-        i = np.arange(_N_SIDES)
-        j, low, high = (i + 1) % _N_SIDES, np.full(_N_SIDES, 2 * _N_SIDES), 2 * _N_SIDES + 1
-        faces = np.concatenate(
-            [
-                np.stack([i, j, j + _N_SIDES], axis=1),
-                np.stack([i, j + _N_SIDES, i + _N_SIDES], axis=1),
-                np.stack([low, j, i], axis=1),
-                np.stack([np.full(_N_SIDES, high), i + _N_SIDES, j + _N_SIDES], axis=1),
-            ]
-        )
-        return LosPrior(vertices=vertices @ self.axes + self.center_m, faces=faces)
-
-    def numbers(self) -> dict[str, Any]:
-        """Entry of run.json: of the faces, top and bottom alone."""
-        numbers = super().numbers()
-        numbers["faces"] = {name: numbers["faces"][name] for name in ("-z", "+z")}
-        sigma_m = 0.5 * float(np.linalg.norm(self.sigmas_m[0]))
-        return {
-            "shape": "tube",
-            "radius_m": _json_number(self.radius_m),
-            "radius_sigma_m": _json_number(sigma_m),
-            **{key: numbers[key] for key in ("size_m", "center_m", "axes", "faces")},
-        }
-
-    def __str__(self) -> str:
-        sigma_mm = 500.0 * float(np.linalg.norm(self.sigmas_m[0]))
-        ends = replace(self, seen=np.where([[False], [False], [True]], self.seen, -1))
-        return (
-            f"tube of radius {1e3 * self.radius_m:.1f} +- {sigma_mm:.1f} mm, "
-            f"{1e3 * self.size_m[2]:.0f} mm high; ends {ends._seen_text()}"
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FoundBody(FoundBox):
-    """A box of six planes that is no cuboid: its corners are skewed, or its walls lean."""
-
-    planes: Floats
-    """Outward unit normals of the faces, (3, 2, 3)."""
-    angle_sigmas_rad: Floats
-    """Standard deviations of their yaw and lean, (3, 2, 2) [rad]."""
-
-    @property
-    def normals(self) -> Floats:
-        """Outward unit normals of the faces, (3, 2, 3)."""
-        return self.planes
-
-    @property
-    def prior(self) -> LosPrior:
-        """Line-of-sight prior of the body, without walls."""
-        of = np.arange(3), (SIGNS > 0.0).astype(np.int64)
-        corners = np.linalg.solve(self.planes[of], self.offsets_m[of][..., None])[..., 0]
-        return LosPrior(vertices=np.asarray(corners), faces=FACES.copy())
-
-    @property
-    def angles_rad(self) -> Floats:
-        """Yaw of each wall from the side of the nearest cuboid, and outward lean, (2, 2, 2)."""
-        walls, sides = self.planes[:2] @ self.axes.T, _along(np.eye(3))[:2]
-        lean = np.arcsin(walls[..., 2])
-        yaw = np.arctan2(np.cross(sides, walls)[..., 2], (sides * walls)[..., :2].sum(axis=-1))
-        return np.stack([yaw, lean], axis=-1)
-
-    def contradiction(self) -> float:
-        """Deviation of the seen walls from the best cuboid: root of chi-square."""
-        k, side = np.nonzero(self.seen[:2] == Seen.SQUARELY)
-        # A cuboid's turn changes all yaws alike, and leans of opposite walls against each other.
-        turns = np.zeros((len(k), 2, 3))
-        turns[:, 0, 2] = 1.0
-        turns[np.arange(len(k)), 1, k] = 2.0 * side - 1.0
-        sigmas = np.hypot(self.angle_sigmas_rad[k, side], SKEW_RAD)
-        matrix = (turns / sigmas[..., None]).reshape(-1, 3)
-        values = (self.angles_rad[k, side] / sigmas).ravel()
-        rest = values - matrix @ np.linalg.lstsq(matrix, values, rcond=None)[0]
-        return float(np.linalg.norm(rest))
-
-    def numbers(self) -> dict[str, Any]:
-        """Entry of run.json, with each normal and the errors of its yaw and lean."""
-        numbers = super().numbers() | {"shape": "no cuboid"}
-        for name, k, side in face_names():
-            numbers["faces"][name] |= {
-                "normal": self.planes[k, side].round(6).tolist(),
-                "angle_sigmas_deg": _json_number(np.rad2deg(self.angle_sigmas_rad[k, side])),
-            }
-        return numbers
-
-    def __str__(self) -> str:
-        yaw, lean = np.rad2deg(np.moveaxis(self.angles_rad, -1, 0))
-        sigmas = np.rad2deg(self.angle_sigmas_rad[self.seen == Seen.SQUARELY])
-        # Corners in a turn: +x +y, +y -x, -x -y, -y +x.
-        turn = np.array([yaw[0, 1], yaw[1, 1], yaw[0, 0], yaw[1, 0]])
-        corners = 90.0 - (np.roll(turn, -1) - turn)
-        size = " x ".join(f"{1e3 * side:.1f}" for side in self.size_m)
-        return (
-            f"box of {size} mm that is no cuboid: corners of "
-            f"{' '.join(f'{c:.1f}' for c in corners)} degrees, walls "
-            f"{' '.join(n for n, *_ in face_names()[:4])} lean outward by "
-            f"{' '.join(f'{a:z.1f}' for a in lean.ravel())} +- {sigmas.max(initial=0.0):.1f} "
-            f"degrees; faces {self._seen_text()}"
-        )
-
-
-def _along(axes: Floats) -> Floats:
-    """Outward normals of a cuboid's faces, (3, 2, 3)."""
-    return np.stack([-axes, axes], axis=1)
-
-
 def face_names() -> list[tuple[str, int, int]]:
     """Name, axis and column of each face of a box."""
     return [(f"{'-+'[side]}{'xyz'[k]}", k, side) for k in range(3) for side in range(2)]
@@ -289,6 +163,18 @@ def _json_number(values: Floats | float) -> Any:
     if array.ndim:
         return [_json_number(value) for value in array]
     return round(float(array), 6) if np.isfinite(array) else None
+
+
+class NoCuboidError(UserError):
+    """The walls that a scan shows are not those of a cuboid."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            what="the walls of the box fit no cuboid",
+            expected="four upright walls at right angles",
+            got="echoes of walls in other directions, as of a tube or of a box with skewed corners",
+            hint="give the outside of the box with --los MESH",
+        )
 
 
 class WallsNotFoundError(UserError):

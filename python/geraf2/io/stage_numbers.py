@@ -19,8 +19,6 @@ class _Face:
     offset_m: float | None
     sigma_m: float | None
     interval_m: tuple[float | None, float | None]
-    normal: _Axis | None = None
-    angle_sigmas_deg: tuple[float | None, float | None] = (None, None)
 
 
 @dataclass(frozen=True, kw_only=True)

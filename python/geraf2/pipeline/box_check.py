@@ -7,7 +7,7 @@ import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_finder import MIN_CONTENT, find_box
-from geraf2.calibration.found_box import FoundBody, FoundBox, FoundTube, Seen, WallsNotFoundError
+from geraf2.calibration.found_box import FoundBox, NoCuboidError, Seen, WallsNotFoundError
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder
@@ -61,7 +61,7 @@ def box_from_radar(
             sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
             text = (
                 f"no walls of a box are seen ({error.seen}): all within {sides} mm is treated as "
-                "content in free air; if it is in a box, give --box X Y Z"
+                "content in free air; if it is in a box, give --box X Y Z or --los MESH"
             )
             return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
     prior = add_walls(found.prior, capture.walls)
@@ -83,20 +83,20 @@ def check_prior(
     One pair of planes may be flat content or multipath, which is a warning.
     Raises UserError if the scan shows two sides of another box.
     """
+    text, found = "no wall is seen squarely: the prior was compared with nothing", None
     with listener.step(BOX_STAGE):
         try:
-            found: FoundBox | None = find_box(
-                capture, expected=prior, summary=summary, num_threads=num_threads
-            )
+            found = find_box(capture, expected=prior, summary=summary, num_threads=num_threads)
+        except NoCuboidError as error:
+            text = f"{str(error).partition(',')[0]}: the prior was compared with nothing"
+            is_warning = prior.cuboid is not None
+            return BoxCheck(prior=prior, found=None, text=text, is_warning=is_warning)
         except UserError:
-            found = None
+            pass
     if found is None or prior.cuboid is None:
-        text = "no wall is seen squarely: the prior was compared with nothing"
         if found is not None:
             text = f"{found}; the prior is no cuboid and is not compared"
         return BoxCheck(prior=prior, found=found, text=text)
-    if isinstance(found, FoundTube | FoundBody):
-        return _body_for(prior, found, name, capture)
     difference = Difference.measure(found, *prior.cuboid)
     if difference.is_other and difference.is_within and found.content_share < MIN_CONTENT:
         text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
@@ -128,38 +128,6 @@ def check_prior(
     text = f"the prior is off by {difference.text} and was corrected: {corrected}"
     prior = add_walls(corrected.prior, capture.walls)
     return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
-
-
-def _body_for(prior: LosPrior, found: FoundBox, name: str, capture: Capture) -> BoxCheck:
-    """Tube, or box that is no cuboid, in place of the cuboid around it.
-
-    It keeps the given height where its ends are not seen squarely. UserError if it is another box.
-    """
-    assert prior.cuboid is not None
-    axes, size, middle = prior.cuboid
-    height = int(np.abs(axes @ found.axes[2]).argmax())
-    sides, along = np.sort(np.delete(size, height)), found.axes @ (middle - found.center_m)
-    own = np.sort(found.size_m[:2])
-    if np.abs(sides - own).max() + np.linalg.norm(along[:2]) > _OTHER_BOX_M:
-        raise UserError(
-            what="the scan shows another box than the prior, and it is no cuboid",
-            where=name,
-            expected=f"sides of {_in_mm(sides, np.arange(2))} mm",
-            got=f"{found}, by the walls' echoes",
-            hint="leave the prior out, or keep it with --trust-los",
-        )
-    given = (found.seen != Seen.SQUARELY) & np.array([[False], [False], [True]])
-    ends = 0.5 * size[height] + middle @ found.axes[2] * np.array([-1.0, 1.0])
-    body = replace(
-        found,
-        offsets_m=np.where(given, ends, found.offsets_m),
-        sigmas_m=np.where(given, np.inf, found.sigmas_m),
-        bounds_m=np.where(given[..., None], [-np.inf, np.inf], found.bounds_m),
-        seen=np.where(given, Seen.GIVEN, found.seen),
-    )
-    text = f"the scan shows a {body}: it replaces the cuboid of the prior"
-    known = add_walls(body.prior, capture.walls)
-    return BoxCheck(prior=known, found=body, text=text, is_new=True, is_warning=True)
 
 
 def require_determined(run: RunFolder) -> None:

@@ -120,9 +120,7 @@ def box_faces(numbers: Mapping[str, Any]) -> list[BoxFace]:
     if found is None or any(found.get(name, {}).get("offset_m") is None for name, _, _ in _FACES):
         return []
     axes = np.asarray(numbers["axes"], dtype=np.float64)
-    normals = np.array(
-        [found[name].get("normal") or (2 * s - 1) * axes[k] for name, k, s in _FACES]
-    )
+    normals = np.array([(2 * s - 1) * axes[k] for _, k, s in _FACES])
     offsets = np.array([found[name]["offset_m"] for name, *_ in _FACES])
     faces = []
     for number, (name, k, _) in enumerate(_FACES):
