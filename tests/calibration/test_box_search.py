@@ -83,28 +83,25 @@ def yaw_deg(axes):
     return np.rad2deg(np.arctan2(axes[0, 1], axes[0, 0]))
 
 
-@pytest.mark.parametrize("degrees", [0.0, 20.0, -44.0])
-def test_all_sides_are_found_at_any_yaw(degrees):
-    found = Scan(degrees).box(degrees).found()
+@pytest.mark.parametrize(
+    ("degrees", "delay_m", "pair_share", "level_db"),
+    [
+        (0.0, 0.0, 0.0, -6.0),
+        (-44.0, 0.0, 0.0, -6.0),
+        (20.0, 0.0, 0.0, -6.0),
+        (0.0, 0.016, 0.0, -6.0),
+        (0.0, -0.012, 0.0, -6.0),
+        (0.0, 0.0, 0.9, -16.0),  # faces that cancel leave two echoes
+    ],
+)
+def test_all_sides_are_found_at_any_yaw_and_delay(degrees, delay_m, pair_share, level_db):
+    pair_m = pair_share * pair_distance_m(WAVEFORM)
+    found = Scan(degrees, delay_m, pair_m).box(degrees, level_db=level_db).found()
     assert abs(yaw_deg(found.axes) - degrees) < 0.5
-    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=3e-3)
-    assert np.isnan(found.offsets_m[2]).all()
-    assert abs(found.shift_m) < 3e-3
-    assert found.pair_m == 0.0
-
-
-@pytest.mark.parametrize("delay_m", [0.016, -0.012])
-def test_an_error_of_the_delay_is_apart_from_the_size(delay_m):
-    found = Scan(delay_m=delay_m).box().found()
-    np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=3e-3)
-    np.testing.assert_allclose(found.shift_m, delay_m, atol=3e-3)
-
-
-def test_two_echoes_of_a_wall_are_one_wall_between_them():
-    pair_m = 0.9 * pair_distance_m(WAVEFORM)
-    found = Scan(pair_m=pair_m).box(level_db=-16.0).found()
     np.testing.assert_allclose(found.offsets_m[:2], np.repeat(HALF_M[:2, None], 2, 1), atol=4e-3)
-    np.testing.assert_allclose(found.pair_m, pair_m, atol=4e-3)
+    assert np.isnan(found.offsets_m[2]).all()
+    assert found.shift_m == pytest.approx(delay_m, abs=3e-3)
+    assert found.pair_m == pytest.approx(pair_m, abs=4e-3)
 
 
 def test_a_brighter_flat_face_of_content_is_no_wall():

@@ -40,11 +40,9 @@ def test_sharpness_gives_the_delay_of_points_to_a_centimetre():
     assert found.sigma_m >= 0.04
 
 
-def test_noise_is_no_reflector():
+def test_noise_is_neither_a_reflector_nor_sharp():
+    noise = noise_only(point_capture(4))
     with pytest.raises(UserError, match="reflector does not stand out"):
-        delay_from_reflector(noise_only(point_capture(4)), TARGETS[0], SEARCH)
-
-
-def test_noise_is_not_sharp():
+        delay_from_reflector(noise, TARGETS[0], SEARCH)
     with pytest.raises(UserError, match="no delay makes the image sharp"):
-        delay_from_sharpness(noise_only(point_capture(4)), np.zeros(3), 0.1, (-0.05, 0.1))
+        delay_from_sharpness(noise, np.zeros(3), 0.1, (-0.05, 0.1))

@@ -57,9 +57,10 @@ def test_it_stops_at_a_target(source, tmp_path, capsys):
     assert not (tmp_path / "out" / "report.html").exists()
 
 
-def test_omitted_data_is_a_warning_on_stderr(source, tmp_path, capsys):
+def test_a_damaged_plane_is_a_warning_and_comes_once_it_is_whole(source, tmp_path, capsys):
     chunk = source / "radar.zarr/signal/c/1/0/0"
-    chunk.write_bytes(bytes(chunk.stat().st_size))
+    whole = chunk.read_bytes()
+    chunk.write_bytes(bytes(len(whole)))
     assert (
         main(["live", str(source), str(tmp_path / "out"), *BOX, "--idle", "0.5", "--no-report"])
         == 0
@@ -67,3 +68,6 @@ def test_omitted_data_is_a_warning_on_stderr(source, tmp_path, capsys):
     shown = capsys.readouterr()
     assert "2 planes: no plane came for 0.5 s" in shown.out
     assert len([line for line in shown.err.splitlines() if "is not what was written" in line]) == 1
+    chunk.write_bytes(whole)
+    assert main(["live", str(source), str(tmp_path / "out"), *BOX, "--no-report"]) == 0
+    assert re.findall(r"^plane +(\d)", capsys.readouterr().out, flags=re.MULTILINE) == ["3"]

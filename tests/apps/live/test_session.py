@@ -104,9 +104,6 @@ def test_done_is_a_statement_about_the_area(capture):
         error_m = session.result.content_mesh.expected_error_m
         assert session.done(f"expected {1e3 * error_m.max() + 1:.3f} mm over 100 %")
         assert not session.done(f"expected {1e3 * error_m.min():.4f} mm over 100 %")
-        for text in ("expected 1 mm", "expected 0 mm over 90 %", "expected 1 mm over 0 %", "F2"):
-            with pytest.raises(UserError, match="is no target of a scan"):
-                session.done(text)
 
 
 class _Heard(Listener):
@@ -128,17 +125,11 @@ def test_a_wrong_plane_is_refused_and_the_session_continues(capture, tmp_path):
                 second, signal=second.signal[:, :16]
             ),
             "are NaN or infinite": replace(second, signal=second.signal * np.nan),
-            "have 0 antennas": replace(
-                second,
-                signal=second.signal[:0],
-                tx_positions=second.tx_positions[:0],
-                rx_positions=second.rx_positions[:0],
-            ),
+            "have 0 antennas": second.select(slice(0)),
         }
         for text, pose in refused.items():
-            with pytest.raises(UserError, match=text) as error:
+            with pytest.raises(UserError, match=text):
                 session.add(pose)
-            assert "\n" not in str(error.value)
         with pytest.raises(UserError, match="times that go back"):
             session.add(second, times_s=-np.arange(float(second.n_antennas)))
         with pytest.raises(UserError, match="one for each antenna"):
