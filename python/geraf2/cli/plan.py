@@ -8,14 +8,14 @@ from typing import Annotated
 import numpy as np
 
 from geraf2._bounds import Arg
-from geraf2.apps.planning.expected import BOX_M, Expected
+from geraf2.apps.planning.expected import BOX_M, ExpectedAccuracy
 from geraf2.apps.planning.planning import (
-    LikeScene,
+    ExplainedScan,
     PlanOptions,
+    explain_scan,
     make_plan,
     make_plane,
     make_timed_plan,
-    plan_like,
 )
 from geraf2.apps.planning.scan_time import TimedPlan
 from geraf2.cli._console import rows, say, warn
@@ -122,7 +122,7 @@ def _show_lines(config: Config) -> int:
     if config.minutes is not None and config.like is not None:
         raise UserError(what="give either --minutes or --like", got="both")
     if config.like is not None:
-        return _show_like(plan_like(config.like, config.scanner), config.out)
+        return _show_like(explain_scan(config.like, config.scanner), config.out)
     return _show_timed(make_timed_plan(config), config)
 
 
@@ -137,32 +137,32 @@ def _show_timed(plan: TimedPlan, config: Config) -> int:
                 f"{len(lines)} a plane, {lines[0].n_positions} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
-            *_reached(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),
-            *_written(plan.scan, config.out),
+            *_accuracy_rows(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),
+            *_write_scan(plan.scan, config.out),
         ]
     )
     return 0
 
 
-def _show_like(like: LikeScene, out: Path | None) -> int:
+def _show_like(like: ExplainedScan, out: Path | None) -> int:
     counts = Counter(round(e / 5.0) * 5 for e in like.elevations_deg)
     at = ", ".join(f"{n} at {e} degrees" for e, n in sorted(counts.items()))
     rows(
         [
             ("planes", f"{len(like.apertures)}: {at} of elevation"),
             ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
-            *_reached(like.scan, like.seconds, like.seen_share, like.expected),
-            *_written(like.scan, out),
+            *_accuracy_rows(like.scan, like.seconds, like.seen_share, like.expected),
+            *_write_scan(like.scan, out),
         ]
     )
     return 0
 
 
-def _reached(
+def _accuracy_rows(
     scan: ScanFile,
     seconds: float,
     share: float,
-    expected: Expected | None,
+    expected: ExpectedAccuracy | None,
     box_m: tuple[float, float, float] | None = None,
 ) -> list[tuple[str, str]]:
     reached = "nothing: the spacing is so coarse that grating lobes fill the box"
@@ -180,7 +180,7 @@ def _reached(
     ]
 
 
-def _written(scan: ScanFile, out: Path | None) -> list[tuple[str, str]]:
+def _write_scan(scan: ScanFile, out: Path | None) -> list[tuple[str, str]]:
     """Write a scan file, if one is asked for; its row."""
     if out is None:
         return []

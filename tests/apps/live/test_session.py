@@ -98,12 +98,12 @@ def test_done_is_a_statement_about_the_area(capture):
     with _session(capture) as session:
         with pytest.raises(UserError, match="has no plane yet"):
             _ = session.result
-        assert not session.done("expected 100 mm over 1 %")
+        assert not session.reaches("expected 100 mm over 1 %")
         for pose in capture.poses[:3]:
             session.add(pose)
         error_m = session.result.content_mesh.expected_error_m
-        assert session.done(f"expected {1e3 * error_m.max() + 1:.3f} mm over 100 %")
-        assert not session.done(f"expected {1e3 * error_m.min():.4f} mm over 100 %")
+        assert session.reaches(f"expected {1e3 * error_m.max() + 1:.3f} mm over 100 %")
+        assert not session.reaches(f"expected {1e3 * error_m.min():.4f} mm over 100 %")
 
 
 class _Heard(Listener):

@@ -6,10 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from geraf2.apps.planning.expected import expected_of
+from geraf2.apps.planning.expected import expect_accuracy
 from geraf2.apps.planning.scan_time import (
     Scanner,
-    best_in_time,
+    find_best_plan,
     plane_at,
     require_speed,
     swept_planes,
@@ -26,7 +26,7 @@ EIGHT = Scanner(channels=8)
 
 @cache
 def best(minutes, scanner=EIGHT, **more):
-    return best_in_time(
+    return find_best_plan(
         BOX, STANDOFF_M, APERTURE_M, scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
     )
 
@@ -75,7 +75,9 @@ def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
     def reached(angles_deg, elevations=(0.0,)):
         turns = [(np.deg2rad(a), np.deg2rad(e)) for a in angles_deg for e in elevations]
         planes = [plane_at(a, e, STANDOFF_M, HALF) for a, e in turns]
-        return expected_of(planes, np.zeros(3), seen_share(planes, np.zeros(3), np.full(3, 0.22)))
+        return expect_accuracy(
+            planes, np.zeros(3), seen_share(planes, np.zeros(3), np.full(3, 0.22))
+        )
 
     around = [reached(np.arange(0, 360, 360 / n)) for n in (1, 2, 3, 4, 6, 12, 36)]
     around.append(reached(np.arange(0, 360, 30), (-60.0, -30.0, 0.0, 30.0, 60.0)))
@@ -138,7 +140,7 @@ def test_the_plane_of_a_pose_covers_its_phase_centres():
         rx_positions=centers - apart,
         axes=beside.axes,
     )
-    plane = Aperture.of_pose(pose).right_handed()
+    plane = Aperture.from_pose(pose).right_handed()
     assert plane.half_m == pytest.approx(0.5 * np.ptp(local, axis=0))
     assert plane.axes == pytest.approx(beside.axes)
     inside = np.abs((centers - plane.middle_m) @ plane.axes[1:].T) <= plane.half_m + 1e-12

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from geraf2.apps.importers import RecordingOptions
 from geraf2.apps.live.opening import open_source
-from geraf2.apps.live.session import Session, samples_digest
+from geraf2.apps.live.session import Session, digest_samples
 from geraf2.apps.live.sources import NewPlane, Source
 from geraf2.apps.live.target import Target
 from geraf2.errors import UserError
@@ -103,11 +103,11 @@ def follow(
 
     with _Follower(begin, on_plane, ending.until) as follower, ExitStack() as stack:
 
-        def opened() -> Source | None:
+        def open_feed() -> Source | None:
             feed = open_source(source, ending.radar, ending.recording)
             return feed and stack.enter_context(closing(feed))
 
-        reason = _followed(opened, follower, ending, heard)
+        reason = _follow_source(open_feed, follower, ending, heard)
         session = follower.session
         if session is None:
             raise UserError(
@@ -117,8 +117,8 @@ def follow(
         return Outcome(result=result, n_planes=len(session), reason=reason)
 
 
-def _followed(
-    opened: Callable[[], Source | None],
+def _follow_source(
+    open_feed: Callable[[], Source | None],
     follower: "_Follower",
     ending: LiveOptions,
     listener: Listener,
@@ -127,14 +127,14 @@ def _followed(
     feed: Source | None = None
     last_s = time.monotonic()
     while True:
-        feed = feed or opened()
+        feed = feed or open_feed()
         if feed is not None:
             last_s = max(last_s, feed.last_s)
         is_last = time.monotonic() - last_s > ending.idle_s
         for new in feed.poll(is_last=is_last) if feed is not None else ():
             for note in feed.notes if feed is not None else ():
                 listener.warning(note)
-            if follower.took(new, feed.about if feed is not None else None):
+            if follower.add(new, feed.about if feed is not None else None):
                 return "the target is reached"
             last_s = time.monotonic()
         if feed is not None and feed.ending:
@@ -164,30 +164,30 @@ class _Follower:
         if self.session is not None:
             self.session.close()
 
-    def took(self, new: NewPlane, about: Capture | None) -> bool:
+    def add(self, new: NewPlane, about: Capture | None) -> bool:
         """Add a plane, or report why not; whether the target is reached."""
         if new.pose is None or about is None:
-            return self._left_out(new, new.problem)
+            return self._report_left_out(new, new.problem)
         if self.session is None:
             self.session = self._begin(about)
-            self._before = self.session.known
+            self._before = self.session.digests
         session, start = self.session, time.perf_counter()
-        if samples_digest(new.pose) in self._before:
+        if digest_samples(new.pose) in self._before:
             return False  # by a process that was stopped
         try:
             session.add(new.pose)
         except UserError as error:
-            return self._left_out(new, str(error))
-        found = _surface(session)
+            return self._report_left_out(new, str(error))
+        found = _surface_numbers(session)
         seconds = round(time.perf_counter() - start, 2)
         report = PlaneReport(
             plane=len(session), name=new.name, seconds=seconds, n_peaks=session.n_peaks, **found
         )
         session.run.log(PLANE_EVENT, **asdict(report))
         self._on_plane(report)
-        return self._until is not None and session.done(self._until)
+        return self._until is not None and session.reaches(self._until)
 
-    def _left_out(self, new: NewPlane, problem: str) -> bool:
+    def _report_left_out(self, new: NewPlane, problem: str) -> bool:
         n_planes = 0 if self.session is None else len(self.session)
         self._on_plane(
             PlaneReport(plane=n_planes, name=new.name, problem=problem, is_left_out=True)
@@ -195,7 +195,7 @@ class _Follower:
         return False
 
 
-def _surface(session: Session) -> dict[str, Any]:
+def _surface_numbers(session: Session) -> dict[str, Any]:
     """Numbers of the surface so far, or why there is none."""
     try:
         numbers = session.result.numbers["mesh"]

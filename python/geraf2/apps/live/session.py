@@ -71,7 +71,7 @@ _SETTLED = (BOX_STAGE, CALIBRATION_STAGE)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Settled:
+class _Estimate:
     """Box and corrections of the planes so far, which further planes use."""
 
     n_planes: int
@@ -98,7 +98,7 @@ class Session:
     >>> with geraf2.Session(capture.waveform, geraf2.examples.BOX_M, "fast") as session:
     ...     for pose in capture.poses:
     ...         session.add(pose)
-    ...     len(session), session.done("expected 3 mm over 50 %")
+    ...     len(session), session.reaches("expected 3 mm over 50 %")
     (6, True)
     """
 
@@ -135,7 +135,7 @@ class Session:
         )
         _require_readable(self._record.prior, self._listener)
         self._open = ExitStack()
-        self._run = _run_of(self.path, replace(about, poses=()))
+        self._run = _open_run(self.path, replace(about, poses=()))
         self._open.enter_context(self._run.lock())
         self._close = finalize(self, self._open.close)
         if out is None:
@@ -146,7 +146,7 @@ class Session:
         self._digest, self._known = PoseDigest(), dict[str, int]()
         self._last_s = -np.inf
         self._peaks: KeptPeaks | None = None
-        self._settled: _Settled | None = None
+        self._estimate: _Estimate | None = None
         self._result: Reconstruction | None = None
         self._about = replace(about, poses=())
         if len(self._scene):
@@ -177,10 +177,10 @@ class Session:
 
     def __contains__(self, pose: Pose) -> bool:
         """Whether these samples were added."""
-        return samples_digest(pose) in self._known
+        return digest_samples(pose) in self._known
 
     @property
-    def known(self) -> frozenset[str]:
+    def digests(self) -> frozenset[str]:
         """Hash of the samples of each plane."""
         return frozenset(self._known)
 
@@ -210,7 +210,7 @@ class Session:
                 what="is of another radar", where=name, expected=f"{wanted} samples", got=got
             )
         if pose in self:
-            before = self._known[samples_digest(pose)]
+            before = self._known[digest_samples(pose)]
             raise UserError(what=f"is plane {before} again: it was left out", where=name)
         summary = summarize_pose(pose)
         require_plausible(self._summary([summary]), name)
@@ -231,7 +231,7 @@ class Session:
             self._result = Reconstruction(self._run)
         return self._result
 
-    def done(self, target: Target | str) -> bool:
+    def reaches(self, target: Target | str) -> bool:
         """Whether the surface is expected to be as good as this.
 
         target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
@@ -254,7 +254,7 @@ class Session:
         self._run.scene_digest = self._scene_digest()
         with self._run.replace_whole(grows=True) as new:
             run_request(self._request(), new, peaks=self._peaks, report=report)
-        self._settled = None
+        self._estimate = None
         self._result = Reconstruction(self._run)
         return self._result
 
@@ -272,7 +272,7 @@ class Session:
         """Number of peaks of the last plane, once a result was asked for."""
         if self._peaks is None or not self._poses:
             return 0
-        capture = self.capture if self._settled is None else self._settled.job.capture
+        capture = self.capture if self._estimate is None else self._estimate.job.capture
         return len(self._peaks.of(capture, [len(capture.poses) - 1]))
 
     def _require_planes(self) -> None:
@@ -303,9 +303,9 @@ class Session:
 
     def _take(self, pose: Pose, summary: PoseSummary) -> None:
         self._summaries.append(summary)
-        self._known[samples_digest(pose)] = len(self)
+        self._known[digest_samples(pose)] = len(self)
         self._digest.add(pose)
-        self._poses.append(replace(pose, signal=_on_disk(pose.signal, self.path)))
+        self._poses.append(replace(pose, signal=_map_to_disk(pose.signal, self.path)))
         self._result = None
 
     def _scene_digest(self) -> str:
@@ -322,18 +322,18 @@ class Session:
         )
 
     def _update(self) -> None:
-        settled, more = self._settled, None
-        if settled is not None and len(self) < _GROWTH * settled.n_planes:
+        estimate, more = self._estimate, None
+        if estimate is not None and len(self) < _GROWTH * estimate.n_planes:
             wavelength_m = self._about.waveform.center_wavelength_m
-            more = settled.corrections.of_more(self._poses, wavelength_m)
+            more = estimate.corrections.of_more(self._poses, wavelength_m)
         self._run.scene_digest = self._scene_digest()
-        self._settled = None  # until the surface is there
-        if settled is None or more is None:
-            self._settled = self._estimated()
+        self._estimate = None  # until the surface is there
+        if estimate is None or more is None:
+            self._estimate = self._estimate_all()
         else:
-            self._settled = self._extended(settled, more)
+            self._estimate = self._extend(estimate, more)
 
-    def _estimated(self) -> _Settled:
+    def _estimate_all(self) -> _Estimate:
         """Surface with box and corrections estimated from all planes so far."""
         request, options = self._request(), self._record.options
         corrections = Corrections()
@@ -342,10 +342,10 @@ class Session:
             self._peaks = job.peaks
             if options.calibrate == "auto":
                 job, corrections = calibrate_job(job, with_positions=False)
-            job = replace(job, capture=self._spooled(job.capture, ()))
+            job = replace(job, capture=self._spool(job.capture, ()))
             keep_inputs(job, request.summary.planes)
             make_surface(job, name, options)
-        return _Settled(
+        return _Estimate(
             n_planes=len(self),
             box=request.box,
             corrections=corrections,
@@ -353,11 +353,11 @@ class Session:
             prior_name=name,
         )
 
-    def _extended(self, settled: _Settled, corrections: Corrections) -> _Settled:
+    def _extend(self, estimate: _Estimate, corrections: Corrections) -> _Estimate:
         """Surface with box and corrections that are known."""
-        capture = self.capture if settled.box is None else settled.box.place(self.capture)
-        digest, before = self._run.scene_digest, settled.job.run
-        poses = self._spooled(corrections.applied(capture), settled.job.capture.poses)
+        capture = self.capture if estimate.box is None else estimate.box.place(self.capture)
+        digest, before = self._run.scene_digest, estimate.job.run
+        poses = self._spool(corrections.applied(capture), estimate.job.capture.poses)
         with self._run.replace_whole(grows=True) as new, log_run(new, resume=False):
             new.asked |= before.asked
             new.stages |= {n: before.stages[n] for n in _SETTLED if n in before.stages}
@@ -365,27 +365,29 @@ class Session:
                 if self._run.find_file(name) is not None:
                     link_file(self.path / name, new.path / name)
             job = replace(
-                settled.job,
+                estimate.job,
                 run=new,
                 listener=RunListener(new, self._listener),
                 capture=poses,
-                inputs={**settled.job.inputs, "scene": digest},
-                made_from={**settled.job.made_from, "scene": digest},
+                inputs={**estimate.job.inputs, "scene": digest},
+                made_from={**estimate.job.made_from, "scene": digest},
             )
             keep_inputs(job, [Aperture.from_pose(pose) for pose in job.capture.poses])
-            make_surface(job, settled.prior_name, replace(self._record.options, trust_los=True))
-        return replace(settled, job=job)
+            make_surface(job, estimate.prior_name, replace(self._record.options, trust_los=True))
+        return replace(estimate, job=job)
 
-    def _spooled(self, capture: Capture, before: Sequence[Pose]) -> Capture:
+    def _spool(self, capture: Capture, before: Sequence[Pose]) -> Capture:
         """Corrected capture, whose samples are on disk and whose first poses are those before."""
         poses = [*before]
         for pose, own in zip(capture.poses[len(poses) :], self._poses[len(poses) :], strict=True):
             is_own = pose.signal is own.signal
-            poses.append(pose if is_own else replace(pose, signal=_on_disk(pose.signal, self.path)))
+            poses.append(
+                pose if is_own else replace(pose, signal=_map_to_disk(pose.signal, self.path))
+            )
         return replace(capture, poses=tuple(poses))
 
 
-def _run_of(path: Path, about: Capture) -> RunFolder:
+def _open_run(path: Path, about: Capture) -> RunFolder:
     """Record of a session's folder, new or to be continued."""
     digest, is_session = capture_digest(about), (path / SCENE_FOLDER).is_dir()
     if is_session and (path / RUN_NAME).is_file():
@@ -405,12 +407,12 @@ def _require_readable(source: PriorSource, listener: Listener) -> None:
         source.load((), listener)
 
 
-def samples_digest(pose: Pose) -> str:
+def digest_samples(pose: Pose) -> str:
     """Hash of the samples of a plane."""
     return hashlib.sha256(np.ascontiguousarray(pose.signal).data).hexdigest()
 
 
-def _on_disk(array: Array, folder: Path) -> Array:
+def _map_to_disk(array: Array, folder: Path) -> Array:
     """Array in an unnamed file, which the system may drop from memory at any time."""
     with TemporaryFile(dir=folder) as file:
         file.write(np.ascontiguousarray(array).data)

@@ -25,17 +25,17 @@ def is_address(source: str) -> bool:
     return source.startswith(("tcp:", "unix:"))
 
 
-def opened(address: str) -> socket.socket:
+def open_socket(address: str) -> socket.socket:
     """Socket that listens at an address of this machine; UserError where it cannot."""
     try:
         if address.startswith("unix:"):
-            return _unix(Path(address.removeprefix("unix:")))
+            return _open_unix_socket(Path(address.removeprefix("unix:")))
         parts = urlsplit(address)
         if parts.hostname not in _LOCAL or not parts.port:
             raise ValueError
         found = socket.socket()
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        return _listening(found, ("127.0.0.1", parts.port))
+        return _listen(found, ("127.0.0.1", parts.port))
     except ValueError:  # also for a port out of range
         raise UserError(
             what="is no socket of this machine", where=address, expected=_FORMS
@@ -45,19 +45,19 @@ def opened(address: str) -> socket.socket:
         raise UserError(what=f"cannot be listened at: {reason}", where=address) from None
 
 
-def _unix(path: Path) -> socket.socket:
+def _open_unix_socket(path: Path) -> socket.socket:
     """Socket file that its owner alone may use; one that nobody listens at is replaced."""
     if path.exists() and stat.S_ISSOCK(path.lstat().st_mode):
         with socket.socket(socket.AF_UNIX) as probe, suppress(ConnectionRefusedError):
             probe.connect(str(path))
             raise UserError(what="is in use", where=path, hint="choose another path")
         path.unlink()
-    found = _listening(socket.socket(socket.AF_UNIX), str(path))
+    found = _listen(socket.socket(socket.AF_UNIX), str(path))
     path.chmod(0o600)
     return found
 
 
-def _listening(found: socket.socket, address: str | tuple[str, int]) -> socket.socket:
+def _listen(found: socket.socket, address: str | tuple[str, int]) -> socket.socket:
     try:
         found.bind(address)
     except OSError:
@@ -73,7 +73,7 @@ class SocketSource(Source):
 
     def __init__(self, address: str) -> None:
         super().__init__()
-        self._address, self._server = address, opened(address)
+        self._address, self._server = address, open_socket(address)
         self._peer: socket.socket | None = None
         self._reader = FrameReader(address)
         self._n_planes, self._has_ended = 0, False
@@ -94,19 +94,19 @@ class SocketSource(Source):
     def poll(self, *, is_last: bool = False) -> Iterator[NewPlane]:
         """Planes that came whole; what cannot be read ends the connection, and another may come."""
         del is_last  # what is half sent never counts
-        while (data := self._received()) is not None:
+        while (data := self._receive()) is not None:
             try:
                 if not data and self._reader.is_within:
                     raise UserError(what="ended within a plane", where=self._address)
                 for item in self._reader.feed(data):
-                    yield from self._taken(item)
+                    yield from self._read_item(item)
             except UserError as error:
                 yield NewPlane(name=str(self._n_planes), problem=str(error))
                 data = b""
             if not data:
                 self._let_go()
 
-    def _received(self) -> bytes | None:
+    def _receive(self) -> bytes | None:
         """Bytes that came, none at the end of a connection; None: nothing came."""
         try:
             if self._peer is None:
@@ -125,7 +125,7 @@ class SocketSource(Source):
             self._peer.close()
         self._peer, self._reader = None, FrameReader(self._address)
 
-    def _taken(self, item: SceneManifest | Pose | None) -> Iterator[NewPlane]:
+    def _read_item(self, item: SceneManifest | Pose | None) -> Iterator[NewPlane]:
         if item is None:
             self._has_ended = True
         elif isinstance(item, SceneManifest):

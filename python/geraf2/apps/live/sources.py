@@ -99,7 +99,7 @@ class FolderSource(Source):
 
         It comes when it is repaired.
         """
-        for name, folder in self._waiting():
+        for name, folder in self._find_planes():
             if name in self._done:
                 continue
             try:
@@ -115,7 +115,7 @@ class FolderSource(Source):
                 yield NewPlane(name=name, pose=pose)
 
     @abstractmethod
-    def _waiting(self) -> list[tuple[str, Path]]:
+    def _find_planes(self) -> list[tuple[str, Path]]:
         """Name and folder of each plane that is there, whole or not."""
 
     @abstractmethod
@@ -126,7 +126,7 @@ class FolderSource(Source):
 class SceneSource(FolderSource):
     """A scene folder in this project's own layout, such as `GrowingScene` writes."""
 
-    def _waiting(self) -> list[tuple[str, Path]]:
+    def _find_planes(self) -> list[tuple[str, Path]]:
         try:
             self._reader = SceneReader(self.path)
         except UserError:  # between two planes
@@ -140,7 +140,7 @@ class SceneSource(FolderSource):
 
     def _read(self, name: str, *, is_last: bool) -> Pose | None:
         del is_last  # a plane of a scene is whole
-        assert self.about is not None  # see _waiting
+        assert self.about is not None  # see _find_planes
         if self._reader.manifest.waveform != self.about.waveform:
             raise UserError(what="is of another radar", where=f"plane {name}")
         return self._reader.read_pose(int(name))
@@ -153,11 +153,11 @@ class GerafSensSource(FolderSource):
         super().__init__(path)
         self._is_positive = False
 
-    def _waiting(self) -> list[tuple[str, Path]]:
+    def _find_planes(self) -> list[tuple[str, Path]]:
         root = self.path / "mf" if (self.path / "mf").is_dir() else self.path
         self._folders: dict[str, list[Path]] = {}
         frames = [entry for entry in root.iterdir() if FRAME_NAME.fullmatch(entry.name)]
-        for name, group in groupby(sorted(frames, key=_order), key=_plane_of):
+        for name, group in groupby(sorted(frames, key=_sort_key), key=_plane_name):
             self._folders[name] = list(group)
         return [(name, folders[-1]) for name, folders in self._folders.items()]
 
@@ -213,13 +213,13 @@ def folder_source(path: Path) -> FolderSource | None:
     )
 
 
-def _order(folder: Path) -> tuple[int, float, int]:
+def _sort_key(folder: Path) -> tuple[int, float, int]:
     match = FRAME_NAME.fullmatch(folder.name)
     assert match is not None  # only frames get here
     return int(match["index"]), float(match["angle"]), int(match["sub"])
 
 
-def _plane_of(folder: Path) -> str:
+def _plane_name(folder: Path) -> str:
     return folder.name.rpartition("_")[0]
 
 

@@ -25,7 +25,7 @@ _MIN_SHARE = 0.03
 
 
 @dataclass(frozen=True, kw_only=True)
-class Expected:
+class ExpectedAccuracy:
     """Mean accuracy of the preset `fast` on metal objects in such a box, and what most reach."""
 
     f1_5mm: float
@@ -43,7 +43,9 @@ class Expected:
         )
 
 
-def expected_of(planes: Sequence[Aperture], center_m: Floats, seen_share: float) -> Expected:
+def expect_accuracy(
+    planes: Sequence[Aperture], center_m: Floats, seen_share: float
+) -> ExpectedAccuracy:
     """Accuracy to expect of a scan of free-standing objects without grating lobes.
 
     planes: of the scan. center_m: of what is scanned, (3,) [m].
@@ -53,7 +55,7 @@ def expected_of(planes: Sequence[Aperture], center_m: Floats, seen_share: float)
     inverse = 1.0 / max(seen_share, _MIN_SHARE)
     far = float(np.mean(angles_off(sphere_points(4000), planes, center_m) > _FAR_RAD))
     lacking = _F1_5MM[0] * inverse + _F1_5MM[1] * far
-    return Expected(
+    return ExpectedAccuracy(
         f1_5mm=1.0 - lacking,
         f1_15mm=1.0 - max(_MIN_15MM, _F1_15MM[0] + _F1_15MM[1] * far),
         error_m=_ERROR_M[0] + _ERROR_M[1] * inverse + _ERROR_M[2] * far,

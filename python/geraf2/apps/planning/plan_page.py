@@ -60,8 +60,8 @@ def write_plan_page(
     board = scanner.array or ("of the radar's file" if scanner.own else None)
     times = sorted({*minutes, *([options.minutes] if options.minutes else [])})
     counts = [0] if board else sorted({*channels, own})
-    cells = [[_planned(options, time, n) for n in counts] for time in times]
-    first = _first(cells, times, counts, options)
+    cells = [[_try_plan(options, time, n) for n in counts] for time in times]
+    first = _first_setting(cells, times, counts, options)
     shown = cells[first[0]][first[1]]
     assert shown is not None
     ball = _ball(_BALL_SHARE * min(whole.box_m))
@@ -99,7 +99,7 @@ def write_plan_page(
     return [path, *files.values()]
 
 
-def _planned(options: PlanOptions, minutes: float, channels: int) -> TimedPlan | None:
+def _try_plan(options: PlanOptions, minutes: float, channels: int) -> TimedPlan | None:
     """Plan for a setting; None where none fits into the time."""
     try:
         return make_timed_plan(replace(options, minutes=minutes, channels=channels or None))
@@ -107,7 +107,7 @@ def _planned(options: PlanOptions, minutes: float, channels: int) -> TimedPlan |
         return None
 
 
-def _first(
+def _first_setting(
     cells: list[list[TimedPlan | None]],
     times: list[float],
     counts: list[int],

@@ -8,13 +8,13 @@ import numpy as np
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
-from geraf2.apps.planning.expected import Expected, expected_of
+from geraf2.apps.planning.expected import ExpectedAccuracy, expect_accuracy
 from geraf2.apps.planning.scan_time import (
     COARSEST,
     Order,
     Scanner,
     TimedPlan,
-    best_in_time,
+    find_best_plan,
     swept_planes,
 )
 from geraf2.errors import UserError
@@ -190,7 +190,7 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
             hint="leave --planes and --elevations out; a picture as PNG draws a plan with them",
         )
     plan = make_plan(replace(options, planes=1))
-    return best_in_time(
+    return find_best_plan(
         plan.box_m,
         plan.standoff_m,
         plan.aperture_m,
@@ -203,7 +203,7 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LikeScene:
+class ExplainedScan:
     """An existing scan as a plan."""
 
     apertures: list[Aperture]
@@ -215,11 +215,11 @@ class LikeScene:
     """That the scanner would take [s]."""
     seen_share: float
     """Of all normals, in which a surface is seen."""
-    expected: Expected | None
+    expected: ExpectedAccuracy | None
     """None where the spacing is too coarse."""
 
 
-def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
+def explain_scan(scene: Path, scanner: Scanner) -> ExplainedScan:
     """Explain a scan that exists: its planes, what they see, and the time of it by a scanner."""
     capture = open_capture(scene)
     if not capture.poses:
@@ -241,14 +241,14 @@ def plan_like(scene: Path, scanner: Scanner) -> LikeScene:
     far = float(np.median([np.linalg.norm(w) for w in outward]))
     sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
     coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
-    return LikeScene(
+    return ExplainedScan(
         apertures=apertures,
         elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in outward])),
         spacing_m=spacing,
         scan=scan,
         seconds=seconds - scanner.turn_s,
         seen_share=share,
-        expected=expected_of(apertures, center, share) if spacing <= coarsest else None,
+        expected=expect_accuracy(apertures, center, share) if spacing <= coarsest else None,
     )
 
 
@@ -256,7 +256,7 @@ def make_plan(options: PlanOptions) -> ScanPlan:
     """Plan with everything that was left open filled in."""
     if options.box is None:
         raise UserError(what="give --box, or --depth of a single plane")
-    waveform = _chosen_waveform(options)
+    waveform = _choose_waveform(options)
     _require_size(options.box, waveform)
     standoff = options.standoff or suggested_standoff_m(options.box)
     radius = 0.5 * float(np.hypot(options.box[0], options.box[1]))
@@ -306,7 +306,7 @@ def make_plane(options: PlanOptions) -> PlanePlan:
             raise UserError(what=f"--depth plans a single plane, without --{name}")
     depth = options.depth or 0.0
     plan = PlanePlan(
-        waveform=_chosen_waveform(options),
+        waveform=_choose_waveform(options),
         depth_m=depth,
         aperture_m=options.aperture or (depth, depth),
         spacing_m=options.spacing or depth,
@@ -318,7 +318,7 @@ def make_plane(options: PlanOptions) -> PlanePlan:
     return replace(plan, spacing_m=float(np.floor(1e4 * plan.nyquist_spacing_m) / 1e4))
 
 
-def _chosen_waveform(options: PlanOptions) -> Waveform:
+def _choose_waveform(options: PlanOptions) -> Waveform:
     if options.radar is not None and options.preset is not None:
         raise UserError(what="give either --radar or --preset", got="both")
     if options.radar is None:

@@ -11,7 +11,7 @@ from annotated_types import Interval
 
 from geraf2._bounds import Bounded, Seconds
 from geraf2._types import Bools, Floats
-from geraf2.apps.planning.expected import Expected, expected_of
+from geraf2.apps.planning.expected import ExpectedAccuracy, expect_accuracy
 from geraf2.errors import UserError
 from geraf2.freespace.specular import inner_points, received_normals, sphere_points
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
@@ -63,7 +63,7 @@ class Scanner(Bounded):
     turn_s: Seconds = 3.0
     """From one plane to the next [s]."""
 
-    def swept(self, pitch_m: float) -> SweptArray:
+    def swept_array(self, pitch_m: float) -> SweptArray:
         """Array of the scanner; receivers of `channels` as far apart as the rows [m]."""
         if self.array is not None:
             return find_array(self.array).sweep(order=self.order, chirp_s=1.0 / self.chirps_per_s)
@@ -82,7 +82,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
     """
     if scanner.stop_and_go:
         return
-    array = scanner.swept(spacing_m)
+    array = scanner.swept_array(spacing_m)
     set_s = scanner.set_s(array)
     added_s = set_s
     if scanner.chirps_per_position == 1 and array.order == "tdm":
@@ -135,7 +135,7 @@ class Design:
         return [
             plane
             for elevation_deg, n in zip(kinds, counts, strict=True)
-            for plane in ring_of(elevation_deg, n, standoff_m, half)
+            for plane in ring_planes(elevation_deg, n, standoff_m, half)
         ]
 
 
@@ -159,7 +159,7 @@ class TimedPlan:
     """With the motion to the first position of each plane [s]."""
     seen_share: float
     """Of all normals, in which a surface is seen."""
-    expected: Expected | None
+    expected: ExpectedAccuracy | None
     """None where the spacing is too coarse."""
 
 
@@ -171,7 +171,7 @@ def swept_planes(
     A line lies along the horizontal of its plane; with one above the other the array covers the
     height, each line as much above the one before as the array is high, and a row.
     """
-    array = scanner.swept(spacing_m)
+    array = scanner.swept_array(spacing_m)
     extent_m = _height_m(array)
     clock_s, swept = 0.0, []
     for number, plane in enumerate(planes):
@@ -230,7 +230,7 @@ def _triple(vector: Floats) -> tuple[float, float, float]:
     return x, y, z
 
 
-def best_in_time(
+def find_best_plan(
     box_m: tuple[float, float, float],
     standoff_m: float,
     aperture_m: tuple[float, float],
@@ -290,7 +290,7 @@ def best_in_time(
         scan=scan,
         seconds=total_s,
         seen_share=share,
-        expected=expected_of(planes, np.zeros(3), share)
+        expected=expect_accuracy(planes, np.zeros(3), share)
         if design.spacing_m <= coarsest_m
         else None,
     )
@@ -302,7 +302,7 @@ def _heights(
     """Width and height of planes to try, and what their share counts: as asked, and a line less."""
     yield aperture_m, 1.0
     width, height = aperture_m
-    lower = height - (_height_m(scanner.swept(spacing_m)) + spacing_m)
+    lower = height - (_height_m(scanner.swept_array(spacing_m)) + spacing_m)
     if lower >= _LOWEST * height:
         yield (width, lower), 1.0 / _LOWER_GAIN
 
@@ -353,7 +353,7 @@ class _Sight:
     def _ring(self, elevation_deg: float, n: int) -> Bools:
         key = (elevation_deg, n)
         if key not in self._seen:
-            planes = ring_of(elevation_deg, n, self._standoff_m, self._half)
+            planes = ring_planes(elevation_deg, n, self._standoff_m, self._half)
             self._seen[key] = np.array(
                 [received_normals(planes, self._normals, p).any(axis=1) for p in self._points]
             )
@@ -364,7 +364,7 @@ _sight = lru_cache(maxsize=128)(_Sight)
 """One for all spacings, times and channels with planes of the same sides."""
 
 
-def ring_of(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Aperture]:
+def ring_planes(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Aperture]:
     """Planes at one elevation [degrees]; raised ones stand between those around the box."""
     first = 0.5 * (0.0 < elevation_deg < 90.0)
     azimuths = 2.0 * np.pi * (np.arange(n) + first) / max(1, n)
