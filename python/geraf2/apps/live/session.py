@@ -84,16 +84,31 @@ class _Estimate:
 class Session:
     """A scan in progress: planes are added, and a result is there at any moment.
 
-    scan: the radar's waveform, or a capture with its waveform, walls, frame and provenance, whose
-    planes are added.
-    prior, preset, options: as of `geraf2.reconstruct`; no plane can be left out.
-    out: run folder; its folder `scene` keeps the planes. A session that is there continues, also
-    after its process was killed. A temporary one when not given, which goes with the session.
-    num_threads: all when None. listener: receives warnings and progress.
+    Samples are kept on disk; peaks, a thousandth of them, in memory. Lengths are in metres.
 
-    Samples are kept on disk; peaks, a thousandth of them, in memory. Lengths in metres. Raises
-    UserError if `out` holds something else, or a session of another radar.
+    Parameters
+    ----------
+    scan
+        The radar's waveform; or a capture with its waveform, walls, frame and provenance, whose
+        planes are added.
+    prior, preset, options
+        As of `geraf2.reconstruct`; no plane can be left out.
+    out
+        Run folder, whose folder `scene` keeps the planes. A session that is there continues, also
+        after its process was killed. None: a temporary folder, removed with the session.
+    num_threads
+        Threads of the kernels; all when None.
+    listener
+        Receives warnings and progress.
 
+    Raises
+    ------
+    UserError
+        If `out` holds something else or a session of another radar, another process writes into
+        it, or the preset states no errors.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> with geraf2.Session(capture.waveform, geraf2.examples.BOX_M, "fast") as session:
     ...     for pose in capture.poses:
@@ -197,11 +212,20 @@ class Session:
     def add(self, pose: Pose, *, times_s: Floats | None = None) -> None:
         """Add a plane; it is on disk when this returns.
 
-        pose: samples, positions [m] and axes. times_s: of its antennas, (n_antennas,) [s].
+        A plane older than the one before it is a warning.
 
-        Raises UserError, and changes nothing, for a plane that was added before, of another number
-        of samples, with implausible values, or with times that go back. A plane older than the one
-        before it is a warning.
+        Parameters
+        ----------
+        pose
+            Samples (n_antennas, n_samples), positions (n_antennas, 3) [m] and axes (3, 3).
+        times_s
+            Times of its antennas, (n_antennas,) [s].
+
+        Raises
+        ------
+        UserError
+            For a plane that was added before, has another number of samples, implausible values,
+            or times that go back. The session does not change.
         """
         name = f"plane {pose.name or len(self)}"
         wanted, got = self._about.waveform.n_samples, pose.signal.shape[1]
@@ -222,8 +246,13 @@ class Session:
     def result(self) -> Reconstruction:
         """Reconstruction of the planes so far, updated when planes were added.
 
-        Box and calibration are those of a part of the planes, without slow errors of positions;
-        `finish` estimates them from all. Raises UserError as long as there is no surface.
+        Box and calibration are estimated from a part of the planes, without slow errors of
+        positions; `finish` estimates them from all.
+
+        Raises
+        ------
+        UserError
+            As long as there is no surface.
         """
         if self._result is None:
             self._require_planes()
@@ -234,9 +263,20 @@ class Session:
     def reaches(self, target: Target | str) -> bool:
         """Whether the surface is expected to be as good as this.
 
-        target: as "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
+        Parameters
+        ----------
+        target
+            "expected 1 mm over 90 %": an expected error of at most 1 mm on 90 % of the area.
 
-        False without a surface. Raises UserError for another text.
+        Returns
+        -------
+        bool
+            False also as long as there is no surface.
+
+        Raises
+        ------
+        UserError
+            For a text of another form.
         """
         wanted = Target.of(target)
         try:
@@ -248,7 +288,22 @@ class Session:
     def finish(self, *, report: bool = False) -> Reconstruction:
         """Reconstruct the whole scan, as `geraf2.reconstruct` does of the folder `scene`.
 
-        report: also write `report.html`. Planes can still be added afterwards.
+        Planes can still be added afterwards.
+
+        Parameters
+        ----------
+        report
+            Also write `report.html`.
+
+        Returns
+        -------
+        Reconstruction
+            The result, whose folder is `path`.
+
+        Raises
+        ------
+        UserError
+            Without planes, or if they give no surface.
         """
         self._require_planes()
         self._run.scene_digest = self._scene_digest()

@@ -60,10 +60,17 @@ _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions(Bounded):
-    """What is known of the scan to be planned; either `box` or `depth`.
+    """What is known of the scan to be planned: either `box` or `depth`, the rest is suggested.
 
-    ValueError for a value out of bounds, UserError for angles or planes that do not go together.
+    Raises
+    ------
+    ValueError
+        For a value out of its bounds.
+    UserError
+        For elevations that repeat, or too many planes.
 
+    Examples
+    --------
     >>> geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=5.0).speed_m_per_s  # lengths in metres
     0.2
     """
@@ -167,12 +174,25 @@ def _own_array(antennas: AntennaManifest, order: Order) -> SweptArray | None:
 def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
     """Plan a scan; what is not given is suggested.
 
-    options: box or depth [m], and what is known of radar and scanner.
+    Parameters
+    ----------
+    options
+        Sides of the box, or depth of a single plane [m], and what is known of radar and scanner.
 
-    Returns a plan of rings; of a single plane with `depth`; or of planes with lines within
-    `minutes`. Raises UserError for settings that do not go together, or a plan that no scanner
-    reaches.
+    Returns
+    -------
+    ScanPlan | PlanePlan | TimedPlan
+        Rings of planes around the box; a single plane if `options.depth` is given; planes with the
+        lines of the arm if `options.minutes` is given.
 
+    Raises
+    ------
+    UserError
+        For settings that contradict each other, a box that the radar cannot resolve, or a plan
+        that does not fit into the time.
+
+    Examples
+    --------
     >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22)))
     >>> rings.n_planes, rings.spacing_m  # [m]
     (36, 0.0033)
@@ -183,7 +203,7 @@ def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
 
 
 def make_timed_plan(options: PlanOptions) -> TimedPlan:
-    """Plan that fits into `minutes`."""
+    """Find the plan that sees most within `options.minutes`; UserError where none fits."""
     if options.planes is not None or options.elevations_deg != (0.0,):
         raise UserError(
             what="a plan by minutes, as on a page, chooses planes and elevations itself",
