@@ -89,7 +89,7 @@ def test_a_given_cuboid_is_kept_with_a_warning_and_a_mesh_without(scan):
         (LosPrior.from_box((SIDE_M, SIDE_M, 0.3)), True),
         (LosPrior.from_mesh(outside), False),
     ):
-        check = box_check.checked_prior(capture, prior, "--box", None, Listener(), None)
+        check = box_check.check_prior(capture, prior, "--box", None, Listener(), None)
         assert check.prior is prior
         assert check.is_warning == is_warning
         assert check.text.startswith("the walls of the box fit no cuboid: the prior was compared")
