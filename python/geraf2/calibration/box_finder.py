@@ -115,18 +115,19 @@ def find_box(
         else:
             capture = without_leakage(capture, leakage)
             tries, _, flashes = _initial_boxes(capture, peaks, reach, like)
-    reasons = list[WallsNotFoundError]()
+    contradicted = list[tuple[FoundBox, WallsNotFoundError]]()
     for start, seen in tries:
         try:
             box = _finished(capture, start, _Known(peaks, seen))
         except WallsNotFoundError as error:
-            reasons.append(error)
+            contradicted.append((start, error))
             continue
         if not (box.seen[:2] == Seen.SQUARELY).any(axis=1).all():
             _require_cuboid(flashes, box.normals.reshape(6, 3))
         return box.moved(focus)
-    _require_cuboid(flashes, np.outer([-1.0, 1.0], upward(capture)))
-    raise reasons[0]
+    likeliest, reason = contradicted[0]
+    _require_cuboid(flashes, likeliest.normals.reshape(6, 3))
+    raise reason
 
 
 def _require_cuboid(flashes: Flashes, sides: Floats) -> None:

@@ -171,8 +171,10 @@ class Flashes:
             distances, _ = KDTree(scaled[far]).query(scaled[near])
             found = near[(distances < 1.0) & (moved[near] > 0.5 * MIN_SIDE_M)]
             along = (self.normals[found] @ sides.T > np.cos(MAX_ANGLE_RAD)).any(axis=1)
-            counts = [len(np.unique(self.subapertures[found[own]])) for own in (along, ~along)]
-            best = max(best, (counts[0], counts[1]), key=sum)
+            own = set(self.subapertures[found[along]])
+            # Grating lobes of a side's flash lie beside it.
+            others = set(self.subapertures[found[~along]]) - own
+            best = max(best, (len(own), len(others)), key=sum)
         return best
 
     def density(self, own: Ints, offsets_m: Floats, weights: Floats, n_offsets: int) -> Floats:
