@@ -84,6 +84,8 @@ def test_interrupted_and_resumed_is_bit_identical(
     monkeypatch.setattr(learned._Watcher, "__call__", interrupted)
     assert run(built_scene, tmp_path / "out", *more) == 130
     assert "interrupted; OUT is as it was; a training continues" in the_error(capsys)
+    assert run(built_scene, tmp_path / "out", *more, "--overwrite") == 130  # from the start
+    assert "interrupted" in the_error(capsys)
     left = {"checkpoint.safetensors", "log.jsonl", "live"}
     assert {path.name for path in (tmp_path / "out" / "training").iterdir()} == left
     monkeypatch.setattr(learned._Watcher, "__call__", real)
