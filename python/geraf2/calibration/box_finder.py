@@ -64,8 +64,8 @@ _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
 # Least number of sub-apertures with walls that are no cuboid's, and least share of those with its
-# walls: four overlap, and three count.
-_MIN_BESIDE, _BESIDE_SHARE = 12, 0.5
+# walls: four overlap, and four count.
+_MIN_BESIDE, _BESIDE_SHARE = 16, 0.5
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 MIN_CONTENT = 0.02

@@ -26,8 +26,6 @@ class Seen(IntEnum):
     """Echoes of its edges on neighbouring faces."""
     SQUARELY = 2
     """Flashes: antennas see it at a right angle, from the front or from behind."""
-    GIVEN = 3
-    """By the given prior."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,13 +128,12 @@ class FoundBox:
         """Faces by their evidence."""
         kinds = {
             kind: [name for name, k, side in face_names() if self.seen[k, side] == kind]
-            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.GIVEN, Seen.NOT)
+            for kind in (Seen.SQUARELY, Seen.EDGES, Seen.NOT)
         }
         where = " ".join(f"{1e3 * off:.0f}" for off in self.offsets_m[self.seen == Seen.NOT])
         texts = (
             "seen squarely",
             "by their edges",
-            "as given",
             f"not seen: assumed {where} mm from the frame's origin",
         )
         return ", ".join(
@@ -173,7 +170,7 @@ class NoCuboidError(UserError):
             what="the walls of the box fit no cuboid",
             expected="four upright walls at right angles",
             got="echoes of walls in other directions, as of a tube or of a box with skewed corners",
-            hint="give the outside of the box with --los MESH",
+            hint="give the outside of the box with --los MESH, or --box X Y Z if it is a cuboid",
         )
 
 

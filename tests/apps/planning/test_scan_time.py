@@ -140,7 +140,7 @@ def test_the_plane_of_a_pose_covers_its_phase_centres():
         rx_positions=centers - apart,
         axes=beside.axes,
     )
-    plane = Aperture.from_pose(pose).right_handed()
+    plane = Aperture.from_pose(pose).turn_right_handed()
     assert plane.half_m == pytest.approx(0.5 * np.ptp(local, axis=0))
     assert plane.axes == pytest.approx(beside.axes)
     inside = np.abs((centers - plane.middle_m) @ plane.axes[1:].T) <= plane.half_m + 1e-12
