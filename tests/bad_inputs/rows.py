@@ -171,7 +171,7 @@ SCENES = [
         (floats(TX, 2, in_mm), "transmitter"),
         (*(floats(a, 1, lambda a: a + 300.0) for a in (TX, RX)), "metres"),
     ),
-    bad("info scene --verify", flip(f"{RX}/c/1/0/0", 1001), text="rx_positions"),
+    bad("info scene", flip(f"{RX}/c/1/0/0", 1001), text="rx_positions"),
     bad("view scene", values(f"{SIGNAL}/zarr.json", zarr_format=2), text="signal"),
     *rows(
         RUN,

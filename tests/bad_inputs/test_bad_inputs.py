@@ -27,7 +27,7 @@ ROWS = {
 }
 # The rows spoil these good inputs; if one were bad, its rows would be refused for another reason.
 GOOD = (
-    "info scene --verify",
+    "info scene",
     "info raw/adc.bin --radar radar.toml",
     IMPORT,
     RAW,

@@ -130,7 +130,7 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     scan = read_scan_file(tmp_path / "scan.json")
     assert scan.array.rx_offsets_m == ((0.0, 0.005, 0.0), (0.0, 0.005, 0.02))
     assert scan.array.n_channels == 4
-    slow = ["--turn-s", "60", "--stop-and-go", "--settle-s", "0.5", "--channels", "8"]
+    slow = ["--turn-s", "60", "--settle-s", "0.5", "--channels", "8"]
     assert main(["plan", *BOX, "--minutes", "3", *slow]) == 2
     error = capsys.readouterr().err
     assert "no plan can be reached in the time" in error

@@ -80,11 +80,11 @@ def test_scores_of_another_mesh_are_found_and_foreign_files_listed(folder):
 @pytest.mark.parametrize("array", ["signal", "antenna_count"])
 def test_one_flipped_bit_of_a_scene_is_found(folder, array, capsys):
     scene = folder / "scene"
-    assert main(["info", str(scene), "--verify"]) == 0
-    assert "hold for 6 planes" in capsys.readouterr().out
+    assert main(["verify", str(scene)]) == 0
+    capsys.readouterr()
     chunk = next(p for p in (scene / "radar.zarr" / array / "c").rglob("*") if p.is_file())
     flip(chunk, 0)
-    for command in (["info", str(scene), "--verify"], ["info", str(scene)], ["verify", str(scene)]):
+    for command in (["info", str(scene)], ["verify", str(scene)]):
         assert main(command) == 2
         assert re.search(f"{array} of plane .* is not what was written", the_error(capsys))
     chunk.unlink()

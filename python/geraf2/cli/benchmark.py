@@ -78,7 +78,7 @@ class Config:
     captures: Annotated[Path | None, Arg(metavar="FOLDER")] = None
     """With --only full_wave: captures of bench/full_wave/captures.py, compared with the same scans
     by physical optics; OUT/captures when not given."""
-    seed: Seed = 0
+    seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Of scenes, reconstructions and samples."""
     threads: Threads = None
     """Threads of each row; all when not given and --jobs is 1."""

@@ -30,7 +30,7 @@ class Config:
     """Also print the definition of each number."""
     report: bool = False
     """Draw the report again, with the truth in it; done anyway if it has scores already."""
-    seed: Seed | None = None
+    seed: Annotated[Seed | None, Arg(hidden=True)] = None
     """Seed of these points; the run's own when not given."""
     threads: Threads = None
     """Threads to use; all when not given."""

@@ -57,8 +57,6 @@ class Config:
     """The folder holds one recording a position."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
-    verify: bool = False
-    """Report whether there are checksums; every plane is compared with them when it is read."""
     threads: Threads = None
     """Threads for the heat map; all when not given."""
 
@@ -77,7 +75,6 @@ def main(config: Config) -> int:
             raise UserError(what="--figure needs a scene", where=config.scene, hint=hint)
         return show(config)
     reader = SceneReader(config.scene)
-    n_checked = reader.n_poses if reader.has_checksums else "no"
     base = capture_without_poses(reader.manifest)
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
@@ -86,7 +83,6 @@ def main(config: Config) -> int:
     rows(
         [
             ("scene", str(config.scene)),
-            *([("checksums", f"hold for {n_checked} planes")] if config.verify else []),
             ("frame", f"{reader.manifest.frame} (metres)"),
             *_origin(reader.manifest.provenance),
             *(_calibration_row(found) for found in reader.manifest.calibration),

@@ -9,7 +9,7 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from geraf2._bounds import Bounded, CountOrZero, Seed
+from geraf2._bounds import Arg, Bounded, CountOrZero, Seed
 from geraf2.errors import UserError
 from geraf2.io.photo_files import UNITS_M
 from geraf2.io.transform_file import read_transform
@@ -44,7 +44,7 @@ class LosOptions(Bounded):
     keep_surface: bool = False
     """Also keep the trained surface with its colours (surface.safetensors, about 100 MB), which
     `geraf2.apps.photos.neural_surface.NeuralSurface.load` reads and renders."""
-    seed: Seed = 0
+    seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Seed of the training."""
 
     def __post_init__(self) -> None:

@@ -46,7 +46,7 @@ def test_lines_of_a_plane_and_their_time():
     assert np.abs(local).max(axis=0) == pytest.approx([0.0, 0.07, 0.126], abs=1e-6)
     rows = np.unique(np.round(local[:, 2], 6))
     assert np.diff(rows) == pytest.approx(0.004, abs=2e-6)
-    still, longer = swept_planes(planes, 0.004, replace(EIGHT, stop_and_go=True))
+    still, longer = swept_planes(planes, 0.004, replace(EIGHT, settle_s=0.2))
     assert longer - seconds == pytest.approx(2 * 8 * 36 * (0.2 + 0.001))
     assert still.motion == "stop-and-go"
 
@@ -117,7 +117,7 @@ def test_a_spacing_with_ghosts_is_not_chosen_and_has_nothing_to_expect():
 def test_an_arm_that_is_too_fast_is_refused(scanner, message):
     with pytest.raises(UserError, match=message):
         require_speed(scanner, 0.004, WAVELENGTH_M)
-    require_speed(replace(scanner, array=None, stop_and_go=True), 0.004, WAVELENGTH_M)
+    require_speed(replace(scanner, array=None, settle_s=0.2), 0.004, WAVELENGTH_M)
 
 
 def test_a_plane_is_a_line_lower_where_that_lets_another_one_in():

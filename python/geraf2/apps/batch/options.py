@@ -1,8 +1,9 @@
 """Options of work on several processes, which do not change its results."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
-from geraf2._bounds import Bounded, Rounds, ThreadCount
+from geraf2._bounds import Arg, Bounded, Rounds, ThreadCount
 from geraf2.errors import UserError
 
 
@@ -17,7 +18,7 @@ class BatchOptions(Bounded):
     files and the same geraf2."""
     threads: ThreadCount | None = None
     """Threads of each job; the cores' share on this machine, 1 on a scheduler's workers."""
-    retries: Rounds = 2
+    retries: Annotated[Rounds, Arg(hidden=True)] = 2
     """Number of repetitions of a job after lost files, lack of memory or a killed process."""
     report: bool = False
     """Also write the report of each run, with its pictures."""

@@ -10,7 +10,7 @@ import numpy as np
 from annotated_types import Interval
 from scipy.spatial import KDTree
 
-from geraf2._bounds import Bounded, Seed
+from geraf2._bounds import Arg, Bounded, Seed
 from geraf2._types import Floats
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
@@ -77,7 +77,7 @@ class InspectOptions(Bounded):
     """The models are at their nominal poses in the capture's frame: turned and moved ones fail."""
     scene: Path | None = None
     """Scene folder of the run, if it was moved since."""
-    seed: Seed = 0
+    seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Seed of the points that are drawn from surfaces."""
 
 

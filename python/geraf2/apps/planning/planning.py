@@ -111,10 +111,9 @@ class PlanOptions(Bounded):
     """Of all transmitters; those of a position fill the frame period when not given [1/s]."""
     chirps_per_position: Annotated[int, Interval(ge=1, le=100_000)] = 1
     """Of each transmitter, added at a position."""
-    stop_and_go: bool = False
-    """Stop at each position, until the radar has settled and for its chirps."""
-    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
-    """Until the radar stands still at a position [s]."""
+    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] | None = None
+    """Stop at each position, for this time until the radar stands still and for its chirps [s]; the
+    radar records while it moves when not given."""
     turn_s: Seconds = 3.0
     """From one plane to the next: turning the table, or moving the arm [s]."""
     max_elevation_deg: Annotated[float, Interval(ge=0.0, le=90.0)] = 90.0
@@ -153,7 +152,6 @@ class PlanOptions(Bounded):
             chirps_per_s=self.chirps_per_s or n_tx * self.chirps_per_position / self.frame_period_s,
             chirps_per_position=self.chirps_per_position,
             speed_m_per_s=self.speed_m_per_s,
-            stop_and_go=self.stop_and_go,
             settle_s=self.settle_s,
             turn_s=self.turn_s,
         )

@@ -56,10 +56,8 @@ class Scanner(Bounded):
     """Of each transmitter, added at one position."""
     speed_m_per_s: Annotated[float, Interval(gt=0.0, le=10.0)] = 0.1
     """Along a line and to the next [m/s]."""
-    stop_and_go: bool = False
-    """Stop at each position."""
-    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] = 0.2
-    """Until it stands still [s]."""
+    settle_s: Annotated[float, Interval(ge=0.0, le=1e3)] | None = None
+    """Stop at each position, for this time until it stands still [s]; None: it moves on."""
     turn_s: Seconds = 3.0
     """From one plane to the next [s]."""
 
@@ -80,7 +78,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
 
     Transmitters that take turns have positions of their own; chirps that are added share one.
     """
-    if scanner.stop_and_go:
+    if scanner.settle_s is not None:
         return
     array = scanner.swept_array(spacing_m)
     set_s = scanner.set_s(array)
@@ -98,7 +96,7 @@ def require_speed(scanner: Scanner, spacing_m: float, wavelength_m: float) -> No
                 where="--speed-m-per-s",
                 expected=f"at most {limit_m / seconds:.3g} m/s",
                 got=f"{scanner.speed_m_per_s:g} m/s",
-                hint="more --chirps-per-s, fewer --chirps-per-position, or --stop-and-go",
+                hint="more --chirps-per-s, fewer --chirps-per-position, or stop with --settle-s",
             )
 
 
@@ -173,14 +171,15 @@ def swept_planes(
     """
     array = scanner.swept_array(spacing_m)
     extent_m = _height_m(array)
+    stops = scanner.settle_s is not None
+    stop_s = 0.0 if scanner.settle_s is None else scanner.settle_s + scanner.set_s(array)
     clock_s, swept = 0.0, []
     for number, plane in enumerate(planes):
         width, height = 2.0 * plane.half_m
         n_positions = int(width / spacing_m + 1e-9) + 1
         length_m, step_m = (n_positions - 1) * spacing_m, extent_m + spacing_m
         n_lines = max(0, int((height - extent_m) / step_m + 0.5 - 1e-9)) + 1
-        stop_s = scanner.settle_s + scanner.set_s(array)
-        line_s = length_m / scanner.speed_m_per_s + n_positions * stop_s * scanner.stop_and_go
+        line_s = length_m / scanner.speed_m_per_s + n_positions * stop_s
         lines = []
         for k in range(n_lines):
             left, right = (
@@ -213,7 +212,7 @@ def swept_planes(
     scan = ScanFile(
         planes=tuple(swept),
         array=array,
-        motion="stop-and-go" if scanner.stop_and_go else "continuous",
+        motion="stop-and-go" if stops else "continuous",
         spacing_m=spacing_m,
     )
     return scan, clock_s
