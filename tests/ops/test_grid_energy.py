@@ -74,26 +74,3 @@ def test_non_contiguous_fields_give_the_same():
     made, _ = energy((5, 6, 4))
     field = np.random.default_rng(5).standard_normal(2 * made.n_voxels)
     assert np.array_equal(made.apply(field[::2]), made.apply(field[::2].copy()))
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"shape": (1, 4, 4)}, "at least 2"),
-        ({"spacing": (0.1, 0.0, 0.1)}, "positive"),
-        ({"bending": np.nan}, "finite"),
-        ({"sparse": sp.csr_matrix((3, 3))}, "sparse must have shape"),
-        ({"diagonal": np.zeros(5)}, "diagonal"),
-    ],
-)
-def test_wrong_arguments_are_named(change, message):
-    arguments = {
-        "shape": (4, 4, 4),
-        "spacing": SPACING,
-        "bending": 1.0,
-        "sparse": sp.csr_matrix((64, 64)),
-        "diagonal": np.zeros(64),
-    }
-    arguments.update(change)
-    with pytest.raises(ValueError, match=message):
-        GridEnergy(arguments.pop("shape"), arguments.pop("spacing"), **arguments)

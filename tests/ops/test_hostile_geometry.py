@@ -332,21 +332,6 @@ def test_mesh_scene(points, vertices, scale, threads):
         assert (away >= 0.0).all()
 
 
-@pytest.mark.parametrize("value", hostile.REFUSED_M)
-def test_mesh_scene_refuses_coordinates_that_are_not_finite(value):
-    bad = np.array([[0.0, 0.0, value]])
-    with pytest.raises(ValueError, match="vertices must be finite and within"):
-        MeshScene(np.repeat(bad, 3, axis=0), [[0, 1, 2]])
-    scene = MeshScene(np.eye(3), [[0, 1, 2]])
-    for query in (scene.distance, scene.contains, scene.winding_number):
-        with pytest.raises(ValueError, match="points must be finite and within"):
-            query(bad)
-    with pytest.raises(ValueError, match="targets must be finite and within"):
-        scene.occluded(np.zeros((1, 3)), bad)
-    with pytest.raises(ValueError, match="margin_m must be finite and not negative"):
-        scene.occluded(np.zeros((1, 3)), np.ones((1, 3)), margin_m=np.nan)
-
-
 @pytest.mark.parametrize("scale", [5e-324, 1e-300, 1e300])
 def test_a_direction_may_have_any_length(scale):
     """The square of its length under- or overflows; Embree aborts on a ray of NaN."""

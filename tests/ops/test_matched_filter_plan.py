@@ -55,23 +55,3 @@ def test_threads_may_share_a_plan():
         images = list(pool.map(plan.execute, signals))
     for signal, image in zip(signals, images, strict=True):
         np.testing.assert_array_equal(image, plan.execute(signal))
-
-
-def test_wrong_use_is_named():
-    plan = make_plan(GRID)
-    signal, image = (
-        white_noise(plan.signal_shape, np.complex128),
-        white_noise(plan.image_shape, np.complex128),
-    )
-    with pytest.raises(TypeError, match=r"signal must be complex128, as the plan .* got complex64"):
-        plan.execute(signal.astype(np.complex64))
-    with pytest.raises(ValueError, match=r"signal .*\(41, 32\).*\(40, 32\)"):
-        plan.execute(signal[1:])
-    with pytest.raises(ValueError, match=r"image .*\(9, 9, 9\).*\(729,\)"):
-        plan.adjoint(image.reshape(-1))
-    with pytest.raises(TypeError, match="dtype must be complex64 or complex128, got float64"):
-        make_plan(GRID, np.float64)
-    with pytest.raises(TypeError, match="'factorised' needs points on a"):
-        make_plan(LIST, method="factorised")
-    with pytest.raises(ValueError, match="method must be one of"):
-        make_plan(GRID, method="fast")

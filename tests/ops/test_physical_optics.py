@@ -168,15 +168,3 @@ def test_strided_input_changes_nothing():
         physical_optics(elements, wide, antennas, WAVEFORM),
         physical_optics(elements, WEIGHTS, antennas, WAVEFORM),
     )
-
-
-def test_bad_input_names_the_value():
-    elements, antennas = make_elements(), make_antennas()
-    with pytest.raises(TypeError, match="weights must be complex64 or complex128, got float64"):
-        physical_optics(elements, np.ones((3, 40)), antennas, WAVEFORM)
-    with pytest.raises(ValueError, match=r"weights must have shape \(3, 40\), got \(2, 40\)"):
-        physical_optics(elements, np.ones((2, 40), complex), antennas, WAVEFORM)
-    with pytest.raises(ValueError, match="offsets must rise from 0 to 23"):
-        blocks_of(antennas.tx, offsets=[0, 20])
-    with pytest.raises(ValueError, match="needs slab and normals"):
-        SurfaceElements(points=elements.points, reflector="first_face")

@@ -48,12 +48,3 @@ def test_images_and_their_gradient_are_adjoint():
     one = torch.vdot(weight.reshape(-1), images.of_signals.detach().reshape(-1))
     other = torch.vdot(back.reshape(-1), signals.detach().reshape(-1))
     torch.testing.assert_close(one, other)
-
-
-def test_what_does_not_fit_is_refused():
-    signals, points = case(torch.complex64, 3)
-    with pytest.raises(ValueError, match="others must have shape"):
-        point_images(signals, signals[:, 1:], *POSITIONS, points, WAVEFORM)
-    points[1] = np.inf
-    with pytest.raises(ValueError, match="points must be finite"):
-        point_images(signals, signals[:0], *POSITIONS, points, WAVEFORM)

@@ -46,7 +46,15 @@ SOME_KINDS = ("shared complex", "antenna")
 """Both layouts and both number types; each instruction set need not see their product."""
 
 
-@pytest.mark.parametrize(("kind", "specular"), [("shared complex", True), ("antenna", False)])
+@pytest.mark.parametrize(
+    ("kind", "specular"),
+    [
+        ("shared", True),
+        ("shared complex", True),
+        ("antenna", False),
+        ("antenna complex", True),
+    ],
+)
 @pytest.mark.parametrize("spread", SPREADS_M)
 def test_float64_signal_is_that_of_the_twin(kind, spread, specular, simd):
     case, normals, waveform = make_case(kind, specular=specular, spread_m=SPREADS_M[spread])
@@ -55,13 +63,6 @@ def test_float64_signal_is_that_of_the_twin(kind, spread, specular, simd):
         got = signal_tracer(*case, waveform, normals=normals, rtol=rtol)
         assert got.dtype == torch.complex128
         assert relative_error(got, want) < (limit if spread == "blocks" else 1e-11)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_of_amplitude(kind):
-    case, normals, waveform = make_case(kind)
-    got = signal_tracer(*case, waveform, normals=normals, rtol=1e-8)
-    assert relative_error(got, reference.signal_tracer(*case, waveform, normals)) < 5e-9
 
 
 @pytest.mark.parametrize("n_samples", [1, 2, 31, 200])
@@ -193,21 +194,6 @@ def test_gradients_of_blocks_keep_to_rtol(simd):
 
 
 @pytest.mark.gradient
-def test_only_wanted_gradients_come():
-    case, normals, waveform = make_case()
-    amplitude = case[0].requires_grad_(True)
-    signal_tracer(amplitude, *case[1:], waveform, normals=normals).abs().sum().backward()
-    assert amplitude.grad is not None
-    assert normals.grad is None
-    signal_grad = torch.from_numpy(white_noise((37, 32)))
-    all_of_them = gradients([case[0].detach(), *case[1:]], normals, waveform, signal_grad)
-    turned = normals.clone().requires_grad_(True)
-    signal_tracer(case[0].detach(), *case[1:], waveform, normals=turned).backward(signal_grad)
-    # With gradients to the antennas, the sums over these are taken in another order.
-    assert relative_error(turned.grad, all_of_them[4]) < 1e-12
-
-
-@pytest.mark.gradient
 def test_no_silent_second_derivative():
     case, _, waveform = make_case(specular=False)
     signal = signal_tracer(case[0].requires_grad_(True), *case[1:], waveform)
@@ -263,15 +249,12 @@ def test_far_away_and_huge():
     assert relative_error(got, want) < 1e-3
 
 
-def test_a_nan_amplitude_reaches_its_antennas_only():
+def test_a_nan_amplitude_reaches_its_antennas_and_a_nan_normal_all():
     case, normals, waveform = make_case("antenna")
     case[0][3, 7] = np.nan
     signal = signal_tracer(*case, waveform, normals=normals)
     assert not torch.isfinite(signal[3].abs()).any()
     assert torch.isfinite(signal.abs()).sum() == signal.numel() - signal.shape[1]
-
-
-def test_a_nan_normal_is_not_hidden():
     case, normals, waveform = make_case()
     normals[5, 1] = np.nan
     assert not torch.isfinite(signal_tracer(*case, waveform, normals=normals).abs()).any()

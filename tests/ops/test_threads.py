@@ -1,5 +1,6 @@
 """Threads of the kernels: no bit depends on them, torch's number is theirs, none are added."""
 
+import multiprocessing
 import os
 import subprocess
 import sys
@@ -201,3 +202,35 @@ def test_small_products_of_numpy_take_one_thread_and_others_as_many_as_before():
     assert before  # NumPy's
     assert set(limit_blas_threads(n_threads)()) == {1}
     assert n_threads() == before
+
+
+FORKS = """
+import os, sys
+sys.path[:0] = sys.argv[1:]
+from ops.test_threads import in_a_fork
+in_a_fork()
+"""
+
+
+def in_a_fork():
+    """Kernels in a process, then the same in a fork of it, in which OpenMP's threads are not."""
+
+    def work():
+        grid = Grid.cube((0.0, 0.0, 0.0), 0.05, 16)
+        antennas = ANTENNAS, ANTENNAS
+        image = matched_filter(SIGNAL, *antennas, grid, WAVEFORM, num_threads=2)
+        sphere = MeshScene(np.eye(3), [[0, 1, 2]], num_threads=2)
+        return image.sum() + sphere.distance(grid.points()).sum()
+
+    first = work()
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if work() == first else 3)
+    sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+
+
+@pytest.mark.skipif("fork" not in multiprocessing.get_all_start_methods(), reason="needs fork")
+def test_a_fork_of_a_process_whose_kernels_ran_does_not_hang():
+    paths = [path for path in sys.path if path]
+    command = [sys.executable, "-W", "ignore", "-c", FORKS, *paths]
+    assert subprocess.run(command, check=False, timeout=60).returncode == 0

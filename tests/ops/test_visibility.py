@@ -169,17 +169,6 @@ def test_empty_batches_give_empty_results(torus):
     assert scene.signed_distance(nothing).shape == (0,)
 
 
-def test_bad_input_names_the_value(torus):
-    vertices, faces = torus
-    with pytest.raises(ValueError, match="at least one triangle"):
-        MeshScene(vertices, faces[:0])
-    scene = MeshScene(vertices, faces)
-    with pytest.raises(ValueError, match="directions must not be zero"):
-        scene.closest_hit([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0]])
-    with pytest.raises(ValueError, match="max_distance_m must not be negative, got -1"):
-        scene.distance(np.zeros((1, 3)), max_distance_m=-1.0)
-
-
 def test_the_distance_is_that_of_the_twin_in_any_order(torus):
     rng = np.random.default_rng(8)
     center = torus[0].mean(axis=0)
