@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from geraf2 import examples, simulate
-from geraf2.calibration import box_finder, free_air
+from geraf2.calibration import box_finder
 from geraf2.calibration.box_finder import find_box
-from geraf2.calibration.box_search import rough_faces, scene_peaks
+from geraf2.calibration.box_search import rough_faces
 from geraf2.calibration.found_box import Seen
 from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
@@ -204,16 +204,3 @@ def test_planes_that_meet_before_any_box_have_no_walls(scan):
     )
     with pytest.raises(UserError, match=r"no walls .* the planes meet 30 mm in front of them"):
         find_box(replace(scan, poses=near))
-
-
-def test_echoes_beside_the_region_are_an_error_not_an_empty_region(monkeypatch):
-    capture, _ = examples.small_capture()
-
-    class Beside:
-        def of(self, capture):
-            found = scene_peaks(np.zeros(3), 0.5, None).of(capture)
-            return replace(found, subaperture_centers=found.subaperture_centers + 10.0)
-
-    monkeypatch.setattr(free_air, "scene_peaks", lambda *_: Beside())
-    with pytest.raises(UserError, match="echoes beside the point"):
-        content_region(capture)

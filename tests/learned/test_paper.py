@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from scipy.ndimage import gaussian_filter
 
 from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
@@ -15,7 +14,7 @@ from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlpGrid
 from geraf2.learned.heatmaps import heat_maps
 from geraf2.learned.model import PaperModel, domain_of
-from geraf2.learned.optimiser import blur, make_optimiser
+from geraf2.learned.optimiser import make_optimiser
 from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
@@ -324,20 +323,6 @@ def test_pieces_that_lie_flat_at_the_crop_are_left_out_of_the_distance():
     np.testing.assert_array_equal(kept.values, joined.values)
 
 
-def test_antennas_are_drawn_from_windows_all_over_the_plane(capture, maps):
-    config = replace(SMALL, bank=1, window_m=0.04)
-    trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
-    pose = capture.poses[0]
-    positions = pose.phase_centers @ pose.axes[1:].T
-    seen = [trainer.draws.draw_antennas(pose) for _ in range(200)]
-    for antennas in seen:
-        assert 0 < len(antennas) <= config.n_antennas
-        assert (np.diff(antennas) > 0).all()
-        assert np.ptp(positions[antennas], axis=0).max() <= 0.04 + 1e-5
-    reached = np.ptp(positions[np.unique(np.concatenate(seen))], axis=0)
-    assert (reached > 0.9 * np.ptp(positions, axis=0)).all()
-
-
 @pytest.mark.parametrize("n_fresh", [None, 9])
 def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fresh):
     """One image for each draw, powers added; gradients to the fresh antennas alone."""
@@ -359,28 +344,6 @@ def test_heat_maps_of_both_are_those_of_the_matched_filter(capture, maps, n_fres
     (found,) = torch.autograd.grad(maps_of[0].sum(), looks)
     torch.testing.assert_close(found[:, :n_fresh], slope[:, :n_fresh])
     assert n_fresh is None or not found[:, n_fresh:].abs().any()
-
-
-def test_dark_rays_are_left_out(capture, maps):
-    """A plane whose own map is dark where others are bright loses rays, a uniform one none."""
-    dim = replace(maps, volumes=np.full_like(maps.volumes, 1e-6))
-    middle = tuple(slice(n // 2 - 3, n // 2 + 4) for n in maps.grid.shape)
-    for plane in (0, 2, 3):
-        dim.volumes[plane][middle] = 1.0
-    dim.volumes[1][0, 0, 0] = 1.0
-    masked = PaperTrainer(capture, PRIOR, SMALL, maps=dim)
-    cells = masked.draws.sampler.cells
-    assert not masked.draws.bright[1][np.linalg.norm(cells, axis=1) < 0.15].any()
-    assert masked.draws.bright[1][np.linalg.norm(cells, axis=1) > 0.5].all()
-    assert masked.draws.bright[0].all()
-    free = PaperTrainer(capture, PRIOR, replace(SMALL, dark_scene=0.0), maps=dim)
-    assert not free.draws.bright
-
-
-def test_blurring_is_that_of_scipy():
-    volume = np.random.default_rng(0).standard_normal((9, 11, 13))
-    want = gaussian_filter(volume, 1.2, mode="nearest", radius=3)
-    np.testing.assert_allclose(blur(torch.from_numpy(volume), 1.2).numpy(), want, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -26,15 +26,6 @@ def random_points(n, shape, seed=0):
     return index
 
 
-def test_rows_give_the_value_of_the_trilinear_field():
-    field = np.random.default_rng(1).standard_normal(SHAPE)
-    index = random_points(30, SHAPE)
-    rows, _ = trilinear_rows(index, SHAPE, 0.4)
-    expected = [twin.trilinear(field, point) for point in index]
-    np.testing.assert_allclose(rows @ field.ravel(), expected, atol=1e-13)
-    np.testing.assert_allclose(rows @ np.ones(field.size), 1.0, atol=1e-13)
-
-
 @pytest.mark.gradient
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_rows_give_the_slope_of_the_trilinear_field(axis):

@@ -92,9 +92,3 @@ def test_a_nan_in_the_right_side_ends_the_iterations():
     count = [0]
     LinearSdf(start, points, TERMS).solve(on_iteration=lambda: count.__setitem__(0, count[0] + 1))
     assert count[0] <= 1
-
-
-def test_threads_change_no_bit():
-    start, points = sphere((33, 32, 31))
-    fields = [LinearSdf(start, points, TERMS, num_threads=n).solve().values for n in (1, 3)]
-    assert np.array_equal(*fields)

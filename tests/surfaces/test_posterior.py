@@ -2,18 +2,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import Evidence as Kind
-from geraf2.ops.grid_energy import GridEnergy
 from geraf2.scene import Grid, LosPrior
 from geraf2.surfaces.extraction import extract_meshes
 from geraf2.surfaces.linear_sdf import OrientedPoints, SdfTerms
 from geraf2.surfaces.posterior import (
     FieldPosterior,
     PointNoise,
-    bending_force,
     faces_met,
 )
 from geraf2.surfaces.samples import SurfaceSamples
@@ -78,26 +75,6 @@ def test_other_errors_give_the_covariance_of_the_dense_twin():
     found = sample_covariance(posterior)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((found - expected) / scale).max() < 5.0 * np.sqrt(2.0 / 1000)
-
-
-def test_bending_force_has_the_covariance_of_the_bending_energy():
-    shape, spacing, bending = (4, 3, 5), 0.7, 0.4
-    n = int(np.prod(shape))
-    zeros = GridEnergy(
-        shape,
-        (spacing,) * 3,
-        bending=bending,
-        sparse=sp.csr_matrix((n, n)),
-        diagonal=np.zeros(n),
-    )
-    expected = np.stack([zeros.apply(unit) for unit in np.eye(n)])
-    rng = np.random.default_rng(0)
-    drawn = np.stack([bending_force(shape, spacing, bending, rng).ravel() for _ in range(2000)])
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs((drawn.T @ drawn / 2000 - expected) / scale).max() < 0.16
-    # A plane bends nothing, so no force acts on it.
-    plane = np.indices(shape).sum(axis=0).ravel()
-    assert np.abs(drawn @ plane).max() < 1e-9 * np.abs(drawn).sum(axis=1).max() * plane.max()
 
 
 def test_shared_offsets_move_all_points_of_a_group_alike():

@@ -65,13 +65,6 @@ def test_the_error_of_another_direction_is_the_second_order_term():
     assert np.abs(predicted).max() > 0.3
 
 
-def test_frames_at_other_travel_are_stretched_alike():
-    array = cascade()
-    here = phase_errors(array, np.array([0.0, 0.05, 0.0]))
-    there = phase_errors(array, np.array([-0.2, 0.05, 0.0]), shift=0.2)
-    assert here[1] == pytest.approx(there[1], abs=1e-4)
-
-
 def test_antennas_beside_each_other_are_kept():
     rows = tuple((0.004 * k, 0.0005) for k in range(-3, 4))
     others = tuple((across, -along) for across, along in rows)

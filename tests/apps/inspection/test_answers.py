@@ -6,17 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.apps.inspection import deviation
-from geraf2.apps.inspection.bodies import Content, split_bodies
-from geraf2.apps.inspection.deviation import deviation_of, find_in_sight
+from geraf2.apps.inspection.bodies import Content
+from geraf2.apps.inspection.deviation import deviation_of
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of, read_models
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.geometry.triangles import unit_normals
-from geraf2.io.mesh import TriangleMesh
 from geraf2.io.planes import ScannedPlanes
-from geraf2.ops.visibility import MeshScene
-from geraf2.scene.aperture import apertures_at
 from helpers.glint_sets import glints_at
 from helpers.inspected import POSE, block, measured_body, placement, wedge
 from helpers.solids import joined
@@ -83,23 +78,6 @@ def test_what_should_have_echoed_and_is_not_there_is_absent():
         assert not found.regions
 
 
-def test_large_flats_are_in_sight_of_whole_subapertures_only():
-    """A plane 3 cm wide holds no sub-aperture of 8 cm; the echo of 4 mm is wide enough for it."""
-    planes = plane_at(0.4, (-0.015, 0.015), (-0.1, 0.1))
-    found = []
-    for side in (0.05, 0.004):
-        mesh = block((side,) * 3, edge_m=side / 4)
-        flats = deviation._flat_sides(mesh, mesh.corners.mean(axis=1), unit_normals(mesh.corners))
-        assert np.median(flats) == pytest.approx(min(side, 0.034), rel=0.3)  # within 2 cm around
-        facing = np.argmin(np.linalg.norm(mesh.corners.mean(axis=1) - [side / 2, 0, 0], axis=1))
-        found.append(
-            find_in_sight(
-                mesh, MeshScene(mesh.vertices, mesh.faces), apertures_at(planes), WAVELENGTH_M
-            )[facing]
-        )
-    assert found == [False, True]
-
-
 def test_echoes_from_a_part_of_the_model_confirm_it():
     """Glints where the model is say that there is no bump; glints on the bump say that there is."""
     model = block(SIDES, edge_m=0.003)
@@ -119,20 +97,6 @@ def faults(body, model, positions):
 def models():
     made = {"wedge": wedge(), "low": wedge(0.02), "block": block(SIDES), "tiny": block((0.01,) * 3)}
     return [model_of(mesh, name) for name, mesh in made.items()]
-
-
-def test_models_find_their_parts_and_the_missing_one_is_reported(models):
-    there = np.eye(4)
-    there[0, 3] = -0.09
-    whole = measured_body(joined(models[2].mesh, apply(models[0].mesh, there)))
-    bodies = split_bodies(whole)
-    found = match_models([models[0], *models[2:]], Content(bodies, whole))
-    assert [m.status for m in found] == ["present", "present", "missing"]
-    assert [m.body for m in found] == [0, 1, None]
-
-
-def apply(mesh, pose):
-    return TriangleMesh(vertices=apply_rigid(pose, mesh.vertices), faces=mesh.faces)
 
 
 def test_the_right_one_of_several_candidates_and_another_part_are_recognised(models):

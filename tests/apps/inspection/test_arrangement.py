@@ -5,7 +5,7 @@ import pytest
 from skimage.measure import marching_cubes
 
 from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
-from geraf2.apps.inspection.bodies import Content, close_holes, part_of, split_bodies
+from geraf2.apps.inspection.bodies import Content, split_bodies
 from geraf2.apps.inspection.matching import match_models
 from geraf2.apps.inspection.models import model_of
 from geraf2.geometry.transforms import apply_rigid
@@ -70,15 +70,3 @@ def test_the_cut_runs_between_models_and_each_finds_its_part(whole, models, plac
     assert [match.status for match in found] == ["present", "present", "missing"]
     assert [match.body for match in found] == [0, 1, None]
     assert cut_apart([piece], models[:1], placed[:1]) == ([piece], {0: 0})
-
-
-def test_a_cut_is_closed_by_what_was_not_seen():
-    """Of a block that is cut at x = 0 either half has half of the volume."""
-    body = measured_body(block((0.06, 0.04, 0.02)), np.eye(4), sigma_m=0.0)
-    left = body.mesh.corners.mean(axis=1)[:, 0] < 0.0
-    half = close_holes(part_of(body, body.mesh.faces[left]))
-    assert count_open_edges(half.mesh.faces) == 0
-    volume = enclosed_volume_m3(half.mesh.vertices, half.mesh.faces)
-    assert volume == pytest.approx(0.03 * 0.04 * 0.02, rel=0.07)  # edges of 4 mm: a ragged cut
-    assert half.seen.sum() == len(half.seen) - 1
-    assert close_holes(body) is body

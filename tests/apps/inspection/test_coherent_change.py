@@ -1,20 +1,14 @@
 """Coherent change of two scans: formulas against loops, and scans of points that are made up."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2.apps.inspection import coherent_change as coherent
 from geraf2.apps.inspection.coherent_change import (
     Signals,
-    Spots,
     compare_echoes,
-    log_ratio,
     refine_turn,
 )
-from geraf2.apps.inspection.comparison import _spot_changes
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid
 from geraf2.ops import signal_tracer
 from geraf2.records import Pose, Waveform
@@ -111,20 +105,3 @@ def test_planes_that_stand_elsewhere_say_nothing(scans):
         none = compare_echoes(PUT_DOWN, here, again, (points[:0], points[:0]), workers)
     assert not spots.log_ratios.any()
     assert len(none.points) == 0
-
-
-def test_where_no_phase_holds_no_change_is_seen():
-    change = coherent._SCALE * np.random.default_rng(3).exponential(100.0, size=500)
-    assert log_ratio(change).max() < 3.0
-
-
-def test_neighbouring_spots_are_one_change():
-    points = np.array([[0.0, 0, 0], [0.003, 0, 0], [0.09, 0, 0], [0.05, 0.05, 0]])
-    spots = Spots(points, np.array([20.0, 12.0, 15.0, 1.0]), np.array([-3.0, -1.0, 2.0, 9.0]))
-    here = SimpleNamespace(bodies=[None, None], whole=SimpleNamespace(sigma_m=np.array([1e-3])))
-    near, far = sorted(_spot_changes(spots, here), key=lambda change: change.center_m)
-    assert (near.what, near.center_m, far.what) == ("vanished", (0.0, 0.0, 0.0), "appeared")
-    assert near.size_m == pytest.approx(0.003)
-    odds = 0.01 * 2 / 4 * (np.exp(20.0) + np.exp(12.0))
-    assert near.probability == pytest.approx(odds / (1.0 + odds))
-    assert _spot_changes(spots._replace(log_ratios=np.zeros(4)), here) == []

@@ -79,12 +79,6 @@ def test_a_new_part_and_no_other_is_marked(tmp_path, packed, robbed):
     assert ((change == APPEARED) == (vertices[:, 0] > 0.03)).all()
 
 
-def test_an_unchanged_box_has_an_empty_map(tmp_path, packed):
-    folder, _, change = compared(tmp_path, packed, packed)
-    assert not change.any()
-    assert "Unchanged since the reference" in (folder / "comparison.html").read_text()
-
-
 @pytest.mark.browser
 @pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
 def test_a_comparison_is_drawn(open_page, vanished, axe, size, dark):

@@ -10,9 +10,7 @@ from geraf2.apps.photos.config import GridStage, PhotoConfig
 from geraf2.apps.photos.neural_surface import NeuralSurface
 from geraf2.apps.photos.neus.background import BackgroundConfig
 from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
-from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig, Rendering
-from geraf2.apps.photos.rays import RayBatch
-from geraf2.apps.photos.trainer import PhotoTrainer
+from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 from geraf2.apps.photos.training import start_surface, train_neural_surface
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
@@ -104,20 +102,6 @@ def test_a_resumed_training_ends_at_the_same_bits(tmp_path):
     np.testing.assert_array_equal(
         stored.render(photos.cameras[0]).colour, whole.render(photos.cameras[0]).colour
     )
-
-
-def test_silhouettes_pull_only_where_a_ray_is_on_the_wrong_side():
-    photos = photo_sphere.photo_set(4)
-    surface = start_surface(photos, GRID)
-    trainer = PhotoTrainer(photos, surface.region, surface, GRID)
-    opacity = torch.tensor([0.6, 0.4, 0.2, 0.9], requires_grad=True)
-    inside = torch.tensor([1.0, 0.0, 1.0, 0.0])
-    nothing = torch.zeros(4, 3)
-    batch = RayBatch(nothing, nothing, nothing, inside, torch.ones(4))
-    rendering = Rendering(nothing, opacity, nothing, nothing, nothing, nothing)
-    trainer.photo_terms(rendering, batch)["mask"].backward()
-    assert (opacity.grad[:2] == 0.0).all()
-    assert opacity.grad[2] < 0.0 < opacity.grad[3]
 
 
 def test_a_checkpoint_of_other_settings_is_refused(tmp_path):

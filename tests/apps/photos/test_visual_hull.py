@@ -1,6 +1,6 @@
 import numpy as np
 
-from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
+from geraf2.apps.photos.grid_smoothing import close_body
 from geraf2.apps.photos.visual_hull import Region, VisualHull, find_region
 from helpers import photo_sphere
 
@@ -33,15 +33,6 @@ def test_without_silhouettes_the_region_is_what_all_cameras_see():
     region = find_region(photo_sphere.photo_set(8, masks=False))
     np.testing.assert_allclose(region.center_m, photo_sphere.CENTER, atol=1e-6)
     assert min(region.sides_m) > 2 * photo_sphere.RADIUS_M
-
-
-def test_redistancing_keeps_the_zero_level_and_makes_slopes_one():
-    grid, values = ball(CUBE, 33, 0.6)
-    distance = quick_redistance(np.asarray(3.0 * values + values**3, np.float32), grid.spacing_m)
-    near = np.abs(values) < grid.spacing_m
-    assert np.abs(distance - values)[near].max() < 0.05 * grid.spacing_m
-    assert np.abs(distance - values).max() < 1.0 * grid.spacing_m
-    assert ((distance < 0) == (values < 0)).all()
 
 
 def test_a_body_is_closed_at_the_rim_without_crumbs_and_hollows():

@@ -50,17 +50,6 @@ def test_a_ray_along_a_face_and_an_axis_is_no_nan():
     assert torch.isfinite(far).all()
 
 
-def test_importance_gathers_samples_at_the_first_surface():
-    edges = even_edges(torch.zeros(1), torch.ones(1), 64)
-    middles, _ = middle_and_step(edges)
-    # a wall at 0.31, and one behind it at 0.8
-    sdf = torch.minimum((middles - 0.36).abs() - 0.05, (middles - 0.8).abs() - 0.05)
-    found = importance_edges(edges, sdf, 200.0, 16, torch.Generator().manual_seed(1))
-    assert found.shape == (1, 17)
-    assert (found[:, 1:] >= found[:, :-1]).all()
-    assert ((found - 0.31).abs() < 0.04).float().mean() > 0.8
-
-
 def test_a_ray_that_misses_is_sampled_where_it_passes_closest():
     edges = even_edges(torch.zeros(1), torch.ones(1), 64)
     middles, _ = middle_and_step(edges)
