@@ -84,6 +84,13 @@ COMMANDS = [
             export run no/m.stl|the folder of the file does not exist
             plan --box 220 220 220|--box must be at most 10
             plan --box 0.2 0.2 0.2 --radar radar.toml --preset awr1843|both
+            reconstruct scene out --box 0.16 0.16 0.16 --hold-out 17|no plane at 17 degrees
+            reconstruct scene out --box 0.16 0.16 0.16 --resume|got best
+            reconstruct scene out --box 0.16 0.16 0.16 --resume --preset matched-filter|paper
+            reconstruct scene out --preset matched-filter --samples 4|has no posterior
+            plan --box 0.001 0.2 0.2|at least 0.042 m
+            plan --box 0.001 0.2 0.2 --minutes 5|--box: the box is too small
+            plan --box 0.001 0.2 0.2 --figure plan.html|--box: the box is too small
             plan --box 0.2 0.2 0.2 --minutes 0.01|no plan can be reached in the time
             plan --box 0.2 0.2 0.2 --minutes 5 --out scan.txt|ending in .json or .csv
             benchmark out --only nothing --list|nothing
@@ -200,6 +207,7 @@ def bomb(shape):
 
 
 FRAME, TWO, CAPTURE = "frames/mf/1_120_0", "frames/mf/2_240_0", "frames/capture.json"
+FRAME_ROWS = ("tpos", "rpos", "adcr", "adci")
 ROBOT = "time_s,x_m,y_m,z_m\n"
 IMPORTERS = [
     *rows(
@@ -211,6 +219,9 @@ IMPORTERS = [
         (*(npy(f"{FRAME}/{name}.npy", in_mm) for name in ("tpos", "rpos")), "metres"),
         npy(f"{FRAME}/rpos.npy", set_at(3, "nan")),
         npy(f"{TWO}/tpos.npy", lambda a: a[:, :2]),
+        (npy(f"{FRAME}/tpos.npy", lambda a: a[:-1]), "rpos.npy"),
+        (*(npy(f"{FRAME}/{n}.npy", lambda a: a[:, :16]) for n in ("adcr", "adci")), "adcr.npy"),
+        (*(npy(f"{FRAME}/{n}.npy", lambda a: a[:0]) for n in FRAME_ROWS), "frame has 0 antennas"),
         npy(f"{FRAME}/rotation.npy", lambda a: 2 * a),
         npy(f"{FRAME}/adcr.npy", lambda a: a.astype("i4")),
         (link(FRAME, "nowhere"), "1_120_0"),
@@ -231,6 +242,7 @@ IMPORTERS = [
         arrays|3""",
     ),
     *keys(RAW, "radar.toml", 'n_samples|63\nraw.layout|"other"\nantennas.rx_offsets_m|[[1,2]]'),
+    *keys(RAW, "radar.toml", "antennas.axes|[[1,0,0],[1,0,0],[1,0,0]]"),
     bad(RAW, toml("radar.toml", "raw.n_rx", "3"), text="receivers"),
     *puts(RAW, "raw/adc.bin", b"", bytes(7), bytes(40000)),
     bad(RAW, cut("raw/adc.bin", 0.97)),
@@ -364,6 +376,7 @@ RUNS = [
         "render run",
         (values("run/run.json", version=99), "99"),
         drop("run/config.toml"),
+        drop("run/mesh_content.ply"),
         (toml("run/config.toml", "fit.max_voxels", "-1"), "max_voxels"),
         flip("run/prior.npz", 70),
     ),
@@ -387,8 +400,10 @@ RUNS = [
 ]
 
 # One reader of JSON and one of TOML serve all commands: every text meets the first file.
-JSON = ('{"a":' * 60_000, '{"a": NaN}', '{"a": ' + "9" * 5000 + "}", b'{"a": "\xff"}', "[]", "{}{}")
-TOMLS = ("a = " + "[" * 5000, ".".join(["a"] * 40) + " = 1", b"a = '\xff'", "a", "a = 1\na = 2")
+JSON = ('{"a":' * 60_000, '{"a": NaN}', '{"a": 1e999}', '{"a": -Infinity}', b'{"a": "\xff"}', "[]")
+JSON += ('{"a": ' + "9" * 5000 + "}", "{}{}")
+TOMLS = ("a = " + "[" * 5000, ".".join(["a"] * 40) + " = 1", "[" + ".".join("a" * 99_999) + "]")
+TOMLS += (b"a = '\xff'", "a", "a = 1\na = 2")
 RECORDS = """
 verify run|run/run.json
 inspect run|run/run.json

@@ -24,27 +24,18 @@ def run_import(source, *more):
     return main(["import", "geraf-sens", str(source), str(source.parent / "scene"), *more])
 
 
-def test_a_capture_becomes_a_scene(source, capture, capsys):
-    assert run_import(source) == 0
-    assert "phase sign" in capsys.readouterr().out
-    loaded = load_capture(source.parent / "scene")
-    assert loaded.provenance["phase_sign"] == "-1"
-    assert "times the power" in loaded.provenance["phase_sign_evidence"]
-    assert main(["info", str(source.parent / "scene")]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert shown.count("phase sign") == 1
-    assert "phase sign exp(-j...): focuses" in shown
-    for got, want in zip(loaded.poses, capture.poses, strict=True):
-        assert np.array_equal(got.signal, want.signal)
-
-
-def test_the_other_sign_is_found_and_conjugated(tmp_path, capture, capsys):
-    poses = tuple(replace(pose, signal=np.conj(pose.signal)) for pose in capture.poses)
+@pytest.mark.parametrize("sign", ["-1", "+1"])
+def test_a_capture_of_either_sign_becomes_the_same_scene(tmp_path, capture, capsys, sign):
+    change = np.conj if sign == "+1" else np.array
+    poses = tuple(replace(pose, signal=change(pose.signal)) for pose in capture.poses)
     source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses))
     assert run_import(source) == 0
-    assert "conjugated on import" in capsys.readouterr().out
+    assert ("conjugated on import" in capsys.readouterr().out) == (sign == "+1")
     loaded = load_capture(source.parent / "scene")
-    assert loaded.provenance["phase_sign"] == "+1"
+    assert loaded.provenance["phase_sign"] == sign
+    assert "times the power" in loaded.provenance["phase_sign_evidence"]
+    assert main(["info", str(source.parent / "scene")]) == 0
+    assert f"phase sign exp({sign[0]}j...)" in " ".join(capsys.readouterr().out.split())
     for got, want in zip(loaded.poses, capture.poses, strict=True):
         assert np.array_equal(got.signal, want.signal)
 

@@ -107,12 +107,9 @@ def test_info_shows_a_broken_recording(tmp_path, capsys):
     assert "odd number of bytes" in capsys.readouterr().err
 
 
-def test_a_fault_is_one_line_and_the_good_part_is_kept(tmp_path, recording, radar, capsys):
+def test_the_good_part_of_a_recording_is_kept(tmp_path, recording, radar, capsys):
     recording.write_bytes(recording.read_bytes()[:-100])
     assert run(recording, radar, *RASTER) == 2
-    error = the_error(capsys)
-    assert "the last frame is cut short after 924 of 1024 bytes" in error
-    assert "--keep-good" in error
-    assert not (tmp_path / "scene").exists()
+    assert "--keep-good" in the_error(capsys)
     assert run(recording, radar, *RASTER, "--keep-good") == 0
     assert load_capture(tmp_path / "scene").poses[0].n_antennas == 119 * 4

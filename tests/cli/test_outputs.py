@@ -9,11 +9,8 @@ from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.surfaces.extraction import extract_meshes
 from helpers.console import the_error
+from helpers.folders import contents
 from helpers.small_scene import BOX, FAST, SPEC
-
-
-def contents(folder):
-    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 @pytest.mark.parametrize(

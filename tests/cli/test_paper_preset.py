@@ -124,9 +124,7 @@ def test_tensorboard_gets_the_losses(built_scene, tmp_path):
     assert all(tag in written for tag in (b"loss/heatmap", b"loss/rsdf", b"fields/power"))
 
 
-def test_planes_can_be_held_out(built_scene, tmp_path, capsys):
-    assert run(built_scene, tmp_path / "out", "--hold-out", "17") == 2
-    assert "no plane at 17 degrees" in the_error(capsys)
+def test_planes_can_be_held_out(built_scene, tmp_path):
     more = ["--hold-out", "0", "40", "--paper.stage1.n-steps", "1", "--paper.stage2.n-steps", "0"]
     assert run(built_scene, tmp_path / "out", *more) == 0
 

@@ -18,6 +18,7 @@ from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.scene import LosPrior, load_capture, save_capture
 from helpers.console import the_error
+from helpers.folders import contents
 from helpers.small_scene import BOX, FAST
 
 RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply", "mesh.glb")
@@ -26,10 +27,6 @@ RESULTS = ("glints.npz", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.ply
 def run(scene, out, *more):
     # The report is drawn in the fixtures; here it would only take time.
     return main(["reconstruct", str(scene), str(out), *FAST, "--no-report", *more])
-
-
-def contents(folder):
-    return {p: p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
 def test_a_run_holds_everything(built_run):
@@ -77,13 +74,9 @@ def test_the_offset_that_calibration_leaves_open_is_part_of_every_sample(finishe
     assert spreads[1] > spreads[0] + 2e-3
 
 
-def test_samples_need_a_posterior_and_two_draws(finished_run, scene, tmp_path, capsys):
+def test_samples_are_two_or_more(finished_run):
     with pytest.raises(UserError, match="samples must be at least 2"):
         load_run(finished_run).samples(1)
-    arguments = ["reconstruct", str(scene), str(tmp_path / "out"), *BOX, "--samples", "4"]
-    assert main([*arguments, "--preset", "matched-filter"]) != 0
-    assert "'matched-filter' has no posterior" in the_error(capsys)
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -108,16 +101,6 @@ def test_what_stops_a_run_is_one_line_and_changes_nothing(
     assert run(built_scene, finished_run.parent / "new", *BOX) == code
     assert contents(finished_run.parent) == before
     assert [path.name for path in finished_run.parent.iterdir()] == ["finished"]
-
-
-def test_resume_is_for_trainings(built_scene, tmp_path, capsys):
-    for preset in ("best", "matched-filter"):
-        command = ["reconstruct", str(built_scene), str(tmp_path / "out"), *BOX, "--resume"]
-        assert main([*command, "--preset", preset]) == 2
-        error = the_error(capsys)
-        assert f"expected the preset paper, paper-corrected or geraf1, got {preset}" in error
-        assert "takes seconds" in error
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
@@ -186,7 +169,6 @@ def test_evaluate_prints_scores_and_explains_them_if_asked(finished_run, scene, 
     assert main(arguments) == 0
     text = capsys.readouterr().out
     assert "F1 5 mm" in text
-    assert "precision recall" not in text
     assert (finished_run / "report.html").read_bytes() == before
     assert main([*arguments, "--explain", "--report"]) == 0
     text = capsys.readouterr().out
@@ -198,25 +180,18 @@ def test_evaluate_prints_scores_and_explains_them_if_asked(finished_run, scene, 
     ratio, (x, y, z) = size["volume_ratio"], (1e3 * e for e in size["extent_errors_m"])
     offset = 1e3 * metrics["surface_bias_m"]
     assert re.search(rf"volume +{ratio:.3f} of the truth's", text)
-    assert re.search(re.escape(f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm"), text)
+    assert f"x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm" in text
     assert re.search(rf"offset +{re.escape(f'{offset:+.2f}')} mm along the normal", text)
     page = (finished_run / "report.html").read_text()
     f1 = {round(1e3 * score["threshold_m"]): score["f1"] for score in metrics["scores"]}
-    assert "F1 2 mm" in page
     assert f"{f1[2]:.4f}" in page
-    assert f"<td>{ratio:.3f}</td>" in page
     assert f"<td>{x:+.2f} / {y:+.2f} / {z:+.2f}</td>" in page
     parts = metrics["by_sight"]
     assert [part["part"] for part in parts] == ["in sight", "out of sight"]
     assert sum(part["area_fraction"] for part in parts) == pytest.approx(1.0)
     assert parts[0]["scores"][1]["f1"] > parts[1]["scores"][1]["f1"]
-    assert re.search(rf"in sight +{100 * parts[0]['area_fraction']:.0f} % of the truth", text)
     held = metrics["expected_error"]
     assert f"{100 * held['within_one']:.0f} % of the area within one sigma" in text
-    assert [part["evidence"] for part in held["parts"]][:1] == ["seen"]
-    aligned = metrics["expected_error_aligned"]
-    assert f"{100 * aligned['within_two']:.0f} % within two, rank" in text
-    assert re.search(r"volume +[0-9.]+ ± [0-9.]+ cm\^3 \(95 %\)", text)
     assert metrics["mesh_digest"] == RunFolder.read(finished_run).files["mesh_content.ply"]
 
 

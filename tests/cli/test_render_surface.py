@@ -1,16 +1,12 @@
 """`geraf2 render` of runs that have a surface and no fields."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
-from geraf2.pipeline.presets import MatchedFilterPreset
-from geraf2.pipeline.run_record import RunRecord
-from helpers.console import the_error
 from helpers.small_scene import BOX, COARSE_RENDER, FAST
 
 
@@ -51,16 +47,3 @@ def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
     assert main(["render", str(out), *COARSE_RENDER]) == 0
     assert set(psnr(out)["psnr_db"]) == {"0"}
     assert "(seen in training)" not in capsys.readouterr().out
-
-
-def test_only_surfaces_with_glints_and_fields_are_rendered(finished_run, capsys):
-    config = finished_run / "config.toml"
-    replace(RunRecord.read(config), config=MatchedFilterPreset()).write(config)
-    assert main(["render", str(finished_run)]) == 2
-    assert "expected a run of the preset fast, best, paper or paper-corrected" in the_error(capsys)
-
-
-def test_a_run_without_its_mesh_is_one_line(finished_run, capsys):
-    (finished_run / "mesh_content.ply").unlink()
-    assert main(["render", str(finished_run)]) == 2
-    assert "the run has no mesh_content.ply" in the_error(capsys)
