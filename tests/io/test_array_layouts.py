@@ -18,6 +18,7 @@ from helpers.glint_sets import glints_at
 from helpers.shadows import shadows
 
 WALL = Wall(size_m=(0.2, 0.2, 0.2), thickness_m=0.004, permittivity=1.6)
+CUBE = Grid.cube((0.0, 0.0, 0.0), 0.02, 5)
 BOX = LosPrior.from_box((0.2, 0.2, 0.2), walls=(WALL,))
 
 
@@ -40,18 +41,6 @@ def corrections():
     )
 
 
-def glints(n=4):
-    return glints_at(np.ones((n, 3)), np.ones((n, 3)), poses=np.arange(n))
-
-
-def silhouettes():
-    return shadows(np.ones((2, 5, 6)), [0, 1])
-
-
-def sdf():
-    return SdfGrid(grid=Grid.cube((0.0, 0.0, 0.0), 0.02, 5), values=np.ones((5, 5, 5), np.float32))
-
-
 def of_truth(path):
     np.savez(path, vertices=BOX.vertices, faces=BOX.faces, distances_m=np.zeros(8))
 
@@ -61,9 +50,9 @@ def of_image(path):
 
 
 FILES = {
-    "glints": (glints().save, Glints.load),
-    "silhouettes": (silhouettes().save, Silhouettes.load),
-    "sdf": (sdf().save, SdfGrid.load),
+    "glints": (glints_at(np.ones((4, 3)), np.ones((4, 3)), poses=np.arange(4)).save, Glints.load),
+    "silhouettes": (shadows(np.ones((2, 5, 6)), [0, 1]).save, Silhouettes.load),
+    "sdf": (SdfGrid(grid=CUBE, values=np.ones((5, 5, 5), np.float32)).save, SdfGrid.load),
     "calibration": (corrections().save, Corrections.load),
     "prior": (lambda path: save_prior(BOX, path), read_prior),
     "truth": (of_truth, stored_truth),

@@ -35,25 +35,12 @@ def folder_names(path):
     return sorted(entry.name for entry in path.iterdir())
 
 
-def assert_same(left, right):
-    assert left.waveform == right.waveform
-    assert left.walls == right.walls
-    assert left.provenance == right.provenance
-    assert len(left.poses) == len(right.poses)
-    for a, b in zip(left.poses, right.poses, strict=True):
-        assert (a.name, a.angle_deg) == (b.name, b.angle_deg)
-        for name in ("signal", "tx_positions", "rx_positions", "axes"):
-            assert np.array_equal(getattr(a, name), getattr(b, name))
-            assert getattr(a, name).dtype == getattr(b, name).dtype
-
-
-def test_a_ragged_capture_comes_back_bit_by_bit(scene, ragged):
-    assert_same(load_capture(scene), ragged)
-
-
 def test_the_digest_of_a_capture_survives_the_disk_and_sees_each_part(scene, ragged):
-    digest = capture_digest(ragged)
-    assert capture_digest(load_capture(scene)) == digest
+    digest, loaded = capture_digest(ragged), load_capture(scene)
+    assert capture_digest(loaded) == digest
+    assert loaded.provenance == ragged.provenance
+    assert [pose.name for pose in loaded.poses] == [pose.name for pose in ragged.poses]
+    assert loaded.poses[0].signal.dtype == np.complex64
     louder = replace(ragged.poses[0], signal=ragged.poses[0].signal * np.float32(1.001))
     changed = [
         replace(ragged, walls=()),
@@ -141,7 +128,7 @@ def test_a_pose_may_come_in_parts(tmp_path, ragged, monkeypatch, sizes):
     whole, parts = SceneReader(tmp_path / "whole"), SceneReader(tmp_path / "parts")
     assert whole.holds_same_poses(parts)
     assert parts.holds_same_poses(whole)
-    assert_same(load_capture(tmp_path / "parts"), load_capture(tmp_path / "whole"))
+    assert capture_digest(load_capture(tmp_path / "parts")) == capture_digest(ragged)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from geraf2.io import growing_scene
 from geraf2.io.container import SceneReader, verify_scene
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.scene.store import capture_digest, load_capture, manifest_of, save_capture
+from helpers.folders import contents
 
 
 @pytest.fixture(scope="module")
@@ -116,8 +117,7 @@ def test_planes_of_another_radar_do_not_join(capture, tmp_path):
 
 def test_a_finished_scene_does_not_grow(capture, tmp_path):
     save_capture(capture, tmp_path / "scene")
-    before = {p: p.read_bytes() for p in (tmp_path / "scene").rglob("*") if p.is_file()}
+    before = contents(tmp_path / "scene")
     with pytest.raises(UserError, match="is a finished scene"):
         GrowingScene(tmp_path / "scene", _about(capture))
-    after = {p: p.read_bytes() for p in (tmp_path / "scene").rglob("*") if p.is_file()}
-    assert after == before
+    assert contents(tmp_path / "scene") == before

@@ -50,13 +50,6 @@ def test_a_file_that_does_not_fit_into_memory_is_refused(tmp_path):
         read_regular(tmp_path / "file")
 
 
-def test_missing_files_and_folders_are_errors_of_the_system(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        open_regular(tmp_path / "nowhere")
-    with pytest.raises(IsADirectoryError):
-        open_regular(tmp_path)
-
-
 def test_links_are_found_at_any_depth(tmp_path):
     below = tmp_path.joinpath(*["d"] * 200)
     below.mkdir(parents=True)

@@ -12,16 +12,6 @@ def integers():
     return samples
 
 
-def test_integers_are_complex_numbers_to_the_last_bit(integers):
-    signal = complex_samples(integers)
-    assert signal.dtype == np.complex64
-    assert np.array_equal(signal.real, integers[..., 0])
-    assert np.array_equal(signal.imag, integers[..., 1])
-    assert complex_samples(signal) is signal
-    assert complex_samples(integers[:0]).shape == (0, 7)
-    assert np.array_equal(complex_samples(integers[::2]), signal[::2])
-
-
 def test_the_conjugate_of_the_lowest_integer_does_not_wrap(integers):
     want = np.conj(complex_samples(stored_integers(integers)))
     got = conjugate_samples(integers.copy())
