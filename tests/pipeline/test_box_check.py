@@ -110,11 +110,6 @@ def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
     assert "no wall is seen squarely: the prior was compared with nothing" in heard
 
 
-def test_axes_are_assigned_by_matching_sides(monkeypatch):
-    turned = LosPrior.from_box((SIZE[1], SIZE[0], SIZE[2])).move(turn(88.0))
-    assert check(turned, a_box(), monkeypatch).prior is turned
-
-
 def test_a_face_seen_alone_keeps_the_given_size_as_uncertain_as_others(monkeypatch):
     found = a_box(seen=((0, 2), (2, 2), (0, 0)))
     checked = check(given((0.306, 0.212, 0.25), (0.0, 0.02, 0.0)), found, monkeypatch)

@@ -17,6 +17,7 @@ from geraf2 import examples
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.scene.store import capture_digest, load_capture, save_capture
+from helpers.folders import contents
 
 COARSE = ["--preset", "fast", "--fit.spacing-m", "0.01", "--fit.distance-rounds", "1"]
 COARSE += ["--calibrate", "no", "--trust-los", "--threads", "1", "--no-report"]
@@ -76,10 +77,6 @@ def disk(all_disks, monkeypatch):
     monkeypatch.setattr(os, "fsync", fsync)
     yield all_disks
     all_disks.folder = None
-
-
-def contents(folder):
-    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.mark.slow

@@ -30,8 +30,8 @@ def scene(tmp_path_factory):
     return folder
 
 
-def geraf2_with(*words, limits=(), env=None, cwd=None, before=""):
-    """Run a command line after some Python.
+def geraf2_with(*words, limits=(), env=None, cwd=None):
+    """Run a command line.
 
     limits: pairs of RLIMIT_... and how many. env: None takes a name away.
     """
@@ -43,7 +43,7 @@ def geraf2_with(*words, limits=(), env=None, cwd=None, before=""):
     code = "import sys; from geraf2.cli.main import run; sys.argv[0] = 'geraf2'"
     values = {**os.environ, **(env or {})}
     return subprocess.run(
-        [sys.executable, "-c", f"{code}\n{before}\nrun()", *map(str, words)],
+        [sys.executable, "-c", f"{code}\nrun()", *map(str, words)],
         capture_output=True,
         check=False,
         preexec_fn=limited,

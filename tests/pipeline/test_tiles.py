@@ -11,12 +11,11 @@ import zarr
 
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, Slabs
 from geraf2.imaging.volume import image_volume
 from geraf2.io import atomic
 from geraf2.pipeline.commands import image_tiles as tiles
 from geraf2.pipeline.commands.image import ImageOptions, image_scene
-from geraf2.scene import Grid, save_capture
+from geraf2.scene import save_capture
 from geraf2.scene.capture import LazyPoses
 from geraf2.scene.store import capture_digest, load_capture, open_capture
 from helpers.synthetic import TARGETS, point_capture
@@ -38,24 +37,10 @@ def _volume(out):
     return zarr.open_group(str(out / "image.zarr"), mode="r")["volume"]
 
 
-def test_slabs_cover_each_voxel_once_and_follow_from_memory():
-    grid = Grid(origin_m=(0.1, -0.2, 0.3), spacing_m=0.01, shape=(7, 200, 30))
-    layer = 210 * SLAB_BYTES_PER_VOXEL
-    for max_bytes, n_layers in [(1.5 * layer, 1), (7 * layer, 4), (70 * layer, 64), (1e9, 200)]:
-        slabs = Slabs.of(grid, max_bytes)
-        assert (slabs.axis, slabs.n_layers) == (1, n_layers)
-        count = np.zeros(grid.shape, dtype=int)
-        for position, part in slabs:
-            count[position] += 1
-            assert part.shape == count[position].shape
-            for axis, coordinates in enumerate(part.axes_m):
-                np.testing.assert_allclose(
-                    coordinates, grid.axes_m[axis][position[axis]], atol=1e-15
-                )
-        assert (count == 1).all()
-        assert slabs.n_voxels * SLAB_BYTES_PER_VOXEL <= max_bytes
+def test_memory_below_one_layer_is_refused(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20)
     with pytest.raises(UserError, match=r"not even one layer .* raise slab_gib"):
-        Slabs.of(grid, 0.5 * layer)
+        tiles.image_tiles(scene, tmp_path / "out", OPTIONS)
 
 
 @pytest.mark.usefixtures("drawn")
