@@ -52,13 +52,9 @@ def test_every_order_of_the_words_is_found_out(tmp_path, layout, offset, swap):
     [
         ({"raw": RawManifest(layout="2-lane-pairs")}, "contradict the layout given"),
         ({"raw": RawManifest(offset_binary=True)}, "contradict the layout given"),
-        ({"n_samples": 48}, "number of samples per chirp, expected 64"),
         ({"raw": RawManifest(n_tx=2, n_chirps_per_frame=3)}, "no multiple of n_tx"),
         ({"raw": RawManifest(layout="2-lane-pairs", n_rx=3)}, "2-lane-pairs needs an even n_rx"),
-        (
-            {"raw": RawManifest(layout="2-lane-sequential"), "n_samples": 63},
-            "needs an even number of samples",
-        ),
+        ({"raw": RawManifest(layout="2-lane-sequential"), "n_samples": 63}, "needs an even number"),
         ({"n_samples": 2}, "too few samples per chirp, expected 8 or more, got 2"),
     ],
 )
@@ -161,28 +157,21 @@ class TestPackets:
 
 
 class TestConfigurations:
-    def studio(self, tmp_path, **changes):
-        text = json.dumps(STUDIO)
-        for old, new in changes.items():
-            key = f'"{old}": '
-            value = text.split(key)[1].split(",")[0].split("}")[0]
-            text = text.replace(key + value, key + json.dumps(new))
-        (tmp_path / "setup.mmwave.json").write_text(text)
-        return tmp_path
-
     def test_studio_json_beside_the_recording_is_used(self, tmp_path):
         write_words(tmp_path / "adc_data.bin", beat())
-        recording = opened(self.studio(tmp_path))
+        (tmp_path / "setup.mmwave.json").write_text(json.dumps(STUDIO))
+        recording = opened(tmp_path)
         assert recording.config.first_sample_hz() == pytest.approx(77e9 + 60e12 * 6e-6)
         assert recording.config.frame_period_s == pytest.approx(4e-3)
         assert (recording.n_chirps_per_frame, recording.n_tx, recording.n_frames) == (2, 1, 20)
 
     def test_another_number_of_frames_is_refused_or_noted(self, tmp_path):
         write_words(tmp_path / "adc_data.bin", beat())
-        folder = self.studio(tmp_path, numFrames=30)
+        text = json.dumps(STUDIO).replace('"numFrames": 20', '"numFrames": 30')
+        (tmp_path / "setup.mmwave.json").write_text(text)
         with pytest.raises(UserError, match="states 30 frames, the file holds 20"):
-            opened(folder)
-        kept = opened(folder, ImportOptions(keep_good=True))
+            opened(tmp_path)
+        kept = opened(tmp_path, ImportOptions(keep_good=True))
         assert any("states 30 frames" in note for note in kept.notes)
 
     def test_a_profile_defines_alternating_transmitters(self, tmp_path):
@@ -263,13 +252,6 @@ class TestPositions:
         )
         assert np.allclose(got_tx, np.repeat(tx, 4, axis=0))
         assert np.allclose(got_rx, np.tile(BOARD_RX, (3, 1)))
-
-    def test_without_positions_the_choices_are_named(self, tmp_path):
-        path = write_words(tmp_path / "a.bin", beat())
-        with pytest.raises(UserError, match=r"positions .* raster .* static; 'geraf2 info"):
-            self.scan(path)
-        with pytest.raises(UserError, match="exclude each other"):
-            self.scan(path, ImportOptions(static=True), raster=self.raster)
 
     def test_memory_does_not_grow_with_the_file(self, tmp_path, monkeypatch):
         monkeypatch.setattr(_recording, "BLOCK_BYTES", 1 << 20)

@@ -114,8 +114,6 @@ class TestFolder:
         (tmp_path / "empty").mkdir()
         with pytest.raises(UserError, match="has no raw samples"):
             opened(tmp_path / "empty")
-        with pytest.raises(UserError, match="no such file or folder"):
-            opened(tmp_path / "nothing")
 
     @pytest.mark.parametrize(("value", "good"), [("-z", 1), (2, 1), ([0, 0, 2], 1), ("w", 0)])
     def test_the_axis_of_the_receivers(self, source, value, good):

@@ -9,8 +9,9 @@ from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers.import_capture import import_capture
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
+from geraf2.imaging.volume import image_volume
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RasterManifest, RawManifest
-from geraf2.scene import load_capture
+from geraf2.scene import Grid, load_capture
 from helpers.raw_capture import (
     BOARD_RX,
     RADAR,
@@ -113,20 +114,9 @@ def real_scan(positions):
 
 def focus_m(capture):
     """Where a capture focuses along x through the target [m], and how sharply."""
-    pose, waveform = capture.poses[0], capture.waveform
-    x = np.arange(0.3, 0.4, 0.0005)
-    points = np.stack([x, np.full_like(x, TARGET[1]), np.full_like(x, TARGET[2])], axis=1)
-    path = sum(
-        np.linalg.norm(points[:, None] - antennas[None], axis=2)
-        for antennas in (pose.tx_positions, pose.rx_positions)
-    )
-    times = np.arange(waveform.n_samples) / waveform.sample_rate_hz
-    frequency = waveform.start_frequency_hz + waveform.chirp_slope_hz_per_s * times
-    image = np.zeros(len(x), dtype=complex)
-    for f, samples in zip(frequency, pose.signal.T, strict=True):
-        phase = 2 * np.pi * f * (path + waveform.path_bias_m) / SPEED_OF_LIGHT_M_PER_S
-        image += np.exp(1j * phase) @ samples
-    return x[np.abs(image).argmax()], np.abs(image).max() / pose.signal.size
+    grid = Grid(origin_m=(0.3, *TARGET[1:]), spacing_m=0.0005, shape=(200, 1, 1))
+    volume = image_volume(capture, grid)
+    return grid.axes_m[0][volume.argmax()], volume.max()
 
 
 POSITIONS = raster_positions(8, 8, 0.002)

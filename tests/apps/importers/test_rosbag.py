@@ -17,6 +17,7 @@ from geraf2.errors import UserError
 from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from geraf2.io.ros import write_mesh_mcap
+from helpers.console import the_error
 from helpers.raw_capture import RADAR, RADAR_TOML
 from helpers.ros_bag import at_times, frames_of, rewritten, scan_path, write_bag
 from helpers.solids import ball
@@ -25,6 +26,7 @@ RADAR_MANIFEST = RadarManifest(
     **RADAR, raw=RawManifest(n_rx=1), antennas=AntennaManifest(rx_offsets_m=[[0.0, 0.0, 0.0]])
 )
 LATE_S = 0.033
+BYTES = "std_msgs/msg/UInt8MultiArray"
 
 
 def opened(bag, **options):
@@ -130,7 +132,7 @@ def test_noise_has_no_offset():
 
 @pytest.mark.parametrize(
     ("kind", "poses"),
-    [("std_msgs/msg/UInt8MultiArray", "pose"), ("std_msgs/msg/Int16MultiArray", "odometry")],
+    [(BYTES, "pose"), ("std_msgs/msg/Int16MultiArray", "odometry")],
 )
 def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, frames, kind, poses):
     bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses=poses, storage="SQLITE3")
@@ -227,22 +229,12 @@ def test_jittered_stamps_are_frames_at_equal_times():
     ("adc", "poses", "options", "text"),
     [
         (None, "tf", {}, r"has no topic with samples of a radar.*got /tf \(tf2_msgs"),
-        ("std_msgs/msg/UInt8MultiArray", None, {}, "has no poses of the radar"),
-        ("std_msgs/msg/UInt8MultiArray", "tf", {}, "no transforms lead from frame"),
-        (
-            "std_msgs/msg/UInt8MultiArray",
-            "tf",
-            {"frames": ("room", "hand")},
-            "from frame 'room' to 'hand', expected two of arm, radar, room, table",
-        ),
-        (
-            "std_msgs/msg/UInt8MultiArray",
-            "tf",
-            {"adc_topic": "/x"},
-            r"no topic /x, which adc_topic names, expected /radar/adc \(std_msgs",
-        ),
-        ("std_msgs/msg/UInt8MultiArray", "tf", {"adc_topic": "/tf"}, "/tf holds no samples"),
-        ("std_msgs/msg/UInt8MultiArray", "tf", {"pose_topic": "/radar/adc"}, "holds no poses"),
+        (BYTES, None, {}, "has no poses of the radar"),
+        (BYTES, "tf", {}, "no transforms lead from frame"),
+        (BYTES, "tf", {"frames": ("room", "hand")}, "to 'hand', expected two of arm, radar, room"),
+        (BYTES, "tf", {"adc_topic": "/x"}, r"no topic /x, .* expected /radar/adc \(std_msgs"),
+        (BYTES, "tf", {"adc_topic": "/tf"}, "/tf holds no samples"),
+        (BYTES, "tf", {"pose_topic": "/radar/adc"}, "holds no poses"),
     ],
 )
 def test_what_a_bag_lacks_is_named(tmp_path, path, frames, adc, poses, options, text):
@@ -255,20 +247,16 @@ def test_what_a_bag_lacks_is_named(tmp_path, path, frames, adc, poses, options, 
 def test_broken_files_are_one_line(tmp_path, bag, capsys):
     data = next(bag.glob("*.mcap")).read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    (tmp_path / "old.bag").write_bytes(b"#ROSBAG V2.0\n")
     (tmp_path / "text.mcap").write_text("no bag")
     (tmp_path / "folder").mkdir()
     for name, text in [
         ("cut.mcap", "cannot be read"),
-        ("old.bag", "is a ROS 1 bag"),
         ("text.mcap", "cannot be read"),
         ("folder", "cannot be read"),
         ("none.mcap", "no such file"),
     ]:
         assert main(["import", "rosbag", str(tmp_path / name), str(tmp_path / "scene")]) == 2
-        error = capsys.readouterr().err.strip()
-        assert text in error
-        assert "Traceback" not in error
+        assert text in the_error(capsys)
         assert not (tmp_path / "scene").exists()
 
 

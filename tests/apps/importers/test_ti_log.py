@@ -52,11 +52,7 @@ def test_calls_define_chirp_and_frame(tmp_path, text, name):
 @pytest.mark.parametrize(
     ("old", "new", "line"),
     [
-        (
-            "FrameConfig,0,1,20,1,10000000,0,0,1,",
-            "FrameConfig,0,1,",
-            "line 10: FrameConfig has too f",
-        ),
+        ("FrameConfig,0,1,20,1,10000000,0,0,1,", "FrameConfig,0,1,", "line 10: FrameConfig has t"),
         ("FrameConfig,0,1", "FrameConfig,1,0", "chirpEndIdx of the frame lies before"),
         ("AdcOutConfig,2,1", "AdcOutConfig,2,3", "samples are neither real nor complex"),
         ("64,1000", "0x40,1e400", "line 7: 'ProfileConfig' must be a number, got '1e400'"),
@@ -107,26 +103,18 @@ def test_the_profile_of_the_chirps_is_read(tmp_path):
         read(tmp_path, text + both, "a.lua")
 
 
+PROFILE = "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\n"
+
+
 @pytest.mark.parametrize(
     ("name", "text", "reported"),
     [
         ("a.lua", CALL.format(77, 5000).replace("30)", "0, 0, 30)"), "too many values.*got 20"),
-        ("a.cfg", "frameCfg 0 3 64 5 656 100 1 0 0\n", "frameCfg has too many values.*got 9"),
         ("a.cfg", "profileCfg" + " 1" * 16, "profileCfg has too many values.*got 16"),
-        ("a.cfg", "chirpCfg 0 0 0 0 0 0 0 1 0\n", "chirpCfg has too many values.*got 9"),
         ("a.cfg", "chirpComnCfg 8 0 0 256 1 28 0\n", "low-power chip"),
-        ("a.cfg", "chirpTimingCfg 6 63 0 75 60\n", "low-power chip"),
         ("a.cfg", "advFrameCfg 2 0 0 1 0\n", "several sub-frames"),
-        (
-            "a.cfg",
-            "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nframeCfg 0 3 64 5 656 100 1 0\n",
-            "the fifth is no number of samples, expected 64",
-        ),
-        (
-            "a.cfg",
-            "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\nlvdsStreamCfg -1 1 4 0\n",
-            "more than samples",
-        ),
+        ("a.cfg", f"{PROFILE}frameCfg 0 3 64 5 656 100 1 0\n", "the fifth is no number of samples"),
+        ("a.cfg", f"{PROFILE}lvdsStreamCfg -1 1 4 0\n", "more than samples"),
         (
             "a.setup.json",
             r'{"configUsed": "C:\\ti\\my.mmwave.json", "DCA1000Config": {"lvdsMode": 1}}',

@@ -1,7 +1,5 @@
 """Transmitters that send together are separated by their codes, or refused."""
 
-import json
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from geraf2.apps.importers._ti_config import read_ti_configs
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
-from helpers.raw_capture import PROFILE, RADAR, STUDIO, quantised, whole_pose, words_of
+from helpers.raw_capture import PROFILE, RADAR, quantised, whole_pose, words_of
 
 # Chirps by their masks, and those whose second transmitter is turned.
 TOGETHER = {
@@ -54,30 +52,6 @@ def profile(folder, masks, turned):
     return folder / "a.cfg"
 
 
-def studio(folder, masks, turned):
-    values = json.loads(json.dumps(STUDIO))
-    rf = values["mmWaveDevices"][0]["rfConfig"]
-    rf["rlChirps"] = [
-        {
-            "rlChirpCfg_t": {
-                "chirpStartIdx": k,
-                "chirpEndIdx": k,
-                "profileId": 0,
-                "txEnable": hex(mask),
-            }
-        }
-        for k, mask in enumerate(masks)
-    ]
-    rf["rlFrameCfg_t"] |= {"chirpEndIdx": len(masks) - 1, "numLoops": 20, "numFrames": 1}
-    code = {k: sum(3 << 2 * tx for tx in range(3) if mask >> tx & 1) for k, mask in turned.items()}
-    rf["rlBpmChirps"] = [
-        {"rlBpmChirpCfg_t": {"chirpStartIdx": k, "chirpEndIdx": k, "constBpmVal": hex(value)}}
-        for k, value in code.items()
-    ]
-    (folder / "a.mmwave.json").write_text(json.dumps(values))
-    return folder / "a.mmwave.json"
-
-
 def script(folder, masks, turned):
     def bits(mask, n=3):
         return ", ".join(str(mask >> k & 1) for k in range(n))
@@ -102,7 +76,7 @@ def scan(folder, config, n_positions, **raw):
     return load_importer("dca1000").open(folder / "a.bin", radar, options)
 
 
-@pytest.mark.parametrize("write", [profile, studio, script])
+@pytest.mark.parametrize("write", [profile, script])
 @pytest.mark.parametrize("name", TOGETHER)
 def test_two_that_send_together_are_separated(tmp_path, write, name):
     masks, turned, order = TOGETHER[name]
@@ -116,7 +90,7 @@ def test_two_that_send_together_are_separated(tmp_path, write, name):
 
 @pytest.mark.parametrize(
     ("write", "masks", "turned"),
-    [(profile, [3], {}), (studio, [3, 3], {}), (script, [7, 7], {1: 2}), (profile, [3, 4], {})],
+    [(profile, [3], {}), (profile, [3, 3], {}), (script, [7, 7], {1: 2}), (profile, [3, 4], {})],
 )
 def test_what_cannot_be_separated_is_refused_and_named(tmp_path, capsys, write, masks, turned):
     recorded(tmp_path, masks, turned, [0, 1, 2])
