@@ -74,7 +74,7 @@ COMMANDS = [
             live nowhere out --idle 0.2|no plane came
             live scene run|is no session
             calibrate scene|box
-            calibrate scene --box 0.16 0.16 0.16 --delay-from reflector|--reflector
+            calibrate scene --box 0.16 0.16 0.16 --no-delay --reflector 0 0 0|--reflector
             los spec.toml out|spec.toml
             los box.ply out --unit furlong|--unit
             los 0.2xax0.2 out|0.2xax0.2

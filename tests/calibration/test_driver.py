@@ -175,7 +175,7 @@ def test_only_requested_corrections_are_estimated(capture):
     settings = {"leakage": False, "frame": False, "channels": False, "positions": False}
     found = calibrate(wrong, PRIOR, CalibrationConfig(**settings))
     assert [one.name for one in found.judgements] == applied(found) == ["delay"]
-    kept = calibrate(wrong, PRIOR, CalibrationConfig(**settings, delay_from="kept"))
+    kept = calibrate(wrong, PRIOR, CalibrationConfig(**settings, delay=False))
     assert kept.judgements == ()
     assert kept.capture is wrong
 

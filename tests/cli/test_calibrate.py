@@ -92,7 +92,7 @@ def test_write_corrects_the_scene_itself(carton):
     assert capture.calibration[0].prior_to_capture is None
     assert (carton / "truth.ply").is_file()
     # a second one is added to the record of the first
-    again = ["calibrate", str(carton), "--write", *PLAIN, "--delay-from", "kept"]
+    again = ["calibrate", str(carton), "--write", *PLAIN, "--no-delay"]
     assert main(again) == 0
     first, second = load_capture(carton).calibration
     assert first == capture.calibration[0]
@@ -104,10 +104,10 @@ def test_write_corrects_the_scene_itself(carton):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--delay-from", "walls", "--reflector", "0", "0", "0"], "goes with --reflector"),
+        (["--no-delay", "--reflector", "0", "0", "0"], "either --no-delay or --reflector"),
         (["--reflector", "0.1", "0.3", "0.5"], "the reflector does not stand out"),
-        (["--delay-from", "kept", "--delay-search", "-0.1", "0.1"], "got --delay-from kept"),
-        (["--delay-from", "kept", "--no-frame", *PLAIN], "nothing is left to search for"),
+        (["--no-delay", "--delay-search", "-0.1", "0.1"], "either --no-delay or --delay-search"),
+        (["--no-delay", "--no-frame", *PLAIN], "nothing is left to search for"),
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),
         (["--channels", "4", "--no-channels"], "give either --channels or --no-channels"),
         (["--channels", "4"], "--channels 4 does not divide the antennas of a plane"),

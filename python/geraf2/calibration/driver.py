@@ -31,11 +31,7 @@ from geraf2.calibration.channel_phase import (
     phase_gain,
 )
 from geraf2.calibration.corrections import Corrections
-from geraf2.calibration.instrument_delay import (
-    DelayCurve,
-    delay_from_reflector,
-    delay_from_sharpness,
-)
+from geraf2.calibration.instrument_delay import DelayCurve, delay_from_reflector
 from geraf2.calibration.leakage import find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
@@ -58,7 +54,7 @@ _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 # Planes whose elevations round to the same multiple are one ring of the scan [degrees].
 _RING_DEG = 15.0
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
-DelaySource = Literal["walls", "reflector", "sharpness", "kept"]
+DelaySource = Literal["walls", "reflector", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +63,10 @@ class CalibrationConfig(Bounded):
 
     leakage: bool = True
     """Subtract direct leakage between transmitter and receiver."""
-    delay_from: DelaySource = "walls"
-    """Source of the instrument delay; "kept" does not change it."""
+    delay: bool = True
+    """Correct the instrument delay."""
     reflector_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
-    """Position of the reflector for delay_from "reflector" [m]."""
+    """Position of a reflector that gives the delay in place of the walls [m]."""
     frame: bool = True
     """Move the prior, the turntable axis and the poses' angles to agree with the walls."""
     n_channels: ChannelCount | None = None
@@ -85,12 +81,16 @@ class CalibrationConfig(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (self.delay_from == "reflector") != (self.reflector_m is not None):
-            msg = (
-                "reflector_m and delay_from 'reflector' need each other, got "
-                f"{self.reflector_m} with {self.delay_from!r}"
-            )
+        if not self.delay and self.reflector_m is not None:
+            msg = f"reflector_m gives a delay, which delay=False leaves, got {self.reflector_m}"
             raise ValueError(msg)
+
+    @property
+    def delay_from(self) -> DelaySource:
+        """Source of the instrument delay; "kept" does not change it."""
+        if not self.delay:
+            return "kept"
+        return "walls" if self.reflector_m is None else "reflector"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,7 +109,7 @@ class Calibration:
     walls: WallAlignment | None = None
     """Estimate with the applied corrections; None if walls were not used or not seen."""
     curve: DelayCurve | None = None
-    """Search for the delay by a reflector or sharpness."""
+    """Search for the delay by a reflector."""
     channels: ChannelPhases | None = None
     """None if channels were not searched for or cannot be distinguished."""
     drift: AntennaDrift | None = None
@@ -163,7 +163,7 @@ def calibrate(
     config: selection of corrections; all when None.
     peaks: of the capture's planes, and of its corrected planes; collected when None.
 
-    Raises UserError if a reflector or sharpness gives no delay, or if the given channels do not
+    Raises UserError if a reflector gives no delay, or if the given channels do not
     divide the antennas of a plane.
     """
     config = config or CalibrationConfig()
@@ -227,17 +227,12 @@ class _Run:
         return {"leakage": found} if applied else {}
 
     def delay(self) -> _Step:
-        """Estimate a requested delay by reflector or sharpness; it is always applied."""
-        config, capture = self.config, self.capture
-        search = config.alignment.search_m(capture)
-        if config.delay_from == "reflector":
-            position = np.asarray(config.reflector_m, dtype=np.float64)
-            curve = delay_from_reflector(capture, position, search)
-        elif config.delay_from == "sharpness":
-            reach = 0.5 * float(np.linalg.norm(self.prior.size_m))
-            curve = delay_from_sharpness(capture, self.prior.bounds.mean(axis=0), reach, search)
-        else:
+        """Estimate the delay by a given reflector; it is always applied."""
+        if self.config.reflector_m is None:
             return {}
+        search = self.config.alignment.search_m(self.capture)
+        position = np.asarray(self.config.reflector_m, dtype=np.float64)
+        curve = delay_from_reflector(self.capture, position, search)
         self.found["curve"], self.offset_sigma_m = curve, 0.5 * curve.sigma_m
         text = f"{1e3 * curve.delay_m:+z.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
         numbers = {"delay_m": curve.delay_m, "sigma_m": curve.sigma_m}
@@ -317,7 +312,7 @@ class _Run:
             fit = found if gain.is_sure else every
             self.judgements.append(judge(group, *_describe(fit, group), gain))
         self.found["walls"] = found
-        if self.config.delay_from in ("walls", "kept"):
+        if self.config.reflector_m is None:
             # An estimated offset that is not applied remains in the capture.
             rest_m = every.offset_m - found.offset_m
             self.offset_sigma_m = float(np.hypot(rest_m, every.offset_sigma_m))

@@ -1,25 +1,16 @@
-"""Instrument delay from a reflector at a known position, or from the sharpness of the image."""
+"""Instrument delay from a reflector at a known position."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
-from geraf2.ops import matched_filter
-from geraf2.scene import Capture, Pose
+from geraf2.scene import Capture
 
 # Least power of the reflector over the median of all delays searched; noise alone reaches 3.
 _MIN_CONTRAST = 6.0
-_MAX_ANTENNAS = 1024
-_MAX_POSES = 4
-_N_POINTS = 2000
-_SHARPNESS_STEP_M = 0.01
-# Bias by surface curvature: twice the radius of a bright surface, 2 cm on an object of 12 cm.
-_CURVATURE_SIGMA_M = 0.04
-# Least sharpness at the best delay over its median; noise alone reaches 1.05.
-_MIN_SHARPNESS = 1.1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,7 +23,7 @@ class DelayCurve:
     candidates_m: Floats
     """Changes tried, (n,) [m]."""
     quality: Floats
-    """Power at the reflector, or sharpness, relative to its median, (n,)."""
+    """Power at the reflector relative to its median, (n,)."""
 
 
 def delay_from_reflector(
@@ -94,67 +85,6 @@ def delay_from_reflector(
         candidates_m=candidates,
         quality=quality,
     )
-
-
-def delay_from_sharpness(
-    capture: Capture, target: Floats, reach_m: float, search_m: tuple[float, float]
-) -> DelayCurve:
-    """Delay at which full-aperture images of the scene are sharpest.
-
-    The curvature of a wavefront shows the distance of its origin, for any delay. Smooth surfaces
-    focus at their centre of curvature instead of on the surface. The delay is therefore too short
-    by up to twice the radius, and its standard deviation is centimetres.
-
-    target: centre of the scene, (3,) [m].
-    reach_m: radius of the scene [m].
-    search_m: smallest and largest change of the delay, two-way path [m].
-
-    Raises UserError if no delay is clearly sharper than the others.
-    """
-    usable = [pose for pose in capture.poses if pose.n_antennas > 1]
-    if not usable:
-        raise UserError(what="no plane has two antennas")
-    evenly = np.linspace(0, len(usable) - 1, _MAX_POSES)
-    chosen = [usable[i] for i in sorted({int(i) for i in evenly})]
-    rng = np.random.default_rng(0)
-    directions = rng.normal(size=(_N_POINTS, 3))
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    points = target + reach_m * rng.uniform(size=(_N_POINTS, 1)) ** (1.0 / 3.0) * directions
-    candidates = np.arange(search_m[0], search_m[1] + _SHARPNESS_STEP_M, _SHARPNESS_STEP_M)
-    curves = np.array([[_sharpness(capture, p, points, c) for c in candidates] for p in chosen])
-    quality = np.exp(np.log(curves / np.median(curves, axis=1, keepdims=True)).mean(axis=0))
-    best = int(quality.argmax())
-    if quality[best] < _MIN_SHARPNESS or best in (0, len(candidates) - 1):
-        raise UserError(
-            what="no delay makes the image sharp",
-            expected=f"a delay between {search_m[0]:g} and {search_m[1]:g} m that is "
-            f"{_MIN_SHARPNESS:g} times as sharp as most",
-            got=f"{quality[best]:.3g} times at {candidates[best]:g} m",
-            hint="use the walls (--delay-from walls) or a known reflector, or widen --delay-search",
-        )
-    refined = candidates[best] + _SHARPNESS_STEP_M * _parabola(np.log(quality), best)
-    own = candidates[curves.argmax(axis=1)]
-    spread = float(np.std(own)) / np.sqrt(len(own))
-    return DelayCurve(
-        delay_m=float(refined),
-        sigma_m=float(np.hypot(spread, _CURVATURE_SIGMA_M)),
-        candidates_m=candidates,
-        quality=quality,
-    )
-
-
-def _sharpness(capture: Capture, pose: Pose, points: Floats, change_m: float) -> float:
-    every = max(1, -(-pose.n_antennas // _MAX_ANTENNAS))
-    waveform = replace(capture.waveform, path_bias_m=capture.waveform.path_bias_m + float(change_m))
-    image = matched_filter(
-        pose.signal[::every],
-        pose.tx_positions[::every],
-        pose.rx_positions[::every],
-        points,
-        waveform,
-    )
-    power = np.abs(image).astype(np.float64) ** 2
-    return float((power**2).mean() / max(float(power.mean()) ** 2, 1e-300))
 
 
 def _parabola(values: Floats, best: int) -> float:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, ChannelCount, SignedM, Triple
-from geraf2.calibration.driver import CalibrationConfig, DelaySource
+from geraf2.calibration.driver import CalibrationConfig
 from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Positional, part_of
@@ -36,10 +36,10 @@ class Config(PriorSource):
     """Replace another scene in OUT."""
     los: Annotated[Path | None, Arg(metavar="MESH")] = None
     """Closed mesh of the outside of the box, metres; los.ply of the scene when not given."""
-    delay_from: DelaySource | None = None
-    """What the instrument delay is found from; the walls when not given, "kept" leaves it."""
+    no_delay: bool = False
+    """Leave the instrument delay."""
     reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
-    """Position of a small reflector to find the delay from [m]."""
+    """Position of a small reflector to find the delay from, in place of the walls [m]."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
     """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
     -0.3 1.0 where none was recorded (a delay of 0)."""
@@ -93,20 +93,14 @@ def main(config: Config) -> int:
 
 
 def _settings(config: Config) -> CalibrationConfig:
-    source = config.delay_from or ("reflector" if config.reflector is not None else "walls")
-    if (source == "reflector") != (config.reflector is not None):
-        raise UserError(
-            what="--delay-from reflector goes with --reflector X Y Z",
-            got=f"--delay-from {source}, {'no ' if config.reflector is None else ''}--reflector",
-        )
-    if source == "kept" and config.delay_search is not None:
-        raise UserError(
-            what="--delay-search goes with a delay that is looked for", got="--delay-from kept"
-        )
-    if source == "kept" and config.no_frame and config.no_channels and config.no_positions:
+    for name in ("reflector", "delay_search"):
+        if config.no_delay and getattr(config, name) is not None:
+            flag = f"--{name.replace('_', '-')}"
+            raise UserError(what=f"give either --no-delay or {flag}", got="both")
+    if config.no_delay and config.no_frame and config.no_channels and config.no_positions:
         raise UserError(
             what="nothing is left to search for",
-            got="--delay-from kept --no-frame --no-channels --no-positions",
+            got="--no-delay --no-frame --no-channels --no-positions",
         )
     low, high = config.delay_search or (-1.0, 1.0)
     if not -_MAX_SEARCH_M <= low < high <= _MAX_SEARCH_M:
@@ -118,7 +112,7 @@ def _settings(config: Config) -> CalibrationConfig:
     if config.channels is not None and config.no_channels:
         raise UserError(what="give either --channels or --no-channels", got="both")
     return CalibrationConfig(
-        delay_from=source,
+        delay=not config.no_delay,
         reflector_m=config.reflector,
         frame=not config.no_frame,
         n_channels=config.channels,
