@@ -48,6 +48,7 @@ COMMANDS = [
         for line, text in table("""
             reconstrukt scene out|reconstruct
             reconstruct|SCENE
+            batch scene|OUT
             reconstruct scene out --box 0.16 0.16 0.16 --los box.ply|both
             reconstruct scene out --box 0.16 0.16 0.16 --nonsense 3|--nonsense
             reconstruct scene out --help-preset fats|fast
@@ -70,12 +71,15 @@ COMMANDS = [
             info raw/adc.bin --config nowhere.json|nowhere.json
             image scene out --spacing-m 2e-5|the volume would have
             image scene out --depth-m 0.3 0.5|add --plane
+            image scene out --spacing-m 0.001 --max-memory 0.1|GiB of --max-memory
+            reconstruct scene out --box 0.16 0.16 0.16 --max-memory 0.1|GiB of --max-memory
             simulate scene out|scene
             live nowhere out --idle 0.2|no plane came
             live scene run|is no session
             calibrate scene|box
             calibrate scene --box 0.16 0.16 0.16 --no-delay --reflector 0 0 0|--reflector
             los spec.toml out|spec.toml
+            los --from-radar nowhere out|nowhere
             los box.ply out --unit furlong|--unit
             los 0.2xax0.2 out|0.2xax0.2
             render run --angles 12.5|12.5

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from geraf2.apps.benchmark import load_suite, rows_of
 from geraf2.cli.main import main
 
 SUITE = """
@@ -182,7 +181,11 @@ NOTHING = ("", "")
         (("distance_rounds", "distance_round"), "", "did you mean 'distance_rounds'?"),
         (('moved"', 'moved", settings = { fit = { cap_slop = 0 } }'), "", "in case 'moved'"),
         (('preset = "back-projection"', 'preset = "back"'), "", "unknown name 'back'"),
-        (('preset = "matched-filter"\nsettings.matched_filter', "x = {}\n#"), "", "an oracle"),
+        (
+            ('preset = "matched-filter"\nsettings.matched_filter', "options = {}\n#"),
+            "",
+            "an oracle",
+        ),
         (NOTHING, "--only walls --cases unknown other", "expected some of known; unknown; moved"),
         (NOTHING, "--only walls --scenes jug", "no such scene, expected some of llama, got jug"),
         (NOTHING, "--only walls --methods *raw", "no such method, expected some of fast, got *raw"),
@@ -199,19 +202,3 @@ def test_a_wrong_suite_or_choice_is_one_line(change, flags, message, tmp_path, c
     assert message in stated
     assert stated.count("\n") == 1
     assert not out.exists()
-
-
-def test_scenes_cases_and_methods_are_chosen_by_name_or_pattern():
-    suite = load_suite()
-    cases = ("everything*", "electronics, hard")
-    choice = {"scene": ("bunny", "d*"), "case": cases, "method": ("fast", "best")}
-    chosen = rows_of(suite, ("world",), choice)
-    assert {row.case.label for row in chosen} == {
-        "everything, plausible",
-        "everything, hard",
-        "electronics, hard",
-    }
-    assert {row.scene for row in chosen} == {"bunny", "deer"}
-    assert {row.method for row in chosen} == {"fast", "best"}
-    assert len({row.name for row in chosen}) == len(chosen) == 3 * 2 * 2
-    assert rows_of(suite, ("thin",), {"scene": (), "case": ()}) == rows_of(suite, ("thin",))

@@ -121,19 +121,3 @@ def test_help_shows_flags_values_docstrings_and_defaults_but_no_hidden_group(cap
     hidden = help_text(Settings, prog="tool", hidden=True)
     assert "  --constants.size-m FLOAT\n      Width of the rim [m]. (default: 0.1)\n" in hidden
     assert "--seed" not in hidden
-
-
-@dataclass(frozen=True, kw_only=True)
-class Several:
-    scenes: Positional[Annotated[tuple[str, ...], Arg(metavar="SCENES")]]
-    out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    seed: int = 0
-
-
-def test_a_positional_argument_takes_several_words_and_leaves_one_to_the_next():
-    read = parse(Several, ["a", "b", "--seed", "3", "c", "out"], prog="p")
-    assert read == Several(scenes=("a", "b", "c"), out=Path("out"), seed=3)
-    assert parse(Several, ["a", "out"], prog="p").scenes == ("a",)
-    for words in ([], ["a"]):
-        with pytest.raises(UserError, match=r"missing from p: .*OUT"):
-            parse(Several, words, prog="p")

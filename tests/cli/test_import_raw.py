@@ -1,4 +1,4 @@
-"""Raw captures from the command line, to an image; every fault is one line and exit code 2."""
+"""Raw captures from the command line: scenes, what is left of broken ones, what `info` shows."""
 
 import json
 
@@ -11,7 +11,6 @@ from helpers.console import the_error
 from helpers.raw_capture import (
     BOARD_RX,
     RADAR_TOML,
-    TARGET,
     beat,
     raster_positions,
     scan_signal,
@@ -50,16 +49,7 @@ def run(recording, radar, *more):
     return main(["import", "dca1000", str(recording), str(scene), "--radar", str(radar), *more])
 
 
-def peak_of(tmp_path):
-    box = ["--center-m", "0.35", "0", "0", "--size-m", "0.06", "0.06", "0.06"]
-    arguments = [str(tmp_path / "scene"), str(tmp_path / "out"), *box, "--spacing-m", "0.002"]
-    assert main(["image", *arguments]) == 0
-    stored = np.load(tmp_path / "out" / "image.npz")
-    index = np.unravel_index(stored["volume"].argmax(), stored["volume"].shape)
-    return stored["origin_m"] + stored["spacing_m"] * np.array(index)
-
-
-def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, positions, capsys):
+def test_a_raster_becomes_a_scene(tmp_path, recording, radar, positions, capsys):
     assert run(recording, radar, *RASTER) == 0
     printed = capsys.readouterr().out
     assert "4-lane, two-complement" in printed
@@ -71,7 +61,6 @@ def test_a_raster_becomes_a_scene_that_focuses(tmp_path, recording, radar, posit
     metadata = json.loads((tmp_path / "scene" / "radar.zarr" / "signal" / "zarr.json").read_text())
     assert metadata["data_type"] == "int16"
     assert np.array_equal(scene.poses[0].signal, np.conj(scan_signal(positions)).reshape(480, 64))
-    assert np.abs(peak_of(tmp_path) - TARGET).max() <= 0.0021
 
 
 def test_what_the_check_refuses_after_the_writing_leaves_no_scene(

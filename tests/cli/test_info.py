@@ -37,24 +37,17 @@ def test_what_is_in_a_scene(tmp_path, capsys):
 
 
 def scaled(capture, factor):
-    return replace(
-        capture,
-        poses=tuple(
-            replace(
-                pose,
-                tx_positions=factor * pose.tx_positions,
-                rx_positions=factor * pose.rx_positions,
-            )
-            for pose in capture.poses
-        ),
+    poses = tuple(
+        replace(p, tx_positions=factor * p.tx_positions, rx_positions=factor * p.rx_positions)
+        for p in capture.poses
     )
+    return replace(capture, poses=poses)
 
 
 def with_first_signal(capture, change):
     first = capture.poses[0]
-    return replace(
-        capture, poses=(replace(first, signal=change(first.signal.copy())), *capture.poses[1:])
-    )
+    changed = replace(first, signal=change(first.signal.copy()))
+    return replace(capture, poses=(changed, *capture.poses[1:]))
 
 
 def lost(signal):
@@ -106,10 +99,7 @@ CASES = {
     "offset": (of_30(with_offset), "1 planes have a constant offset (DC) of up to"),
     "bursts": (of_30(with_bursts), "9 antennas are 10 dB noisier than those around them"),
     "loud": (lambda c: with_first_signal(c, lambda s: 100 * s), "more than 20 dB off"),
-    "duplicate": (
-        lambda c: replace(c, poses=(*c.poses, c.poses[0])),
-        "2 planes hold the same samples",
-    ),
+    "duplicate": (lambda c: replace(c, poses=(*c.poses, c.poses[0])), "hold the same samples"),
     "looking away": (
         lambda c: replace(c, poses=(replace(c.poses[0], axes=-c.poses[0].axes), *c.poses[1:])),
         "1 planes do not look at the point",

@@ -102,9 +102,7 @@ def test_no_content_is_an_error_that_keeps_the_old_mesh(
     before = contents(finished_run)
     flags = [*BOX, *FAST, "--fit.bending-weight", "0.5", "--no-report", "--overwrite"]
     assert main(["reconstruct", str(built_scene), str(finished_run), *flags]) == 2
-    error = the_error(capsys)
-    assert "no surface was found inside the box" in error
-    assert "glints and a box of 200 x 200 x 200 mm without content" in error
+    assert "no surface was found inside the box" in the_error(capsys)
     assert contents(finished_run) == before
 
 

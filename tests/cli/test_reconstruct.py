@@ -118,9 +118,7 @@ def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
 
 def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):
     assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14") == 2
-    error = the_error(capsys)
-    assert "the scan shows another box than the prior, expected sides of 140" in error
-    assert "by the walls' echoes; leave the prior out, or keep it with --trust-los" in error
+    assert "the scan shows another box than the prior, expected sides of 140" in the_error(capsys)
     assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14", "--trust-los") == 0
 
 
@@ -158,9 +156,7 @@ def test_no_glint_is_an_error_with_what_was_seen(scene, tmp_path, capsys):
     save_capture(replace(capture, poses=poses), tmp_path / "noise")
     # Without the checks of the box, which by chance find echoes of noise outside of it.
     assert run(tmp_path / "noise", tmp_path / "out", *BOX, "--trust-los") == 2
-    error = the_error(capsys)
-    assert "no glint inside the box" in error
-    assert "check" in error
+    assert "no glint inside the box" in the_error(capsys)
 
 
 def test_evaluate_prints_scores_and_explains_them_if_asked(finished_run, scene, capsys):

@@ -9,7 +9,6 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
-from geraf2.io.array_layouts import read_arrays
 from geraf2.pipeline.prior import read_prior, save_prior
 from geraf2.report.run_report import stored_truth
 from geraf2.report.view_layers import read_heat_map
@@ -120,11 +119,3 @@ def test_contents_that_cannot_be_are_refused(name, key, value, tmp_path):
     np.savez(path, **{**arrays, key: value})
     with pytest.raises(UserError, match=str(path)):
         load(path)
-
-
-def test_a_letter_is_one_length_in_all_arrays(tmp_path):
-    path = tmp_path / "a.npz"
-    np.savez(path, a=np.zeros((4, 3)), b=np.zeros(5, int), c=np.zeros(0))
-    with pytest.raises(UserError, match=r"array b .* expected int, \(4,\), got shape \(5,\)"):
-        read_arrays(path, {"a": "float n 3", "b": "int n"})
-    assert set(read_arrays(path, {"a": "float n 3", "b": "int m", "c": "float? n"})) == set("abc")

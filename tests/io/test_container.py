@@ -169,26 +169,3 @@ def test_integers_are_stored_as_they_are_and_read_as_complex_numbers(scene_of_in
     without_checksums(path)
     lost = np.isnan(SceneReader(path).read_pose(1).signal).all(axis=1)
     assert np.flatnonzero(lost).tolist() == [*range(10, 15)]
-
-
-def test_integers_and_complex_numbers_do_not_mix(tmp_path, ragged, scene_of_integers):
-    pose = ragged.poses[0]
-    writer = SceneWriter(
-        tmp_path / "s", manifest_of(ragged), n_poses=3, n_antennas_max=36, integers=True
-    )
-    with pytest.raises(TypeError, match="must be int16, got complex64"), writer:
-        writer.append(pose)
-    metadata = scene_of_integers[0] / "radar.zarr" / "signal" / "zarr.json"
-    metadata.write_text(metadata.read_text().replace('"int16"', '"float32"'))
-    with pytest.raises(UserError, match="signal: has the wrong type"):
-        load_capture(scene_of_integers[0])
-
-
-def test_a_pose_that_is_not_finished_is_not_written(tmp_path, ragged):
-    pose = ragged.poses[0]
-    writer = SceneWriter(tmp_path / "s", manifest_of(ragged), n_poses=1, n_antennas_max=40)
-    with pytest.raises(ValueError, match="1 planes were announced, got 0"), writer:
-        writer.append(pose, n_antennas=40)
-    assert not (tmp_path / "s").exists()
-    with pytest.raises(ValueError, match="does not fit"), writer:
-        writer.append(pose, n_antennas=30)

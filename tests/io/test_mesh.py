@@ -7,6 +7,7 @@ import trimesh
 from PIL import Image
 
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh, write_mesh
 from geraf2.io.mesh_colours import error_colours, to_linear
 from geraf2.scene import LosPrior
@@ -24,11 +25,6 @@ def box():
     )
 
 
-def signed_volume(mesh):
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces], 1, 0)
-    return np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
-
-
 def test_ply_round_trip_keeps_geometry_winding_and_errors(box, tmp_path):
     write_mesh(box, tmp_path / "box.ply")
     back = read_mesh(tmp_path / "box.ply")
@@ -38,7 +34,8 @@ def test_ply_round_trip_keeps_geometry_winding_and_errors(box, tmp_path):
     np.testing.assert_allclose(back.expected_error_m, box.expected_error_m, rtol=1e-7)
     np.testing.assert_array_equal(back.evidence, box.evidence)
     assert back.evidence.dtype == np.uint8
-    assert signed_volume(back) == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
+    volume_m3 = enclosed_volume_m3(back.vertices, back.faces)
+    assert volume_m3 == pytest.approx(0.2 * 0.3 * 0.4, rel=1e-6)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])

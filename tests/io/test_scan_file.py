@@ -174,7 +174,6 @@ def test_a_recording_along_a_scan_file_becomes_its_planes(tmp_path):
             "sweeps of plane 'x' overlap with different phase references, got '' and 'second'",
         ),
         (lambda t: t["planes"][1].update(axes=[[1, 0, 0]] * 3), "orthonormal, right-handed"),
-        (lambda t: t["planes"][0]["lines"][0].update(speed_m_per_s=0), "greater than 0"),
         (lambda t: t.update(planes=[]), "planes"),
     ],
 )
@@ -188,6 +187,3 @@ def test_a_broken_scan_file_is_one_line(tmp_path, change, message):
         read_scan_file(path)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
-    path.write_text("{")
-    with pytest.raises(UserError, match="is not valid JSON"):
-        read_scan_file(path)

@@ -1,6 +1,7 @@
 """Transforms from files and from calibrated scenes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from geraf2.errors import UserError
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.transform_file import read_transform
-from geraf2.scene import Capture, Pose, Waveform, save_capture
+from geraf2.scene import save_capture
+from helpers.synthetic import point_capture
 
 RIGID = np.eye(4)
 RIGID[:3, :3] = Rotation.from_euler("xyz", [0.3, -0.2, 1.1]).as_matrix()
@@ -47,15 +49,6 @@ def test_npy_is_not_unpickled(tmp_path):
 
 
 def scene_with(folder, moves):
-    pose = Pose(
-        signal=np.ones((2, 4), np.complex64),
-        tx_positions=np.zeros((2, 3)),
-        rx_positions=np.ones((2, 3)),
-        axes=np.eye(3),
-    )
-    waveform = Waveform(
-        start_frequency_hz=77e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=4
-    )
     records = tuple(
         CalibrationManifest.model_validate(
             {
@@ -70,7 +63,7 @@ def scene_with(folder, moves):
         )
         for move in moves
     )
-    save_capture(Capture(waveform=waveform, poses=(pose,), calibration=records), folder)
+    save_capture(replace(point_capture(1), calibration=records), folder)
 
 
 def test_calibrations_of_a_scene_add_up(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 
 import geraf2
 from geraf2._memory import memory_limit
-from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.pipeline.estimates import image_estimate, reconstruct_cost, require_reconstructable
 from geraf2.pipeline.presets import BestPreset, FastPreset
@@ -57,24 +56,6 @@ def test_memory_depends_on_voxels_and_samples():
             require_reconstructable(summary, FastPreset(), (0.7, 0.05, 0.05), "scene")
         capped = FitConfig(spacing_m=0.001, max_voxels=10**6)
         require_reconstructable(summary, FastPreset(fit=capped), box, "scene")
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["image", "scene", "out", "--size-m", "0.1", "0.1", "0.1"],
-        ["reconstruct", "scene", "out", "--box", "0.2", "0.2", "0.2", "--preset", "fast"],
-    ],
-)
-def test_a_command_beyond_the_limit_is_refused_in_one_line(tmp_path, monkeypatch, capsys, words):
-    geraf2.save_capture(point_capture(2), tmp_path / "scene")
-    monkeypatch.chdir(tmp_path)
-    assert main([*words, "--max-memory", "0.1"]) == 2
-    lines = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
-    assert len(lines) == 1
-    assert "the run will not fit into memory, expected about 0." in lines[0]
-    assert "got 0.1 GiB of --max-memory" in lines[0]
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_fit_is_refused_where_its_own_grid_exceeds_the_limit():
