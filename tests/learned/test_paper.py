@@ -10,7 +10,7 @@ from geraf2.errors import UserError
 from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
-from geraf2.learned.config import CorrectedPaperConfig, PaperConfig, StageConfig
+from geraf2.learned.config import PaperConfig, StageConfig
 from geraf2.learned.fields import SdfMlpGrid
 from geraf2.learned.heatmaps import heat_maps
 from geraf2.learned.model import PaperModel, domain_of
@@ -19,8 +19,6 @@ from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
 from geraf2.ops import _tensors, matched_filter
-from geraf2.pipeline.presets import CorrectedPaperPreset
-from geraf2.pipeline.stages.learned import TRAIN
 from geraf2.scene import Grid, Wall
 from helpers.carton import PRIOR
 
@@ -149,7 +147,7 @@ def test_steps_without_the_kernels_are_those_with_them(capture, maps, monkeypatc
     np.testing.assert_allclose(found[1], found[0], rtol=1e-3)
 
 
-def test_a_missing_gpu_is_refused_and_a_run_of_one_continues(monkeypatch):
+def test_a_missing_gpu_is_refused(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     anything = replace(SMALL, device="auto")
     assert training_device(anything).type == "cpu"
@@ -160,11 +158,6 @@ def test_a_missing_gpu_is_refused_and_a_run_of_one_continues(monkeypatch):
     assert training_device(replace(anything, field="mlp")).type == "cuda"
     assert training_device(replace(SMALL, device="cuda")).type == "cuda"
     assert training_device(replace(SMALL, device="cpu")).type == "cpu"
-    with_gpu, without = (
-        TRAIN.settings(CorrectedPaperPreset(paper=CorrectedPaperConfig(device=device)))
-        for device in ("cuda", "auto")
-    )
-    assert with_gpu == without
 
 
 def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
