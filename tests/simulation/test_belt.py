@@ -91,19 +91,3 @@ def test_a_simulated_belt_is_a_scene_with_its_arrays(tmp_path):
     assert [pose.name for pose in capture.poses] == ["left/0"]
     assert record.of_plane("left/0").n_channels * 5 == capture.n_antennas
     assert record == belt_record(spec.belt)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"arrays": []}, "arrays"),
-        ({"arrays": [{"side": "front"}]}, "side"),
-        ({"arrays": [{"side": "left", "board": "awr9999"}]}, "awr9999"),
-        ({"arrays": [{"side": "left", "tx_m": [[0.0, 0.0]]}]}, "tx_m"),
-        ({"arrays": [{"side": "left"}, {"side": "left"}]}, "different names"),
-        ({"arrays": [{"side": "left"}], "speed": 1.0}, "speed"),
-    ],
-)
-def test_a_belt_that_makes_no_sense_is_refused(change, message):
-    with pytest.raises(geraf2.UserError, match=message):
-        parse_spec(SMALL | {"belt": change})

@@ -200,14 +200,6 @@ def test_names_in_other_capitals_are_found(tmp_path, kind):
     assert len(load_photos(tmp_path, UNIT).photos) == 4
 
 
-def all_frames(**entries):
-    def edit(values):
-        for frame in values["frames"]:
-            frame.update(entries)
-
-    return edit
-
-
 def mirror(n):
     def edit(values):
         for frame in values["frames"][:n]:
@@ -224,48 +216,6 @@ def no_pose(n):
     return edit
 
 
-def no_size(values):
-    return {name: value for name, value in values.items() if name not in ("w", "h")}
-
-
-def frames_of_one_file(values):
-    for index, frame in enumerate(values["frames"]):
-        frame["file_path"] = f"/somewhere/camera{index}/photo0.png"
-
-
-@pytest.mark.parametrize(
-    ("edit", "match"),
-    [
-        (lambda _: {"frames": []}, "no list of frames"),
-        (lambda values: values | {"frames": [3]}, "is no object"),
-        (lambda values: values | {"fl_x": 0}, "focal lengths must be positive"),
-        (lambda values: values | {"fl_x": "wide"}, "fl_x must be a finite number"),
-        (lambda values: values | {"w": -4}, "w and h must be positive"),
-        (lambda values: values | {"camera_model": "FISH"}, "unknown camera model"),
-        (lambda values: values | {"k4": 0.1}, "fisheye"),
-        (lambda values: values | {"unit": "inch"}, "unknown unit"),
-        (all_frames(transform_matrix=[[1.0]]), "must be 4 x 4"),
-        (all_frames(transform_matrix="x"), "must hold numbers"),
-        (all_frames(file_path=3), "needs a file_path"),
-        (all_frames(mask_path=3), "mask_path must be text"),
-        (all_frames(file_path="a" * 5000), "none of the 4 photos can be used|two frames share"),
-        (no_pose(4), "none of the frames has a pose"),
-        (mirror(4), "another handedness"),
-        (no_size, r"differ in size.*got 32 x 24, 64 x 48"),
-        (frames_of_one_file, "two frames share one file here"),
-    ],
-)
-def test_bad_transforms(tmp_path, edit, match):
-    write_transforms(tmp_path)
-    path = tmp_path / "transforms.json"
-    if edit is no_size:
-        write_image(tmp_path / "photo2.png", image_of(32, 24))
-    change(path, edit)
-    with pytest.raises(UserError, match=match) as caught:
-        load_photos(tmp_path)
-    assert str(tmp_path) in str(caught.value)
-
-
 @pytest.mark.parametrize(("edit", "words"), [(no_pose(1), "'photo0.png'"), (mirror(1), "handed")])
 def test_one_bad_frame_is_left_out(tmp_path, edit, words):
     write_transforms(tmp_path)
@@ -273,34 +223,6 @@ def test_one_bad_frame_is_left_out(tmp_path, edit, words):
     loaded = load_photos(tmp_path, UNIT)
     assert len(loaded.photos) == 3
     assert words in loaded.notes[0]
-
-
-def put(content):
-    return lambda _: content
-
-
-@pytest.mark.parametrize(
-    ("name", "edit", "match"),
-    [
-        ("images.bin", lambda data: data[: len(data) // 2], "cut off"),
-        ("cameras.bin", put(b""), "cut off"),
-        ("cameras.bin", lambda data: data[:12] + b"\x63" + data[13:], "model number 99"),
-        ("cameras.txt", lambda data: data.replace(b"OPENCV", b"X"), "unknown camera model X"),
-        ("cameras.txt", lambda data: data.replace(b" 64 ", b" -6 "), "broken camera parameters"),
-        ("cameras.txt", put(b"1 PINHOLE 64 48 1 2 3"), "wrong number of parameters"),
-        ("cameras.txt", put(b"1 PINHOLE a b"), "must be CAMERA_ID MODEL"),
-        ("cameras.txt", put(b"1 PINHOLE 64 48 60 60 32 24"), "camera 42 of 'photo0.png' is miss"),
-        ("images.txt", put(b"1 2 3"), "must be IMAGE_ID QW"),
-        ("images.txt", put(b""), "holds no photo"),
-    ],
-)
-def test_bad_models_of_colmap(tmp_path, name, edit, match):
-    write_colmap(tmp_path, binary=name.endswith("bin"))
-    path = tmp_path / "sparse" / "0" / name
-    path.write_bytes(edit(path.read_bytes()))
-    with pytest.raises(UserError, match=match) as caught:
-        load_photos(tmp_path, UNIT)
-    assert str(path.parent) in str(caught.value)
 
 
 def test_a_folder_without_poses(tmp_path):
