@@ -11,9 +11,8 @@ from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Bounded, BoundsError, _checks_of
 from geraf2._memory import memory_limit, require_memory
-from geraf2.cli._flags import parse
 from geraf2.cli.main import COMMANDS
-from geraf2.errors import UserError, speaking_of_flags
+from geraf2.errors import UserError
 from geraf2.io.toml import from_table
 from geraf2.pipeline.presets import PRESETS
 from geraf2.simulation import SceneSpec
@@ -60,17 +59,6 @@ def test_python_and_toml_refuse_the_same(name, value):
     table = {name: list(value) if isinstance(value, tuple) else value}
     with pytest.raises(UserError, match=name):
         from_table(table, Record, "a.toml")
-
-
-@pytest.mark.parametrize(
-    "words", ["--share=2", "--share=nan", "--count=0", "--pair 2 1", "--pair 0 0", "--some 0.1 3"]
-)
-def test_flags_refuse_it_by_their_names(words):
-    with (
-        speaking_of_flags(),
-        pytest.raises(UserError, match=f"^{words.split('=')[0].split()[0]} must be "),
-    ):
-        parse(Record, words.split(), prog="geraf2 record")
 
 
 def test_what_lies_on_a_bound_is_good():

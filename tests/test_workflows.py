@@ -1,4 +1,4 @@
-"""The workflows of GitHub: pinned actions, bounded jobs, least permissions, targets that exist."""
+"""The workflows of GitHub: pinned actions and the least permissions."""
 
 import re
 
@@ -38,16 +38,6 @@ def jobs(workflows):
     }
 
 
-def expanded(command, job):
-    """Commands that a step runs, one for each entry of the job's matrix."""
-    entries = job.get("strategy", {}).get("matrix", {}).get("include", [{}])
-    for entry in entries:
-        text = command
-        for key, value in entry.items():
-            text = text.replace(f"${{{{ matrix.{key} }}}}", value)
-        yield text
-
-
 def test_actions_are_pinned_by_digest_with_their_version(folder):
     for path in (folder / "workflows").glob("*.yml"):
         lines = path.read_text(encoding="utf-8").splitlines()
@@ -76,25 +66,3 @@ def test_a_checkout_keeps_no_credentials(jobs):
     checkouts = [step for step in steps if step.get("uses", "").startswith("actions/checkout@")]
     assert checkouts
     assert all(step["with"]["persist-credentials"] is False for step in checkouts)
-
-
-def test_every_command_is_a_target_of_make(jobs, project_root):
-    makefile = (project_root / "Makefile").read_text(encoding="utf-8")
-    targets = {
-        target
-        for line in re.findall(r"^\.PHONY: (.+)$", makefile, re.MULTILINE)
-        for target in line.split()
-    }
-    variables = set(re.findall(r"^(\w+) \?=", makefile, re.MULTILINE)) | set(
-        re.findall(r"\$\((\w+)\)", makefile)
-    )
-    for name, job in jobs.items():
-        for step in (step for step in job.get("steps", []) if "run" in step):
-            for command in expanded(step["run"], job):
-                program, *words = command.split()
-                assert program == "make", (name, command)
-                given = {word.partition("=")[0] for word in words if "=" in word}
-                assert given <= variables, (name, command)
-                asked = {word for word in words if "=" not in word}
-                assert asked, (name, command)
-                assert asked <= targets, (name, command)

@@ -12,7 +12,7 @@ import time
 
 import pytest
 
-from bad_inputs import photos, walks
+from bad_inputs import apps, photos, walks
 from bad_inputs.rows import IMPORT, RAW, SIMULATE, STUDIO, TABLES, UNPLACED
 from bad_inputs.table import bad, toml
 from bad_inputs.things import make_things, named
@@ -22,7 +22,7 @@ MAX_CPU_S, MAX_S = 10.0, 60
 """Processor time; and wall time, of a machine that others use, too."""
 ROWS = {
     f"{name} {number} {row.line}"[:120]: row
-    for name, rows in {**TABLES, "photos": photos.ROWS}.items()
+    for name, rows in {**TABLES, "photos": photos.ROWS, "apps": apps.ROWS}.items()
     for number, row in enumerate(rows)
 }
 # The rows spoil these good inputs; if one were bad, its rows would be refused for another reason.

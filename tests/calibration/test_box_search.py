@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from geraf2 import examples
-from geraf2.calibration import box_search
 from geraf2.calibration.box_search import Flashes, rough_faces
 from geraf2.echoes.wall_delay import pair_distance_m
 
@@ -134,26 +133,3 @@ def test_an_expected_orientation_decides_between_equals():
         turn = np.deg2rad(degrees)
         like = np.array([[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], UP])
         assert abs(yaw_deg(scan.found(like).axes) - degrees) < 0.5
-
-
-def test_counts_are_the_sum_of_flashes_over_offset_and_level():
-    """Twin: each flash is a Gaussian with a peak of its angular weight."""
-    rng = np.random.default_rng(1)
-    flashes = Scan().add(np.array([1.0, 0.0, 0.0]), 0.081, level_db=-7.0).flashes()
-    normals = flashes.normals + rng.normal(0.0, 0.01, flashes.normals.shape)
-    flashes = replace(flashes, normals=normals / np.linalg.norm(normals, axis=1, keepdims=True))
-    normal = np.array([1.0, 0.0, 0.0])
-    near, far = flashes.counts(normal, 150)
-    for counts, kind in ((near, False), (far, True)):
-        expected = np.zeros_like(counts.density)
-        offsets = box_search.OFFSET_STEP_M * (0.5 + np.arange(len(expected)))
-        levels = box_search.LEVEL_STEP_DB * (0.5 + np.arange(expected.shape[1]) - 20)
-        for k in np.flatnonzero((flashes.far == kind) & (flashes.offsets_m > 0.0)):
-            angle = np.arccos(min(flashes.normals[k] @ normal, 1.0))
-            if angle < box_search.MAX_ANGLE_RAD:
-                offset = (offsets - flashes.offsets_m[k]) / box_search.OFFSET_SIGMA_M
-                level = (levels - flashes.levels_db[k]) / box_search._LEVEL_SIGMA_DB
-                weight = 1.0 - (angle / box_search.MAX_ANGLE_RAD) ** 2
-                expected += weight * np.exp(-0.5 * np.add.outer(offset**2, level**2))
-        assert expected.max() > 5.0
-        assert np.abs(counts.density - expected).max() < 0.02 * expected.max()

@@ -6,14 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.calibration.acceptance import Gain, coherence_nats, judge
 from geraf2.calibration.autofocus import with_displacements
-from geraf2.calibration.channel_phase import find_turns, interleaved_channels, with_channel_phases
+from geraf2.calibration.channel_phase import interleaved_channels, with_channel_phases
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
 from geraf2.calibration.leakage import Leakage
-from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.echoes.echo_phases import collect_phases, response_at
 from geraf2.errors import UserError
-from geraf2.imaging.peaks import KeptPeaks
 from helpers.carton import PRIOR, carton_capture, with_bias
 
 
@@ -57,12 +54,6 @@ def test_interleaved_channels_are_found_and_corrected(capture):
     assert np.rad2deg(np.abs(np.angle(np.exp(1j * left)))).max() < 3.0
     stated = numbers(found, "channels")
     assert stated["coherence"] > stated["coherence_before"]
-
-
-def test_antennas_that_agree_have_no_interleaved_channels(capture):
-    peaks = KeptPeaks(PRIOR).of(capture, (0, 3))
-    assert find_turns(collect_phases(capture, peaks)) is None
-    assert find_turns([]) is None
 
 
 def test_a_wrong_delay_is_corrected_within_its_interval(capture):
@@ -148,17 +139,6 @@ def test_corrections_come_back_from_a_file(capture, tmp_path):
     (tmp_path / "other.npz").write_bytes(b"no arrays")
     with pytest.raises(UserError, match="cannot read the arrays"):
         Corrections.load(tmp_path / "other.npz")
-
-
-def test_the_range_response_is_the_sum_over_the_samples(capture):
-    rng = np.random.default_rng(0)
-    pose, paths = capture.poses[0], 0.4 + 0.5 * rng.uniform(size=capture.poses[0].n_antennas)
-    phase = 2.0 * np.pi / SPEED_OF_LIGHT_M_PER_S * np.outer(paths, capture.waveform.frequencies_hz)
-    window = np.hanning(capture.waveform.n_samples + 2)[1:-1]
-    slow = (pose.signal * np.exp(1j * phase)) @ window
-    fast = response_at(pose.signal, paths, capture.waveform)
-    # 32 products of unit numbers in double precision, of samples in single.
-    assert fast == pytest.approx(slow, abs=1e-9 * float(np.abs(slow).max()))
 
 
 def test_without_recorded_delay_channels_use_that_of_the_walls(capture):

@@ -16,7 +16,6 @@ from geraf2.simulation.ray_tubes import (
     SmoothMesh,
     TubeScene,
     back_face,
-    corner_normals,
     second_bounce,
     tube_echo,
 )
@@ -100,15 +99,6 @@ def test_back_of_a_dielectric_sphere_is_focused_as_by_its_lens_matrix():
     wanted = r * (1 - r**2) / (2 * K * c * range_m**2) * np.exp(-1j * K * path)
     assert c < 0  # rays cross in between: the sign shows that folds are counted
     assert got / wanted == pytest.approx(np.ones(len(K)), abs=0.1)
-
-
-def test_corner_normals_are_smooth_on_a_sphere_and_sharp_on_a_box():
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
-    normals = corner_normals(np.asarray(ball.vertices), np.asarray(ball.faces))
-    assert np.abs(normals - ball.vertices[ball.faces] / 0.03).max() < 0.02
-    box = trimesh.creation.box()
-    normals = corner_normals(np.asarray(box.vertices), np.asarray(box.faces))
-    assert normals == pytest.approx(np.repeat(box.face_normals[:, None], 3, axis=1), abs=1e-12)
 
 
 def test_back_face_of_a_plate_echoes_at_its_apparent_depth():

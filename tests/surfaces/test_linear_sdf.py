@@ -9,11 +9,9 @@ from geraf2.surfaces.linear_sdf import (
     OrientedPoints,
     SdfTerms,
     resample,
-    trilinear_rows,
 )
 from reference import quadratic_sdf as twin
 
-SHAPE = (5, 6, 4)
 TERMS = SdfTerms(position=30.0, normal=1.0, bending=0.3, outside=0.1, outside_distance_m=0.03)
 
 
@@ -24,25 +22,6 @@ def random_points(n, shape, seed=0):
     index[0] = 0.0
     index[1] = np.array(shape) - 1
     return index
-
-
-@pytest.mark.gradient
-@pytest.mark.parametrize("axis", [0, 1, 2])
-def test_rows_give_the_slope_of_the_trilinear_field(axis):
-    field = np.random.default_rng(1).standard_normal(SHAPE)
-    # Steps must not leave the cell, where the slope jumps.
-    rng = np.random.default_rng(2)
-    index = rng.integers(0, np.array(SHAPE) - 1, (30, 3)) + rng.uniform(0.1, 0.9, (30, 3))
-    spacing, step = 0.4, 0.05
-    _, slopes = trilinear_rows(index, SHAPE, spacing)
-    offset = step * np.eye(3)[axis]
-    expected = [
-        (twin.trilinear(field, p + offset) - twin.trilinear(field, p - offset))
-        / (2.0 * step * spacing)
-        for p in index
-    ]
-    # Exact: the field is linear along an axis within a cell.
-    np.testing.assert_allclose(slopes[axis] @ field.ravel(), expected, atol=1e-11)
 
 
 def test_the_solution_is_that_of_the_dense_twin():

@@ -3,7 +3,6 @@
 import shutil
 import socket
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -63,36 +62,6 @@ def test_columns_of_a_table_give_the_box_and_the_truth(scans):
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
     assert (three.prior.box, three.truth) == (BOX, None)
     assert (one.config, one.prior.box, one.truth) == (base, BOX, scans / "one" / "truth.ply")
-
-
-TABLES = {
-    "unknown column 'boxes', did you mean 'box'?": ["scene,boxes", "one,1"],
-    "has no column 'scene'": ["box", "1 1 1"],
-    "line 2: names no scene": ["scene,box", ",1 1 1"],
-    "line 3: has more or fewer cells than columns": ["scene,box", "one,1 1 1", "two"],
-    "line 2: box, expected three lengths [m], got 1 1": ["scene,box", "one,1 1"],
-    "line 2: give either box or prior": ["scene,box,prior", "one,1 1 1,one/los.ply"],
-    "four: no such scene": ["scene,box", "four,1 1 1"],
-    "none.ply: no such file": ["scene,prior", "one,none.ply"],
-    "one: the same scene twice, with different boxes": ["scene,box", "one,1 1 1", "one,"],
-    "there is no scene": ["scene"],
-}
-WORDS = {
-    "nowhere: no such scene": ["nowhere"],
-    "nowhere*: no scene has such a name": ["nowhere*"],
-    "scans.csv: no such file": ["scans.csv"],
-    "scans: is not a scene": ["scans"],
-    "either --workers or": ["scans/one", "--workers", "1", "--scheduler", "tcp://a:1"],
-}
-
-
-@pytest.mark.parametrize("what", [*TABLES, *WORDS])
-def test_what_cannot_be_meant_is_one_line_before_any_work(what, scans, capsys, monkeypatch):
-    monkeypatch.chdir(scans.parent)
-    words = WORDS[what] if what in WORDS else [str(_table(scans, *TABLES[what]))]
-    assert main(["batch", *words, "out", *FLAGS]) == 2
-    assert what in the_error(capsys)
-    assert not Path("out").exists()
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(scans, capsys, monkeypatch):

@@ -65,9 +65,3 @@ def test_a_plan_prints_what_each_array_adds(tmp_path, capsys):
     assert "array above: baselines of up to 300 mm that differ" in shown.err
     assert main([*arguments, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["arrays"][0]["n_chips"] == 16
-
-
-def test_a_spec_without_a_belt_is_one_line(tmp_path, capsys):
-    (tmp_path / "belt.toml").write_text('[figure]\nname = "ball"\n')
-    assert main(["plan", "--belt", str(tmp_path / "belt.toml")]) == 2
-    assert "has no [belt]" in capsys.readouterr().err

@@ -69,17 +69,6 @@ def test_without_a_second_array_the_motion_is_as_recorded():
     assert "as recorded" in str(motion)
 
 
-def test_placed_antennas_follow_the_motion_written_out():
-    motion = Motion(scale=0.02, change_per_m=0.1, turn_rad_per_m=0.3)
-    nominal, recorded = np.array([[0.1, 0.3, 0.05]]), np.array([[-0.1, 0.301, 0.05]])
-    travel = 0.2 * (1.0 + 0.02 + 0.1 * 0.2)
-    angle = -0.3 * travel
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    x, y, z = motion.place_antennas(nominal, recorded)[0]
-    assert (x, y) == pytest.approx(turn @ [0.1 - travel, 0.301])
-    assert z == 0.05
-
-
 def test_phases_give_the_motion_several_periods_from_that_of_the_ranges():
     wavelength_m, rng = 0.0038, np.random.default_rng(0)
     # Derivatives of 0.2 m between stations and directions up to 0.5, by scale and by turn.

@@ -10,7 +10,6 @@ import time
 import pytest
 
 from geraf2.apps.belt.running import BeltOptions, run_belt
-from geraf2.cli.main import main
 from geraf2.errors import UserError
 from helpers.belt_stream import stream_planes, write_stream
 
@@ -87,19 +86,3 @@ def test_other_settings_of_one_folder_are_refused(done):
     stream, out, *_ = done
     with pytest.raises(UserError, match="holds a batch of other settings"):
         run_belt(stream, out, "best", options=BeltOptions(workers=1, idle_s=2.0, threads=1))
-
-
-def test_a_stream_without_arrays_is_one_line(tmp_path):
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(UserError, match=r"belt\.json"):
-        run(tmp_path / "empty", tmp_path / "out")
-
-
-def test_a_folder_of_something_else_is_refused(tmp_path, capsys):
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "mine.txt").write_text("kept")
-    assert main(["belt", str(tmp_path / "stream"), str(tmp_path / "out")]) == 2
-    error = capsys.readouterr().err.strip()
-    assert "holds files" in error
-    assert "\n" not in error
-    assert (tmp_path / "out" / "mine.txt").read_text() == "kept"

@@ -70,26 +70,3 @@ def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path):
     assert heat.difference_db > -15
     assert heat.outside_share > 0.5
     assert np.linalg.norm(np.array(heat.at_m) - beside) < 0.004
-
-
-def test_without_captures_one_line_names_how_to_make_them(tmp_path, capsys):
-    assert main(["benchmark", str(tmp_path / "out"), "--only", "full_wave"]) == 2
-    error = capsys.readouterr().err
-    assert "no full-wave captures" in error
-    assert "bench/full_wave/captures.py" in error
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize(
-    "flags",
-    [
-        ["--only", "full_wave", "table1"],
-        ["--only", "full_wave", "--quick"],
-        ["--only", "table1", "--captures", "x"],
-        ["--only", "full_wave", "--presets", "fats"],
-    ],
-)
-def test_flags_that_do_not_go_together_are_refused(flags, tmp_path, capsys):
-    assert main(["benchmark", str(tmp_path / "out"), *flags]) == 2
-    assert not (tmp_path / "out").exists()
-    assert len(capsys.readouterr().err.strip().splitlines()) <= 4

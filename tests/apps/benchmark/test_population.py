@@ -15,8 +15,6 @@ from geraf2.apps.benchmark.population_table import (
     preset_table,
     quantile_change,
 )
-from geraf2.cli.main import main
-from geraf2.errors import UserError
 from geraf2.scene import LosPrior
 from geraf2.simulation import FigureSpec, SceneSpec
 
@@ -30,31 +28,6 @@ def test_seeds_are_a_half_open_range():
     assert parse_seeds("1000:1040") == range(1000, 1040)
     assert not population.is_reserved(parse_seeds("9990:10000"))
     assert population.is_reserved(parse_seeds("9990:10001"))
-
-
-@pytest.mark.parametrize(
-    "text", ["", "5", "7:7", "9:3", "-1:4", "a:b", "1:2:3", "0:1000000", "1.5:3"]
-)
-def test_other_seeds_are_refused_in_one_line(text):
-    with pytest.raises(UserError, match="A:B") as error:
-        parse_seeds(text)
-    assert "\n" not in str(error.value)
-
-
-def test_flags_of_the_population_are_refused_elsewhere(tmp_path, capsys):
-    out = str(tmp_path / "out")
-    alone = ["benchmark", out, "--only", "population"]
-    for flags, stated in (
-        (["benchmark", out, "--seeds", "1:2"], "--seeds is for --only population"),
-        (alone, "needs --seeds A:B"),
-        ([*alone, "--seeds", "1:2", "--quick"], "--quick does not go with"),
-        ([*alone, "table1", "--seeds", "1:2"], "run each by itself"),
-        ([*alone, "--seeds", "1:2", "--presets", "fats"], "did you mean 'fast'"),
-        ([*alone, "--seeds", "1:2", "--against", str(tmp_path)], "no results of the population"),
-    ):
-        assert main(flags) == 2
-        assert stated in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_interval_of_a_mean_is_that_of_the_central_limit_theorem():

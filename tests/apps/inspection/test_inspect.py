@@ -2,7 +2,6 @@
 
 import csv
 import json
-import shutil
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import trimesh
 import geraf2
 from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid
-from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.pipeline.commands.verify import verify
 from helpers.inspected import POSE, SMALL, block, run_of, wedge
 
@@ -134,51 +132,3 @@ def list_at(folder, text):
 def test_a_list_of_contents_is_a_verdict(listed, capsys, text, code, sentence):
     assert main(["inspect", str(listed / "run"), *list_at(listed, text)]) == code
     assert sentence in capsys.readouterr().out
-
-
-@pytest.fixture(scope="module")
-def bad(listed, tmp_path_factory):
-    """Folder with a good run, two that are none, and CAD files of no use."""
-    folder = tmp_path_factory.mktemp("bad") / "bad"
-    shutil.copytree(listed, folder)
-    (folder / "no_run").mkdir()
-    (folder / "no_run" / "file").write_text("no folder")
-    shutil.copytree(folder / "run", folder / "empty")
-    nothing = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    write_mesh(nothing, folder / "empty" / "mesh_content.ply")
-    trimesh.Trimesh(1e6 * wedge().vertices, wedge().faces).export(folder / "huge.stl")
-    trimesh.Trimesh(1e3 * wedge().vertices, wedge().faces[1:]).export(folder / "open.stl")
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("path", "given", "text"),
-    [
-        ("no_run", [], "is no run folder"),
-        ("no_run/file", [], "is no run folder"),
-        ("empty", [], "the mesh has no triangles"),
-        ("run", ["--scene", "none"], "none: no such scene"),
-        ("run", ["--cad", "wedge.stl", "--scene", "none"], "none: no such scene"),
-        ("run", ["--cad", "none.stl"], "does not exist"),
-        ("run", ["--cad", "wedge.stl", "wedge.stl"], "the same CAD file is given twice"),
-        ("run", ["--cad", "huge.stl"], "as large as nothing in the box"),
-        ("run", ["--cad", "open.stl"], "open.stl: the CAD model is not closed"),
-        ("run", ["--expect", "none.toml"], "no such file"),
-        ("run", "", "item"),
-        ("run", '[[item]]\nname = "block"\n', "cad"),
-        ("run", item("block", "size_mm = [1, 2, 3]\n"), "unknown key 'item[0].size_mm'"),
-        ("run", item("block", 'material = "gold"\n'), "gold"),
-        ("run", item("block") * 2, "the same name is listed twice"),
-        ("run", item("block") + item("b").replace("b.", "block."), "CAD file is listed twice"),
-    ],
-)
-def test_bad_input_is_one_line_and_writes_nothing(bad, capsys, monkeypatch, path, given, text):
-    """given: flags, or the text of a list of contents."""
-    monkeypatch.chdir(bad)
-    flags = list_at(bad, given) if isinstance(given, str) else given
-    assert main(["inspect", path, *flags, "--out", "out"]) == 2
-    error = capsys.readouterr().err.strip().splitlines()
-    assert error[-1].startswith("geraf2: error:")
-    assert text in error[-1]
-    assert "finding the models" not in "".join(error)
-    assert not (bad / "out").exists()

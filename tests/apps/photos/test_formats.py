@@ -223,11 +223,3 @@ def test_one_bad_frame_is_left_out(tmp_path, edit, words):
     loaded = load_photos(tmp_path, UNIT)
     assert len(loaded.photos) == 3
     assert words in loaded.notes[0]
-
-
-def test_a_folder_without_poses(tmp_path):
-    write_images(tmp_path, 2)
-    with pytest.raises(UserError, match=r"no camera poses.*run COLMAP"):
-        load_photos(tmp_path)
-    with pytest.raises(UserError, match="no such photo set"):
-        load_photos(tmp_path / "none")

@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 from geraf2.apps.planning import scan_time
 from geraf2.apps.planning.plan_page import write_plan_page
 from geraf2.apps.planning.planning import PlanOptions, make_timed_plan
-from geraf2.cli.main import main
 from helpers.browsing import FEW_SCREENS, require_sound
 
 pytestmark = pytest.mark.browser
@@ -104,9 +103,3 @@ def test_the_page_shows_the_plan_of_the_terminal(given, tmp_path, monkeypatch):
     cell = data["cells"][row][column]
     assert cell["planes"] == f"{plan.design.n_planes} planes: {plan.design}"
     assert cell["seen"] == f"{100 * plan.seen_share:.0f} % of all directions"
-
-
-def test_what_has_no_page_is_one_line(tmp_path, capsys):
-    figure = ["--figure", str(tmp_path / "plan.html")]
-    assert main(["plan", "--depth", "0.2", *figure]) == 2
-    assert "--depth has no page" in capsys.readouterr().err
