@@ -6,7 +6,11 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.calibration.acceptance import Gain, coherence_nats, judge
 from geraf2.calibration.autofocus import with_displacements
-from geraf2.calibration.channel_phase import interleaved_channels, with_channel_phases
+from geraf2.calibration.channel_phase import (
+    interleaved_channels,
+    offset_channels,
+    with_channel_phases,
+)
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
 from geraf2.calibration.leakage import Leakage
@@ -54,6 +58,20 @@ def test_interleaved_channels_are_found_and_corrected(capture):
     assert np.rad2deg(np.abs(np.angle(np.exp(1j * left)))).max() < 3.0
     stated = numbers(found, "channels")
     assert stated["coherence"] > stated["coherence_before"]
+
+
+def test_channels_are_distinguished_by_their_offsets(capture):
+    assert offset_channels(capture.poses) is None
+    spread = []
+    for pose in capture.poses:
+        offset = 0.0019 * interleaved_channels(pose, 4)[:, None] * pose.axes[1]
+        spread.append(replace(pose, rx_positions=pose.rx_positions + offset))
+    index = offset_channels(tuple(spread))
+    assert index is not None
+    for pose, own in zip(spread, index, strict=True):
+        assert len(np.unique(own)) == 4
+        assert np.array_equal(own[::4], np.full(len(own[::4]), own[0]))
+        assert len(own) == pose.n_antennas
 
 
 def test_a_wrong_delay_is_corrected_within_its_interval(capture):

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.ops.visibility import MeshScene
 from geraf2.simulation.population import RADARS, draw_scene
 from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.random_objects import random_object
@@ -39,18 +38,6 @@ def test_an_object_is_closed_outward_and_of_as_many_pieces_as_bodies(seed):
     assert 0.5 * (mesh.bounds[0] + mesh.bounds[1]) == pytest.approx([0, 0, 0], abs=1e-9)
 
 
-def test_bodies_do_not_touch():
-    several = [thing(seed) for seed in SEEDS if len(thing(seed).parts) > 1]
-    assert several
-    for drawn in several:
-        pieces = as_trimesh(drawn.mesh).split(only_watertight=True)
-        for number, piece in enumerate(pieces):
-            for other in pieces[number + 1 :]:
-                blocker = MeshScene(piece.vertices, piece.faces)
-                outside_m = blocker.signed_distance(other.vertices[::20])
-                assert outside_m.min() > 0.5 * POPULATION.gap_m[0]
-
-
 def test_the_same_seed_gives_the_same_bytes_and_another_another_object():
     again = random_object(6)
     assert again.mesh.vertices.tobytes() == thing(6).mesh.vertices.tobytes()
@@ -79,9 +66,6 @@ def test_the_content_lies_in_its_box_and_the_planes_outside(seed):
         assert gap == pytest.approx(POPULATION.foot_gap_m)
     else:
         assert gap >= least
-    low, high = POPULATION.box_side_m
-    assert low <= min(wall.size_m)
-    assert max(wall.size_m) <= high
     assert spec.scan.standoff_m > 0.5 * np.linalg.norm(wall.size_m)
     assert record["estimated_s"] <= POPULATION.waves_budget_s
     assert spec.waveform == RADARS[record["radar"]]

@@ -94,11 +94,6 @@ def test_redistancing_gives_unit_gradient_and_leaves_the_zero_level():
     assert np.abs(gradient[near] - 1).max() < 0.06
 
 
-def test_redistancing_without_a_zero_level_is_refused():
-    with pytest.raises(ValueError, match="must have a zero level"):
-        redistance(sdf(np.ones(GRID.shape)))
-
-
 def test_voids_are_dropped_since_a_radar_cannot_see_them():
     values = np.maximum(ball(GRID, np.zeros(3), 0.04), -ball(GRID, np.zeros(3), 0.02))
     mesh = largest_components(extract_surface(sdf(values)))

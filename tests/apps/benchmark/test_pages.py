@@ -19,13 +19,10 @@ preset = "matched-filter"
 title = "Table"
 scenes = ["a", "b"]
 methods = ["fast", "other", "bound"]
-[experiments.table.published]
-a = { other = { F1 = 0.5 } }
 """
 
 
-@pytest.fixture
-def versus(tmp_path, suite_of):
+def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(tmp_path, suite_of):
     suite = suite_of(VERSUS)
     results = {
         ("a", "fast"): RowResult(f1_5mm=0.9, chamfer_1e3_m2=0.2, cpu_seconds=9.0),
@@ -37,11 +34,6 @@ def versus(tmp_path, suite_of):
     }
     rows = [(row, results[row.scene, row.method]) for row in rows_of(suite)]
     page = write_pages(tmp_path, suite, rows).read_text(encoding="utf-8")
-    return page, (tmp_path / "benchmark.md").read_text(encoding="utf-8")
-
-
-def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(versus):
-    page, _ = versus
     assert '<a href="#table">Table</a>' in page
     assert '<h2 id="table">Table</h2>' in page
     assert "<td><b>0.900</b></td>" in page
@@ -50,20 +42,12 @@ def test_the_best_of_the_methods_is_bold_but_neither_a_bound_nor_a_row_alone(ver
         assert f"<td><b>{alone}</b></td>" not in page
 
 
-def test_published_values_are_beside_their_method(versus):
-    _, markdown = versus
-    other = next(line for line in markdown.splitlines() if line.startswith("| a | other method"))
-    assert other.endswith("| 0.500 |")
-    assert markdown.count("0.500") == 1
-
-
 @pytest.mark.parametrize(("n_known", "drawn"), [(2, False), (3, True)])
 def test_a_sweep_is_drawn_of_three_settings_and_more_with_results(
     tmp_path, suite_of, n_known, drawn
 ):
     labels = [f'{{ label = "{name}" }}' for name in "abcd"]
-    text = VERSUS.split("[experiments.table.published]", maxsplit=1)[0]
-    suite = suite_of(f"{text}cases = [{', '.join(labels)}]\n")
+    suite = suite_of(f"{VERSUS}cases = [{', '.join(labels)}]\n")
     good, failed = RowResult(f1_15mm=0.9, f1_5mm=0.8), RowResult(error="failed")
     known = "abcd"[:n_known]
     results = [(row, good if row.case.label in known else failed) for row in rows_of(suite)]
@@ -98,13 +82,8 @@ cases = [
 """
 
 
-@pytest.fixture
-def rungs(tmp_path, suite_of):
-    return tmp_path, suite_of(LADDER)
-
-
-def test_a_ladder_runs_by_name_with_its_own_scan_and_options(rungs):
-    _, suite = rungs
+def test_a_ladder_runs_by_name_with_its_own_scan_and_options(suite_of):
+    suite = suite_of(LADDER)
     assert {row.experiment for row in rows_of(suite)} == {"plain"}
     rows = rows_of(suite, ("world",))
     assert {row.spec.scan.n_poses for row in rows} == {5}

@@ -12,7 +12,6 @@ import pytest
 import geraf2
 from geraf2 import examples
 from geraf2.apps.live.follow import LiveOptions, follow
-from geraf2.errors import UserError
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene.store import manifest_of
@@ -158,12 +157,3 @@ def test_an_error_is_one_line_and_the_session_continues(capture, tmp_path):
         assert len([problem for problem in problems if text in problem]) == 1, text
     assert len(problems) == 4
     assert not any("\n" in problem for problem in problems)
-
-
-def test_no_plane_is_an_error(capture, tmp_path):
-    _write_capture_json(tmp_path / "scan")
-    _write_half_a_frame(tmp_path / "scan/mf/0_0_0", capture.poses[0])
-    _settle(tmp_path / "scan")
-    with pytest.raises(UserError, match="no plane came"):
-        _followed(tmp_path / "scan", tmp_path / "out")
-    assert not (tmp_path / "out").exists()

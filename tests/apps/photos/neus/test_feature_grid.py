@@ -38,14 +38,3 @@ def test_features_are_trilinear_and_inactive_nodes_share_row_zero(share):
     expected = RegularGridInterpolator(GRID.axes_m, dense(features))(points)
     found = features(torch.from_numpy(points).float()).detach().numpy()
     np.testing.assert_allclose(found, expected, atol=1e-5)
-
-
-@pytest.mark.gradient
-def test_features_have_a_gradient_to_the_table():
-    features = random_grid(np.random.default_rng(1).random(GRID.shape) < 0.5).double()
-    points = torch.from_numpy(random_points(4))
-
-    def evaluate(table):
-        return torch.func.functional_call(features, {"table": table}, (points,))
-
-    assert torch.autograd.gradcheck(evaluate, features.table.detach().clone().requires_grad_())
