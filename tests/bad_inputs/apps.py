@@ -37,6 +37,7 @@ ROWS = [
             batch scans.csv out|scans.csv: no such file
             batch other out|is not a scene
             batch scene out --workers 1 --scheduler tcp://a:1|either --workers or
+            compare run empty|is no run folder
             view empty|is no run folder
             view run run run|run
             inspect empty|is no run folder

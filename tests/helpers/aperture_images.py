@@ -1,6 +1,6 @@
 """Single images of sub-apertures, and their peaks."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,25 +8,15 @@ from geraf2 import _core  # noqa: TID251 - images, of which the package takes on
 from geraf2.imaging.subapertures import pose_images
 from geraf2.ops import subaperture as kernel
 from geraf2.ops._threads import resolve_num_threads
-from geraf2.ops.subaperture import CosineAxis, SubapertureBins
+from geraf2.ops.subaperture import SubapertureBins
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SubapertureImage:
-    """Magnitude over horizontal direction cosine, vertical direction cosine, and range."""
+class SubapertureImage(NamedTuple):
+    """One image: its magnitude, the middle of its sub-aperture (3,) [m], and its bins."""
 
     magnitude: np.ndarray
-    """(n_horizontal, n_vertical, n_ranges); 1 for a unit scatterer straight ahead in range."""
     center: np.ndarray
-    """Centre of the sub-aperture in the frame, (3,) [m]."""
-    horizontal_cosines: np.ndarray
-    """Direction cosine of each row, ascending, equally spaced, (n_horizontal,)."""
-    vertical_cosines: np.ndarray
-    """Direction cosine of each column, ascending, equally spaced, (n_vertical,)."""
-    ranges_m: np.ndarray
-    """One-way distance from the centre, instrument delay subtracted, (n_ranges,) [m]."""
-    wraps: tuple[bool, bool]
-    """Whether the horizontal and the vertical direction axis is periodic."""
+    bins: SubapertureBins
 
 
 def kernel_images(*problem, num_threads=None):
@@ -50,35 +40,4 @@ def subaperture_images(pose, waveform, target, range_span_m, config):
     antennas = pose.signal, pose.tx_positions, pose.rx_positions
     magnitudes = kernel_images(*antennas, waveform, made.subapertures, made.bins)
     for magnitude, center in zip(magnitudes, made.centers, strict=True):
-        yield SubapertureImage(
-            magnitude=magnitude,
-            center=center,
-            horizontal_cosines=made.bins.horizontal.values,
-            vertical_cosines=made.bins.vertical.values,
-            ranges_m=made.bins.ranges_m,
-            wraps=(made.bins.horizontal.wraps, made.bins.vertical.wraps),
-        )
-
-
-def find_peaks(image, dynamic_range_db, noise_margin_db):
-    return image_peaks(image.magnitude, image_bins(image), (dynamic_range_db, noise_margin_db))
-
-
-def image_bins(image):
-    horizontal, vertical = (
-        CosineAxis(count=len(axis), first=float(axis[0]), pitch=_pitch(axis), wraps=wraps)
-        for axis, wraps in zip(
-            (image.horizontal_cosines, image.vertical_cosines), image.wraps, strict=True
-        )
-    )
-    return SubapertureBins(
-        horizontal=horizontal,
-        vertical=vertical,
-        first_range_m=float(image.ranges_m[0]),
-        range_pitch_m=_pitch(image.ranges_m),
-        n_ranges=len(image.ranges_m),
-    )
-
-
-def _pitch(axis):
-    return float(axis[1] - axis[0])
+        yield SubapertureImage(magnitude, center, made.bins)

@@ -1,5 +1,6 @@
 """Raw captures of a TI board, written word by word as its manuals say."""
 
+import json
 import struct
 
 import numpy as np
@@ -123,49 +124,21 @@ def scan_signal(positions, rx_offsets=BOARD_RX):
     return echo(tx, rx).reshape(len(positions), len(rx_offsets), -1)
 
 
-STUDIO = {
-    "mmWaveDevices": [
-        {
-            "rfConfig": {
-                "rlChanCfg_t": {"rxChannelEn": "0xF", "txChannelEn": "0x1"},
-                "rlAdcOutCfg_t": {"fmt": {"b2AdcBits": 2, "b2AdcOutFmt": 1}},
-                "rlProfiles": [
-                    {
-                        "rlProfileCfg_t": {
-                            "profileId": 0,
-                            "startFreqConst_GHz": 77.0,
-                            "freqSlopeConst_MHz_usec": 60.0,
-                            "adcStartTimeConst_usec": 6.0,
-                            "numAdcSamples": 64,
-                            "digOutSampleRate": 1000,
-                        }
-                    }
-                ],
-                "rlChirps": [
-                    {
-                        "rlChirpCfg_t": {
-                            "chirpStartIdx": 0,
-                            "chirpEndIdx": 0,
-                            "profileId": 0,
-                            "txEnable": "0x1",
-                        }
-                    }
-                ],
-                "rlFrameCfg_t": {
-                    "chirpStartIdx": 0,
-                    "chirpEndIdx": 0,
-                    "numLoops": 2,
-                    "numFrames": 20,
-                    "framePeriodicity_msec": 4.0,
-                },
-            },
-            "rawDataCaptureConfig": {
-                "rlDevDataFmtCfg_t": {"chInterleave": 0},
-                "rlDevLaneEnable_t": {"laneEn": "0xF"},
-            },
-        }
-    ]
-}
+STUDIO = json.loads("""
+{"mmWaveDevices": [{
+  "rfConfig": {
+    "rlChanCfg_t": {"rxChannelEn": "0xF", "txChannelEn": "0x1"},
+    "rlAdcOutCfg_t": {"fmt": {"b2AdcBits": 2, "b2AdcOutFmt": 1}},
+    "rlProfiles": [{"rlProfileCfg_t": {
+      "profileId": 0, "startFreqConst_GHz": 77.0, "freqSlopeConst_MHz_usec": 60.0,
+      "adcStartTimeConst_usec": 6.0, "numAdcSamples": 64, "digOutSampleRate": 1000}}],
+    "rlChirps": [{"rlChirpCfg_t": {
+      "chirpStartIdx": 0, "chirpEndIdx": 0, "profileId": 0, "txEnable": "0x1"}}],
+    "rlFrameCfg_t": {"chirpStartIdx": 0, "chirpEndIdx": 0, "numLoops": 2, "numFrames": 20,
+      "framePeriodicity_msec": 4.0}},
+  "rawDataCaptureConfig": {
+    "rlDevDataFmtCfg_t": {"chInterleave": 0}, "rlDevLaneEnable_t": {"laneEn": "0xF"}}}]}
+""")
 
 PROFILE = """% made by hand
 channelCfg 15 3 0

@@ -3,7 +3,7 @@ import pytest
 
 from geraf2.imaging.subapertures import SubapertureConfig, find_raster
 from geraf2.scene import Pose
-from helpers.aperture_images import find_peaks, subaperture_images
+from helpers.aperture_images import image_peaks, subaperture_images
 from helpers.specular import STANDOFF_M, antennas, raster
 from helpers.synthetic import WAVEFORM, point_signal
 
@@ -28,7 +28,7 @@ def target_at(cosines, distance, angle_deg=30.0):
 
 def only_peak(pose, config=ONE, target=ORIGIN):
     (image,) = subaperture_images(pose, WAVEFORM, target, SPAN, config)
-    peaks = find_peaks(image, 6.0, 0.0)
+    peaks = image_peaks(image.magnitude, image.bins, (6.0, 0.0))
     assert len(peaks.ranges_m) == 1
     return image, peaks
 
@@ -61,7 +61,7 @@ def test_irregular_positions_give_the_image_of_the_raster(change, baseline_m):
     assert find_raster(irregular, WAVELENGTH) is None
     _, expected = only_peak(regular)
     image, peaks = only_peak(irregular)
-    assert image.wraps == (False, False)
+    assert not image.bins.horizontal.wraps
     positions = [part.ranges_m[0] * np.array([1.0, *part.cosines[0]]) for part in (peaks, expected)]
     assert np.linalg.norm(positions[0] - positions[1]) < 5e-4
     assert peaks.magnitudes[0] == pytest.approx(expected.magnitudes[0], rel=0.1)
@@ -90,8 +90,8 @@ def test_the_direction_axis_wraps_where_the_raster_is_too_coarse(
     config = SubapertureConfig(size_m=0.04)
     pose = pose_at(raster(n_lines, spacing_m), ORIGIN)
     image = next(iter(subaperture_images(pose, WAVEFORM, ORIGIN, (0.38, 0.42), config)))
-    assert image.wraps == (wraps, wraps)
-    cosines = image.horizontal_cosines
+    assert image.bins.horizontal.wraps == image.bins.vertical.wraps == wraps
+    cosines = image.bins.horizontal.values
     pitch = cosines[1] - cosines[0]
     assert abs(cosines).max() == pytest.approx(largest, abs=pitch)
     if wraps:

@@ -163,14 +163,6 @@ def test_upsampling_keeps_the_values():
     ],
     ids=["mlp", "grid"],
 )
-def test_reflectivity_is_one_at_first_and_learns(module):
+def test_reflectivity_is_one_at_first(module):
     points = random_points(50, dtype=torch.float32)
     assert (module(points) == 1.0).all()
-    optimiser = torch.optim.Adam(module.parameters(), lr=0.1)
-    wanted = torch.where(points[:, 0] > DOMAIN.center_m[0], 1.5, 0.3)
-    for _ in range(60):
-        loss = (module(points) - wanted).square().mean()
-        optimiser.zero_grad()
-        loss.backward()
-        optimiser.step()
-    assert loss < 0.1

@@ -190,15 +190,13 @@ AWAY = Aperture.from_rectangle(np.array([0.5, 0, 3.0]), AXES, np.array([0.05, 0.
         ({"wavelength_m": 0.005}, None, "is of another radar"),
         ({"has_glints": False}, None, "has no peaks to compare"),
         ({}, AWAY.corners_m, "show different sides of the content"),
-        (None, None, "is no run folder"),
     ],
 )
 def test_a_reference_of_something_else_is_one_line(
     packed, tmp_path, capsys, options, corners_m, text
 ):
     other = tmp_path / "other"
-    if options is not None:
-        run_of(other, *CUBES, **{"pose": HERE, "has_glints": True, **options})
+    run_of(other, *CUBES, **{"pose": HERE, "has_glints": True, **options})
     if corners_m is not None:
         planes = ScannedPlanes(corners_m=corners_m[None], wavelength_m=0.0039)
         save_planes(planes, other / PLANES_NAME)
