@@ -93,3 +93,10 @@ def test_a_prior_without_walls_takes_those_of_the_capture():
     box = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
     result = geraf2.reconstruct(capture, box, coarse)
     assert result.prior.walls == geraf2.examples.small_run().prior.walls == capture.walls
+
+
+def test_results_show_arrays_by_their_shape():
+    run = geraf2.examples.small_run()
+    text = repr(run.glints)
+    assert f"{len(run.glints.positions)} x 3 float" in text
+    assert len(text) < 1000

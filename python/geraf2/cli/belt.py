@@ -1,6 +1,7 @@
 """`geraf2 belt`: parcels on a belt, one after the other."""
 
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,7 @@ def main(config: Config) -> int:
             (
                 "rate",
                 f"{found.per_hour:.0f} an hour here; {found.cpu_seconds:.1f} CPU s each, "
-                f"{found.cores:.0f} cores for 6,000 an hour",
+                f"{ceil(found.cores)} cores for 6,000 an hour",
             ),
             ("table", str(config.out / f"{STEM}.csv")),
             ("page", str(config.out / f"{STEM}.html")),
