@@ -73,7 +73,7 @@ def cases(folder: Path, size: int) -> dict[str, tuple[str, ...]]:
         "fast": ("reconstruct", scene, fast, *BOX, "--preset", "fast", *fit),
         "best": ("reconstruct", scene, best, *BOX, "--refine.fit.spacing-m", str(voxels_m)),
         "evaluate": ("evaluate", fast, "--truth", truth),
-        "los": ("los", scene, str(folder / "los"), "--from-radar"),
+        "los": ("los", scene, str(folder / "los")),
         "inspect": ("inspect", fast, "--cad", truth, "--unit", "m"),
         "import": (
             *("import", "dca1000", *raw[:2], "--radar", raw[2]),

@@ -29,6 +29,8 @@ class UserError(Exception):
 
     The command line prints the message without a traceback and exits with code 2.
 
+    Examples
+    --------
     >>> try:
     ...     geraf2.load_prior((0.22, 0.22))
     ... except geraf2.UserError as error:

@@ -34,8 +34,13 @@ Samples = NDArray[np.complex64] | NDArray[np.int16]
 class Waveform:
     """A linear chirp; the signal of one path of length d is exp(-j 2 pi (nu + k t) d / c).
 
-    ValueError where a frequency, rate or count is not positive.
+    Raises
+    ------
+    ValueError
+        If a frequency, rate or count is not positive.
 
+    Examples
+    --------
     >>> chirp = geraf2.Waveform(
     ...     start_frequency_hz=77e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=32
     ... )
@@ -99,8 +104,13 @@ class Waveform:
 class Wall:
     """One closed dielectric shell around the content, outermost first in a scene.
 
-    ValueError where a length is not positive or the permittivity is below 1.
+    Raises
+    ------
+    ValueError
+        If a length is not positive or the permittivity is below 1.
 
+    Examples
+    --------
     >>> carton = geraf2.Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6)
     >>> round(carton.one_way_delay_m, 5)
     0.00106
@@ -185,8 +195,13 @@ class RawPose:
 class Pose(RawPose):
     """One scan plane: every antenna (one tx/rx pair at one position) with its samples.
 
-    ValueError where shapes do not go together.
+    Raises
+    ------
+    ValueError
+        If shapes do not go together.
 
+    Examples
+    --------
     >>> position = np.array([[-0.4, 0.0, 0.0], [-0.4, 0.003, 0.0]])  # of two antennas [m]
     >>> pose = geraf2.Pose(signal=np.zeros((2, 32), np.complex64), tx_positions=position,
     ...                    rx_positions=position, axes=np.eye(3))

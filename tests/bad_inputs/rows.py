@@ -79,7 +79,6 @@ COMMANDS = [
             calibrate scene|box
             calibrate scene --box 0.16 0.16 0.16 --no-delay --reflector 0 0 0|--reflector
             los spec.toml out|spec.toml
-            los --from-radar nowhere out|nowhere
             los box.ply out --unit furlong|--unit
             los 0.2xax0.2 out|0.2xax0.2
             render run --angles 12.5|12.5

@@ -233,7 +233,7 @@ def test_photos_are_added_to_a_scene_that_is_there(tmp_path):
 
 def test_a_scan_gives_the_prior_of_its_box(scene, tmp_path, capsys):
     out = tmp_path / "los"
-    assert main(["los", "--from-radar", str(scene), str(out)]) == 0
+    assert main(["los", str(scene), str(out)]) == 0
     assert "faces -x +x -y +y seen squarely" in capsys.readouterr().out
     record = json.loads((out / "los.json").read_text())
     assert record["kind"] == "radar"

@@ -82,16 +82,32 @@ def find_box(
 ) -> FoundBox:
     """Find the box around the content from the scan alone: a cuboid at any yaw.
 
-    capture: the scan. Its instrument delay must be known to a centimetre.
-    expected: a cuboid whose orientation is preferred if the scan allows several.
-    summary: of the capture, if already computed.
-    num_threads: all cores when None.
+    Parameters
+    ----------
+    capture
+        The scan. Its instrument delay must be known to a centimetre.
+    expected
+        A cuboid whose orientation is preferred if the scan allows several.
+    summary
+        Of the capture, if already computed.
+    num_threads
+        All cores when None.
 
-    Returns the cuboid in the capture's frame [m]. Faces that no antenna sees at a right angle have
-    an interval. Without any bound but the seen walls, they get a margin.
-    Raises WallsNotFoundError, a UserError, if no walls are found, or antennas are within them, and
-    NoCuboidError if they are those of another shape.
+    Returns
+    -------
+    FoundBox
+        The cuboid in the capture's frame [m]. Faces that no antenna sees at a right angle have an
+        interval. Without any bound but the seen walls, they get a margin.
 
+    Raises
+    ------
+    WallsNotFoundError
+        A UserError: no walls are found, or antennas are within them.
+    NoCuboidError
+        The walls are those of another shape.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> box = geraf2.find_box(capture)
     >>> [round(side, 2) for side in box.size_m[:2].tolist()]

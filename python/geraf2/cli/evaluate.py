@@ -24,7 +24,7 @@ class Config:
     """Run folder of `geraf2 reconstruct`."""
     truth: Path
     """Mesh of the true surface, metres, capture frame (PLY, OBJ, STL, GLB)."""
-    n_samples: SampleCount = 10000
+    n_samples: Annotated[SampleCount, Arg(hidden=True)] = 10000
     """Points drawn from each surface."""
     explain: bool = False
     """Also print the definition of each number."""

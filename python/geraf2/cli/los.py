@@ -18,12 +18,10 @@ class Config:
 
     source: Positional[Annotated[tuple[str, ...], Arg(metavar="PHOTOS|MESH|X Y Z|SCENE")]]
     """Photos with poses (transforms.json or COLMAP), a mesh (closed, or a scan with holes), three
-    outer side lengths in metres, as 0.22 0.22 0.22 or 0.22x0.22x0.22, or with --from-radar a
-    scene."""
+    outer side lengths in metres, as 0.22 0.22 0.22 or 0.22x0.22x0.22, or a scene, whose box is
+    found from the echoes of its walls."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Folder for los.ply, los.npz, los.json and pictures; --los OUT then uses it."""
-    from_radar: bool = False
-    """Find the box in a radar scan, from the echoes of its walls."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Where the middle of a box of given sides lies [m]."""
     overwrite: bool = False
@@ -43,7 +41,6 @@ def main(config: Config) -> int:
         " ".join(config.source),
         config.out,
         config.options,
-        from_radar=config.from_radar,
         box_center_m=config.box_center,
         overwrite=config.overwrite,
         num_threads=config.threads,

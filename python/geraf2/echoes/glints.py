@@ -87,17 +87,35 @@ def find_glints(
 ) -> Glints:
     """Glints of the content of the prior's box.
 
-    capture: the scan.
-    prior: outer surface of the box; its walls, or else the capture's, give the range correction.
-    config: selection of glints.
-    peaks: of the capture's planes; collected when None.
-    num_threads: when None, torch's number if torch is loaded, else all cores.
-    progress: called with the fraction done.
-    note: called with messages for the user, about grating lobes of a coarse raster.
+    Parameters
+    ----------
+    capture
+        The scan.
+    prior
+        Outer surface of the box; its walls, or else the capture's, give the range correction.
+    config
+        Selection of glints.
+    peaks
+        Of the capture's planes; collected when None.
+    num_threads
+        When None, torch's number if torch is loaded, else all cores.
+    progress
+        Called with the fraction done.
+    note
+        Called with messages for the user, about grating lobes of a coarse raster.
 
-    Returns the oriented points, positions (n_glints, 3) [m]. Raises UserError where no glint lies
-    inside the box; the message states which echoes there are.
+    Returns
+    -------
+    Glints
+        The oriented points, positions (n_glints, 3) [m].
 
+    Raises
+    ------
+    UserError
+        If no glint lies inside the box; the message states which echoes there are.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> glints = geraf2.find_glints(capture, geraf2.LosPrior.from_box(geraf2.examples.BOX_M))
     >>> glints.positions.shape == glints.normals.shape == (len(glints), 3)

@@ -25,18 +25,36 @@ def image_volume(
     V(x) = sum_p |P_p(x)|, P_p(x) = 1/N_p sum_i sum_t s_i(t) exp(+j 2 pi (nu + k t) d_i(x) / c).
     Magnitudes are added, since a smooth surface is not coherent over the turntable's angles.
 
-    capture: the scan.
-    grid: voxels to image [m].
-    poses: indices of the poses to use; all when None.
-    slabs: parts of the grid that are imaged in sequence, which limits the memory; the whole grid at
+    Parameters
+    ----------
+    capture
+        The scan.
+    grid
+        Voxels to image [m].
+    poses
+        Indices of the poses to use; all when None.
+    slabs
+        Parts of the grid that are imaged in sequence, which limits the memory; the whole grid at
         once when None. The ends of slabs determine the nodes of the interpolation, so results for
         other slabs differ within the method's rtol.
-    num_threads: when None, torch's number if torch is loaded, else all cores.
-    progress: called with the fraction done.
+    num_threads
+        When None, torch's number if torch is loaded, else all cores.
+    progress
+        Called with the fraction done.
 
-    Returns an array of grid.shape. matched_filter chooses the method, see
-    :func:`geraf2.ops.explain_method`. Raises ValueError for shapes that do not agree.
+    Returns
+    -------
+    ndarray of float32
+        Array of grid.shape. matched_filter chooses the method, see
+        :func:`geraf2.ops.explain_method`.
 
+    Raises
+    ------
+    ValueError
+        If shapes do not agree.
+
+    Examples
+    --------
     >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.04, n_per_side=21)
     >>> geraf2.image_volume(geraf2.examples.small_capture()[0], grid, poses=[0]).shape
     (21, 21, 21)

@@ -48,29 +48,50 @@ def matched_filter(
     The signal of one ideal point scatterer, s_i(t) = exp(-j 2 pi f(t) d_i / c), gives
     P = n_samples there.
 
-    signal: raw ADC samples, complex64 or complex128, (n_antennas, n_samples). Its precision is that
-        of the image; positions are read in double precision always.
-    tx: transmitter of each antenna, (n_antennas, 3) [m].
-    rx: receiver of each antenna, (n_antennas, 3) [m].
-    points: (n_points, 3) [m], or a Grid.
-    waveform: the chirp; `path_bias_m` is part of every path.
-    method: "exact" sums every sample to rounding; "block" approximates by polynomials in blocks of
+    Parameters
+    ----------
+    signal
+        Raw ADC samples, complex64 or complex128, (n_antennas, n_samples). Its precision is that of
+        the image; positions are read in double precision always.
+    tx
+        Transmitter of each antenna, (n_antennas, 3) [m].
+    rx
+        Receiver of each antenna, (n_antennas, 3) [m].
+    points
+        (n_points, 3) [m], or a Grid.
+    waveform
+        The chirp; `path_bias_m` is part of every path.
+    method
+        "exact" sums every sample to rounding; "block" approximates by polynomials in blocks of
         points a few millimetres wide; "factorised" images clusters of neighbouring antennas at few
         nodes and interpolates over boxes of a Grid, tens of times as fast as "block" where antennas
         and voxels are many and dense; "auto" takes what costs least, see :func:`explain_method`.
-    rtol: largest error that "block" or "factorised" makes in any single phasor exp(j 2 pi f d / c).
+    rtol
+        Largest error that "block" or "factorised" makes in any single phasor exp(j 2 pi f d / c).
         The error of an image of white noise, relative to its norm, is about a tenth of it; below
         about 1e-5 complex64 rounds.
-    num_threads: threads; all cores, or torch's number where it is loaded, when None.
-    max_memory: working memory of the factorised method [bytes], beside signal and image; antennas
-        and voxels are taken in portions that fit. What cannot be done with it is a ValueError that
+    num_threads
+        Threads; all cores, or torch's number where it is loaded, when None.
+    max_memory
+        Working memory of the factorised method [bytes], beside signal and image; antennas and
+        voxels are taken in portions that fit. What cannot be done with it is a ValueError that
         states how much is needed.
-    progress: called with the fraction done while the image is made; not for gradients. An exception
-        that it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
+    progress
+        Called with the fraction done while the image is made; not for gradients. An exception that
+        it raises ends the call. Without it, an interrupt (Ctrl-C) ends a call of more than 4e9
         pairs of antenna and voxel.
 
-    Returns complex (n_points,), or the grid's shape; a tensor if any argument is a tensor, else an
-    array.
+    Returns
+    -------
+    complex array or tensor
+        (n_points,), or the grid's shape; a tensor if any argument is a tensor, else an array.
+
+    Raises
+    ------
+    TypeError
+        For another dtype.
+    ValueError
+        If shapes do not go together, or if the work cannot be done within `max_memory`.
 
     Notes
     -----
@@ -80,8 +101,6 @@ def matched_filter(
     the whole image; positions must be finite.
 
     Derivation and error bounds: docs/math/matched-filter.md and docs/math/block-and-factorised.md.
-
-    Raises TypeError for another dtype, ValueError where shapes do not go together.
 
     Examples
     --------
@@ -109,15 +128,25 @@ class MatchedFilterPlan:
     """Matched filter of one geometry, prepared once for many signals.
 
     What :func:`matched_filter` computes again in each call, the choice of the method, the blocks
-    of points and the clusters of antennas, is kept: for a Grid 4 to 16 % of a call.
-
-    tx, rx, points, waveform, method, rtol, num_threads: as for :func:`matched_filter`; positions
-        (n_antennas, 3) and (n_points, 3) [m] are copied.
-    dtype: of signals and images, complex64 or complex128.
-
-    Raises TypeError for another dtype, ValueError where shapes do not go together. A plan may be
+    of points and the clusters of antennas, is kept: for a Grid 4 to 16 % of a call. A plan may be
     used by several threads at once.
 
+    Parameters
+    ----------
+    tx, rx, points, waveform, method, rtol, num_threads
+        As for :func:`matched_filter`; positions (n_antennas, 3) and (n_points, 3) [m] are copied.
+    dtype
+        Of signals and images, complex64 or complex128.
+
+    Raises
+    ------
+    TypeError
+        For another dtype.
+    ValueError
+        If shapes do not go together.
+
+    Examples
+    --------
     >>> pose, waveform = (capture := geraf2.examples.small_capture()[0]).poses[0], capture.waveform
     >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), 0.05, 11)  # [m]
     >>> plan = geraf2.MatchedFilterPlan(pose.tx_positions, pose.rx_positions, grid, waveform)

@@ -38,22 +38,42 @@ def signal_tracer(
     :math:`\omega_r` the direction to the receiver; without, q = 1. Up to the factor 1/n_antennas
     and q, it is the adjoint of :func:`geraf2.ops.matched_filter`.
 
-    amplitude: float32, float64, complex64 or complex128; (n_points,), or (n_antennas, n_points)
-        where it depends on the antenna. Its precision is that of the signal; positions are read in
-        double precision always.
-    points: (n_points, 3) [m].
-    tx: transmitter of each antenna, (n_antennas, 3) [m].
-    rx: receiver of each antenna, (n_antennas, 3) [m].
-    waveform: the chirp; `path_bias_m` is part of every path.
-    normals: (n_points, 3), or None. Used as they are: of unit length for the formula to mean a
-        mirror. n and -n give the same.
-    rtol: largest error of any single phasor exp(-j 2 pi f d / c) where points are dense enough to
-        be summed in blocks. The error of a signal of white noise, relative to its norm, is about a
+    Parameters
+    ----------
+    amplitude
+        float32, float64, complex64 or complex128; (n_points,), or (n_antennas, n_points) where it
+        depends on the antenna. Its precision is that of the signal; positions are read in double
+        precision always.
+    points
+        (n_points, 3) [m].
+    tx
+        Transmitter of each antenna, (n_antennas, 3) [m].
+    rx
+        Receiver of each antenna, (n_antennas, 3) [m].
+    waveform
+        The chirp; `path_bias_m` is part of every path.
+    normals
+        (n_points, 3), or None. Used as they are: of unit length for the formula to mean a mirror. n
+        and -n give the same.
+    rtol
+        Largest error of any single phasor exp(-j 2 pi f d / c) where points are dense enough to be
+        summed in blocks. The error of a signal of white noise, relative to its norm, is about a
         tenth of it; below about 1e-5 complex64 rounds.
-    num_threads: threads; torch's number when torch is loaded, else all cores, when None. The signal
-        does not depend on it; gradients do within rounding.
+    num_threads
+        Threads; torch's number when torch is loaded, else all cores, when None. The signal does not
+        depend on it; gradients do within rounding.
 
-    Returns complex (n_antennas, n_samples); a tensor if any argument is a tensor, else an array.
+    Returns
+    -------
+    complex array or tensor
+        (n_antennas, n_samples); a tensor if any argument is a tensor, else an array.
+
+    Raises
+    ------
+    TypeError
+        For another dtype.
+    ValueError
+        If shapes do not go together.
 
     Notes
     -----
@@ -66,8 +86,6 @@ def signal_tracer(
 
     Equations 2 to 4 of the paper (reflector interaction, signal tracing), without its constants;
     derivation and error bounds: docs/math/signal-tracer.md#signal-tracer.
-
-    Raises TypeError for another dtype, ValueError where shapes do not go together.
 
     Examples
     --------

@@ -52,8 +52,13 @@ class LazyPoses(Sequence[Pose]):
 class Capture:
     """Measurements of a radar, in metres, in one named frame.
 
-    What does not go together is a UserError where a capture is read, reconstructed or saved.
+    Raises
+    ------
+    UserError
+        Where a capture whose parts do not go together is read, reconstructed or saved.
 
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> len(capture.poses), capture.n_antennas, capture.walls[0].size_m
     (6, 2646, (0.16, 0.16, 0.16))

@@ -21,8 +21,13 @@ _BYTES_PER_VOXEL = 16.0
 class Grid:
     """Voxel centres at origin_m + index * spacing_m, axes along the frame's x, y, z.
 
-    ValueError where the spacing is not positive or a side has no voxel.
+    Raises
+    ------
+    ValueError
+        If the spacing is not positive or a side has no voxel.
 
+    Examples
+    --------
     >>> grid = geraf2.Grid.cube((0.0, 0.0, 0.0), half_side_m=0.1, n_per_side=51)
     >>> grid.shape, grid.spacing_m, grid.points().shape
     ((51, 51, 51), 0.004, (132651, 3))

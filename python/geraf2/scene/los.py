@@ -43,8 +43,15 @@ _HOLLOW = 0.3
 class LosPrior:
     """Outer surface of the closed box in the capture frame.
 
-    ValueError for sides that are not positive, UserError for a mesh that is not closed.
+    Raises
+    ------
+    ValueError
+        For sides that are not positive.
+    UserError
+        For a mesh that is not closed.
 
+    Examples
+    --------
     >>> box = geraf2.LosPrior.from_box((0.22, 0.22, 0.3), center_m=(0.0, 0.0, 0.05))
     >>> box.vertices.shape, [round(side, 3) for side in box.size_m]
     ((8, 3), [0.22, 0.22, 0.3])

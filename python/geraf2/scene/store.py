@@ -66,14 +66,31 @@ def save_capture(
 ) -> bool:
     """Write a capture as a scene folder, whole or not at all.
 
-    capture: what to write, lengths in metres.
-    path: folder to make. If it already holds this very capture, nothing changes.
-    overwrite: replace a scene with other content; without it that is a UserError.
-    extras: writes further files (truth.ply, los.ply) into the folder it is given, before the scene
-    appears.
+    Parameters
+    ----------
+    capture
+        What to write, lengths in metres.
+    path
+        Folder to make. If it already holds this very capture, nothing changes.
+    overwrite
+        Replace a scene with other content; without it that is a UserError.
+    extras
+        Writes further files (truth.ply, los.ply) into the folder it is given, before the scene
+        appears.
 
-    Returns whether anything was written.
+    Returns
+    -------
+    bool
+        Whether anything was written.
 
+    Raises
+    ------
+    UserError
+        If the folder holds something else and `overwrite` is not set, or if the capture is not
+        plausible.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.examples.small_capture()
     >>> written = geraf2.save_capture(capture, "kept")
     >>> geraf2.save_capture(capture, "kept")  # the same is there

@@ -47,14 +47,29 @@ def simulate(
     root mean square of the noise-free sum. Single bounce: no
     path touches two surfaces, unless the spec's world enables it.
 
-    spec: the scene.
-    seed: of jitter, scatterers and noise; the same seed gives the same capture.
-    num_threads: all cores when None.
-    progress: called with the fraction done, after each plane.
+    Parameters
+    ----------
+    spec
+        The scene.
+    seed
+        Of jitter, scatterers and noise; the same seed gives the same capture.
+    num_threads
+        All cores when None.
+    progress
+        Called with the fraction done, after each plane.
 
-    Returns the capture, and the object in its frame ("capture", z up, turntable axis z) [m].
-    Raises UserError where the object does not fit into its box.
+    Returns
+    -------
+    tuple of Capture and TriangleMesh
+        The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
 
+    Raises
+    ------
+    UserError
+        If the object does not fit into its box.
+
+    Examples
+    --------
     >>> capture, truth = geraf2.simulate(geraf2.examples.small_scene(), seed=0)
     >>> len(capture.poses), truth.vertices.shape[1]
     (6, 3)

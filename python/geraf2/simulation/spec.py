@@ -192,8 +192,15 @@ class NumericsSpec(Bounded):
 
 @dataclass(frozen=True, kw_only=True)
 class SceneSpec:
-    """A whole simulated capture, lengths in metres; ValueError for values that make no sense.
+    """A whole simulated capture, lengths in metres.
 
+    Raises
+    ------
+    ValueError
+        For values that make no sense.
+
+    Examples
+    --------
     >>> spec = geraf2.examples.small_scene()
     >>> spec.figure.height_m, spec.scan.n_poses, spec.walls[0].size_m
     (0.06, 6, (0.16, 0.16, 0.16))

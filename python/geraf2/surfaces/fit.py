@@ -128,13 +128,29 @@ def fit_sdf(
     one, then with the points where edges of outlines touch the result. Further rounds pull the
     field to the distance from its own zero level. Outlines finally cut it.
 
-    glints: at least 10; or all evidence.
-    config: weights and sizes.
-    num_threads: of the distance queries; torch's number or all cores when None.
-    progress: called with the fraction done.
+    Parameters
+    ----------
+    glints
+        At least 10; or all evidence.
+    config
+        Weights and sizes.
+    num_threads
+        Of the distance queries; torch's number or all cores when None.
+    progress
+        Called with the fraction done.
 
-    Returns samples on a grid [m]. Raises UserError where the glints do not enclose anything.
+    Returns
+    -------
+    SdfGrid
+        Samples on a grid [m].
 
+    Raises
+    ------
+    UserError
+        If the glints do not enclose anything.
+
+    Examples
+    --------
     >>> from geraf2.surfaces import FitConfig
     >>> sdf = geraf2.fit_sdf(geraf2.examples.small_run().glints,
     ...                      FitConfig(spacing_m=0.012, distance_rounds=0))

@@ -22,7 +22,7 @@ from geraf2.geometry.shells import outer_shells
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.io.atomic import write_json_atomic
-from geraf2.io.container import LOS_RECORD_NAME
+from geraf2.io.container import LOS_RECORD_NAME, is_scene
 from geraf2.io.digests import file_digest
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.outputs import require_consent, require_folder
@@ -127,7 +127,6 @@ def make_los(
     out: Path | str,
     options: LosOptions | None = None,
     *,
-    from_radar: bool = False,
     box_center_m: tuple[float, float, float] = (0.0, 0.0, 0.0),
     overwrite: bool = False,
     num_threads: int | None = None,
@@ -135,21 +134,38 @@ def make_los(
 ) -> LosResult:
     """Make the prior of a box in a folder from photos, a mesh, side lengths or a radar scan.
 
-    source: photos with poses, a mesh (closed, or a scan with holes), or three outer side lengths in
-    metres, as "0.22x0.22x0.22".
-    out: folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
-    that lies there is kept; an interrupted training is continued.
-    options: interpretation of the source, and settings of the training.
-    from_radar: the source is a scene, whose box is found by :func:`find_box`.
-    box_center_m: middle of a box of given sides [m].
-    overwrite: replace a finished prior of something else in the folder.
-    num_threads: all when None.
-    listener: receives progress, warnings and findings.
+    Parameters
+    ----------
+    source
+        Photos with poses, a mesh (closed, or a scan with holes), a scene, whose box is found by
+        :func:`find_box`, or three outer side lengths in metres, as "0.22x0.22x0.22".
+    out
+        Folder for los.ply, los.npz, los.json and pictures. A prior of the same photos and options
+        that lies there is kept; an interrupted training is continued.
+    options
+        Interpretation of the source, and settings of the training.
+    box_center_m
+        Middle of a box of given sides [m].
+    overwrite
+        Replace a finished prior of something else in the folder.
+    num_threads
+        Threads to use; all when None.
+    listener
+        Receives progress, warnings and findings.
 
-    Returns the prior, closed and in metres, and its folder. Raises UserError for a source that
-    cannot be read or shows no box, options that do not fit it, and a folder that holds something
-    else, which stays unchanged.
+    Returns
+    -------
+    LosResult
+        The prior, closed and in metres, and its folder.
 
+    Raises
+    ------
+    UserError
+        If the source cannot be read or shows no box, if options do not fit it, or if the folder
+        holds something else, which stays unchanged.
+
+    Examples
+    --------
     >>> made = geraf2.make_los("0.22x0.22x0.11", "los")
     >>> [round(side, 6) for side in made.prior.size_m]
     [0.22, 0.22, 0.11]
@@ -158,7 +174,7 @@ def make_los(
     out, sides = Path(out), _SIDES.fullmatch(str(source))
     _require_own(out)
     kind, mesh, numbers = "mesh", None, dict[str, Any]()
-    if from_radar:
+    if is_scene(path):
         with listener.step("box"):
             box = find_box(load_capture(path), num_threads=num_threads)
         kind, mesh, numbers = "radar", box.prior.mesh, {"by_radar": str(box), **box.numbers()}
