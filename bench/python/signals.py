@@ -333,7 +333,11 @@ def run_pairs(folder: Path, n_pairs: int, seed: int, report: Callable[[str], Non
         printed = [process.communicate()[1] for process in running]
         codes = sorted(process.returncode for process in running)
         counts[f"exit codes {codes}"] += 1
-        reason = ("another run is writing", "a finished mesh of other settings")
+        reason = (
+            "another command is writing",
+            "another result was written here meanwhile",
+            "a finished mesh of other settings",
+        )
         refused = [text for p, text in zip(running, printed, strict=True) if p.returncode == 2]
         good = codes == [0, 2] and all(any(w in text for w in reason) for text in refused)
         if not (good and results_of(out) in wanted):

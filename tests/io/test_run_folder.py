@@ -171,3 +171,15 @@ def test_a_folder_that_is_a_link_is_filled_where_it_leads(tmp_path):
     write(tmp_path / "out")
     assert (tmp_path / "out").is_symlink()
     assert (tmp_path / "real" / MESH).is_file()
+
+
+def test_a_result_that_came_after_the_folder_was_opened_is_not_replaced(tmp_path):
+    def opened():
+        return RunFolder.open(tmp_path / "run", scene_digest="a", scene_name="scene")
+
+    late = opened()
+    with opened().replace_whole() as new:
+        (new.path / "mesh.ply").write_bytes(b"first")
+    with pytest.raises(UserError, match="another result was written"), late.replace_whole():
+        pytest.fail("the work must not begin")
+    assert (tmp_path / "run" / "mesh.ply").read_bytes() == b"first"

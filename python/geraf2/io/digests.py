@@ -12,12 +12,17 @@ from geraf2.io.regular import open_regular
 _MAX_NAMED = 4
 
 
+def bytes_digest(data: bytes) -> str:
+    """Hash of bytes, as :func:`file_digest` has it of a file."""
+    return hashlib.blake2b(data, digest_size=16).hexdigest()
+
+
 def file_digest(path: AnyPath) -> str | None:
     """Hash of a file's bytes; None if there is no such file."""
     path = Path(path)
     try:
         if is_remote(path):
-            return hashlib.blake2b(read_bytes(path), digest_size=16).hexdigest()
+            return bytes_digest(read_bytes(path))
         with open_regular(path) as handle:
             return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):

@@ -22,7 +22,7 @@ import numpy as np
 
 from geraf2.errors import UserError
 from geraf2.io.atomic import sweep_folder, take_place, temporary_sibling, write_json_atomic
-from geraf2.io.digests import file_digest, require_inside
+from geraf2.io.digests import bytes_digest, file_digest, require_inside
 from geraf2.io.locks import BusyFolderError, lock_folder
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
@@ -145,6 +145,8 @@ class RunFolder:
         self._is_inside = False
         """Whether this folder is within that whose place it takes."""
         self._is_held = False
+        self._known: str | None = None
+        """Hash of the record that this one was read from or wrote; None without one."""
 
     @classmethod
     def open(
@@ -168,6 +170,7 @@ class RunFolder:
         other = "of that name, or of this one before it changed" if same else ""
         what = f"the run of another scene {other or f'({stored.scene_name!r})'}"
         require_consent(path, what, overwrite=overwrite, got=f"scene {scene_name!r}")
+        run._known = stored._known
         return run
 
     def require_same(self, name: str, asked: str, what: str, *, overwrite: bool) -> None:
@@ -180,9 +183,11 @@ class RunFolder:
         """Open an existing run folder; UserError for one with links, which lead out of it."""
         file = Path(path) / RUN_NAME
         try:
-            values = parse_json(read_regular(file, RECORD_BYTES))
+            data = read_regular(file, RECORD_BYTES)
+            values = parse_json(data)
             known = values["format"] == _FORMAT and values["version"] == _VERSION
             run = cls(Path(path), str(values["scene"]["digest"]), str(values["scene"]["name"]))
+            run._known = bytes_digest(data)
             if known:
                 run._take(values)
         except (FileNotFoundError, NotADirectoryError):
@@ -254,6 +259,8 @@ class RunFolder:
         """
         with self.lock():  # refused now, not after the work
             before, place = file_digest(self.path / RUN_NAME), self.path.resolve()
+            if not grows and before != self._known:  # written since it was opened and compared
+                raise self._overtaken()
         in_place = grows or _is_fixed(place)
         with temporary_sibling(place / "run" if in_place else place) as folder:
             new = RunFolder(folder, self.scene_digest, self.scene_name)
@@ -270,13 +277,16 @@ class RunFolder:
                 raise type(error)(text.replace(str(folder), str(self.path))) from error
             with self.lock():
                 if file_digest(self.path / RUN_NAME) != before:
-                    what = "another result was written here meanwhile"
-                    raise BusyFolderError(what, where=self.path)
+                    raise self._overtaken()
                 if in_place:
                     new._move_into(place)
                 else:
                     take_place(folder, place)
         self.__dict__ |= {name: getattr(new, name) for name in _RECORDED}
+        self._known = file_digest(self.path / RUN_NAME)
+
+    def _overtaken(self) -> BusyFolderError:
+        return BusyFolderError("another result was written here meanwhile", where=self.path)
 
     def begin(self) -> None:
         """Make the folder, unless it holds results of the scene; results of another one go."""
@@ -400,6 +410,7 @@ class RunFolder:
                 "files": self.files,
             },
         )
+        self._known = file_digest(self.path / RUN_NAME)
 
 
 def link_file(source: Path, target: Path) -> None:
