@@ -448,7 +448,7 @@ def _find_files(folder: Path, patterns: Iterable[str]) -> list[Path]:
 def stage_key(**inputs: Any) -> str:
     """Hash of everything a stage depends on: text, numbers, arrays, frozen dataclasses."""
     text = json.dumps({name: _plain(value) for name, value in inputs.items()}, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    return bytes_digest(text.encode())
 
 
 def mesh_digest(folder: Path) -> dict[str, str | None]:

@@ -1,12 +1,12 @@
 """Captures from and to scene folders."""
 
-import hashlib
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from geraf2._memory import require_memory
 from geraf2.io.container import SceneReader
+from geraf2.io.digests import bytes_digest
 from geraf2.io.manifest import SceneManifest
 from geraf2.io.pose_digest import PoseDigest
 from geraf2.io.scene_writer import SceneWriter
@@ -120,7 +120,7 @@ def capture_digest(capture: Capture, poses: PoseDigest | None = None) -> str:
     for pose in capture.poses if poses is None else ():
         digest.add(pose)
     about = manifest_of(replace(capture, calibration=(), provenance={})).model_dump_json()
-    return hashlib.blake2b((about + digest.hexdigest()).encode(), digest_size=16).hexdigest()
+    return bytes_digest((about + digest.hexdigest()).encode())
 
 
 def manifest_of(capture: Capture) -> SceneManifest:

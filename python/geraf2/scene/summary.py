@@ -1,6 +1,5 @@
 """Numbers that describe a capture, for `info` and for the plausibility checks."""
 
-import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -10,6 +9,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.io.digests import bytes_digest
 from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose, RawPose, Wall, Waveform
@@ -316,7 +316,7 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseS
         dc_fraction=float(np.average([part.dc_fraction for part in looked_at], weights=weights)),
         n_noisy=sum(part.n_noisy for part in looked_at),
         profile=np.average([part.profile for part in looked_at], axis=0, weights=weights),
-        digest=hashlib.blake2b(digests.encode(), digest_size=16).hexdigest(),
+        digest=bytes_digest(digests.encode()),
     )
 
 
@@ -354,7 +354,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         dc_fraction=_dc_fraction(signal),
         n_noisy=int(noisy_antennas(signal).sum()),
         profile=_mean_profile(signal),
-        digest=hashlib.blake2b(signal.tobytes(), digest_size=16).hexdigest(),
+        digest=bytes_digest(signal.tobytes()),
     )
 
 

@@ -171,7 +171,6 @@ def swept_planes(
     """
     array = scanner.swept_array(spacing_m)
     extent_m = _height_m(array)
-    stops = scanner.settle_s is not None
     stop_s = 0.0 if scanner.settle_s is None else scanner.settle_s + scanner.set_s(array)
     clock_s, swept = 0.0, []
     for number, plane in enumerate(planes):
@@ -212,7 +211,7 @@ def swept_planes(
     scan = ScanFile(
         planes=tuple(swept),
         array=array,
-        motion="stop-and-go" if stops else "continuous",
+        motion="continuous" if scanner.settle_s is None else "stop-and-go",
         spacing_m=spacing_m,
     )
     return scan, clock_s
