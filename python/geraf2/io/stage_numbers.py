@@ -6,6 +6,7 @@ from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.toml import from_table
+from geraf2.io.verdict import Cause, Trust
 
 _Interval = tuple[float, float]
 _Axis = tuple[float, float, float]
@@ -59,6 +60,10 @@ class _Known:
     likely_ghosts: tuple[_Ghost, ...] = ()
     expected_error_median_mm: float = 0.0
     evidence_shares: dict[str, float] | None = None
+    verdict: Trust | None = None
+    probability_of_failure: float = 0.0
+    causes: tuple[Cause, ...] = ()
+    tests: dict[str, Any] | None = None
 
 
 # Where the first is there, the others are.
@@ -68,6 +73,7 @@ _TOGETHER = (
     ("volume_95_percent_cm3", "volume_cm3", "extents_mm", "extents_95_percent_mm"),
     ("volume_95_percent_cm3", "common_offset_sigma_mm"),
     ("faces", "axes"),
+    ("verdict", "probability_of_failure", "causes", "tests"),
 )
 
 

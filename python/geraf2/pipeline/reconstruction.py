@@ -25,6 +25,7 @@ from geraf2.io.run_folder import (
     SDF_NAME,
     RunFolder,
 )
+from geraf2.io.verdict import VERDICT_STAGE, Verdict
 from geraf2.pipeline.prior import read_prior
 from geraf2.pipeline.run_record import RunRecord
 from geraf2.scene import LosPrior
@@ -164,6 +165,12 @@ class Reconstruction:
             }
             for name, record in self.run.stages.items()
         }
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be trusted, and why; None of a run that was not judged."""
+        record = self.run.stages.get(VERDICT_STAGE)
+        return Verdict.from_numbers(record.numbers) if record else None
 
     @property
     def report(self) -> Path | None:
