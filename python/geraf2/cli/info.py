@@ -1,24 +1,23 @@
 """`geraf2 info`: content of a scene or a raw recording, and implausible values."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
 from geraf2.calibration.phase_sign import EVIDENCE_KEY
-from geraf2.cli._console import Threads, print_findings, progress_bar, rows, say, warn
+from geraf2.cli._console import Threads, keep, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found
 from geraf2.errors import UserError
-from geraf2.freespace.specular import seen_share
+from geraf2.freespace.coverage import ScanCoverage, summary_coverage
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh
@@ -33,7 +32,6 @@ from geraf2.pipeline.estimates import (
     reconstruct_estimate,
 )
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import check_capture, require_no_errors
 from geraf2.scene.store import capture_without_poses
 from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_poses
@@ -80,20 +78,24 @@ def main(config: Config) -> int:
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
     command = "image" if summary.is_plane else "reconstruct"
     takes = "" if summary.is_plane else str(reconstruct_estimate(summary))
-    rows(
-        [
-            ("scene", str(config.scene)),
-            ("frame", f"{reader.manifest.frame} (metres)"),
-            *_origin(reader.manifest.provenance),
-            *(_calibration_row(found) for found in reader.manifest.calibration),
-            *describe(summary),
-            *([("reconstruct takes about", takes)] if takes else []),
-            ("image takes about", str(image_estimate(summary))),
-            ("a fine image", _fine_image(summary)),
-            ("next", f"geraf2 {command} {quote(str(config.scene))} out"),
-        ]
-    )
-    findings = check_capture(summary)
+    los = reader.path / LOS_NAME
+    coverage = summary_coverage(summary, read_mesh(los).vertices if los.is_file() else None)
+    facts = [
+        ("scene", str(config.scene)),
+        ("frame", f"{reader.manifest.frame} (metres)"),
+        *_origin(reader.manifest.provenance),
+        *(_calibration_row(found) for found in reader.manifest.calibration),
+        *describe(summary),
+        *(_coverage_rows(coverage) if coverage else []),
+        *([("reconstruct takes about", takes)] if takes else []),
+        ("image takes about", str(image_estimate(summary))),
+        ("a fine image", _fine_image(summary)),
+        ("next", f"geraf2 {command} {quote(str(config.scene))} out"),
+    ]
+    rows(facts)
+    findings = (*check_capture(summary), *(coverage.findings() if coverage else ()))
+    keep({"rows": dict(facts), "coverage": coverage.numbers() if coverage else None})
+    keep({"findings": [asdict(found) for found in findings]})
     print_findings(found for found in findings if found.severity != "error")
     require_no_errors(findings, config.scene)
     if config.figure is not None:
@@ -193,15 +195,21 @@ def _calibration_row(found: CalibrationManifest) -> tuple[str, str]:
     return ("calibrated", f"{', '.join(parts)}; scene.toml has the numbers")
 
 
-def _describe_coverage(summary: CaptureSummary, focus: NDArray[np.float64]) -> str:
-    """Text of the directions that a surface at the focus must face to be seen."""
-    planes = summary.planes
-    share = seen_share(planes, focus, np.full(3, summary.scene_width_m or 0.2))
-    tilts = np.concatenate([_tilts_deg(plane, focus) for plane in planes])
-    return (
-        f"{100.0 * share:.0f} % of all, tilted from {tilts.min():z.0f} to {tilts.max():z.0f} "
-        "degrees; surfaces that face elsewhere are not seen"
+def _coverage_rows(found: ScanCoverage) -> list[tuple[str, str]]:
+    """Names and values of what the planes can receive."""
+    low, high = found.tilts_deg
+    heights = " and ".join(
+        f"{1e3 * start:z.0f} to {1e3 * end:z.0f}" for start, end in found.heights_m
     )
+    upright = [("vertical faces", f"are seen at z = {heights} mm, where antennas stand")]
+    return [
+        (
+            "normals seen",
+            f"{100.0 * found.seen_share:.0f} % of all, tilted from {low:z.0f} to {high:z.0f} "
+            "degrees; surfaces that face elsewhere are not seen",
+        ),
+        *(upright if heights else []),
+    ]
 
 
 def _describe_directions(summary: CaptureSummary) -> list[tuple[str, str]]:
@@ -225,16 +233,7 @@ def _describe_directions(summary: CaptureSummary) -> list[tuple[str, str]]:
     if focus is None:
         return [("planes look at", "unknown")]
     looked_at = f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m"
-    return [
-        ("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m"),
-        ("normals seen", _describe_coverage(summary, focus)),
-    ]
-
-
-def _tilts_deg(plane: Aperture, focus: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Elevations of a plane's lower and upper middle, as seen from the focus [degrees]."""
-    ends = plane.points_at(np.array([(0.0, -1.0), (0.0, 1.0)])) - focus
-    return np.asarray(np.rad2deg(np.arctan2(ends[:, 2], np.hypot(ends[:, 0], ends[:, 1]))))
+    return [("planes look at", f"{looked_at} from {summary.standoff_m:.3f} m")]
 
 
 def describe(summary: CaptureSummary) -> list[tuple[str, str]]:

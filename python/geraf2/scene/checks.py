@@ -44,9 +44,12 @@ class Finding:
     severity: str
     """"error": nothing useful can come out; "warning": check it before you trust the result."""
     message: str
+    """What is wrong, with its number."""
+    action: str = ""
+    """What to do about it."""
 
     def __str__(self) -> str:
-        return self.message
+        return f"{self.message}; {self.action}" if self.action else self.message
 
 
 def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
@@ -74,18 +77,18 @@ def require_no_errors(findings: Iterable[Finding], where: object) -> tuple[Findi
     """Raise UserError with the first error of findings, else return them."""
     for finding in (kept := tuple(findings)):
         if finding.severity == "error":
-            raise UserError(finding.message, where=where)
+            raise UserError(finding.message, where=where, hint=finding.action or None)
     return kept
 
 
-def error(message: str) -> Finding:
+def error(message: str, action: str = "") -> Finding:
     """Make a finding after which nothing useful can come out."""
-    return Finding(severity="error", message=message)
+    return Finding(severity="error", message=message, action=action)
 
 
-def warning(message: str) -> Finding:
+def warning(message: str, action: str = "") -> Finding:
     """Make a finding that is to be checked before the result is trusted."""
-    return Finding(severity="warning", message=message)
+    return Finding(severity="warning", message=message, action=action)
 
 
 def format_mm(values_m: Iterable[float]) -> str:

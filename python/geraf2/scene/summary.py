@@ -28,6 +28,8 @@ _MIN_WAVELENGTHS_WIDE = 4.0
 _FLOOR_WINDOW = 31
 _MIN_FLOOR_SAMPLES = 16
 _NOISY = 10.0
+# Samples of a plane in which clipping is looked for: of those 0.001 are 16.
+_SATURATION_SAMPLES = 1 << 14
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
 
@@ -350,7 +352,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         rms=float(np.sqrt(np.mean(np.abs(signal) ** 2))) if signal.size else 0.0,
         n_constant=int(constant.sum()),
         largest=largest,
-        saturated_fraction=float((parts == largest).mean()) if largest > 0 else 0.0,
+        saturated_fraction=_on_largest(signal),
         dc_fraction=_dc_fraction(signal),
         n_noisy=int(noisy_antennas(signal).sum()),
         profile=_mean_profile(signal),
@@ -368,6 +370,26 @@ def constant_antennas(signal: NDArray[np.complex64]) -> Bools:
     first = signal[:, :1] if signal.shape[1] > 1 else signal[:1]
     same = np.asarray((signal == first).all(axis=1))
     return same if signal.shape[1] > 1 else np.full(len(same), len(same) > 1 and same.all())
+
+
+def saturation_share(capture: Capture) -> float:
+    """Largest share over the planes of I and Q that sit on the plane's largest value, 0 to 1.
+
+    Below 0.001 where nothing is cut off. Of large planes every so many antennas are looked at.
+    """
+    return max((_on_largest(_some_antennas(pose.signal)) for pose in capture.poses), default=0.0)
+
+
+def _some_antennas(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    # An odd step: channels that take turns are all met.
+    return np.ascontiguousarray(signal[:: signal.size // _SATURATION_SAMPLES | 1])
+
+
+def _on_largest(signal: NDArray[np.complex64]) -> float:
+    """Share of I and Q that have the largest finite magnitude of either."""
+    parts = np.abs(signal.view(np.float32))
+    largest = float(np.max(parts, where=np.isfinite(parts), initial=0.0))
+    return float((parts == largest).mean()) if largest > 0.0 else 0.0
 
 
 def _dc_fraction(signal: NDArray[np.complex64]) -> float:
