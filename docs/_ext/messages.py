@@ -16,6 +16,7 @@ AREAS = {
     "io": "Files",
     "scene": "Scans, boxes and photos as they are read",
     "geometry": "Meshes",
+    "freespace": "What a scan cannot see",
     "simulation": "geraf2 simulate",
     "cli": "Command line",
     "pipeline": "Runs",

@@ -91,7 +91,38 @@ def clip(signal):
     )
 
 
+def delayed(signal):
+    """A path longer by five range cells."""
+    return signal * np.exp(-2j * np.pi * 10 / signal.shape[1] * np.arange(signal.shape[1]))
+
+
+def walled(capture, path_bias_m=None):
+    wall = replace(WALL, size_m=(0.1, 0.1, 0.1))
+    bias = capture.waveform.path_bias_m if path_bias_m is None else path_bias_m
+    waveform = replace(capture.waveform, path_bias_m=bias)
+    return replace(capture, walls=(wall,), waveform=waveform)
+
+
+def silenced(capture):
+    rng = np.random.default_rng(0)
+
+    def noise(pose):
+        parts = rng.standard_normal((2, *pose.signal.shape))
+        return replace(pose, signal=(parts[0] + 1j * parts[1]).astype(np.complex64))
+
+    return replace(walled(capture), poses=tuple(noise(pose) for pose in capture.poses))
+
+
 CASES = {
+    "moved": (
+        lambda c: with_first_signal(c, lambda s: delayed(s).astype(np.complex64)),
+        "the echoes of 1 planes lie up to 0.42 m nearer or farther than those of the others",
+    ),
+    "delay": (
+        lambda c: walled(c, c.waveform.path_bias_m - 0.8),
+        "outside the ranges of the stated box, 0.31 to 0.49 m",
+    ),
+    "empty": (silenced, "the box is empty or not there; check path_bias_m"),
     "nothing": (lambda _: point_capture(4, spacing_m=0.003), ""),
     "centimetres": (lambda c: scaled(c, 1e2), "if they are in centimetres"),
     "constant": (lambda c: with_first_signal(c, np.zeros_like), "signal is constant in 1 planes"),
@@ -120,7 +151,7 @@ def test_only_what_is_implausible_is_reported(tmp_path, capsys, name):
     assert text in findings
     assert findings.count("error: ") == is_error
     # So few planes see little. An offset of one of two moves the point that both look at.
-    unseen = ("no antenna looks at the content", "of all normals: most of a surface")
+    unseen = ("no antenna looks at", "most of a surface would be", "all antennas: surfaces")
     lines = [line for line in findings.splitlines() if not any(part in line for part in unseen)]
     assert len(lines) == (text != "") + (name == "offset")
 

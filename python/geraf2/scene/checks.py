@@ -32,6 +32,14 @@ _MAX_STRAY = 20.0
 _MAX_AXES_ERROR = 1e-3
 # Poses of one scan differ by a few dB; 20 dB is another gain or a lost channel.
 _MAX_LEVEL_DB = 20.0
+# Planes of one scan have their echoes at the same ranges to three cells: a cuboid turns edges and
+# faces to them. Moved by more, a profile must correlate with the others' so well, and so much
+# better than unmoved.
+_MAX_SHIFT_CELLS, _MIN_FIT, _MIN_GAIN = 3, 0.7, 0.2
+# Echoes of content stand out of the weakest quarter of the ranges.
+_MIN_CONTENT_DB = 6.0
+# Leakage between the antennas reaches a few cells under the Hann window.
+_LEAKAGE_CELLS = 4
 
 # Of an AWR1843 on the two-way path; it moves what is seen by half a range cell of this length.
 _USUAL_DELAY_M = 0.15
@@ -62,6 +70,7 @@ def check_capture(summary: CaptureSummary) -> tuple[Finding, ...]:
         *_check_unit(summary),
         *_check_positions(summary),
         *_check_geometry(summary),
+        *_check_ranges(summary),
         *_check_repeats(summary),
         *_check_sampling(summary),
     ]
@@ -118,11 +127,16 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
     if dead and len(dead) == len(full):
         yield error("the signal is constant: every antenna has the same value in all samples")
     elif dead:
-        yield warning(f"the signal is constant in {len(dead)} planes: {_list(dead)}")
+        yield warning(
+            f"the signal is constant in {len(dead)} planes: {_list(dead)}", "record them again"
+        )
     part = [pose for pose in full if 0 < pose.n_constant < pose.n_antennas]
     if part:
         total = sum(pose.n_constant for pose in part)
-        yield warning(f"{total} antennas have a constant signal, in {_list(part)}")
+        yield warning(
+            f"{total} antennas have a constant signal, in {_list(part)}",
+            "frames were lost: record these planes again where many are",
+        )
     clipped = [
         pose for pose in full if pose.n_constant == 0 and pose.saturated_fraction > _MAX_SATURATED
     ]
@@ -130,7 +144,8 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
         percent = 100 * max(pose.saturated_fraction for pose in clipped)
         yield warning(
             f"{len(clipped)} planes look saturated ({percent:.1f} % of the samples sit on the "
-            f"largest value): {_list(clipped)}; lower the receiver gain"
+            f"largest value): {_list(clipped)}",
+            "lower the receiver gain",
         )
     yield from _check_offsets(full)
     levels = np.array([pose.rms for pose in full if pose not in dead])
@@ -145,7 +160,8 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
         if odd:
             yield warning(
                 f"the level of {len(odd)} planes is more than {_MAX_LEVEL_DB:.0f} dB off the "
-                f"median: {_list(odd)}"
+                f"median: {_list(odd)}",
+                "check their gain and channels",
             )
 
 
@@ -201,15 +217,17 @@ def _check_offsets(poses: Sequence[PoseSummary]) -> Iterator[Finding]:
         percent = 100 * max(pose.dc_fraction for pose in offset)
         yield warning(
             f"{len(offset)} planes have a constant offset (DC) of up to {percent:.1f} % of their "
-            f"power: {_list(offset)}; 'geraf2 reconstruct' subtracts what harms; for other uses "
-            "subtract the mean of the samples before the import"
+            f"power: {_list(offset)}",
+            "'geraf2 reconstruct' subtracts what harms; for other uses subtract the mean of the "
+            "samples before the import",
         )
     noisy = [pose for pose in poses if pose.n_noisy > max(1, _MAX_NOISY * pose.n_antennas)]
     if noisy:
         total = sum(pose.n_noisy for pose in noisy)
         yield warning(
             f"{total} antennas are 10 dB noisier than those around them, in {_list(noisy)}: "
-            "interference, or frames that were lost in part"
+            "interference, or frames that were lost in part",
+            "switch other radars off and record these planes again",
         )
 
 
@@ -263,8 +281,8 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     if away and focus is not None:
         yield warning(
             f"{len(away)} planes do not look at the point the scan looks at "
-            f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m: {_list(away)}; check the "
-            "looking axis and the frame"
+            f"({focus[0]:z.3f}, {focus[1]:z.3f}, {focus[2]:z.3f}) m: {_list(away)}",
+            "check the looking axis and the frame",
         )
     deep = [
         pose
@@ -275,16 +293,91 @@ def _check_geometry(summary: CaptureSummary) -> Iterator[Finding]:
     if deep:
         yield warning(
             f"{len(deep)} planes reach {max(pose.extent_m[0] for pose in deep):.3g} m along their "
-            f"looking axis: {_list(deep)}; are rows and columns of the axes swapped?"
+            f"looking axis: {_list(deep)}",
+            "are rows and columns of the axes swapped?",
         )
     point = [pose for pose in poses if pose.n_antennas > 1 and not pose.extent_m.max() > 0]
     if point:
-        yield warning(f"all antennas of {len(point)} planes stand at one position: {_list(point)}")
+        yield warning(
+            f"all antennas of {len(point)} planes stand at one position: {_list(point)}",
+            "check the log of positions",
+        )
     width = summary.scene_width_m or 0.0
     if summary.standoff_m + width / 2 > summary.waveform.unambiguous_range_m >= summary.standoff_m:
         yield warning(
             f"the far side of the scene ({summary.standoff_m + width / 2:.3g} m) lies beyond the "
-            f"unambiguous range ({summary.waveform.unambiguous_range_m:.3g} m)"
+            f"unambiguous range ({summary.waveform.unambiguous_range_m:.3g} m)",
+            "take more samples over the same band",
+        )
+
+
+def _check_ranges(summary: CaptureSummary) -> Iterator[Finding]:
+    """Yield findings about the ranges of the echoes: of single planes, and of the stated box."""
+    focus, n_samples = summary.focus, summary.waveform.n_samples
+    poses = [p for p in summary.usable_poses if p.profile.any()]
+    if summary.is_plane or focus is None or n_samples < 2 * _LEAKAGE_CELLS or not poses:
+        return
+    cell_m, away = summary.waveform.range_cell_m, [np.linalg.norm(p.center - focus) for p in poses]
+    steps = np.round((np.array(away) - np.median(away)) / cell_m).astype(int)
+    power = np.stack([np.roll(p.profile, -n) for p, n in zip(poses, steps, strict=True)])
+    if len(poses) > 3:
+        moved = [(p, n) for p, n in zip(poses, _shifts(power), strict=True) if n]
+        if moved:
+            most = max(abs(n) for _, n in moved)
+            yield warning(
+                f"the echoes of {len(moved)} planes lie up to {most * cell_m:.2f} m nearer or "
+                f"farther than those of the others: {_list([p for p, _ in moved])}",
+                "check the trigger of these recordings, and that they belong to these positions",
+            )
+    if summary.walls:
+        yield from _check_content(summary, np.median(power, axis=0), float(np.median(away)))
+
+
+def _shifts(power: Floats) -> list[int]:
+    """Range cells by which the profile of each plane is moved against the others', (n_planes,)."""
+    level = np.log(power + 1e-6 * power.max(axis=1, keepdims=True))
+    level -= level.mean(axis=1, keepdims=True)
+    common = np.median(level, axis=0)
+    common -= common.mean()
+    # Circular correlation at all shifts at once.
+    product = np.fft.ifft(np.fft.fft(level, axis=1) * np.fft.fft(common).conj(), axis=1).real
+    scale = np.linalg.norm(level, axis=1) * np.linalg.norm(common) + 1e-30
+    fits = product / scale[:, None]
+    n = power.shape[1]
+    best = [int(k) for k in (fits.argmax(axis=1) + n // 2) % n - n // 2]
+    sure = (fits.max(axis=1) > _MIN_FIT) & (fits.max(axis=1) - fits[:, 0] > _MIN_GAIN)
+    return [
+        k if abs(k) > _MAX_SHIFT_CELLS and is_sure else 0
+        for k, is_sure in zip(best, sure, strict=True)
+    ]
+
+
+def _check_content(summary: CaptureSummary, power: Floats, away_m: float) -> Iterator[Finding]:
+    """Yield findings about echoes within and outside the ranges of the stated box."""
+    waveform, reach = summary.waveform, 0.5 * float(np.linalg.norm(summary.walls[0].size_m))
+    ranges = np.arange(len(power)) * waveform.range_cell_m - 0.5 * waveform.path_bias_m
+    ranges %= waveform.unambiguous_range_m
+    off = np.abs(ranges - away_m)
+    inside = off < reach + 2.0 * waveform.range_cell_m
+    beyond = ~inside & (ranges > _LEAKAGE_CELLS * waveform.range_cell_m)
+    beyond &= ranges < waveform.unambiguous_range_m - _LEAKAGE_CELLS * waveform.range_cell_m
+    floor = float(np.partition(power, len(power) // 4)[len(power) // 4])
+    where = f"{away_m - reach:.2f} to {away_m + reach:.2f} m"
+    if not inside.any() or not floor > 0.0:
+        return
+    level_db = 10.0 * np.log10(power[inside].max() / floor)
+    if level_db < _MIN_CONTENT_DB:
+        yield warning(
+            f"the echoes from the ranges of the stated box, {where}, are {level_db:.0f} dB above "
+            "the weakest ranges: the box is empty or not there",
+            "check path_bias_m, the walls and the receiver",
+        )
+    elif beyond.any() and power[beyond].max() > power[inside].max():
+        most = float(ranges[beyond][power[beyond].argmax()])
+        yield warning(
+            f"the strongest echo comes from {most:.2f} m, outside the ranges of the stated box, "
+            f"{where}",
+            "check path_bias_m and the walls, or remove what stands there",
         )
 
 
@@ -301,12 +394,16 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
             by_signal[pose.digest].append(pose)
     for same in by_signal.values():
         if len(same) > 1:
-            yield warning(f"{len(same)} planes hold the same samples: {_list(same)}")
+            yield warning(
+                f"{len(same)} planes hold the same samples: {_list(same)}",
+                "one recording was stored several times: find the missing ones",
+            )
     repeated = [pose for pose in summary.poses if pose.n_repeated_positions]
     if repeated:
         total = sum(pose.n_repeated_positions for pose in repeated)
         yield warning(
-            f"{total} antennas stand where another one of their plane does: {_list(repeated)}"
+            f"{total} antennas stand where another one of their plane does: {_list(repeated)}",
+            "check the log of positions",
         )
 
 
@@ -318,12 +415,14 @@ def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
     if coarse and sane:
         yield warning(
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
-            f"{1e3 * limit:.2f} mm: expect grating lobes at the edges of the scene"
+            f"{1e3 * limit:.2f} mm: expect grating lobes at the edges of the scene",
+            "scan a finer raster",
         )
     waveform = summary.waveform
     matters = waveform.range_cell_m < _USUAL_DELAY_M and not summary.delay_given
     if waveform.path_bias_m == 0 and matters:
         yield warning(
             "the instrument delay (waveform.path_bias_m) is 0: unless it was subtracted already, "
-            "everything appears too far away"
+            "everything appears too far away",
+            "'geraf2 calibrate' finds it by the box",
         )

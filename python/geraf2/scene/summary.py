@@ -71,7 +71,7 @@ class PoseSummary:
     n_noisy: int
     """Antennas whose noise floor is 10 dB above that of the antennas around: interference."""
     profile: Floats
-    """Mean power of the range profile, (n_samples,)."""
+    """Mean power of the range profile under a Hann window, (n_samples,)."""
     digest: str
     """Hash of the samples."""
 
@@ -332,7 +332,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
     signal = np.where(finite, pose.signal, 0)
     parts = np.abs(signal.view(np.float32)) if signal.size else np.zeros(1, dtype=np.float32)
     largest = float(parts.max())
-    constant = constant_antennas(signal)
+    constant, power = constant_antennas(signal), _range_power(signal)
     return PoseSummary(
         name=pose.name,
         n_antennas=pose.n_antennas,
@@ -354,8 +354,8 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         largest=largest,
         saturated_fraction=_on_largest(signal),
         dc_fraction=_dc_fraction(signal),
-        n_noisy=int(noisy_antennas(signal).sum()),
-        profile=_mean_profile(signal),
+        n_noisy=int(_are_noisy(power).sum()),
+        profile=power.mean(axis=0) if len(power) else np.zeros(signal.shape[1]),
         digest=bytes_digest(signal.tobytes()),
     )
 
@@ -405,14 +405,14 @@ def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
 
     signal: samples in the order in which they were taken, (n_antennas, n_samples).
     """
-    n_antennas, n_samples = signal.shape
+    return _are_noisy(_range_power(signal))
+
+
+def _are_noisy(power: Floats) -> Bools:
+    """`noisy_antennas` of power over range, (n_antennas, n_samples)."""
+    n_antennas, n_samples = power.shape
     if n_antennas < 2 * _FLOOR_WINDOW or n_samples < _MIN_FLOOR_SAMPLES:
         return np.zeros(n_antennas, dtype=bool)
-    window, weighted = np.hanning(n_samples + 2)[1:-1], signal.astype(np.complex128)
-    # By parts: NumPy 2 crashes where it lacks memory for the buffers of a complex product.
-    weighted.real *= window
-    weighted.imag *= window
-    power = np.abs(np.fft.ifft(weighted, axis=1)) ** 2
     floor = np.partition(power, n_samples // 4, axis=1)[:, n_samples // 4]
     # scipy.ndimage has the same as median_filter, and takes 0.2 s to import.
     padded = np.pad(floor, _FLOOR_WINDOW // 2, mode="edge")
@@ -420,12 +420,16 @@ def noisy_antennas(signal: NDArray[np.complex64]) -> Bools:
     return np.asarray(floor > _NOISY * np.maximum(around, 1e-30))
 
 
-def _mean_profile(signal: NDArray[np.complex64]) -> Floats:
-    if not signal.size:
-        return np.zeros(signal.shape[1])
-    # The signal is exp(-j 2 pi k t d / c): the inverse transform turns delay into range.
-    profile = np.fft.ifft(signal, axis=1)
-    return np.asarray((np.abs(profile) ** 2).mean(axis=0), dtype=np.float64)
+def _range_power(signal: NDArray[np.complex64]) -> Floats:
+    """Power over range under a Hann window, (n_antennas, n_samples).
+
+    The signal is exp(-j 2 pi k t d / c): the inverse transform turns delay into range.
+    """
+    window, weighted = np.hanning(signal.shape[1] + 2)[1:-1], signal.astype(np.complex128)
+    # By parts: NumPy 2 crashes where it lacks memory for the buffers of a complex product.
+    weighted.real *= window
+    weighted.imag *= window
+    return np.asarray(np.abs(np.fft.ifft(weighted, axis=1)) ** 2)
 
 
 def _median_spacing(centers: Floats) -> float:
