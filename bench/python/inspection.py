@@ -229,7 +229,7 @@ def single(options: argparse.Namespace) -> None:
         largest = next((r.match.model for r in best if r.match.body in (0, -1)), None)
         taken = "none" if largest is None else names[largest]
         right.append(taken == name)
-        failed.append(one.verdict == "fail")
+        failed.append(one.result == "fail")
         _cover(measured, one.parts[0], read_mesh(run.parent / "truth.ply"))
         if match.placement is None:
             near.append(False)
@@ -245,7 +245,7 @@ def single(options: argparse.Namespace) -> None:
         print(
             f"  {name} {number}: {1e3 * offs[-1]:.2f} mm, {angles[-1]:.2f} degrees, "
             f"misfit {match.placement.misfit:.2f}, {match.status}, interpreted as {taken}, "
-            f"{len(one.parts)} parts, {one.verdict} {'; '.join(one.failures)}",
+            f"{len(one.parts)} parts, {one.result} {'; '.join(one.failures)}",
             flush=True,
         )
     print_share(near, "pose to 1 mm and 1 degree")
@@ -294,10 +294,10 @@ def head(options: argparse.Namespace) -> None:
                 if r.what != "too much" and np.linalg.norm(r.center_m - at) < 0.008
             ]
             named.append(bool(here))
-            failed.append(answer.verdict == "fail")
+            failed.append(answer.result == "fail")
             print(
                 f"  {name} {number}: {[(r.what, round(1e6 * r.area_m2)) for r in here]}, "
-                f"{answer.verdict} {'; '.join(answer.failures)}",
+                f"{answer.result} {'; '.join(answer.failures)}",
                 flush=True,
             )
         print_share(
@@ -321,10 +321,10 @@ def trio(options: argparse.Namespace) -> None:
             states = [report.match.status for report in found.models]
             missing = [status in ("missing", "wrong part") for status in states]
             named.append(any(missing) if gone is None else missing == [n == gone for n in TRIO])
-            failed.append(found.verdict == "fail")
+            failed.append(found.result == "fail")
             print(
                 f"  {case.name} {number}: {', '.join(states)}; {len(found.parts)} parts, "
-                f"{found.verdict} {'; '.join(found.failures)}",
+                f"{found.result} {'; '.join(found.failures)}",
                 flush=True,
             )
         print_share(

@@ -10,7 +10,10 @@ from geraf2 import examples
 from geraf2.cli.main import main
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.io.mesh import write_mesh
+from geraf2.io.run_folder import RunFolder
+from geraf2.io.verdict import Trust
 from geraf2.scene.store import manifest_of
+from helpers.run_folders import VERDICTS
 
 BOX = ["--box", *map(str, examples.BOX_M), "--preset", "fast"]
 
@@ -31,7 +34,7 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
     shown = capsys.readouterr()
     lines = re.findall(
         r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %  "
-        r"[\d.]+ s$",
+        r"(?:[a-z ]+  )?[\d.]+ s$",
         shown.out,
         flags=re.MULTILINE,
     )
@@ -47,6 +50,21 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
     capsys.readouterr()
     assert main(["live", str(source), str(out), *BOX, "--no-report"]) == 0  # all are there
     assert not re.search(r"^plane ", capsys.readouterr().out, flags=re.MULTILINE)
+
+
+def test_a_scan_that_is_not_to_be_trusted_reaches_no_target_and_says_why(
+    source, tmp_path, capsys, monkeypatch
+):
+    judged = VERDICTS[Trust.NOT_TO_BE_TRUSTED]
+    monkeypatch.setattr(RunFolder, "verdict", property(lambda _: judged))
+    flags = ["--until", "expected 99 mm over 50 %", "--no-report", "--strict"]
+    assert main(["live", str(source), str(tmp_path / "out"), *BOX, *flags]) == 3
+    lines = capsys.readouterr().out.splitlines()
+    planes = [line for line in lines if line.startswith("plane")]
+    assert len(planes) == 3
+    assert all("expected error not determined" in line for line in planes)
+    assert all("%  not to be trusted  " in line for line in planes)
+    assert [line.split()[0] for line in lines[-3:]] == ["verdict", "because", "do"]
 
 
 def test_it_stops_at_a_target(source, tmp_path, capsys):

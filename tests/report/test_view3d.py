@@ -91,18 +91,19 @@ def test_pieces_are_parts_the_largest_first():
     assert answer.found.startswith("2 separate pieces, 80 x 40 x 40 mm over all")
 
 
-def test_the_answer_names_unseen_surface_and_remarks_of_stages():
+def test_the_answer_names_unseen_surface():
     content = ball(0.03)
     every = glints_on_sphere(0.03, 3000)
     sideways = every.select(np.abs(every.normals[:, 2]) < 0.5)
     numbers = {
-        "selection": {"outlines": 0, "no_outlines": "the walls of the box are not known"},
+        "box": {"by_radar": "box of 120 mm"},
+        "selection": {"outlines": 0},
         "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
     }
     answer = answer_of(content, sideways, numbers, {})
     assert answer.found == "One body, 60 x 60 x 60 mm, its centre at (0, 0, 0) mm."
     assert answer.corrected == ("delay",)
-    assert answer.remarks == ("no outlines from shadows: the walls of the box are not known",)
+    assert answer.notes == ("Box of 120 mm.",)
     _, first, ends = answer.cards[-1].lines
     assert "of what faces up" in first
     assert ends == "These ends of the size had no echo: bottom and top."

@@ -96,9 +96,9 @@ class _LogHandler(logging.Handler):
         err.print(f"{record.levelname.lower()}: {text}", style=style)
 
 
-def say(text: str = "") -> None:
+def say(text: str = "", style: str | None = None) -> None:
     """Print one line of results."""
-    out.print(printable(text))
+    out.print(printable(text), style=style)
 
 
 def warn(text: str) -> None:
@@ -113,11 +113,11 @@ def print_findings(findings: Iterable[Finding]) -> None:
         err.print(f"{finding.severity}: {printable(str(finding))}", style=style)
 
 
-def rows(pairs: list[tuple[str, str]]) -> None:
+def rows(pairs: list[tuple[str, str]], style: str | None = None) -> None:
     """Print names and values in two columns."""
     width = max((len(name) for name, _ in pairs), default=0)
     for name, value in pairs:
-        say(f"{name:<{width}}  {value}")
+        say(f"{name:<{width}}  {value}", style)
     _output.rows.update(pairs)
 
 

@@ -1,14 +1,17 @@
-"""What a run found, in a few lines and as numbers."""
+"""What a run found and how far it can be trusted, in a few lines and as numbers."""
 
 from collections.abc import Mapping
 from typing import Any
 
 from geraf2.cli._console import keep, rows
 from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.io.verdict import WITHDRAWN, Trust, Verdict, confidence, not_determined
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.pieces import ghost_texts
 from geraf2.surfaces.samples import size_lines
 
+EXIT_UNTRUSTED = 3
+"""Of `--strict`, for a result that is not to be trusted."""
 _KEPT = (
     "n_pieces",
     "extents_mm",
@@ -23,18 +26,32 @@ _KEPT = (
 
 def print_found(result: Reconstruction) -> None:
     """Print what a run found, and keep it for `--json`."""
-    mesh = result.numbers.get("mesh", {})
-    rows(found_lines(mesh))
-    rows(size_lines(mesh))
+    mesh, verdict = result.numbers.get("mesh", {}), result.verdict
+    rows([*found_lines(mesh, verdict), *size_lines(mesh, confidence(verdict))])
     keep({name: mesh[name] for name in _KEPT if name in mesh})
+    if verdict is not None and not_determined(verdict):
+        keep({name: None for name in _KEPT if name in WITHDRAWN})
+        keep({"not_determined": verdict.reason})
     keep({"out": str(result.path), "content": str(result.path / CONTENT_NAME)})
     keep({"report": None if result.report is None else str(result.report)})
 
 
-def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
+def print_verdict(verdict: Verdict | None, *, strict: bool = False) -> int:
+    """Print the verdict, which ends the output of a command, and keep it for `--json`.
+
+    Returns the exit code: EXIT_UNTRUSTED for a result that is not to be trusted, if `strict`.
+    """
+    if verdict is None:
+        return 0
+    rows(list(verdict.lines), style=None if verdict.trust is Trust.RELIABLE else "yellow")
+    keep({"verdict": verdict.numbers()})
+    return EXIT_UNTRUSTED if strict and not_determined(verdict) else 0
+
+
+def found_lines(mesh: Mapping[str, Any], verdict: Verdict | None) -> list[tuple[str, str]]:
     """Name and text of what a run found; [] of a run without a surface.
 
-    mesh: numbers of the stage `mesh` in run.json.
+    mesh: numbers of the stage `mesh` in run.json, as stated.
     """
     if "n_pieces" not in mesh:
         return []
@@ -45,9 +62,13 @@ def found_lines(mesh: Mapping[str, Any]) -> list[tuple[str, str]]:
     )
     pieces = "one object" if n == 1 else f"{n} separate pieces"
     lines = [("found", f"{pieces}, {sides} mm, centre at ({center}) mm")]
-    if "expected_error_median_mm" in mesh:
-        half, most = mesh["expected_error_median_mm"], mesh["expected_error_95_percent_mm"]
-        lines.append(("typical error", f"{half:.1f} mm; 95 % of the surface below {most:.1f} mm"))
+    if "evidence_shares" in mesh:
+        error = not_determined(verdict)
+        if not error:
+            half, most = mesh["expected_error_median_mm"], mesh["expected_error_95_percent_mm"]
+            error = f"{half:.1f} mm; 95 % of the surface below {most:.1f} mm"
+            error += verdict.condition if verdict else ""
+        lines.append(("typical error", error))
         shares = mesh["evidence_shares"]
         text = f"{100 * (1 - shares['seen'] - shares['outline']):.0f} % of the surface"
         if shares["outline"] > 0.005:

@@ -9,7 +9,9 @@ from geraf2.apps.batch import BatchOptions, read_jobs, run
 from geraf2.apps.batch.folder import DONE
 from geraf2.cli._console import err, rows
 from geraf2.cli._fields import Positional
+from geraf2.cli._outcome import EXIT_UNTRUSTED
 from geraf2.cli.reconstruct import defaults
+from geraf2.io.verdict import Trust
 from geraf2.pipeline.presets import BestPreset, PresetConfig
 from geraf2.pipeline.run_record import RunRecord
 
@@ -19,6 +21,8 @@ __all__ = ["Config", "defaults", "main"]
 @dataclass(frozen=True, kw_only=True)
 class Config(BatchOptions):
     """Reconstruct many scenes; run it again to continue where it stopped.
+
+    Exit code 2: a scene failed; with --strict 3: a result is not to be trusted.
 
     For example: geraf2 batch scans/* out --box 0.22 0.22 0.22
     """
@@ -36,6 +40,8 @@ class Config(BatchOptions):
     """As of `geraf2 reconstruct`, and so are its constants."""
     config: Path | None = None
     """config.toml of a run, for all settings but its scene; flags override it."""
+    strict: bool = False
+    """Exit with code 3 if a result is not to be trusted."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
 
 
@@ -48,5 +54,9 @@ def main(config: Config) -> int:
     results = run(jobs, config.out, on_result=lambda result: err.print(result.line), options=config)
     n_failed = sum(result.state != DONE for result in results)
     totals = f"{len(results)} scenes, {len(results) - n_failed} done, {n_failed} failed"
-    rows([("all", totals), ("page", str(config.out / "batch.html"))])
-    return 2 if n_failed else 0
+    counts = {trust: sum(result.verdict == trust for result in results) for trust in Trust}
+    verdicts = ", ".join(f"{count} {trust}" for trust, count in counts.items())
+    judged = [("verdicts", verdicts)] if any(counts.values()) else []
+    rows([("all", totals), *judged, ("page", str(config.out / "batch.html"))])
+    is_strict = config.strict and counts[Trust.NOT_TO_BE_TRUSTED] > 0
+    return 2 if n_failed else EXIT_UNTRUSTED if is_strict else 0

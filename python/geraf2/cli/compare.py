@@ -10,6 +10,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.inspection.compare_runs import compare
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
+from geraf2.cli._outcome import print_verdict
 from geraf2.io.run_folder import COMPARISON_NAME
 
 EXIT_CHANGED = 1
@@ -17,7 +18,9 @@ EXIT_CHANGED = 1
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """What appeared, vanished or moved since reference runs; exit code 1 changed, 2 error.
+    """What appeared, vanished or moved since reference runs.
+
+    Exit code 1: something changed; 2: an input cannot be used; 3: a run is not to be trusted.
 
     Example: geraf2 compare today packed
     """
@@ -54,8 +57,9 @@ def main(config: Config) -> int:
     )
     for change in found.changes:
         say(f"changed  {change}")
-    say(f"result   {'changed' if found.changed else 'unchanged'}")
+    say(f"result   {found.answer}")
     keep(found.to_dict())
     if config.out is not None:
         say(f"page     {config.out / f'{COMPARISON_NAME}.html'}")
-    return EXIT_CHANGED if found.changed else 0
+    untrusted = print_verdict(found.verdict, strict=True)
+    return EXIT_CHANGED if found.changed else untrusted

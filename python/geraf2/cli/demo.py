@@ -9,7 +9,7 @@ from typing import Annotated
 from geraf2._bounds import Arg, Seed
 from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Positional
-from geraf2.cli._outcome import print_found
+from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.cli.evaluate import print_metrics
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -91,4 +91,4 @@ def main(config: Config) -> int:
             ("time", f"{time.perf_counter() - start:.0f} s"),
         ]
     )
-    return 0
+    return print_verdict(result.verdict)

@@ -10,6 +10,7 @@ from geraf2.cli._fields import Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
 from geraf2.io.run_folder import METRICS_NAME
+from geraf2.io.verdict import confidence
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.reconstruction import load_run
 from geraf2.surfaces.isosurface import SurfaceReport
@@ -48,8 +49,9 @@ def main(config: Config) -> int:
         listener=CONSOLE,
     )
     print_metrics(metrics)
-    mesh = load_run(config.out).numbers.get("mesh", {})
-    rows([*size_lines(mesh), ("metrics", str(config.out / METRICS_NAME))])
+    run = load_run(config.out)
+    sizes = size_lines(run.numbers.get("mesh", {}), confidence(run.verdict))
+    rows([*sizes, ("metrics", str(config.out / METRICS_NAME))])
     if config.explain:
         say()
         rows(list(metrics.describe().items()))

@@ -15,7 +15,7 @@ from geraf2.apps.importers._recording import open_recording
 from geraf2.calibration.phase_sign import EVIDENCE_KEY
 from geraf2.cli._console import Threads, keep, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
-from geraf2.cli._outcome import print_found
+from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.errors import UserError
 from geraf2.freespace.coverage import ScanCoverage, summary_coverage
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
@@ -156,7 +156,7 @@ def _show_run(path: Path) -> int:
     scores = ("scores", f"geraf2 evaluate {shown} --truth MESH")
     view = ("in 3D", f"geraf2 view {shown}")
     rows([*page, view, ("against a CAD model", f"geraf2 inspect {shown} --cad PART"), scores])
-    return 0
+    return print_verdict(result.verdict)
 
 
 def _show_bag(config: Config) -> int:

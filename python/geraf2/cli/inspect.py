@@ -7,19 +7,24 @@ from typing import Annotated
 from geraf2._bounds import Arg
 from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
-from geraf2.apps.inspection.material import Measured, material_text
+from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotation_vector_deg
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
+from geraf2.cli._outcome import print_verdict
 from geraf2.io.run_folder import INSPECTION_NAME
+from geraf2.io.text import NOT_DETERMINED
 
 EXIT_FAILED = 3
-"""Of a verdict; 1 is a defect of geraf2."""
+"""Of a result; 1 is a defect of geraf2."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Parts of a run with their sizes, compared with CAD models; exit code 3 fail, 2 error.
+    """Parts of a run with their sizes, compared with CAD models.
+
+    Exit code 2: an input cannot be used; 3: what was required is not there, or cannot be
+    determined because the scan is not to be trusted; with --strict also if nothing was required.
 
     Example: geraf2 inspect OUT --cad bracket.stl --expect 1 --tolerance-mm 3
     """
@@ -33,6 +38,8 @@ class Config:
     out: Path | None = None
     """Folder for inspection.json, inspection.csv and inspection.html; the run folder when not
     given."""
+    strict: bool = False
+    """Exit with code 3 if the scan is not to be trusted."""
     threads: Threads = None
     """Threads to use; all when not given."""
     options: Annotated[InspectOptions, Arg(name="")] = field(default_factory=InspectOptions)
@@ -51,7 +58,7 @@ def main(config: Config) -> int:
         num_threads=config.threads,
         listener=CONSOLE,
     )
-    say(f"{len(found.parts)} in the box  (± holds 95 %)")
+    say(f"{len(found.parts)} in the box  ({found.intervals})")
     for number, part in enumerate(found.parts, 1):
         say(f"part {number}  {part.material.kind}")
         rows(_part(part))
@@ -64,21 +71,23 @@ def main(config: Config) -> int:
     for text in found.failures:
         say(f"fails: {text}")
     nothing = ": nothing was required; --cad and --expect do"
-    say(f"result   {found.verdict}{nothing if found.verdict == NOT_JUDGED else ''}")
+    say(f"result   {found.result}{nothing if found.result == NOT_JUDGED else ''}")
     keep(found.to_dict())
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
-    return EXIT_FAILED if found.verdict == FAIL else 0
+    untrusted = print_verdict(found.verdict, strict=config.strict)
+    return EXIT_FAILED if found.result in (FAIL, NOT_DETERMINED) else untrusted
 
 
 def _part(part: BodyReport) -> list[tuple[str, str]]:
-    lengths = " x ".join(_pm(length, 1e3) for length in part.dimensions_m)
+    lengths = " x ".join(length.text(1e3) for length in part.dimensions_m)
+    exists = NOT_DETERMINED if part.probability is None else f"{100 * part.probability:.0f} %"
     return [
-        _center(part),
+        ("  centre", f"{part.center_text} mm"),
         ("  along x, y, z", " x ".join(f"{1e3 * v:.1f}" for v in part.extents_m) + " mm"),
         ("  along its own axes", f"{lengths} mm"),
-        ("  volume", f"{_pm(part.volume_m3, 1e6)} cm^3"),
-        ("  area", f"{_pm(part.area_m2, 1e4)} cm^2"),
-        ("  exists", f"{100 * part.probability:.0f} %"),
+        ("  volume", f"{part.volume_m3.text(1e6)} cm^3"),
+        ("  area", f"{part.area_m2.text(1e4)} cm^2"),
+        ("  exists", exists),
         ("  material", material_text(part.material)),
         ("  seen", f"{100 * part.seen_fraction:.0f} %"),
     ]
@@ -89,7 +98,7 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
     assert placement is not None  # or there are no rows
     turn = ", ".join(f"{value:z.1f}" for value in rotation_vector_deg(placement.pose))
     found = [
-        _center(report),
+        ("  centre", f"{report.center_text} mm"),
         ("  turn", f"{turn} degrees about x, y, z"),
         ("  misfit", f"{placement.misfit:.2f}, at most {report.match.largest_misfit:.2f} passes"),
         ("  size by CAD", " x ".join(f"{1e3 * v:.1f}" for v in report.model.lengths_m) + " mm"),
@@ -103,12 +112,3 @@ def _model(report: ModelReport) -> list[tuple[str, str]]:
             ("  seen", f"{100 * deviation.seen_fraction:.0f} % of the model"),
         ]
     return found
-
-
-def _center(found: BodyReport | ModelReport) -> tuple[str, str]:
-    pairs = zip(found.center_m, found.center_sigma_m, strict=True)
-    return "  centre", ", ".join(f"{1e3 * v:z.1f} ± {1.96e3 * s:.1f}" for v, s in pairs) + " mm"
-
-
-def _pm(measured: Measured, scale: float) -> str:
-    return f"{scale * measured.value:.1f} ± {1.96 * scale * measured.sigma:.1f}"

@@ -14,7 +14,7 @@ from geraf2.apps.live.target import Target
 from geraf2.apps.viewing.server import LiveView
 from geraf2.cli._console import CONSOLE, Threads, rows, say, warn
 from geraf2.cli._fields import Positional, part_of
-from geraf2.cli._outcome import print_found
+from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.io.toml import read_toml
@@ -25,8 +25,8 @@ from geraf2.pipeline.prior import PriorSource
 class Config(PriorSource, RecordingOptions):
     """Reconstruct a scan while it is made: one line a plane, and OUT is updated after each.
 
-    The same command continues after a stop. For example: geraf2 live SOURCE out --until "expected 1
-    mm over 90 %"
+    The same command continues after a stop. The last lines say how far the result can be trusted.
+    For example: geraf2 live SOURCE out --until "expected 1 mm over 90 %"
     """
 
     source: Positional[Annotated[str, Arg(metavar="SOURCE")]]
@@ -48,6 +48,8 @@ class Config(PriorSource, RecordingOptions):
     """TOML file with radar parameters that a recording lacks; they go before its own."""
     no_report: bool = False
     """Leave out the report."""
+    strict: bool = False
+    """Exit with code 3 if the result is not to be trusted."""
     threads: Threads = None
     """Threads to use; all when not given."""
 
@@ -83,17 +85,17 @@ def main(config: Config) -> int:
     result = found.result
     report = [("report", str(result.report))] if result.report is not None else []
     rows([("content", str(result.path / CONTENT_NAME)), *report])
-    return 0
+    return print_verdict(result.verdict, strict=config.strict)
 
 
 def _show(report: PlaneReport) -> None:
     if report.is_left_out:
         warn(report.problem)
         return
-    found = f"no surface yet: {report.problem}"
-    if report.expected_error_mm is not None and report.seen_share is not None:
-        found = (
-            f"expected error {report.expected_error_mm:.2f} mm  "
-            f"seen {100 * report.seen_share:.0f} %"
-        )
+    found, error_mm = f"no surface yet: {report.problem}", report.expected_error_mm
+    if report.seen_share is not None:
+        error = "not determined" if error_mm is None else f"{error_mm:.2f} mm"
+        found = f"expected error {error}  seen {100 * report.seen_share:.0f} %"
+    if report.verdict is not None:
+        found += f"  {report.verdict.trust}"
     say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")

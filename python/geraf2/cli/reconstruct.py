@@ -10,7 +10,7 @@ from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, warn
 from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
-from geraf2.cli._outcome import print_found
+from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.errors import UserError
 from geraf2.io.objects import is_remote
 from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
@@ -26,7 +26,8 @@ from geraf2.pipeline.run_record import RunOptions, RunRecord
 class Config(RunOptions, PriorSource):
     """Reconstruct the surface of what is hidden in the box; box and content in metres.
 
-    For example: geraf2 reconstruct scene out
+    The last lines say how far the result can be trusted. Exit code 2: an input cannot be used; with
+    --strict 3: the result is not to be trusted. For example: geraf2 reconstruct scene out
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
@@ -47,6 +48,8 @@ class Config(RunOptions, PriorSource):
     """Replace a finished result in OUT that has other settings or is of another scene."""
     no_report: bool = False
     """Leave out the report and its pictures."""
+    strict: bool = False
+    """Exit with code 3 if the result is not to be trusted."""
     open: bool = False
     """Open the report in a browser at the end."""
     threads: Threads = None
@@ -103,7 +106,7 @@ def main(config: Config) -> int:
     page = result.report if config.open else None
     if page is not None and not webbrowser.open(page.resolve().as_uri()):
         warn(f"no browser opened; the report is {page}")
-    return 0
+    return print_verdict(result.verdict, strict=config.strict)
 
 
 # Users' words for each step, and its usual share of the time.

@@ -14,6 +14,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.back_faces import BEHIND_M, seen_first, seen_through_share
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
+from geraf2.io.text import interval_text
 from geraf2.ops.visibility import MeshScene
 
 _MIN_SHARE = 0.1
@@ -86,9 +87,9 @@ def describe(numbers: Mapping[str, Any]) -> str:
     if "permittivity" not in numbers:
         return f"{text}; its permittivity is unknown"
     low, high = (1e3 * value for value in numbers["thickness_m"])
+    permittivity = interval_text(numbers["permittivity"], numbers["permittivity_sigma"], digits=2)
     return (
-        f"{text}; permittivity {numbers['permittivity']:.2f} +- "
-        f"{numbers['permittivity_sigma']:.2f} from {numbers['n_face_pairs']} pairs of faces, "
+        f"{text}; permittivity {permittivity} from {numbers['n_face_pairs']} pairs of faces, "
         f"{low:.0f} to {high:.0f} mm apart"
     )
 

@@ -28,6 +28,7 @@ from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.regular import RECORD_BYTES, read_regular, require_no_links
 from geraf2.io.stage_numbers import check_numbers
 from geraf2.io.text import parse_json
+from geraf2.io.verdict import VERDICT_STAGE, Verdict, stated_numbers
 
 RUN_NAME = "run.json"
 LOG_NAME = "log.jsonl"
@@ -147,6 +148,17 @@ class RunFolder:
         self._is_held = False
         self._known: str | None = None
         """Hash of the record that this one was read from or wrote; None without one."""
+
+    @property
+    def verdict(self) -> Verdict | None:
+        """How far the result can be trusted; None where it was not judged."""
+        record = self.stages.get(VERDICT_STAGE)
+        return Verdict.from_numbers(record.numbers) if record else None
+
+    @property
+    def numbers(self) -> dict[str, dict[str, Any]]:
+        """Numbers of each step, without those that the verdict withdraws."""
+        return {name: stated_numbers(r.numbers, self.verdict) for name, r in self.stages.items()}
 
     @classmethod
     def open(

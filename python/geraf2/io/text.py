@@ -13,6 +13,9 @@ from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.objects import read_bytes
 from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 
+NOT_DETERMINED = "not determined"
+"""Text in place of a value that a scan does not show."""
+
 
 def read_text(path: Path, most: int = TEXT_BYTES) -> str:
     """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
@@ -73,3 +76,18 @@ def csv_rows(rows: Iterable[Sequence[Any]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()
+
+
+def interval_text(
+    value: float, half: float | None, *, digits: int = 1, scale: float | None = None
+) -> str:
+    """Value ± half of its interval; "not determined" if that is larger than the quantity.
+
+    half: None where the interval is withdrawn. scale: size of the quantity in the unit of the
+    value, which it is when None; that of a position is the size of the thing.
+    """
+    if half is None:
+        return f"{value:z.{digits}f}"
+    if not half <= (abs(value) if scale is None else scale):
+        return NOT_DETERMINED
+    return f"{value:z.{digits}f} ± {half:.{digits}f}"

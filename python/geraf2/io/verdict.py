@@ -1,12 +1,24 @@
 """Verdict on a run: how far its result can be trusted, why, and what to do about it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
 VERDICT_STAGE = "verdict"
 """Stage of run.json whose numbers are a verdict."""
+WITHDRAWN = (
+    "expected_error_median_mm",
+    "expected_error_95_percent_mm",
+    "volume_95_percent_cm3",
+    "extents_95_percent_mm",
+    "likely_ghosts",
+    "permittivity",
+    "permittivity_sigma",
+    "thickness_m",
+)
+"""Numbers of stages that say how well the surface agrees with what is in the box: they are not
+stated of a result that is not to be trusted. What describes the mesh itself is."""
 
 
 class Trust(StrEnum):
@@ -54,6 +66,55 @@ class Verdict:
             tests=numbers["tests"],
         )
 
+    @classmethod
+    def joined(cls, verdicts: Mapping[str, "Verdict"]) -> "Verdict | None":
+        """Verdict on what rests on several runs, by their names; None without any."""
+        if not verdicts:
+            return None
+        order = sorted(verdicts, key=lambda name: -verdicts[name].probability_of_failure)
+        right = 1.0
+        for one in verdicts.values():
+            right *= 1.0 - one.probability_of_failure
+        return cls(
+            trust=max((one.trust for one in verdicts.values()), key=list(Trust).index),
+            probability_of_failure=1.0 - right,
+            causes=tuple(
+                replace(cause, text=f"in {name}, {cause.text}")
+                for name in order
+                for cause in verdicts[name].causes
+            ),
+            tests={name: verdicts[name].tests for name in order},
+        )
+
+    @property
+    def likely_wrong(self) -> str:
+        """Probability of failure in words: "97 % likely wrong"."""
+        percent = 100.0 * self.probability_of_failure
+        if percent < 1.0:
+            return "less than 1 % likely wrong"
+        return f"{min(percent, 99.0):.0f} % likely wrong"
+
+    @property
+    def condition(self) -> str:
+        """Clause after what a doubtful result states; empty of other ones."""
+        return f", if the scan is right ({self.likely_wrong})" * (self.trust is Trust.DOUBTFUL)
+
+    @property
+    def lines(self) -> tuple[tuple[str, str], ...]:
+        """Name and text of the verdict, and of its first cause and what to do about it."""
+        found = ("verdict", f"{self.trust} ({self.likely_wrong})")
+        causes = self.causes[:1]
+        because, do = [("because", c.text) for c in causes], [("do", c.action) for c in causes]
+        return (found, *because, *do)
+
+    @property
+    def reason(self) -> str:
+        """First cause."""
+        return self.causes[0].text if self.causes else f"the result is {self.likely_wrong}"
+
+    def __str__(self) -> str:
+        return "; ".join(f"{name}: {text}" for name, text in self.lines)
+
     def numbers(self) -> dict[str, Any]:
         """Numbers of its stage in run.json."""
         return {
@@ -62,3 +123,27 @@ class Verdict:
             "causes": [asdict(cause) for cause in self.causes],
             "tests": dict(self.tests),
         }
+
+
+def confidence(verdict: Verdict | None) -> float:
+    """Factor of the probability of all that a run states: 0 where it is withdrawn, 0 to 1.
+
+    1 for a reliable result, whose intervals were found to hold, and where there is no verdict.
+    """
+    if verdict is None or verdict.trust is Trust.RELIABLE:
+        return 1.0
+    is_withdrawn = verdict.trust is Trust.NOT_TO_BE_TRUSTED
+    return 0.0 if is_withdrawn else 1.0 - verdict.probability_of_failure
+
+
+def not_determined(verdict: Verdict | None) -> str:
+    """Text in place of what a result that is not to be trusted would state; else empty."""
+    if verdict is None or verdict.trust is not Trust.NOT_TO_BE_TRUSTED:
+        return ""
+    return f"not determined, because {verdict.reason}"
+
+
+def stated_numbers(numbers: Mapping[str, Any], verdict: Verdict | None) -> dict[str, Any]:
+    """Numbers of a stage without those that the verdict withdraws."""
+    gone = WITHDRAWN if not_determined(verdict) else ()
+    return {name: value for name, value in numbers.items() if name not in gone}

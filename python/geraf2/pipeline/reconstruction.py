@@ -25,7 +25,7 @@ from geraf2.io.run_folder import (
     SDF_NAME,
     RunFolder,
 )
-from geraf2.io.verdict import VERDICT_STAGE, Verdict
+from geraf2.io.verdict import Verdict
 from geraf2.pipeline.prior import read_prior
 from geraf2.pipeline.run_record import RunRecord
 from geraf2.scene import LosPrior
@@ -56,8 +56,8 @@ class Reconstruction:
         """Record of the run: steps, files, warnings."""
 
     def __repr__(self) -> str:
-        done = ", ".join(self.run.stages)
-        return f"Reconstruction({str(self.path)!r}, scene {self.run.scene_name!r}: {done})"
+        judged = "not judged" if self.verdict is None else str(self.verdict)
+        return f"Reconstruction({str(self.path)!r}, scene {self.run.scene_name!r}; {judged})"
 
     @property
     def path(self) -> Path:
@@ -155,22 +155,25 @@ class Reconstruction:
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
-        """By stage: seconds, cpu_seconds [s], peak_memory_mib [MiB], and numbers of the result."""
+        """By stage: seconds, cpu_seconds [s], peak_memory_mib [MiB], and numbers of the result.
+
+        Of a result that is not to be trusted, expected errors and intervals are left out.
+        """
+        stated = self.run.numbers
         return {
             name: {
                 "seconds": record.seconds,
                 "cpu_seconds": record.cpu_seconds,
                 "peak_memory_mib": record.peak_memory_mib,
-                **record.numbers,
+                **stated[name],
             }
             for name, record in self.run.stages.items()
         }
 
     @property
     def verdict(self) -> Verdict | None:
-        """How far the result can be trusted, and why; None of a run that was not judged."""
-        record = self.run.stages.get(VERDICT_STAGE)
-        return Verdict.from_numbers(record.numbers) if record else None
+        """How far the result can be trusted, why, and what to do; None where it was not judged."""
+        return self.run.verdict
 
     @property
     def report(self) -> Path | None:

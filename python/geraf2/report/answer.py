@@ -11,6 +11,8 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.transparency import describe
 from geraf2.geometry.triangles import vertex_areas, vertex_normals, volume_centroid_m
 from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.io.text import NOT_DETERMINED
+from geraf2.io.verdict import Verdict, confidence, not_determined
 from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
 from geraf2.surfaces.pieces import ghost_texts
@@ -20,9 +22,6 @@ from geraf2.surfaces.samples import size_lines
 _END_REACH_M = 0.0015
 # Normals within 45 degrees of the vertical face up or down.
 _STEEP_COSINE = float(np.sqrt(0.5))
-# Texts of stages that sections of their own show.
-_SHOWN_ELSEWHERE = {("calibration", "applied"), ("calibration", "left")}
-_WORDS = {"by_radar": "box by radar", "no_outlines": "no outlines from shadows"}
 _MIN_SHARE = 0.005  # that is named
 _ENDS = (("-x", "+x"), ("-y", "+y"), ("bottom", "top"))
 
@@ -53,8 +52,8 @@ class Answer:
     """Scores against the truth, (name, value)."""
     corrected: tuple[str, ...] = ()
     """Names of the effects that calibration corrected."""
-    remarks: tuple[str, ...] = ()
-    """Further results of the stages."""
+    notes: tuple[str, ...] = ()
+    """Sentences on a box that the radar found, and on content that is a dielectric."""
 
 
 def answer_of(
@@ -62,37 +61,30 @@ def answer_of(
     glints: Glints | None,
     numbers: Mapping[str, Mapping[str, Any]],
     metrics: Mapping[str, Any],
+    verdict: Verdict | None = None,
 ) -> Answer:
     """Summarise a run.
 
     content, glints: results of the run; None where missing.
-    numbers: results of each stage, by its name.
+    numbers: results of each stage, by its name, without those that the verdict withdraws.
     metrics: scores against the truth, if any.
     """
     applied = numbers.get("calibration", {}).get("applied", ())
     corrected = tuple(str(text).partition(":")[0] for text in applied)
-    remarks = (*_labels(numbers), *_remarks(numbers))
+    box, inside = numbers.get("box", {}).get("by_radar", ""), describe(numbers.get("glints", {}))
+    notes = tuple(f"{text[0].upper()}{text[1:]}." for text in (box, inside) if text)
     if content is None:
         found = "Nothing has been reconstructed in this folder yet."
-        return Answer(found=found, corrected=corrected, remarks=remarks)
+        return Answer(found=found, corrected=corrected, notes=notes)
     if not content.faces.shape[0]:
         found = "Nothing was found in the box: the surface is empty."
-        return Answer(found=found, corrected=corrected, remarks=remarks)
+        return Answer(found=found, corrected=corrected, notes=notes)
     report = surface_report(content)
     seen = seen_vertices(content, glints)
-    cards = [_size(content, report, dict(size_lines(numbers.get("mesh", {}))))]
+    sizes = dict(size_lines(numbers.get("mesh", {}), confidence(verdict)))
+    cards = [_size(content, report, sizes)]
     if content.expected_error_m is not None:
-        most = 1e3 * typical_error_m(content, 0.95)
-        cards.append(
-            Card(
-                title="How sure",
-                value=f"{1e3 * typical_error_m(content):.1f} mm",
-                lines=(
-                    "Typical expected error, one standard deviation: half of the surface is below "
-                    f"it, 95 % below {most:.1f} mm.",
-                ),
-            )
-        )
+        cards.append(_certainty_card(content, verdict))
     if seen is not None:
         outlines = bool(numbers.get("selection", {}).get("outlines"))
         cards.append(_unseen_card(content, seen, outlines))
@@ -101,7 +93,7 @@ def answer_of(
         cards=tuple(cards),
         scores=tuple(_scores(metrics)) if "scores" in metrics else (),
         corrected=corrected,
-        remarks=remarks,
+        notes=notes,
     )
 
 
@@ -116,6 +108,22 @@ def _size(content: TriangleMesh, report: SurfaceReport, intervals: Mapping[str, 
     elif report.volume_m3 is not None:
         lines.append(f"Volume {1e6 * report.volume_m3:.0f} cm³.")
     return Card(title="Size", value=_sides(content), lines=tuple(lines))
+
+
+def _certainty_card(content: TriangleMesh, verdict: Verdict | None) -> Card:
+    """Card of the expected error."""
+    title, why = "How sure", not_determined(verdict)
+    if why:
+        hint = "The expected errors in the mesh, and their colours here, do not hold."
+        why = why.removeprefix(f"{NOT_DETERMINED}, b")
+        return Card(title=title, value=NOT_DETERMINED, lines=(f"B{why}.", hint))
+    most, condition = 1e3 * typical_error_m(content, 0.95), verdict.condition if verdict else ""
+    line = "Typical expected error, one standard deviation: half of the surface is below it, 95 %"
+    return Card(
+        title=title,
+        value=f"{1e3 * typical_error_m(content):.1f} mm",
+        lines=(f"{line} below {most:.1f} mm{condition}.",),
+    )
 
 
 def _unseen_card(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:
@@ -176,14 +184,6 @@ def _scores(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
     return items
 
 
-def _labels(numbers: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    counts = numbers.get("glints", {}).get("labels")
-    if not counts:
-        return []
-    each = ", ".join(f"{n:,} {label.replace('_', ' ')}" for label, n in counts.items())
-    return [f"Labels of the {sum(counts.values()):,} peaks at the ranges of the box: {each}."]
-
-
 def _describe_unseen_sides(content: TriangleMesh, not_seen: Bools) -> list[str]:
     """Sentence on the directions that were not seen."""
     areas = vertex_areas(content.vertices, content.faces)
@@ -226,18 +226,3 @@ def _ends(content: TriangleMesh, seen: Bools, has_outlines: bool) -> list[str]:
 
 def _join_words(parts: Sequence[str]) -> str:
     return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
-
-
-def _remarks(numbers: Mapping[str, Mapping[str, Any]]) -> tuple[str, ...]:
-    """Sentences in the results of stages, without those of the calibration table."""
-    remarks: list[str] = []
-    if made_of := describe(numbers.get("glints", {})):
-        remarks.append(f"{made_of[0].upper()}{made_of[1:]}.".replace("+- ", "± "))
-    for stage, values in numbers.items():
-        for key, value in values.items():
-            if (stage, key) in _SHOWN_ELSEWHERE or not value:
-                continue
-            texts = [value] if isinstance(value, str) else value if isinstance(value, list) else []
-            words = _WORDS.get(key, key.replace("_", " "))
-            remarks += [f"{words}: {text}" for text in texts if isinstance(text, str)]
-    return tuple(remarks)

@@ -22,6 +22,7 @@ from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.io.text import read_text
+from geraf2.io.verdict import Verdict, not_determined, stated_numbers
 from geraf2.report import html, run_sections
 from geraf2.report.answer import Answer, answer_of
 from geraf2.report.figures import (
@@ -87,6 +88,8 @@ class RunArtefacts:
     """Corners of the planes of antennas, `planes.json`, (n_planes, 4, 3) [m]."""
     scene: tuple[str, str] = ("", "")
     """Name and digest of the scene."""
+    verdict: Verdict | None = None
+    """How far the result can be trusted."""
 
     @property
     def surface(self) -> TriangleMesh | None:
@@ -95,8 +98,8 @@ class RunArtefacts:
 
     @property
     def numbers(self) -> dict[str, dict[str, Any]]:
-        """Results of each stage."""
-        return {name: record.numbers for name, record in self.stages.items()}
+        """Results of each stage, without those that the verdict withdraws."""
+        return {n: stated_numbers(done.numbers, self.verdict) for n, done in self.stages.items()}
 
 
 def read_run(run_dir: AnyPath) -> RunArtefacts:
@@ -119,6 +122,7 @@ def read_run(run_dir: AnyPath) -> RunArtefacts:
         silhouettes=Silhouettes.load(shadows) if shadows else None,
         planes_m=load_planes(folder / run_folder.PLANES_NAME).corners_m,
         scene=(run.scene_name, run.scene_digest),
+        verdict=run.verdict,
     )
 
 
@@ -158,10 +162,9 @@ def write_report(
     if run.surface is not None:
         view = scene_json(_view(run, folder, copy, heatmap, num_threads))
     pictures = _draw(run, figures, kept, truth, heatmap, num_threads)
-    answer = answer_of(run.content, run.glints, run.numbers, run.metrics)
+    answer = answer_of(run.content, run.glints, run.numbers, run.metrics, run.verdict)
     sections = [
         Section("answer", "What was found", kind="answer", note=_NO_VIEW),
-        *run_sections.remarks(answer),
         *pictures,
         *_evaluation(run, folder, answer),
         *_renderings(folder),
@@ -177,6 +180,7 @@ def write_report(
     page = html.render_template(
         "run.html",
         title=f"geraf2: {name or folder.resolve().name}",
+        verdict=run.verdict,
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
         answer=answer,
@@ -197,7 +201,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     return html.render_template(
         "view_page.html",
         title=f"geraf2: {folder.resolve().name}",
-        views=[("", scene_json(scene))],
+        views=[("", scene_json(scene), run.verdict)],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
         is_tall=False,
     )
@@ -308,6 +312,7 @@ def _draw(
         colour = "grey: the mesh has no expected errors"
         if content.expected_error_m is not None:
             colour = "coloured by expected error, one standard deviation"
+            colour += ", which does not hold here" if not_determined(run.verdict) else ""
         note = f"The content from four sides, {colour}{beside}; no perspective."
         add("surface", "Surface", figures / "mesh.png", note)
     if content is not None and truth is not None:

@@ -18,7 +18,6 @@ from geraf2.io.text import parse_json
 from geraf2.io.text import read_object as read_json
 from geraf2.io.toml import parse_toml
 from geraf2.report import html
-from geraf2.report.answer import Answer
 from geraf2.surfaces.expected_error import SupportModel
 from geraf2.surfaces.isosurface import surface_report
 
@@ -138,15 +137,6 @@ def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
         f"After the training the surface was moved {side} by {abs(inward_mm):.1f} mm{less}, to the "
         f"depth of the {n_glints} brightest echoes."
     )
-
-
-def remarks(answer: Answer) -> list[Section]:
-    """Section of further results of the stages; empty without any."""
-    if not answer.remarks:
-        return []
-    parts = (html.part("remarks", answer.remarks),)
-    note = "Results of single steps of the run."
-    return [Section("remarks", "Remarks", note=note, parts=parts)]
 
 
 def tables(

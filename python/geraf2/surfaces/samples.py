@@ -11,6 +11,7 @@ from geraf2._types import AnyPath, Floats
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_normals
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import TriangleMesh
+from geraf2.io.text import interval_text
 
 NORMAL_95 = 1.96
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""
@@ -91,18 +92,23 @@ class SurfaceSamples(Short):
         }
 
 
-def size_lines(numbers: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Name and text of each size of a run with its 95 % interval; [] without intervals.
+def size_lines(numbers: Mapping[str, Any], confidence: float = 1.0) -> list[tuple[str, str]]:
+    """Name and text of each size of a run with its interval; [] without intervals.
 
-    numbers: entry of the stage `mesh` in run.json.
+    numbers: entry of the stage `mesh` in run.json. confidence: probability that the run is right,
+    by which that of the intervals, 95 %, is multiplied.
     """
     if "volume_95_percent_cm3" not in numbers:
         return []
-    low, high = numbers["volume_95_percent_cm3"]
-    pairs = zip(numbers["extents_mm"], numbers["extents_95_percent_mm"], strict=True)
-    sides = " x ".join(f"{side:.1f} ± {0.5 * (high - low):.1f}" for side, (low, high) in pairs)
+    sides = " x ".join(map(_with_half, numbers["extents_mm"], numbers["extents_95_percent_mm"]))
+    volume = _with_half(numbers["volume_cm3"], numbers["volume_95_percent_cm3"])
+    share = f"({95.0 * confidence:.0f} %)"
     return [
-        ("size x, y, z", f"{sides} mm (95 %)"),
-        ("volume", f"{numbers['volume_cm3']:.1f} ± {0.5 * (high - low):.1f} cm^3 (95 %)"),
+        ("size x, y, z", f"{sides} mm {share}"),
+        ("volume", f"{volume} cm^3 {share}"),
         ("shared offset", f"one sigma {numbers['common_offset_sigma_mm']:.2f} mm, included"),
     ]
+
+
+def _with_half(value: float, interval: tuple[float, float]) -> str:
+    return interval_text(value, 0.5 * (interval[1] - interval[0]))

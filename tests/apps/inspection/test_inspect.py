@@ -37,7 +37,7 @@ def test_parts_are_judged_by_their_number_alone_where_it_is_required(listed, cap
         assert main(["inspect", str(run), *flags]) == code
         assert line in capsys.readouterr().out
     found = json.loads((run / "inspection.json").read_text())
-    assert (found["verdict"], len(found["failures"])) == ("fail", 1)
+    assert (found["result"], len(found["failures"])) == ("fail", 1)
     assert verify(run).kind == "run"
 
 
@@ -46,7 +46,7 @@ def test_a_flat_body_beside_another_is_one_part(tmp_path):
     flat = block((0.05, 0.04, 0.006), (-0.03, 0.0, 0.0))
     run = run_of(tmp_path / "run", flat, SMALL, has_glints=True)
     found = geraf2.inspect(run, expect=2, write=False)
-    assert (found.verdict, len(found.parts), found.notes) == ("pass", 2, ())
+    assert (found.result, len(found.parts), found.notes) == ("pass", 2, ())
 
 
 def test_a_model_is_found_and_files_give_its_pose(listed, tmp_path, capsys):
@@ -57,7 +57,7 @@ def test_a_model_is_found_and_files_give_its_pose(listed, tmp_path, capsys):
         assert text in shown
     found = json.loads((out / "inspection.json").read_text())
     (model,) = found["models"]
-    assert (found["verdict"], model["name"], model["status"]) == ("pass", "wedge", "present")
+    assert (found["result"], model["name"], model["status"]) == ("pass", "wedge", "present")
     assert len(found["parts"][0]["extents_m"]) == len(model["lengths_m"]) == 3
     assert (model["unit"], model["part"], model["regions"]) == ("mm", 1, [])
     corner = np.array([0.007, 0.007, 0.007])  # of the model's frame, where the wedge has its middle

@@ -57,6 +57,14 @@ class JobResult:
     numbers: dict[str, float] = field(default_factory=dict)
     """Of the mesh: typical expected error, and how much of it was not seen; of a parcel: where it
     lay on its belt, and how it moved."""
+    verdict: str = ""
+    """How far the result can be trusted; empty where it was not judged."""
+    probability_of_failure: float | None = None
+    """Probability that it is wrong, 0 to 1; None where it was not judged."""
+    because: str = ""
+    """First cause of doubt."""
+    do: str = ""
+    """What to do about it."""
     warnings: tuple[str, ...] = ()
     log_tail: tuple[str, ...] = ()
     """End of the traceback of a defect."""
@@ -70,8 +78,9 @@ class JobResult:
 
     @property
     def line(self) -> str:
-        """Scene, state and error."""
-        return ": ".join(filter(None, (self.scene, self.state, self.error)))
+        """Scene, state, error and verdict."""
+        parts = (self.scene, self.state, self.error, self.verdict, self.because)
+        return ": ".join(filter(None, parts))
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,11 @@ from geraf2.io.atomic import write_text_atomic
 from geraf2.io.objects import is_file
 from geraf2.io.run_folder import CONTENT_NAME, REPORT_NAME, RUN_NAME
 from geraf2.io.text import csv_text
+from geraf2.io.verdict import Trust
 from geraf2.report import html
 
 TO_DO = "to do"
+_JUDGED = ("verdict", "probability_of_failure", "because", "do")
 # Share of the time of a running batch that is spent on its page.
 _TIME_SHARE = 0.02
 # Field of a record, of its numbers or scores; title on the page, where it has one; digits.
@@ -65,7 +67,7 @@ class Pages:
         if self.n_latest is None:
             order = "Failed scenes come first"
             rows.sort(key=lambda row: {TO_DO: 1, DONE: 2}.get(row["state"], 0))
-        head = ["scene", "state", "preset", *(name for name, _, _ in self.numbers)]
+        head = ["scene", "state", *_JUDGED, "preset", *(name for name, _, _ in self.numbers)]
         head += ["warnings", "error", "worker", "run"]
         table = csv_text(head, [[row[name] for name in head] for row in rows])
         write_text_atomic(self.out / f"{self.stem}.csv", table)
@@ -84,10 +86,10 @@ class Pages:
             for name, _, digits in self.numbers
             if name in found
         }
-        about = ("preset", "error", "worker")
+        about = ("preset", "error", "worker", *_JUDGED)
         return {
             **row,
-            **{name: found.get(name, "") for name in about},
+            **{name: "" if (v := found.get(name)) is None else v for name in about},
             "scene": paths.scene,
             "state": found.get("state", TO_DO),
             "warnings": str(len(found["warnings"])) if found else "",
@@ -101,6 +103,7 @@ class Pages:
         used = [e for e in self.numbers if e[1] and any(row[e[0]] for row in rows)]
         titles = [title for _, title, _ in used]
         n_done, n_to_do = states.count(DONE), states.count(TO_DO)
+        trusts = [row["verdict"] for row in rows]
         return html.render_template(
             "batch.html",
             title=self.title,
@@ -109,11 +112,12 @@ class Pages:
             facts=[
                 ("scenes", len(rows)),
                 ("done", n_done),
+                *((trust, trusts.count(trust)) for trust in Trust if any(trusts)),
                 ("failed", len(rows) - n_done - n_to_do),
                 (TO_DO, n_to_do),
             ],
             numbers=titles,
-            heads=["scene", "state", *titles, "warnings", "error"],
+            heads=["scene", "state", "verdict", *titles, "warnings", "error"],
             states=sorted(set(states)),
             jobs=[
                 {

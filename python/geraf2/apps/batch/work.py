@@ -68,6 +68,8 @@ def _make_result(
     wall, cpu = time.perf_counter(), time.process_time()
     scores = _reconstruct(job, run, paths.picture, num_threads, report)
     record = RunFolder.read(run)
+    judged = record.verdict
+    cause = judged.causes[0] if judged is not None and judged.causes else None
     return JobResult(
         key=paths.key,
         scene=paths.scene,
@@ -79,6 +81,10 @@ def _make_result(
         peak_memory_mib=round(_peak_bytes() / 2**20, 1),
         scores=scores,
         numbers=_mesh_numbers(record),
+        verdict="" if judged is None else str(judged.trust),
+        probability_of_failure=None if judged is None else judged.probability_of_failure,
+        because="" if cause is None else cause.text,
+        do="" if cause is None else cause.action,
         warnings=tuple(record.warnings),
     )
 
@@ -94,13 +100,13 @@ def _worker() -> str:
 
 def _mesh_numbers(run: RunFolder) -> dict[str, float]:
     """Return what is known of a mesh without its truth; empty where its preset has no errors."""
-    known = run.stages["mesh"].numbers if "mesh" in run.stages else {}
-    if "expected_error_median_mm" not in known:
+    known = run.numbers.get("mesh", {})
+    if "evidence_shares" not in known:
         return {}
-    return {
-        "typical_error_mm": float(known["expected_error_median_mm"]),
-        "not_seen_percent": round(100.0 * known["evidence_shares"].get("not_seen", 0.0), 2),
-    }
+    found = {"not_seen_percent": round(100.0 * known["evidence_shares"].get("not_seen", 0.0), 2)}
+    if "expected_error_median_mm" in known:
+        found["typical_error_mm"] = float(known["expected_error_median_mm"])
+    return found
 
 
 def _reconstruct(

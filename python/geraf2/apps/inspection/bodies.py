@@ -1,7 +1,8 @@
 """Parts of the content: position, size, volume and area, each with an uncertainty."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from geraf2.geometry.triangles import (
     volume_centroid_m,
 )
 from geraf2.io.mesh import Evidence, TriangleMesh
+from geraf2.io.text import interval_text
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.expected_error import nearness
 
@@ -78,8 +80,8 @@ class BodyReport:
 
     center_m: tuple[float, float, float]
     """Centroid of its volume, in the capture's frame [m]."""
-    center_sigma_m: tuple[float, float, float]
-    """Standard uncertainty of that, per coordinate [m]."""
+    center_sigma_m: tuple[float, float, float] | None
+    """Standard uncertainty of that, per coordinate [m]; None as those of lengths."""
     axes: tuple[tuple[float, float, float], ...]
     """Unit vectors of the smallest box around it, the longest side first."""
     extents_m: tuple[float, float, float]
@@ -92,10 +94,39 @@ class BodyReport:
     """Area of its surface [m^2]."""
     seen_fraction: float
     """Share of its area that was seen."""
-    probability: float
-    """That it exists, and is no ghost."""
+    probability: float | None
+    """That it exists, and is no ghost; None of a scan that is not to be trusted."""
     material: Material
     """What it is made of."""
+
+    @property
+    def center_text(self) -> str:
+        """Centre with its interval [mm]."""
+        return position_text(self.center_m, self.center_sigma_m, max(self.extents_m))
+
+    def weighed(self, share: float) -> "BodyReport":
+        """Weigh what is known by the probability that the scan is right; at 0 nothing is."""
+        found = replace(self, material=self.material.weighed(share))
+        if share > 0.0:
+            return replace(found, probability=share * (self.probability or 0.0))
+        one, two, three = (replace(length, sigma=None) for length in self.dimensions_m)
+        return replace(
+            found,
+            probability=None,
+            center_sigma_m=None,
+            dimensions_m=(one, two, three),
+            volume_m3=replace(self.volume_m3, sigma=None),
+            area_m2=replace(self.area_m2, sigma=None),
+        )
+
+
+def position_text(center_m: Iterable[float], sigma_m: Iterable[float] | None, size_m: float) -> str:
+    """Coordinates with their intervals [mm]; size_m: of the thing, which bounds an interval."""
+    sigmas = repeat(None) if sigma_m is None else sigma_m
+    return ", ".join(
+        interval_text(1e3 * v, None if s is None else 1.96e3 * s, scale=1e3 * size_m)
+        for v, s in zip(center_m, sigmas, strict=False)
+    )
 
 
 def body_of(

@@ -26,6 +26,7 @@ from geraf2.io.mesh import read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.points import read_cloud
 from geraf2.io.run_folder import BOX_NAME, PEAKS_NAME, PLANES_NAME, PRIOR_NAME
+from geraf2.io.verdict import Verdict
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
@@ -77,7 +78,8 @@ def compare(
     Returns
     -------
     Comparison
-        Changes with their probabilities, middles (3,) and sizes [m].
+        Changes with their probabilities, middles (3,) and sizes [m]; none, and `changed` None,
+        where one of the runs is not to be trusted.
 
     Raises
     ------
@@ -132,7 +134,8 @@ def compare(
         turn_deg=float(np.rad2deg(Rotation.from_matrix(poses[0][:3, :3]).magnitude())),
         compared_fraction=min(shares),
         tolerance_m=1e-3 * tolerance_mm,
-    )
+        verdict=Verdict.joined({str(r.path): r.verdict for r in (here, *others) if r.verdict}),
+    ).weighed()
     if out is not None:
         with listener.step("drawing the page"):
             back = inverse_rigid(poses[0][:3, :3], poses[0][:3, 3])

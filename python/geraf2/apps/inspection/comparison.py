@@ -26,6 +26,8 @@ from geraf2.apps.inspection.scan_evidence import (
 )
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
+from geraf2.io.text import NOT_DETERMINED, interval_text
+from geraf2.io.verdict import Verdict, confidence, not_determined
 
 _N_STEPS, _STEP = 6, 1e-4
 """Steps of the registration; it ends at a step of this size [m], [rad]."""
@@ -67,11 +69,16 @@ class Change:
     probability: float
     """That it changed by more than the tolerance, 0 to 1."""
 
+    @property
+    def size_text(self) -> str:
+        """How far it moved, or its length, with its interval [mm]."""
+        return interval_text(1e3 * self.size_m, 1.96e3 * self.sigma_m)
+
     def __str__(self) -> str:
         """Return the change in words."""
         at = ", ".join(f"{1e3 * x:z.0f}" for x in self.center_m)
         kind = "a part" if self.is_body else "surface"
-        size = f"{1e3 * self.size_m:.1f} ± {1.96e3 * self.sigma_m:.1f} mm"
+        size = f"{self.size_text} mm" if self.size_text != NOT_DETERMINED else "an unknown length"
         by = f"by {size}" if self.what == "moved" else f"{size} long"
         return f"{kind} {self.what}, {by}, at ({at}) mm, {100 * self.probability:.1f} %"
 
@@ -93,20 +100,41 @@ class Comparison:
     """Least share of the run's glints that the planes of a reference should see, 0 to 1."""
     tolerance_m: float
     """Largest change that is none [m]."""
+    verdict: Verdict | None = None
+    """How far the runs can be trusted together; None where none was judged."""
 
     @property
-    def changed(self) -> bool:
-        """Whether anything changed."""
-        return bool(self.changes)
+    def changed(self) -> bool | None:
+        """Whether anything changed; None where a run is not to be trusted."""
+        return None if not_determined(self.verdict) else bool(self.changes)
+
+    @property
+    def answer(self) -> str:
+        """`changed`, `unchanged`, or why that is not determined."""
+        word = not_determined(self.verdict) or ("changed" if self.changed else "unchanged")
+        return word + (self.verdict.condition if self.verdict else "")
+
+    def weighed(self) -> "Comparison":
+        """Weigh the changes by the probability that the runs are right.
+
+        There are none of runs that are not to be trusted.
+        """
+        share = confidence(self.verdict)
+        changes = [replace(c, probability=share * c.probability) for c in self.changes if share]
+        return replace(self, changes=tuple(changes))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, SI units."""
+        known = asdict(replace(self, verdict=None))
+        if self.changed is None:
+            known |= {"changes": None, "not_determined": self.verdict and self.verdict.reason}
         return {
             "format": "geraf2-comparison",
             "format_version": 1,
             "generator": f"geraf2 {__version__}",
             "changed": self.changed,
-            **asdict(self),
+            **known,
+            "verdict": self.verdict and self.verdict.numbers(),
         }
 
 

@@ -65,7 +65,9 @@ def write_comparison(
         values=marks.astype(np.float64),
         classes=tuple(_KINDS),
         colours=tuple(colours),
-        note="Of the run; what vanished is a surface of its own, from the reference.",
+        note="Of the run; what vanished is a surface of its own, from the reference."
+        if found.changed is not None
+        else "Whether anything changed is not determined.",
     )
     scene = view_scene(
         mesh, [classes], Around(box=box, others=others if len(gone.faces) else others[1:])

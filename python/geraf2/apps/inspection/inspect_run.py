@@ -38,6 +38,7 @@ from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
 from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
+from geraf2.io.verdict import confidence
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
@@ -117,7 +118,8 @@ def inspect(
     -------
     Inspection
         Parts with positions and lengths [m], models with poses (4, 4) and deviations [m], and the
-        verdict.
+        result. Of a scan that is not to be trusted, no model is compared, and it is not determined
+        which parts exist, what they are made of, and how large they are.
 
     Raises
     ------
@@ -130,7 +132,7 @@ def inspect(
     Examples
     --------
     >>> answer = geraf2.inspect(geraf2.examples.small_run(), write=False)
-    >>> answer.verdict, answer.parts[0].volume_m3.value > 0
+    >>> answer.result, answer.parts[0].volume_m3.value > 0
     ('not judged', True)
     """
     listener, options = listener or Listener(), options or InspectOptions()
@@ -140,13 +142,17 @@ def inspect(
     (whole, pieces), glints = content_of(result), result.glints
     tolerance_m, bodies, matches = 1e-3 * options.tolerance_mm, pieces, list[Match]()
     models, planes = _models(cad, [*pieces, whole], options, contents), _planes(result.path)
+    has_criteria, share = bool(models) or expect is not None, confidence(result.verdict)
+    if not share:
+        models, contents, expect = [], None, None
     if models:
         bodies, matches = _match_models(models, Content(pieces, whole, glints), options, listener)
     notes = [_CUT] if len(bodies) > len(pieces) else []
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=add_reflectivity(whole.mesh, levels))
-        parts = tuple(map(measure, bodies, materials_of(bodies, levels, returns_of(result))))
+        measured = map(measure, bodies, materials_of(bodies, levels, returns_of(result)))
+        parts = tuple(part.weighed(share) for part in measured)
     patches: dict[int, Patches] = {}
     if any(match.placement is not None for match in matches):
         with listener.step("comparing expected echoes"):
@@ -167,7 +173,8 @@ def inspect(
         notes=(*notes, *more, *_rival_notes(reports, models), *_notes(reports, bodies, options)),
         tolerance_m=tolerance_m,
         scene=(result.run.scene_name, result.run.scene_digest),
-        has_criteria=bool(models) or expect is not None,
+        has_criteria=has_criteria,
+        verdict=result.verdict,
     )
     if write:
         _write(inspection, result, bodies, whole, out, listener)

@@ -1,8 +1,13 @@
 """What a part may be made of, and values with an uncertainty."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Literal
 
+from geraf2.io.text import NOT_DETERMINED, interval_text
+
+CERTAIN = 0.95
+"""Least probability of a material that is named."""
 Kind = Literal["metal", "plastic", "not determined"]
 
 
@@ -12,8 +17,14 @@ class Measured:
 
     value: float
     """In the unit of its name."""
-    sigma: float
-    """Standard uncertainty, in the same unit; 95 % of errors are below 1.96 of it."""
+    sigma: float | None
+    """Standard uncertainty, in the same unit; 95 % of errors are below 1.96 of it. None of a scan
+    that is not to be trusted."""
+
+    def text(self, factor: float = 1.0, *, digits: int = 1, scale: float | None = None) -> str:
+        """Value times a factor, with its interval; see `geraf2.io.text.interval_text`."""
+        half = None if self.sigma is None else 1.96 * factor * self.sigma
+        return interval_text(factor * self.value, half, digits=digits, scale=scale)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +44,14 @@ class Material:
     n_returns: int
     """Returns with a level."""
 
+    def weighed(self, share: float) -> "Material":
+        """Weigh what is known by the probability that the scan is right; at 0 nothing is."""
+        metal = 0.5 + share * (self.metal_probability - 0.5)
+        if max(metal, 1.0 - metal) >= CERTAIN or self.kind == UNKNOWN.kind:
+            known = self if share > 0.0 else UNKNOWN
+            return replace(known, metal_probability=metal)
+        return replace(UNKNOWN, metal_probability=metal)
+
 
 UNKNOWN = Material(
     kind="not determined",
@@ -48,13 +67,13 @@ def material_text(material: Material) -> str:
     """Material with the odds and the numbers that it rests on."""
     p = material.metal_probability
     texts = [f"{material.kind} ({100 * max(p, 1.0 - p):.0f} %)"]
-    if material.kind == "not determined":
-        texts = [str(material.kind)]
+    if material.kind == NOT_DETERMINED:
+        texts = [NOT_DETERMINED]
     level, permittivity = material.reflectivity_db, material.permittivity
     if level is not None:
-        texts.append(f"{level.value:.1f} ± {1.96 * level.sigma:.1f} dB against metal")
+        texts.append(f"{level.text(scale=math.inf)} dB against metal")  # a level has no size
     if permittivity is not None:
-        texts.append(f"permittivity {permittivity.value:.2f} ± {1.96 * permittivity.sigma:.2f}")
+        texts.append(f"permittivity {permittivity.text(digits=2)}")
     elif material.kind == "plastic":
         texts.append("permittivity cannot be determined")
     if material.thickness_m is not None:

@@ -15,7 +15,7 @@ from scipy.special import expit
 
 from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
-from geraf2.apps.inspection.material import Kind, Material, Measured
+from geraf2.apps.inspection.material import CERTAIN, Kind, Material, Measured
 from geraf2.echoes import Glints
 from geraf2.echoes.back_faces import BEHIND_M, find_crossings
 from geraf2.echoes.labels import Label
@@ -51,8 +51,6 @@ _OUTLIERS = 0.01
 """Share of parts that are not as their population."""
 _LIKELY = 0.15
 """Least probability of a return that may have passed through a part."""
-_CERTAIN = 0.95
-"""Least probability of a material that is named."""
 _MIN_GLINTS = 20
 """Fewest returns from which a level is taken."""
 _LARGEST_SIGMA_DB = 4.0
@@ -247,7 +245,7 @@ def log_odds_of_metal(level: Measured | None, passed_share: float) -> float:
     if np.isfinite(passed_share):
         metal = np.exp(-passed_share / _METAL_SHARE) / _METAL_SHARE
         odds = float(np.log((1.0 - _OUTLIERS) * metal + _OUTLIERS))
-    if level is None:
+    if level is None or level.sigma is None:
         return odds
     metal_sigma, plastic_sigma = np.hypot([_METAL_SIGMA_DB, _PLASTIC_SIGMA_DB], level.sigma)
     metal_off = (level.value - _METAL_DB) / metal_sigma
@@ -301,7 +299,7 @@ def _material(
 ) -> Material:
     metal = float(expit(log_odds_of_metal(level, passed_share)))
     kind: Kind = "not determined"
-    if max(metal, 1.0 - metal) >= _CERTAIN:
+    if max(metal, 1.0 - metal) >= CERTAIN:
         kind = "metal" if metal > 0.5 else "plastic"
     inside = levels if kind == "plastic" else None
     return Material(

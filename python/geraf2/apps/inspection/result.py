@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from itertools import combinations
+from itertools import combinations, repeat
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from geraf2 import __version__
 from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
-from geraf2.apps.inspection.bodies import BodyReport
+from geraf2.apps.inspection.bodies import BodyReport, position_text
 from geraf2.apps.inspection.deviation import Deviation, list_regions
 from geraf2.apps.inspection.expected import swap_text
 from geraf2.apps.inspection.matching import Match
@@ -18,7 +18,8 @@ from geraf2.apps.inspection.models import CadModel
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import volume_centroid_m
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
-from geraf2.io.text import csv_text
+from geraf2.io.text import NOT_DETERMINED, csv_text
+from geraf2.io.verdict import Verdict, confidence, not_determined
 
 PASS, FAIL, NOT_JUDGED = "pass", "fail", "not judged"
 # What a model that is not as it should be is.
@@ -57,6 +58,11 @@ class ModelReport:
         assert self.match.placement is not None  # as above
         return np.sqrt(np.diag(self.match.placement.covariances_at(self.center_m[None])[0]))
 
+    @property
+    def center_text(self) -> str:
+        """Centre with its interval [mm]."""
+        return position_text(self.center_m, self.center_sigma_m, max(self.model.lengths_m))
+
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Inspection(Short):
@@ -76,22 +82,37 @@ class Inspection(Short):
     """Name and digest of the scene."""
     has_criteria: bool = True
     """Whether anything was required: models, or a number of parts."""
+    verdict: Verdict | None = None
+    """How far the scan can be trusted; None where it was not judged."""
 
     @property
-    def verdict(self) -> str:
-        """`pass`, `fail`, or `not judged` where nothing was required."""
+    def result(self) -> str:
+        """`pass`, `fail`, `not judged` where nothing was required, or `not determined`.
+
+        Nothing is determined of a scan that is not to be trusted.
+        """
         if not self.has_criteria:
             return NOT_JUDGED
+        if not_determined(self.verdict):
+            return NOT_DETERMINED
         return FAIL if self.failures else PASS
 
+    @property
+    def intervals(self) -> str:
+        """What the values after ± mean, or why there are none."""
+        return not_determined(self.verdict) or f"± holds {95.0 * confidence(self.verdict):.0f} %"
+
     def to_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, SI units."""
+        """Plain values for JSON, SI units; null where nothing is determined."""
+        is_withdrawn = bool(not_determined(self.verdict))
         return {
             "format": "geraf2-inspection",
             "format_version": 1,
             "generator": f"geraf2 {__version__}",
             "scene": dict(zip(("name", "digest"), self.scene, strict=True)),
-            "verdict": self.verdict,
+            "result": self.result,
+            "verdict": self.verdict and self.verdict.numbers(),
+            **({"not_determined": self.verdict.reason} if is_withdrawn and self.verdict else {}),
             "failures": list(self.failures),
             "notes": list(self.notes),
             "uncertainty": "sigma is one standard deviation; 95 % of errors are below 1.96 of it",
@@ -113,7 +134,7 @@ class Inspection(Short):
         for report in self.models:
             name, status = report.model.name, report.match.status
             lines += [("model", name, status, *row) for row in _model_rows(report)]
-        lines.append(("result", "", self.verdict, "failures", len(self.failures), "", ""))
+        lines.append(("result", "", self.result, "failures", len(self.failures), "", ""))
         return csv_text(("kind", "name", "status", "quantity", "value", "sigma", "unit"), lines)
 
 
@@ -125,38 +146,44 @@ def rotation_vector_deg(pose: Any) -> Any:
 
 
 def _axis_rows(
-    name: str, values: Iterable[float], sigmas: Iterable[float], scale: float, unit: str
+    name: str, values: Iterable[float], sigmas: Iterable[float | None], scale: float, unit: str
 ) -> list[tuple[str, str, str, str]]:
     """Rows of a vector with its standard uncertainties."""
     return [
-        (f"{name} {axis}", f"{scale * value:z.3f}", f"{scale * sigma:.3f}", unit)
-        for axis, value, sigma in zip("xyz", values, sigmas, strict=True)
+        (f"{name} {axis}", f"{scale * value:z.3f}", _scaled(sigma, scale, 3), unit)
+        for axis, value, sigma in zip("xyz", values, sigmas, strict=False)
     ]
 
 
+def _scaled(value: float | None, scale: float, digits: int) -> str:
+    """Value in another unit; empty where there is none."""
+    return "" if value is None else f"{scale * value:.{digits}f}"
+
+
 def _part_rows(part: BodyReport) -> list[tuple[str, str, str, str]]:
-    rows = _axis_rows("center", part.center_m, part.center_sigma_m, 1e3, "mm")
+    sigmas = part.center_sigma_m or repeat(None)
+    rows = _axis_rows("center", part.center_m, sigmas, 1e3, "mm")
     rows += [
         (f"length along {axis}", f"{1e3 * side:.3f}", "", "mm")
         for axis, side in zip("xyz", part.extents_m, strict=True)
     ]
     rows += [
-        (f"length {n}", f"{1e3 * m.value:.3f}", f"{1e3 * m.sigma:.3f}", "mm")
+        (f"length {n}", f"{1e3 * m.value:.3f}", _scaled(m.sigma, 1e3, 3), "mm")
         for n, m in enumerate(part.dimensions_m, 1)
     ]
     volume, area = part.volume_m3, part.area_m2
-    rows.append(("volume", f"{1e9 * volume.value:.0f}", f"{1e9 * volume.sigma:.0f}", "mm3"))
-    rows.append(("area", f"{1e6 * area.value:.0f}", f"{1e6 * area.sigma:.0f}", "mm2"))
+    rows.append(("volume", f"{1e9 * volume.value:.0f}", _scaled(volume.sigma, 1e9, 0), "mm3"))
+    rows.append(("area", f"{1e6 * area.value:.0f}", _scaled(area.sigma, 1e6, 0), "mm2"))
     material, level = part.material, part.material.reflectivity_db
     rows.append(("probability of metal", f"{material.metal_probability:.4f}", "", ""))
     if level is not None:
-        rows.append(("reflectivity", f"{level.value:.2f}", f"{level.sigma:.2f}", "dB"))
+        rows.append(("reflectivity", f"{level.value:.2f}", _scaled(level.sigma, 1.0, 2), "dB"))
     if material.permittivity is not None:
-        value, sigma = material.permittivity.value, material.permittivity.sigma
-        rows.append(("permittivity", f"{value:.3f}", f"{sigma:.3f}", ""))
+        known = material.permittivity
+        rows.append(("permittivity", f"{known.value:.3f}", _scaled(known.sigma, 1.0, 3), ""))
     for name, t in zip(("least", "largest"), material.thickness_m or (), strict=False):
         rows.append((f"{name} thickness", f"{1e3 * t:.3f}", "", "mm"))
-    rows.append(("probability", f"{part.probability:.4f}", "", ""))
+    rows.append(("probability", _scaled(part.probability, 1.0, 4), "", ""))
     return [*rows, ("seen fraction", f"{part.seen_fraction:.4f}", "", "")]
 
 

@@ -15,6 +15,7 @@ from geraf2.apps.live.sources import NewPlane, Source
 from geraf2.apps.live.target import Target
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest
+from geraf2.io.verdict import Verdict
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.presets import PresetConfig
 from geraf2.pipeline.prior import PriorSource
@@ -44,6 +45,9 @@ class PlaneReport:
     """Not exceeded on half of the area [mm]; None without a surface."""
     seen_share: float | None = None
     """Share of the area that an echo came from."""
+    verdict: Verdict | None = None
+    """How far the surface can be trusted; None where it was not judged. The expected error of one
+    that is not to be trusted is None."""
     problem: str = ""
     """Why the plane was left out, or there is no surface yet."""
     is_left_out: bool = False
@@ -183,7 +187,8 @@ class _Follower:
         report = PlaneReport(
             plane=len(session), name=new.name, seconds=seconds, n_peaks=session.n_peaks, **found
         )
-        session.run.log(PLANE_EVENT, **asdict(report))
+        verdict = None if report.verdict is None else report.verdict.trust
+        session.run.log(PLANE_EVENT, **asdict(report) | {"verdict": verdict})
         self._on_plane(report)
         return self._until is not None and session.reaches(self._until)
 
@@ -198,12 +203,14 @@ class _Follower:
 def _surface_numbers(session: Session) -> dict[str, Any]:
     """Numbers of the surface so far, or why there is none."""
     try:
-        numbers = session.result.numbers["mesh"]
+        result = session.result
     except UserError as error:
         return {"problem": str(error)}
+    numbers = result.numbers["mesh"]
     return {
-        "expected_error_mm": numbers["expected_error_median_mm"],
+        "expected_error_mm": numbers.get("expected_error_median_mm"),
         "seen_share": numbers["evidence_shares"]["seen"],
+        "verdict": result.verdict,
     }
 
 

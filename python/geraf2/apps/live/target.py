@@ -4,6 +4,7 @@ import re
 from dataclasses import dataclass
 
 from geraf2.errors import UserError
+from geraf2.io.verdict import Trust
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.expected_error import typical_error_m
 
@@ -36,5 +37,7 @@ class Target:
         return target
 
     def is_met(self, result: Reconstruction) -> bool:
-        """Whether the surface is expected to be as good."""
+        """Whether the surface is expected to be as good, and reliable if it was judged."""
+        if result.verdict is not None and result.verdict.trust is not Trust.RELIABLE:
+            return False
         return typical_error_m(result.content_mesh, self.share) <= self.error_m

@@ -15,7 +15,8 @@ import numpy as np
 from geraf2.errors import UserError
 from geraf2.io.container import RADAR_NAME, is_scene
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME
+from geraf2.io.run_folder import CONTENT_NAME, METRICS_NAME, RunFolder
+from geraf2.io.verdict import Verdict
 from geraf2.report import html
 from geraf2.report.run_report import run_scene
 from geraf2.report.view3d import (
@@ -151,7 +152,10 @@ def page(paths: Sequence[Path | str], *, needs_surface: bool = False) -> str:
         "view_page.html",
         files=files,
         title=" and ".join(scene["name"] for scene in scenes),
-        views=[(scene["name"], scene_json(scene)) for scene in scenes],
+        views=[
+            (scene["name"], scene_json(scene), verdict_of(path))
+            for scene, path in zip(scenes, paths, strict=True)
+        ],
         fallback=NO_WEBGL,
         is_tall=True,
     )
@@ -164,6 +168,11 @@ def scene_of(path: Path | str) -> dict[str, Any]:
     if view is None:
         raise UserError(what="holds nothing to show yet", where=folder)
     return view | {"name": folder.resolve().name}
+
+
+def verdict_of(path: Path | str) -> Verdict | None:
+    """How far a run can be trusted; None for a scene, and where it was not judged."""
+    return None if is_scene(Path(path)) else RunFolder.read(Path(path)).verdict
 
 
 def _of_scene(folder: Path) -> dict[str, Any] | None:

@@ -25,7 +25,8 @@ const takeOver = (made, old) => {
 };
 
 const renew = (page) => {
-  const fresh = page.querySelectorAll(".viewer");
+  const [fresh, judged] = [".viewer", ".judged"].map((name) => page.querySelectorAll(name));
+  document.querySelectorAll(".judged").forEach((old, n) => old.replaceWith(judged[n]));
   viewers.forEach((old, n) => {
     const root = document.importNode(fresh[n], true);
     old.root.replaceWith(root);
