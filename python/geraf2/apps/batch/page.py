@@ -117,7 +117,7 @@ class Pages:
                 (TO_DO, n_to_do),
             ],
             numbers=titles,
-            heads=["scene", "state", "verdict", *titles, "warnings", "error"],
+            heads=["scene", "state", "verdict", *titles, "warnings", "error or doubt"],
             states=sorted(set(states)),
             jobs=[
                 {
