@@ -449,7 +449,6 @@ verify run|run/prior.npz|../norm.npz
 render run|run/views|../other
 los box.ply out --unit m|out/training-1.safetensors|../other/diary.txt
 inspect run|run/inspection.json|../other/diary.txt
-image scene run --tiles --overwrite --every 4 --spacing-m 0.02|run/image.zarr|../other
 """
 """Links that lead out of a folder that came from elsewhere."""
 FILES = [

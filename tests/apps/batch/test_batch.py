@@ -21,13 +21,10 @@ from geraf2.apps.batch import BatchOptions, cluster, read_jobs, run, running
 from geraf2.apps.batch.cluster import local_cluster
 from geraf2.apps.batch.engine import RepeatError, Task, attempt, drive
 from geraf2.apps.batch.folder import JobPaths
-from geraf2.apps.batch.tiles import run_slabs
 from geraf2.apps.batch.work import do_job
 from geraf2.cli.main import main
 from geraf2.io import atomic
 from geraf2.io.run_folder import CONTENT_NAME, file_digest
-from geraf2.pipeline.commands.image import ImageOptions
-from geraf2.pipeline.commands.image_tiles import image_tiles
 from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
 from helpers import batch_tasks
@@ -282,24 +279,3 @@ def test_a_scene_that_no_worker_can_hold_is_one_line_and_the_others_are_done(
     good, huge = run(jobs, tmp_path / "out", client)
     assert (good.state, huge.state) == ("done", "out of memory")
     assert huge.error.startswith("no worker has enough memory, expected about 19.4 GiB, got 3.7")
-
-
-def test_slabs_of_an_image_are_the_same_from_workers_that_are_killed(
-    client, small_scan, tmp_path, monkeypatch
-):
-    geraf2.save_capture(small_scan[0], tmp_path / "scene")
-    monkeypatch.setattr("geraf2.imaging.slabs.SLAB_BYTES_PER_VOXEL", 2.0**20 / (5 * 16**2))
-    options = ImageOptions(size_m=(0.15, 0.15, 0.15), spacing_m=0.01, slab_gib=1e-3)
-    here = image_tiles(tmp_path / "scene", tmp_path / "here", options)
-
-    def run_on_workers(job, left):
-        for n_done, number in enumerate(run_slabs(client, job, left, BatchOptions())):
-            if n_done == 1:
-                os.kill(next(iter(client.run(os.getpid).values())), signal.SIGKILL)
-            yield number
-
-    there = image_tiles(tmp_path / "scene", tmp_path / "there", options, run_slabs=run_on_workers)
-    assert (there.n_done, there.n_done) == (len(there.slabs), here.n_done)
-    for number in range(len(there.slabs)):
-        name = f"image.zarr/volume/c/{number}/0/0"
-        assert file_digest(tmp_path / "there" / name) == file_digest(tmp_path / "here" / name)
