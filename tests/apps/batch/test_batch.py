@@ -1,6 +1,5 @@
 """Batches on a real LocalCluster of two processes; jobs of every fate, workers that are killed."""
 
-import csv
 import errno
 import json
 import os
@@ -95,19 +94,13 @@ def test_a_batch_gives_what_single_runs_give_and_continues_where_it_stopped(
     serial = geraf2.reconstruct(tmp_path / "scans" / "second", BOX, COARSE, options=QUIET)
     (run_folder,) = (out / "runs").glob("second-*")
     assert file_digest(run_folder / CONTENT_NAME) == file_digest(serial.path / CONTENT_NAME)
-    # A row a scan, the failed one first, each that is done with its picture.
+    # A row a scan, the failed one first, then those that are done.
     page = (out / "batch.html").read_text(encoding="utf-8")
-    assert [row[1:3] for row in _rows(page)] == [
+    assert [row[:2] for row in _rows(page)] == [
         ["nothing", "bad input"],
         ["first", "done"],
         ["second", "done"],
     ]
-    assert page.count("<img") == 2
-    with (out / "batch.csv").open() as handle:
-        table = {row["scene"]: row for row in csv.DictReader(handle)}
-    assert float(table["first"]["f1_5mm"]) == pytest.approx(
-        by_scene["first"].scores["f1_5mm"], abs=6e-5
-    )
     # Again: nothing is done again, and no worker is needed.
     before = {path: path.stat().st_mtime_ns for path in out.glob("r*/**/*") if path.is_file()}
     nowhere = BatchOptions(scheduler="tcp://127.0.0.1:9")
@@ -147,9 +140,6 @@ def test_faults_of_one_job_are_its_own(client, named, tmp_path):
     for name, (state, count, _) in wanted.items():
         assert count <= calls[name] <= count + 2 * (state not in ("done", "killed"))
     assert results["raises"].log_tail[-1] == "ZeroDivisionError: a bug"
-    with (out / "batch.csv").open() as handle:
-        table = {row["scene"]: row["error"] for row in csv.DictReader(handle)}
-    assert table == {name: error for name, (_, _, error) in wanted.items()}
     # The same again: what is done and what is bad stays, the others get another chance.
     run([job for job in jobs if job.scene.name != "killer"], out, client, options=options)
     assert _calls(out) - calls == {"lost": 2, "raises": 1}

@@ -121,7 +121,7 @@ def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3,
     assert results[0].scores["f1_15mm"] > 0.5
     files = objects.list_files(out)
     assert [name for name in files if name.endswith(CONTENT_NAME)]
-    assert {"batch.json", "batch.html", "batch.csv"} <= set(files)
+    assert {"batch.json", "batch.html"} <= set(files)
     assert not [name for name in files if name.endswith((".begun", ".lock"))]
     # Nothing is done again, and no worker is needed.
     assert run(jobs, out, options=BatchOptions(scheduler="tcp://127.0.0.1:9")) == results
