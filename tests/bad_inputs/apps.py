@@ -26,7 +26,6 @@ ROWS = [
             benchmark out --only table1 --captures x|--captures
             benchmark out --only full_wave --presets fats|fats
             plan --depth 0.2 --figure plan.html|--depth has no page
-            plan --belt spec.toml|has no [belt]
             live tcp://example.org:80 out|is no socket of this machine
             live tcp://localhost out|is no socket of this machine
             live tcp://localhost:x out|is no socket of this machine

@@ -129,12 +129,11 @@ SPECS = [
         SIMULATE,
         "spec.toml",
         """belt.arrays|[]|[{side="front"}]|[{side="left"},{side="left"}]
-        belt.arrays|[{side="left",tx_m=[[0.0,0.0]]}]
+        belt.arrays|[{side="left",tx_m=[[0.0,0.0]]}]|[{side="left",board="b"}]
         belt.speed|1.0""",
     ),
     bad(SIMULATE, toml("spec.toml", "waveform.n_samples", "1048576"), text="GHz"),
     bad(SIMULATE, toml("spec.toml", "figure.name", '"yeti"'), text="yeti"),
-    bad(SIMULATE, toml("spec.toml", "belt.arrays", '[{side="left",board="b"}]'), text="array 'b'"),
     *puts("benchmark out --suite a.toml --list", "a.toml", "", "scenes = 3"),
     bad("batch table.csv out", put("table.csv", "scene\n" + "x" * 200_000)),
 ]

@@ -19,7 +19,6 @@ from geraf2.apps.planning.planning import (
 )
 from geraf2.apps.planning.scan_time import TimedPlan
 from geraf2.cli._console import rows, say, warn
-from geraf2.cli._plan_belt import show_belt
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.io.outputs import PICTURES, require_file
@@ -41,16 +40,12 @@ class Config(PlanOptions):
     """PNG to draw; or .html: a page in 3D, with sliders for minutes and channels."""
     like: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Explain the scan of a scene instead: what it sees, and how long it would take."""
-    belt: Annotated[Path | None, Arg(metavar="SPEC.toml")] = None
-    """Explain the arrays of a belt instead, as of `geraf2 simulate`: what each of them adds."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
     if config.figure is not None and config.figure.suffix == ".html":
         return _write_page(config, config.figure)
-    if config.belt is not None:
-        return show_belt(config.belt, config.box)
     if config.minutes is not None or config.like is not None:
         return _show_lines(config)
     if config.array is not None:

@@ -8,7 +8,7 @@ from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Bounded, Few, LengthM, NotNegative, SignedM
 from geraf2._types import Floats
-from geraf2.scene.arrays import find_array
+from geraf2.scene.arrays import ARRAYS, find_array
 
 _Share = Annotated[float, Interval(ge=-0.2, le=0.2)]
 _Pair = tuple[SignedM, SignedM]
@@ -43,7 +43,9 @@ class BeltArraySpec(Bounded):
         if len(self.tx_m) != len(self.rx_m):
             msg = f"tx_m and rx_m must have one entry a channel, got {len(self.tx_m)} and "
             raise ValueError(msg + str(len(self.rx_m)))
-        find_array(self.board)  # raises the error
+        if self.board not in ARRAYS:
+            msg = f"board must be one of {', '.join(ARRAYS)}, got {self.board!r}"
+            raise ValueError(msg)
 
     def channels(self) -> tuple[Floats, Floats, Floats]:
         """Transmitters, receivers (n, 2), across and along the travel [m], and turns (n,)."""
@@ -57,13 +59,6 @@ class BeltArraySpec(Bounded):
         shifts = pitch * (np.arange(self.n_boards) - 0.5 * (self.n_boards - 1))
         shift = np.array([1.0, 0.0]) * shifts[:, None, None]
         return (tx + shift).reshape(-1, 2), (rx + shift).reshape(-1, 2), np.tile(turn, len(shifts))
-
-    def n_antennas_of_board(self) -> tuple[int, int]:
-        """Transmitters and receivers of a board, whether they are recorded or not."""
-        if self.tx_m:
-            return len(set(self.tx_m)), len(set(self.rx_m))
-        board = find_array(self.board)
-        return len(board.tx), len(board.rx)
 
 
 @dataclass(frozen=True, kw_only=True)
