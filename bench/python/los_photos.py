@@ -25,7 +25,9 @@ from geraf2.io.mesh import read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import load_capture
 from geraf2.scene.photos import save_photos
-from geraf2.simulation import PhotosSpec, simulate_photos
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "photos"))
+from carton_photos import PhotosSpec, simulate_photos
 from scores import FIGURES, HEADER, Bench, Score, reconstruct_and_score
 
 ALLOWED = 0.02
@@ -36,7 +38,7 @@ N_SCORED = 100_000
 
 
 def photos_of(scene: Path, folder: Path) -> Path:
-    """Photos of a scene's box, as a [photos] table without keys in its spec would give."""
+    """Photos of a scene's box, as bench/photos takes them."""
     if not (folder / "transforms.json").is_file():
         save_photos(simulate_photos(PhotosSpec(), load_capture(scene).walls, seed=0), folder)
     return folder

@@ -39,11 +39,11 @@ from geraf2.io.mesh import write_mesh
 from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene import Wall
-from geraf2.simulation.photo_spec import PhotosSpec
-from geraf2.simulation.photos import simulate_photos
 from geraf2.surfaces.isosurface import largest_components, surface_report
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "photos"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from carton_photos import PhotosSpec, simulate_photos
 from helpers.middlebury import convert_middlebury
 
 SIDE_M = 0.22

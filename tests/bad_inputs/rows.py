@@ -122,8 +122,7 @@ SPECS = [
         scan.standoff_m|0.05
         scan.aperture_m|[0,0.1]
         walls.thickness_m|0.2
-        world.effects|["leak"]|"iq"
-        photos.size_px|[640]""",
+        world.effects|["leak"]|"iq" """,
     ),
     *keys(
         SIMULATE,

@@ -11,7 +11,6 @@ from geraf2.cli._fields import walk
 from geraf2.cli.main import COMMANDS
 from geraf2.pipeline.presets import PRESETS
 from geraf2.simulation import SceneSpec
-from geraf2.simulation.photo_spec import PhotosSpec
 
 RECONSTRUCT = f"reconstruct scene out {BOX} --no-report --calibrate no --preset"
 LINES = (
@@ -68,7 +67,7 @@ def _flags(line):
 
 
 def _spec():
-    for key, kinds in [*_keys(SceneSpec), *_keys(PhotosSpec, "photos.")]:
+    for key, kinds in _keys(SceneSpec):
         name, kind = key.split(".")[-1], kinds[0]
         for value in ('"no such"',) if isinstance(kind, str) else _wrong(kind, 18):
             is_list = len(kinds) > 1 and not isinstance(kind, str)
@@ -79,10 +78,10 @@ def _spec():
 
 def _keys(record, prefix=""):
     """Keys of a record and of the tables in it, each with the types of its values or its choices;
-    PhotosSpec, which may be left out, and lists of tables but the walls are not followed."""
+    lists of tables but the walls are not followed."""
     for name, hint in get_type_hints(record).items():
         kinds = [kind for kind in get_args(hint) or (hint,) if kind not in (NoneType, Ellipsis)]
         if not is_dataclass(kinds[0]):
             yield prefix + name, kinds
-        elif name not in ("photos", "rings", "sweeps", "arrays"):
+        elif name not in ("rings", "sweeps", "arrays"):
             yield from _keys(kinds[0], f"{name}.")

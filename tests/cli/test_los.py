@@ -6,11 +6,11 @@ import shutil
 import numpy as np
 import pytest
 
+from carton_photos import PhotosSpec, simulate_photos
 from geraf2.apps.photos import los, los_views, training
 from geraf2.apps.photos.config import GridStage, PhotoConfig
 from geraf2.apps.photos.formats.images import read_image
 from geraf2.apps.photos.neural_surface import NeuralSurface
-from geraf2.apps.photos.photo_store import load_photos
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
@@ -21,9 +21,8 @@ from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
 from geraf2.scene.photos import save_photos
-from geraf2.simulation import PhotosSpec, simulate_photos
 from helpers.console import the_error
-from helpers.small_scene import FAST, SPEC
+from helpers.small_scene import FAST
 
 BOX_SIDE = 0.20
 WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)
@@ -216,19 +215,6 @@ def test_photos_in_another_unit_are_refused_before_training(
     assert "--unit" in the_error(capsys)
     assert not tiny_training
     assert not (tmp_path / "run").exists()
-
-
-def test_photos_are_added_to_a_scene_that_is_there(tmp_path):
-    spec, out = tmp_path / "spec.toml", tmp_path / "scene"
-    small = SPEC.replace("n_poses = 9", "n_poses = 1")
-    spec.write_text(small)
-    assert run("simulate", spec, out) == 0
-    spec.write_text(small + "[photos]\nn_photos = 3\nsize_px = [48, 36]\nfocal_length_px = 48.0\n")
-    assert run("simulate", spec, out) == 0
-    loaded = load_photos(out / "photos")
-    assert len(loaded.photos) == 3
-    assert loaded.notes == ()
-    assert loaded.photos.frame == "capture"
 
 
 def test_a_scan_gives_the_prior_of_its_box(scene, tmp_path, capsys):

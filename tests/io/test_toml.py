@@ -15,7 +15,7 @@ from geraf2.io.toml import from_table, read_toml, to_table, write_toml
 from geraf2.pipeline.presets import PRESETS
 from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunOptions
-from geraf2.simulation import DisturbanceSpec, FigureSpec, PhotosSpec, SceneSpec
+from geraf2.simulation import DisturbanceSpec, FigureSpec, SceneSpec
 from geraf2.surfaces.config import SurfaceFitConfig
 
 CONFIGS = [
@@ -27,7 +27,6 @@ CONFIGS = [
     SurfaceFitConfig(),
     SceneSpec(
         figure=FigureSpec(name="dog"),
-        photos=PhotosSpec(subject="content", distance_m=0.3),
         disturbance=DisturbanceSpec(snr_db=math.inf),
     ),
     RadarManifest(start_frequency_hz=77e9, arrays={"signal": "rx"}),

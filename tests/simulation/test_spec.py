@@ -3,7 +3,7 @@ from pathlib import Path
 
 from geraf2.io.toml import read_table
 from geraf2.scene import Wall
-from geraf2.simulation import FigureSpec, PhotosSpec, SceneSpec, WorldSpec, load_spec
+from geraf2.simulation import FigureSpec, SceneSpec, WorldSpec, load_spec
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -12,7 +12,7 @@ def test_annotated_spec_holds_exactly_the_defaults():
     spec = load_spec(CONFIGS / "simulate.toml")
     walls = (Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),)
     figure = FigureSpec(name="llama")
-    assert spec == SceneSpec(figure=figure, walls=walls, photos=PhotosSpec())
+    assert spec == SceneSpec(figure=figure, walls=walls)
     table = read_table(CONFIGS / "simulate.toml")["world"]
     assert set(table) == {entry.name for entry in fields(WorldSpec)}
 

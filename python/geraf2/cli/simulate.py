@@ -1,4 +1,4 @@
-"""`geraf2 simulate`: a physical-optics capture, and photos of the box, from a spec."""
+"""`geraf2 simulate`: a physical-optics capture from a spec."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated
 from geraf2._bounds import Arg, Seed
 from geraf2.cli._console import CONSOLE, Threads, rows
 from geraf2.cli._fields import Positional
-from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME
+from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.pipeline.commands.simulate import simulate_scene
 from geraf2.simulation import load_spec
 from geraf2.simulation.spec import use_scan_file
@@ -20,11 +20,11 @@ class Config:
     spec: Positional[Annotated[Path, Arg(metavar="SPEC.toml")]]
     """What to simulate."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    """Scene folder to make; also gets truth.ply, los.ply and, if the spec asks, photos."""
+    """Scene folder to make; also gets truth.ply and los.ply."""
     scan: Annotated[Path | None, Arg(metavar="SCAN.json")] = None
     """Scan file of `geraf2 plan --out`, instead of the planes of the spec."""
     seed: Seed = 0
-    """Seed of noise, jitter, scatterers and photos."""
+    """Seed of noise, jitter, and scatterers."""
     overwrite: bool = False
     """Replace another scene in this folder."""
     threads: Threads = None
@@ -47,7 +47,5 @@ def main(config: Config) -> int:
     written = [("scene", config.out), ("truth", config.out / TRUTH_NAME)]
     if spec.walls:
         written.append(("box", config.out / LOS_NAME))
-    if spec.photos is not None:
-        written.append(("photos", config.out / PHOTOS_NAME))
     rows([(name, str(path)) for name, path in written])
     return 0

@@ -46,7 +46,6 @@ RADAR_NAME = "radar.zarr"
 TRUTH_NAME = "truth.ply"
 LOS_NAME = "los.ply"
 LOS_RECORD_NAME = "los.json"
-PHOTOS_NAME = "photos"
 
 COMPLEX_NAN = complex(float("nan"), float("nan"))
 

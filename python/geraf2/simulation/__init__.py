@@ -1,7 +1,5 @@
-"""Physical-optics captures of meshes in nested boxes, and photos of the box."""
+"""Physical-optics captures of meshes in nested boxes."""
 
-from geraf2.simulation.photo_spec import PhotosSpec
-from geraf2.simulation.photos import simulate_photos
 from geraf2.simulation.simulate import simulate
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import (
@@ -19,7 +17,6 @@ __all__ = [
     "DisturbanceSpec",
     "FigureSpec",
     "NumericsSpec",
-    "PhotosSpec",
     "ScanSpec",
     "SceneSpec",
     "WorldSpec",
@@ -27,5 +24,4 @@ __all__ = [
     "load_spec",
     "parse_spec",
     "simulate",
-    "simulate_photos",
 ]

@@ -12,7 +12,6 @@ from geraf2.io.scan_file import ScanFile, read_scan_file
 from geraf2.io.toml import from_table, read_table
 from geraf2.scene import Wall, Waveform
 from geraf2.simulation.belt_spec import BeltSpec
-from geraf2.simulation.photo_spec import PhotosSpec
 from geraf2.simulation.world import ErrorM, WorldSpec
 
 AWR1843 = Waveform(
@@ -222,8 +221,6 @@ class SceneSpec:
     """Errors beyond an ideal scan."""
     numerics: NumericsSpec = field(default_factory=NumericsSpec)
     """Resolution."""
-    photos: PhotosSpec | None = None
-    """Photos of the outermost box, or of the bare object; none by default."""
 
     def __post_init__(self) -> None:
         highest_hz = float(self.waveform.frequencies_hz.max())
@@ -234,9 +231,6 @@ class SceneSpec:
                 f"{highest_hz / 1e9:.1f} GHz, {limit_m:.6f} m, got "
                 f"{self.numerics.max_facet_edge_m}"
             )
-            raise ValueError(msg)
-        if self.photos is not None and self.photos.subject == "box" and not self.walls:
-            msg = "photos need a box to show: add [[walls]]"
             raise ValueError(msg)
         near = min((min(wall.size_m[:2]) for wall in self.walls), default=0.0) / 2.0
         if self.scan.standoff_m <= near:

@@ -3,21 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from geraf2._memory import require_memory
-from geraf2.io.atomic import atomic_folder
 from geraf2.io.belt_file import write_belt
-from geraf2.io.container import LOS_NAME, PHOTOS_NAME, TRUTH_NAME, require_scene_folder
+from geraf2.io.container import LOS_NAME, TRUTH_NAME, require_scene_folder
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import stage_key
 from geraf2.pipeline.estimates import BYTES_PER_ELEMENT, box_area_m2
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
-from geraf2.scene.photos import save_photos
 from geraf2.scene.plan import rows_columns
 from geraf2.scene.store import save_capture
-from geraf2.simulation import SceneSpec, simulate, simulate_photos
+from geraf2.simulation import SceneSpec, simulate
 from geraf2.simulation.belt import belt_record
 
 # Python with its libraries: with those of the samples, 136 to 146 MiB were the peaks of 2 to 12
@@ -40,20 +36,20 @@ def simulate_scene(
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> tuple[Capture, TriangleMesh]:
-    """Simulate a metal object in boxes; write a scene with truth.ply, los.ply and photos.
+    """Simulate a metal object in boxes; write a scene with truth.ply and los.ply.
 
     spec: what to simulate, see :func:`geraf2.simulation.load_spec`.
     out: scene folder to make, whole or not at all; the same scene there is left as it is.
-    seed: of noise, jitter, scatterers and photos; the same seed gives the same scene.
+    seed: of noise, jitter, and scatterers; the same seed gives the same scene.
     overwrite: replace another scene in `out`.
-    listener: hears the steps "simulating" and "photographing".
+    listener: hears the step "simulating".
 
     Returns the capture, and the object in its frame [m]. Raises UserError where the object does
     not fit into its box, or `out` holds something else.
     """
     listener = listener or Listener()
     require_simulable(spec)
-    made_from = {"spec": stage_key(spec=replace(spec, photos=None)), "seed": str(seed)}
+    made_from = {"spec": stage_key(spec=spec), "seed": str(seed)}
     require_scene_folder(
         Path(out),
         overwrite=overwrite,
@@ -62,18 +58,6 @@ def simulate_scene(
     with listener.step("simulating") as report:
         capture, truth = simulate(spec, seed=seed, num_threads=num_threads, progress=report)
     capture = replace(capture, provenance={**capture.provenance, **made_from})
-    photos = None
-    if spec.photos is not None:
-        with listener.step("photographing") as report:
-            photos = simulate_photos(
-                spec.photos,
-                capture.walls,
-                seed=seed,
-                content=truth,
-                num_threads=num_threads,
-                progress=report,
-            )
-
     made_from = {**made_from, "command": "geraf2 simulate"}
 
     def write_extras(folder: Path) -> None:
@@ -84,13 +68,8 @@ def simulate_scene(
             write_mesh(box.mesh, folder / LOS_NAME, frame=capture.frame, made_from=made_from)
         if spec.belt is not None:
             write_belt(folder, belt_record(spec.belt))
-        if photos is not None:
-            save_photos(photos, folder / PHOTOS_NAME)
 
-    written = save_capture(capture, out, overwrite=overwrite, extras=write_extras)
-    if photos is not None and not written:  # the same capture was there, maybe without photos
-        with atomic_folder(Path(out) / PHOTOS_NAME) as folder:
-            save_photos(photos, folder)
+    save_capture(capture, out, overwrite=overwrite, extras=write_extras)
     return capture, truth
 
 
@@ -109,14 +88,11 @@ def simulate_bytes(spec: SceneSpec) -> dict[str, float]:
     per_antenna += _SIMULATED_BYTES_PER_SAMPLE * spec.waveform.n_samples
     n_facets = _OBJECT_AREA * (spec.figure.height_m / numerics.max_facet_edge_m) ** 2
     wall_area = sum(box_area_m2(wall.size_m) for wall in spec.walls)
-    photos = spec.photos
-    n_pixels = 0.0 if photos is None else float(np.prod(photos.size_px)) * photos.n_photos
     return {
         "scan.n_poses, scan.aperture_m, scan.spacing_m, waveform.n_samples": n_antennas
         * per_antenna,
         "numerics.max_facet_edge_m": BYTES_PER_ELEMENT * n_facets,
         "numerics.wall_patch_m": BYTES_PER_ELEMENT * wall_area / numerics.wall_patch_m**2,
-        "photos.n_photos, photos.size_px": 8.0 * n_pixels,
     }
 
 

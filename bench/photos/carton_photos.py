@@ -1,20 +1,26 @@
-"""Photos of the closed box or the bare object: cameras on rings, lens, sensor, recorded poses."""
+"""Photos of the closed box of a scene: cameras on rings, lens, sensor, recorded poses.
 
-from dataclasses import replace
+    python bench/photos/carton_photos.py SCENE PHOTOS [--photos 48] [--size-px 640 480]
+        [--focal-length-px 640] [--seed 0]
+
+writes photos of the outermost box of SCENE into a folder that `geraf2 los PHOTOS OUT` reads.
+"""
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Progress
+from carton_scene import CartonScene, photograph
+from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.geometry.transforms import rigid, triple, upright_axes
-from geraf2.io.mesh import TriangleMesh
+from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh_colours import to_srgb
 from geraf2.scene import Wall
-from geraf2.scene.photos import Camera, PhotoSet
-from geraf2.simulation.object_scene import ObjectScene
-from geraf2.simulation.photo_scene import CartonScene, photograph
-from geraf2.simulation.photo_spec import PhotosSpec
+from geraf2.scene.photos import Camera, PhotoSet, save_photos
+from geraf2.scene.store import load_capture
 
 # Independent random streams of one seed.
 _POSITIONS, _POSES, _SENSOR = range(5, 8)
@@ -30,66 +36,67 @@ _GREY = 0.18
 _READ_NOISE = 0.02  # of full scale: where the noise stops falling with the light
 
 
+@dataclass(frozen=True, kw_only=True)
+class PhotosSpec:
+    """Photos of the closed outermost box, taken from rings around it."""
+
+    n_photos: int = 48
+    """Photos in all, shared out over the rings."""
+    size_px: tuple[int, int] = (640, 480)
+    """Width and height of each [pixel]."""
+    focal_length_px: float = 640.0
+    """Focal length [pixel]."""
+    ring_elevations_deg: tuple[float, ...] = (-5.0, 20.0, 45.0)
+    """Elevation of each ring from the box's middle; 3 cm above its lowest point at least
+    [degrees]."""
+    distance_m: float | None = None
+    """Camera to the middle of the box; by default the box fills the picture [m]."""
+    pose_error_rms_m: float = 0.0002
+    """Error of each recorded camera position, per coordinate [m]."""
+    pose_error_rms_deg: float = 0.03
+    """Error of each recorded orientation, per axis [degrees]."""
+    noise_rms: float = 2.0
+    """Sensor noise at 18 % grey, which grows as shot noise does, in steps of 1/255."""
+    exposure: float = 1.0
+    """Gain before the sensor; at 3 the lit faces are over-exposed."""
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    """k1, k2, p1, p2, k3 of the lens, as OpenCV's."""
+    masks: bool = True
+    """Whether silhouettes of the box are written."""
+
+
 def simulate_photos(
     spec: PhotosSpec,
     walls: tuple[Wall, ...],
     *,
     seed: int,
-    content: TriangleMesh | None = None,
     num_threads: int | None = None,
-    progress: Progress | None = None,
 ) -> PhotoSet:
-    """Photos of the outermost box or of the bare object, with the poses that a user would record.
+    """Photos of the outermost box, with the poses that a user would record.
 
     spec: cameras, sensor, errors.
     walls: boxes of the scene, outermost first; only the first can be seen.
     seed: of print, positions, pose errors and noise; the same seed gives the same photos.
-    content: the object [m], for `spec.subject` "content".
-    progress: called with the fraction done, after each photo.
 
-    Returns images by the true poses, cameras with the recorded ones, masks that show the subject
+    Returns images by the true poses, cameras with the recorded ones, masks that show the box
     (None where `spec.masks` is off).
     """
-    scene, bounds = _subject(spec, walls, content, seed, num_threads)
-    cameras = ring_cameras(spec, bounds, seed)
+    if not walls:
+        raise UserError(what="there is no box to photograph", hint="a scene with [[walls]]")
+    scene = CartonScene(walls[0], seed, num_threads)
+    cameras = ring_cameras(spec, walls[0], seed)
     noise = np.random.default_rng([seed, _SENSOR])
     images, masks = [], []
-    for index, camera in enumerate(cameras):
+    for camera in cameras:
         picture = photograph(scene.trace, camera)
         images.append(expose(picture.radiance, spec, noise))
         masks.append(np.asarray(picture.coverage >= 0.5))
-        if progress is not None:
-            progress((index + 1) / len(cameras))
     return PhotoSet(
         names=tuple(f"photo_{index:03d}.png" for index in range(len(cameras))),
         cameras=recorded_cameras(cameras, spec, seed),
         images=tuple(images),
         masks=tuple(masks) if spec.masks else None,
     )
-
-
-def _subject(
-    spec: PhotosSpec,
-    walls: tuple[Wall, ...],
-    content: TriangleMesh | None,
-    seed: int,
-    num_threads: int | None,
-) -> tuple[CartonScene | ObjectScene, Wall]:
-    """Scene to be photographed, and the bounding box of its subject."""
-    if spec.subject == "content":
-        if content is None:
-            msg = "photos of the content need `content`, got None"
-            raise ValueError(msg)
-        low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
-        size, center = triple(high - low), triple(0.5 * (low + high))
-        thin = 0.25 * min(size)
-        bounds = Wall(size_m=size, thickness_m=thin, permittivity=1.0, center_m=center)
-        return ObjectScene(content, seed, num_threads), bounds
-    if not walls:
-        raise UserError(
-            what="there is no box to photograph", expected="[[walls]] in a spec with [photos]"
-        )
-    return CartonScene(walls[0], seed, num_threads), walls[0]
 
 
 def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
@@ -173,3 +180,25 @@ def recorded_cameras(cameras: list[Camera], spec: PhotosSpec, seed: int) -> tupl
         pose[:3, 3] += spec.pose_error_rms_m * rng.standard_normal(3)
         recorded.append(replace(camera, camera_to_world=pose))
     return tuple(recorded)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scene", type=Path)
+    parser.add_argument("photos", type=Path)
+    parser.add_argument("--photos", dest="n_photos", type=int, default=PhotosSpec.n_photos)
+    parser.add_argument("--size-px", type=int, nargs=2, default=PhotosSpec.size_px)
+    parser.add_argument("--focal-length-px", type=float, default=PhotosSpec.focal_length_px)
+    parser.add_argument("--seed", type=int, default=0)
+    given = parser.parse_args()
+    spec = PhotosSpec(
+        n_photos=given.n_photos,
+        size_px=tuple(given.size_px),
+        focal_length_px=given.focal_length_px,
+    )
+    walls = load_capture(given.scene).walls
+    save_photos(simulate_photos(spec, walls, seed=given.seed), given.photos)
+
+
+if __name__ == "__main__":
+    main()

@@ -19,7 +19,7 @@ from geraf2.geometry.transforms import upright_axes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera
-from geraf2.simulation.textures import Texture, board, carton_face, table
+from textures import Texture, board, carton_face, table
 
 _Array = NDArray[np.float32]
 Trace = Callable[[Floats, Floats], tuple[_Array, Bools]]
@@ -92,14 +92,14 @@ class Picture(NamedTuple):
     radiance: _Array
     """(height, width, 3), linear."""
     coverage: _Array
-    """Share of each pixel that shows the carton, or the object, (height, width)."""
+    """Share of each pixel that shows the carton, (height, width)."""
 
 
 def photograph(trace: Trace, camera: Camera) -> Picture:
     """Radiance that each pixel of a camera receives.
 
     trace: radiance along rays from origins (n, 3) [m] in directions (n, 3), (n, 3), and whether
-        each ends on the object, (n,).
+        each ends on the carton, (n,).
     camera: the camera, with its distortion.
     """
     radiance = np.empty((camera.height, camera.width, 3), dtype=np.float32)
