@@ -1,10 +1,12 @@
 """Errors that a user can act on."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
+from typing import TypeVar
 
+_T = TypeVar("_T")
 _SPEAKS_OF_FLAGS: ContextVar[bool] = ContextVar("errors speak of flags", default=False)
 # A command in quotes stays as it is typed.
 _FLAG = re.compile(r"'geraf2 [^']*'|(?<![\w-])--([a-z][a-z0-9.-]*)")
@@ -82,3 +84,16 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def attempt(function: Callable[[], _T]) -> tuple[_T | None, UserError | None]:
+    """Return the result of a function and None, or None and its UserError.
+
+    >>> from geraf2.errors import attempt
+    >>> attempt(lambda: 1)
+    (1, None)
+    """
+    try:
+        return function(), None
+    except UserError as error:
+        return None, error

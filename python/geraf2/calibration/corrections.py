@@ -19,6 +19,7 @@ from geraf2.scene import Capture, LosPrior, Pose
 _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
 
 _LAYOUTS = {
+    "reversed_turn": "int",
     "channel_phases_rad": "float? c",
     "n_turns": "int",
     "delay_m": "float",
@@ -37,6 +38,8 @@ _LAYOUTS = {
 class Corrections:
     """All corrections of a capture and its prior; None and 0 change nothing."""
 
+    reversed_turn: int = 0
+    """1 if the turntable ran in the other sense than recorded, which is corrected first; else 0."""
     leakage: Leakage | None = None
     """Direct leakage between transmitter and receiver."""
     channel_phases_rad: Floats | None = None
@@ -61,6 +64,8 @@ class Corrections:
 
     def applied(self, capture: Capture) -> Capture:
         """Corrected capture; the same object if nothing changes."""
+        if self.reversed_turn:
+            capture = with_turn_reversed(capture)
         if self.leakage is not None:
             capture = without_leakage(capture, self.leakage)
         if self.channel_phases_rad is not None:
@@ -147,6 +152,7 @@ class Corrections:
         if (antennas < 0).any() or antennas.sum() != len(arrays["leakage_coefficients"]):
             raise UserError(what="leakage_antennas do not match the coefficients", where=path)
         values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
+        values |= {"reversed_turn": int(arrays["reversed_turn"])}
         return cls(leakage=_read_leakage(arrays), **values)
 
 
@@ -168,6 +174,26 @@ def with_delay(capture: Capture, change_m: float) -> Capture:
     """Capture with another instrument delay, changed by `change_m` on the two-way path [m]."""
     bias = float(capture.waveform.path_bias_m + change_m)
     return replace(capture, waveform=replace(capture.waveform, path_bias_m=bias))
+
+
+def with_turn_reversed(capture: Capture) -> Capture:
+    """Capture whose turntable ran in the other sense: planes at the angles -a instead of a.
+
+    Angles are about the turntable's axis, 0 in the direction of the frame's x axis.
+    """
+    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
+    point, up = axis
+    along = np.eye(3)[int(np.abs(up).argmin())]  # x, unless the axis is x itself
+    x = along - (along @ up) * up
+    y = np.cross(up, x)
+    outward = np.array(
+        [
+            pose.phase_centers.mean(axis=0) - point if pose.n_antennas else x
+            for pose in capture.poses
+        ]
+    )
+    angles = np.arctan2(outward @ y, outward @ x)
+    return with_axis(capture, np.zeros(2), -2.0 * angles)
 
 
 def with_axis(capture: Capture, axis_shift_m: Floats, angles_rad: Floats) -> Capture:

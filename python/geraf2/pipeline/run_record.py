@@ -32,6 +32,8 @@ class RunOptions(Bounded):
 
     hold_out: Annotated[tuple[Degrees, ...], Arg(metavar="DEG ...")] = ()
     """Turntable angles of planes that are left out, for `geraf2 render` [degrees]."""
+    reverse_turn: bool = False
+    """The turntable ran in the other sense than recorded: planes lie at the angles -a, not a."""
     trust_los: bool = False
     """Use the prior unchanged, even if echoes of walls or content contradict it."""
     calibrate: Literal["auto", "no"] = "auto"

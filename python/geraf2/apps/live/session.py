@@ -396,7 +396,9 @@ class Session:
             job, name = start_job(request, new, peaks=self._peaks, tolerance_m=_SAME_BOX_M)
             self._peaks = job.peaks
             if options.calibrate == "auto":
-                job, corrections = calibrate_job(job, with_positions=False)
+                job, corrections = calibrate_job(
+                    job, with_positions=False, before=request.corrections
+                )
             job = replace(job, capture=self._spool(job.capture, ()))
             keep_inputs(job, request.summary.planes)
             make_surface(job, name, options)

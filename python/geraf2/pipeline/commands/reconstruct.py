@@ -4,7 +4,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -13,13 +13,16 @@ from weakref import finalize
 import numpy as np
 
 from geraf2 import __version__
+from geraf2.calibration.corrections import Corrections, with_turn_reversed
+from geraf2.calibration.free_air import content_region
 from geraf2.echoes.prior_check import require_echoes_inside
-from geraf2.errors import UserError
+from geraf2.errors import UserError, attempt
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.io.belt_file import MOTION_KEY
 from geraf2.io.outputs import require_consent
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import (
+    CALIBRATION_NAME,
     CHECKPOINT_NAME,
     CONFIG_NAME,
     PLANES_NAME,
@@ -40,6 +43,7 @@ from geraf2.pipeline.box_check import (
 )
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
+from geraf2.pipeline.plane_check import check_planes
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
 from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
@@ -51,6 +55,7 @@ from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import explain_sign_errors, require_sign
 from geraf2.pipeline.stages.calibration import calibrate_job
 from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
+from geraf2.pipeline.verdict import judge
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding, require_plausible
@@ -187,6 +192,10 @@ class Request:
     num_threads: int | None
     started: float
     """Time of its begin, of `time.perf_counter` [s]."""
+    peaks: KeptPeaks | None = None
+    """Peaks around the prior, where planes were imaged."""
+    corrections: Corrections = field(default_factory=Corrections)
+    """Corrections that the capture already has."""
 
     @classmethod
     def check(
@@ -200,9 +209,39 @@ class Request:
     ) -> "Request":
         """Check capture, prior and angles; UserError where one of them cannot be used.
 
+        A turntable that surely ran in the other sense is corrected, unless the options say no.
+
         given: prior in memory; else the record names its source, or none.
         summary: of the capture, if already computed.
         """
+        others, options = (given, record, listener, num_threads), record.options
+        if options.reverse_turn:
+            request = cls._check(with_turn_reversed(capture), *others)
+            return replace(request, corrections=Corrections(reversed_turn=1))
+        found, failure = attempt(lambda: cls._check(capture, *others, summary))
+        if options.calibrate == "auto":
+            prior = found.prior[0] if found is not None and found.prior else None
+            if failure is not None:
+                prior, _ = attempt(lambda: content_region(capture, num_threads=num_threads))
+            peaks = None if prior is None else kept_peaks(prior, record.config, num_threads)
+            if peaks is not None and check_planes(capture, peaks.of(capture)).is_reversed:
+                turned = cls._check(with_turn_reversed(capture), *others)
+                return replace(turned, corrections=Corrections(reversed_turn=1))
+            found = None if found is None else replace(found, peaks=peaks)
+        if found is None:
+            raise failure or AssertionError
+        return found
+
+    @classmethod
+    def _check(
+        cls,
+        capture: Capture,
+        given: LosPrior | None,
+        record: RunRecord,
+        listener: Listener,
+        num_threads: int | None,
+        summary: CaptureSummary | None = None,
+    ) -> "Request":
         begin = time.perf_counter()
         where, options, source = record.scene or "capture", record.options, record.prior
         summary = summary or summarize_capture(capture)
@@ -263,10 +302,13 @@ def run_request(
     """
     options = request.record.options
     with log_run(run, resume=resume):
+        peaks = request.peaks if peaks is None else peaks
         job, prior_name = start_job(request, run, peaks=peaks, resume=resume)
         if options.calibrate == "auto":
             has_motion = MOTION_KEY in request.capture.provenance
-            job, _ = calibrate_job(job, with_positions=not has_motion)
+            job, _ = calibrate_job(job, with_positions=not has_motion, before=request.corrections)
+        elif not request.corrections.are_none:
+            request.corrections.save(run.path / CALIBRATION_NAME)
         job = replace(job, capture=keep_planes(job.capture, options.hold_out, request.where))
         left_out = planes_at(request.capture, options.hold_out, request.where)
         keep_inputs(job, [p for n, p in enumerate(request.summary.planes) if n not in left_out])
@@ -376,6 +418,7 @@ def _settings_key(record: RunRecord) -> str:
         config["paper"].pop("device", None)
     return stage_key(
         hold_out=options.hold_out,
+        reverse_turn=options.reverse_turn,
         calibrate=options.calibrate,
         seed=options.seed if is_trained(record.config) else 0,
         versions=versions_of(record.config),
@@ -405,6 +448,7 @@ def make_surface(
                     raise
                 job.listener.warning(str(error))
     run_preset(job)
+    judge(job, is_turn_stated=options.reverse_turn)
     if prior_name == BY_RADAR:
         require_determined(run)
     run.take_over()

@@ -20,11 +20,14 @@ def common_sigma_m(run: RunFolder) -> float:
     return UNKNOWN_OFFSET_M if stated is None else 1e-3 * float(stated)
 
 
-def calibrate_job(job: Job, *, with_positions: bool = True) -> tuple[Job, Corrections]:
+def calibrate_job(
+    job: Job, *, with_positions: bool = True, before: Corrections | None = None
+) -> tuple[Job, Corrections]:
     """Job on the corrected capture and prior, and the corrections, which are written.
 
     with_positions: also estimate the slow errors of positions, which take most of the time; not for
         a scan that grows, nor for a parcel of a belt, whose motion is known from whole arrays.
+    before: corrections that the job's capture has already.
 
     Applied corrections are reported to the listener.
     """
@@ -38,15 +41,19 @@ def calibrate_job(job: Job, *, with_positions: bool = True) -> tuple[Job, Correc
             progress=step.progress,
         )
         step.numbers |= {"applied": [], "left": []}
+        if before is not None and before.reversed_turn:
+            step.numbers["reversed_turn"] = 1
         step.numbers["common_offset_sigma_mm"] = 1e3 * found.common_offset_sigma_m
         for judgement in found.judgements:
             step.numbers["applied" if judgement.applied else "left"].append(str(judgement))
             for key, value in judgement.numbers.items():
                 step.numbers[f"{judgement.name}_{key}"] = value
         path = job.run.path / CALIBRATION_NAME
-        found.corrections.save(path)
+        turned = 0 if before is None else before.reversed_turn
+        stored = replace(found.corrections, reversed_turn=turned)
+        stored.save(path)
     if found.corrections.are_none:
-        return job, found.corrections
+        return job, stored
     for text in step.numbers["applied"]:
         job.listener.note(f"calibrated {text}")
     corrected = replace(
@@ -55,7 +62,7 @@ def calibrate_job(job: Job, *, with_positions: bool = True) -> tuple[Job, Correc
         prior=found.corrections.moved_prior(job.prior),
         inputs={**job.inputs, "calibration": file_digest(path)},
     )
-    return corrected, found.corrections
+    return corrected, stored
 
 
 def correct_capture(run: RunFolder, capture: Capture) -> Capture:

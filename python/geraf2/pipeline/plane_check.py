@@ -1,0 +1,108 @@
+"""Check that the planes of a scan agree, against rivals of the recorded geometry."""
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from geraf2.echoes.plane_agreement import (
+    PlaneAgreement,
+    Rival,
+    as_recorded_at,
+    plane_agreement,
+    strong_echoes,
+    with_axes_reversed,
+)
+from geraf2.imaging.peaks import PeakSet
+from geraf2.scene import Capture
+
+SURE_SIGMAS, DOUBTFUL_SIGMAS = 2.5, 1.0
+"""Standard errors by which a rival geometry is better where it replaces the recorded one, and where
+it is a cause of a failure. Sound scans have at most 0."""
+_ODD_SHARE = 0.5
+"""A plane whose agreement is below this share of the median plane's is compared with others."""
+_MAX_ODD = 8
+"""Largest number of planes that are tried in each other's places."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlaneCheck:
+    """Agreement of a scan's planes as recorded, and under rivals."""
+
+    recorded: PlaneAgreement
+    reversed_turn: Rival
+    """Turntable in the other sense; or, seen in a mirror, reversed horizontal axes."""
+    upside_down: Rival
+    """Reversed vertical axes; the same as recorded where one ring is as high as its content."""
+    exchanged: tuple[tuple[int, int], ...] = ()
+    """Planes that agree better in each other's places."""
+    odd: tuple[int, ...] = ()
+    """Planes that agree with the others neither in their own nor in another place."""
+
+    @property
+    def is_reversed(self) -> bool:
+        """Whether the turntable surely ran in the other sense."""
+        return self.reversed_turn.sigmas > max(SURE_SIGMAS, self.upside_down.sigmas)
+
+    def numbers(self) -> dict[str, Any]:
+        """Entries of run.json."""
+        return {
+            "agreement": round(self.recorded.share, 3),
+            "other_sense_agreement": round(self.reversed_turn.share, 3),
+            "other_sense_sigmas": round(self.reversed_turn.sigmas, 1),
+            "upside_down_sigmas": round(self.upside_down.sigmas, 1),
+            "exchanged_planes": [list(pair) for pair in self.exchanged],
+            "odd_planes": list(self.odd),
+        }
+
+
+def check_planes(capture: Capture, peaks: PeakSet) -> PlaneCheck:
+    """Compare the planes of a capture.
+
+    peaks: of all planes.
+    """
+    echoes, n = strong_echoes(peaks), len(capture.poses)
+
+    def rival(*, horizontal: bool = False, vertical: bool = False) -> Rival:
+        turned = with_axes_reversed(echoes, capture.poses, horizontal=horizontal, vertical=vertical)
+        return Rival.of(recorded, plane_agreement(turned, n))
+
+    recorded = plane_agreement(echoes, n)
+    exchanged, odd = _find_exchanged(capture, echoes, recorded)
+    return PlaneCheck(
+        recorded=recorded,
+        reversed_turn=rival(horizontal=True),
+        upside_down=rival(vertical=True),
+        exchanged=exchanged,
+        odd=odd,
+    )
+
+
+def _find_exchanged(
+    capture: Capture, echoes: PeakSet, recorded: PlaneAgreement
+) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
+    """Pairs of planes that agree better in each other's places, and other planes that disagree."""
+    shares = recorded.of_planes
+    known = np.isfinite(shares)
+    if known.sum() < 4:
+        return (), ()
+    low = np.flatnonzero(known & (shares < _ODD_SHARE * np.nanmedian(shares)))
+    candidates = low[np.argsort(shares[low])][:_MAX_ODD]
+    left, pairs = {int(k) for k in low}, list[tuple[int, int]]()
+    gains = list[tuple[float, int, int]]()
+    for a, b in combinations(sorted(int(k) for k in candidates), 2):
+        moved = plane_agreement(
+            as_recorded_at(echoes, capture.poses, {a: b, b: a}), len(capture.poses)
+        )
+        gain = float((moved.of_planes - shares)[[a, b]].min())
+        gains.append((gain, a, b))
+    for gain, a, b in sorted(gains, reverse=True):
+        if (
+            gain > 0.0
+            and {a, b} <= left
+            and gain > 0.5 * float(np.nanmedian(shares)) - max(shares[a], shares[b])
+        ):
+            pairs.append((a, b))
+            left -= {a, b}
+    return tuple(sorted(pairs)), tuple(sorted(left))

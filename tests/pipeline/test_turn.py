@@ -1,0 +1,58 @@
+"""A turntable in the wrong sense, through a whole run."""
+
+import numpy as np
+import pytest
+
+import geraf2
+from geraf2.calibration.corrections import with_turn_reversed
+from geraf2.io.verdict import Trust
+from geraf2.pipeline.stages.calibration import correct_capture
+from helpers.specular import BOX_M, capture_of, sphere_paths
+
+CENTERS, RADII = np.array([[0.03, 0.01, 0.0], [-0.025, 0.02, 0.01]]), [0.03, 0.025]
+BOX = (BOX_M,) * 3
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return capture_of(lambda tx, _: sphere_paths(tx, CENTERS, RADII), n_poses=24)
+
+
+def radius_errors_m(mesh):
+    """Distance of each vertex to the nearer sphere's surface [m]."""
+    away = np.linalg.norm(mesh.vertices[:, None] - CENTERS, axis=2) - RADII
+    return np.abs(away).min(axis=1)
+
+
+def test_reversing_twice_is_the_same(capture):
+    again = with_turn_reversed(with_turn_reversed(capture))
+    for pose, own in zip(again.poses, capture.poses, strict=True):
+        np.testing.assert_allclose(pose.tx_positions, own.tx_positions, atol=1e-12)
+        np.testing.assert_allclose(pose.axes, own.axes, atol=1e-12)
+
+
+def test_a_wrong_sense_is_corrected_and_said(capture, tmp_path):
+    right = geraf2.reconstruct(capture, BOX, "fast", tmp_path / "right")
+    wrong = geraf2.reconstruct(with_turn_reversed(capture), BOX, "fast", tmp_path / "wrong")
+    assert np.median(radius_errors_m(wrong.content_mesh)) < 0.003
+    assert right.verdict.trust == Trust.RELIABLE
+    assert wrong.verdict.trust != Trust.RELIABLE
+    assert wrong.verdict.causes[0].name == "sense"
+    # Who reads the scene again gets the corrected planes.
+    pose = correct_capture(wrong.run, with_turn_reversed(capture)).poses[5]
+    np.testing.assert_allclose(pose.axes, capture.poses[5].axes, atol=0.02)
+
+
+def test_a_stated_sense_is_taken_and_not_doubted(capture, tmp_path):
+    options = geraf2.RunOptions(reverse_turn=True)
+    turned = with_turn_reversed(capture)
+    result = geraf2.reconstruct(turned, BOX, "fast", tmp_path / "out", options=options)
+    assert result.verdict.trust == Trust.RELIABLE
+
+
+def test_without_calibration_the_sense_stays_and_is_a_cause(capture, tmp_path):
+    options = geraf2.RunOptions(calibrate="no")
+    turned = with_turn_reversed(capture)
+    result = geraf2.reconstruct(turned, BOX, "fast", tmp_path / "out", options=options)
+    assert result.verdict.trust == Trust.NOT_TO_BE_TRUSTED
+    assert "sense" in {cause.name for cause in result.verdict.causes}
