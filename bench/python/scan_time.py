@@ -2,9 +2,11 @@
 
     geraf2 simulate SPEC.toml SCENE --scan SUPER.json      # of each object; see `superset`
     python bench/python/scan_time.py superset SUPER.json
+    python bench/python/scan_time.py scenes OUT [--objects NAME|SEED ...]
     python bench/python/scan_time.py scores SCENE... --out OUT [--preset fast best] [--only NAME...]
     python bench/python/scan_time.py draw OUT --to docs/scan-time.svg
 
+`scenes` simulates 6 planes around and 1 above of figures and of random metal objects, by seed.
 `superset` writes a scan of 12 planes around the box of 22 cm, 8 at 40 degrees and 1 above at 4 mm,
 with 8 channels at 0.1 m/s. `scores` takes planes of it out of each scene, as DESIGNS
 has them, reconstructs with the walls' outer sides as prior, and scores against truth.ply, what the
@@ -30,18 +32,28 @@ from geraf2.apps.planning.scan_time import Design, Scanner, swept_planes
 from geraf2.evaluation import evaluate_mesh
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_json_atomic
-from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.scan_file import write_scan_file
-from geraf2.scene import Capture, Pose, load_capture
+from geraf2.scene import Capture, Pose, Wall, load_capture, save_capture
 from geraf2.scene.aperture import Aperture
+from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, simulate
+from geraf2.simulation.population_settings import Population
+from geraf2.simulation.random_objects import random_object
 from geraf2.surfaces.isosurface import signed_distances
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt  # the backend must be chosen first
 
 STANDOFF_M, APERTURE_M, SPACING_M, SPEED_M_PER_S = 0.39, (0.14, 0.25), 0.004, 0.1
+METAL = Population(plastic=0.0, size_m=((0.05, 0.16), (0.08, 0.16), (0.11, 0.16)))
 PUBLISHED_MINUTES = 24.0 * 60.0
 PUBLISHED = "published: 36 planes, raster of 1 mm"
+
+
+ESTIMATE = ("dog", "800", "elephant", "801", "chair", "802", "llama", "803", "shoe", "804")
+"""Figures, and seeds of random objects, that the constants of `geraf2 plan` rest on."""
+CLAIM = ("bunny", "10800", "deer", "10801", "hammer", "10802", "jug", "10803", "chicken", "10804")
+"""Those on which its statement is checked."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +95,7 @@ DESIGNS = {
     "4 around, 7 lines": Part(around=4, rows=56),
     "4 around": Part(around=4),
     "6 around": Part(around=6),
+    "6 around, 1 above": Part(around=6, above=1),
     "12 around": Part(around=12),
     "3 around, 1 above": Part(around=3, above=1),
     "4 around, 1 above": Part(around=4, above=1),
@@ -110,6 +123,42 @@ def write_superset(path: Path) -> None:
     )
     scanner = Scanner(channels=8, speed_m_per_s=SPEED_M_PER_S)
     write_scan_file(path, swept_planes(design.planes(STANDOFF_M), SPACING_M, scanner)[0])
+
+
+def write_scenes(out: Path, objects: Iterable[str]) -> None:
+    """Scan of 6 planes around and 1 above, of each object in the box."""
+    design = Design(
+        n_around=6,
+        n_raised=0,
+        raised_deg=0.0,
+        above=True,
+        spacing_m=SPACING_M,
+        aperture_m=APERTURE_M,
+    )
+    scan = swept_planes(
+        design.planes(STANDOFF_M), SPACING_M, Scanner(channels=8, speed_m_per_s=SPEED_M_PER_S)
+    )[0]
+    for name in objects:
+        folder = out / name
+        if (folder / "truth.ply").is_file():
+            continue
+        out.mkdir(parents=True, exist_ok=True)
+        height = 0.06 + 0.07 * np.random.default_rng([len(name), *name.encode()]).random()
+        figure = FigureSpec(name=name, height_m=height)
+        if name.isdecimal():
+            mesh = random_object(int(name), METAL).mesh
+            write_mesh(mesh, out / f"{name}.ply")
+            height = float(np.ptp(mesh.vertices[:, 2]))
+            figure = FigureSpec(mesh=str(out / f"{name}.ply"), height_m=height)
+        spec = SceneSpec(
+            figure=figure,
+            walls=(Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),),
+            scan=replace(ScanSpec(), sweeps=scan),
+        )
+        capture, truth = simulate(spec, seed=1, num_threads=1)
+        save_capture(capture, folder)
+        write_mesh(truth, folder / "truth.ply")
+        print(f"simulated {name}", flush=True)
 
 
 def taken(capture: Capture, part: Part) -> Capture:
@@ -274,6 +323,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     what = parser.add_subparsers(dest="what", required=True)
     what.add_parser("superset").add_argument("out", type=Path)
+    scenes = what.add_parser("scenes")
+    scenes.add_argument("out", type=Path)
+    scenes.add_argument("--objects", nargs="+", default=[*ESTIMATE, *CLAIM])
     scores = what.add_parser("scores")
     scores.add_argument("scenes", nargs="+", type=Path)
     scores.add_argument("--out", type=Path, required=True)
@@ -286,6 +338,9 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "superset":
         write_superset(options.out)
+        return
+    if options.what == "scenes":
+        write_scenes(options.out, options.objects)
         return
     if options.what == "draw":
         rows = json.loads((options.out / "scores.json").read_text())

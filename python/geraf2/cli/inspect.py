@@ -12,6 +12,7 @@ from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotatio
 from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_verdict
+from geraf2.echoes.ruled_out import describe_ruled_out
 from geraf2.io.run_folder import INSPECTION_NAME
 from geraf2.io.text import NOT_DETERMINED
 
@@ -66,6 +67,8 @@ def main(config: Config) -> int:
         say(f"model '{report.model.name}': {report.match.status}")
         if report.match.placement is not None:
             rows(_model(report))
+    if found.ruled_out:
+        say(f"ruled out  {describe_ruled_out(found.ruled_out)}")
     for text in found.notes:
         say(f"note: {text}")
     for text in found.failures:

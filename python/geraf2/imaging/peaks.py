@@ -115,11 +115,15 @@ class PeakSet:
 
         Overlapping neighbours have the same echoes, and their noise is not independent.
         """
+        return self.select(self.spaced(step_m)[self.subapertures])
+
+    def spaced(self, step_m: float) -> Bools:
+        """Whether each sub-aperture is one of those about `step_m` [m] apart, (n_subapertures,)."""
         keep = np.zeros(len(self.tops), dtype=bool)
         for number in np.unique(self.subaperture_planes):
             own = np.flatnonzero(self.subaperture_planes == number)
             keep[own] = _select_spaced(self.subaperture_coordinates[own], step_m)
-        return self.select(keep[self.subapertures])
+        return keep
 
 
 def grating_lobes(directions: Floats, axes: Floats, periods: Floats) -> list[Floats]:

@@ -33,6 +33,16 @@ class _Ghost:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Region:
+    """A part of the box, and what would have been found in it."""
+
+    name: str
+    metal_mm: float | None
+    plastic_mm: float | None
+    unseen_share: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Known:
     """Numbers by name, whatever their stage; each may be missing."""
 
@@ -58,6 +68,7 @@ class _Known:
     axes: tuple[_Axis, _Axis, _Axis] | None = None
     faces: dict[str, _Face] | None = None
     likely_ghosts: tuple[_Ghost, ...] = ()
+    ruled_out: tuple[_Region, ...] = ()
     expected_error_median_mm: float = 0.0
     evidence_shares: dict[str, float] | None = None
     verdict: Trust | None = None

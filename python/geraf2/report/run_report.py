@@ -165,6 +165,7 @@ def write_report(
     answer = answer_of(run.content, run.glints, run.numbers, run.metrics, run.verdict)
     sections = [
         Section("answer", "What was found", kind="answer", note=_NO_VIEW),
+        *run_sections.ruled_out(run.numbers.get("mesh", {})),
         *pictures,
         *_evaluation(run, folder, answer),
         *_renderings(folder),

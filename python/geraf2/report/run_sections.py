@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from geraf2 import __version__
+from geraf2.echoes.ruled_out import describe_ruled_out, ruled_out_of, ruled_out_rows
 from geraf2.errors import UserError
 from geraf2.evaluation import MeshMetrics
 from geraf2.io import run_folder
@@ -137,6 +138,24 @@ def level_moved(log: Sequence[Mapping[str, Any]]) -> str:
         f"After the training the surface was moved {side} by {abs(inward_mm):.1f} mm{less}, to the "
         f"depth of the {n_glints} brightest echoes."
     )
+
+
+def ruled_out(numbers: Mapping[str, Any]) -> list[Section]:
+    """Section on the smallest bodies that would have been found; empty where it is not known.
+
+    numbers: of the stage `mesh`.
+    """
+    regions = ruled_out_of(numbers)
+    if not regions:
+        return []
+    head = ["where", "metal ball [mm]", "plastic ball [mm]", "out of sight [%]"]
+    found = describe_ruled_out(regions)
+    note = (
+        f"{found[0].upper()}{found[1:]}. A ball of more than the stated diameter would have been "
+        "found at 95 % of the places."
+    )
+    parts = (html.part("table", "", head, ruled_out_rows(regions)),)
+    return [Section("ruled-out", "What was ruled out", note=note, parts=parts)]
 
 
 def tables(

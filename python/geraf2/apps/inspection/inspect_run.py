@@ -33,6 +33,7 @@ from geraf2.apps.inspection.materials import (
 from geraf2.apps.inspection.models import CadModel, diagonal_m, model_of, read_models
 from geraf2.apps.inspection.registration import ALIKE
 from geraf2.apps.inspection.result import Inspection, ModelReport, failures_of
+from geraf2.echoes.ruled_out import ruled_out_of
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -175,6 +176,7 @@ def inspect(
         scene=(result.run.scene_name, result.run.scene_digest),
         has_criteria=has_criteria,
         verdict=result.verdict,
+        ruled_out=tuple(ruled_out_of(result.numbers.get("mesh", {}))),
     )
     if write:
         _write(inspection, result, bodies, whole, out, listener)

@@ -6,6 +6,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.bodies import Body, part_of
 from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
+from geraf2.echoes.ruled_out import ruled_out_rows
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.trimesh_formats import glb_bytes
@@ -87,6 +88,7 @@ def inspection_page(
         turn=rotation_vector_deg,
         degrees=np.rad2deg,
         material_text=material_text,
+        ruled_out=ruled_out_rows(inspection.ruled_out),
         n_views=_N_VIEWS,
         pictures=[_picture(whole, numbers, k) for k in range(1, len(inspection.parts) + 1)],
     )

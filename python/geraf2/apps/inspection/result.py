@@ -15,6 +15,7 @@ from geraf2.apps.inspection.deviation import Deviation, list_regions
 from geraf2.apps.inspection.expected import swap_text
 from geraf2.apps.inspection.matching import Match
 from geraf2.apps.inspection.models import CadModel
+from geraf2.echoes.ruled_out import Region
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import volume_centroid_m
 from geraf2.io.atomic import write_json_atomic, write_text_atomic
@@ -84,6 +85,8 @@ class Inspection(Short):
     """Whether anything was required: models, or a number of parts."""
     verdict: Verdict | None = None
     """How far the scan can be trusted; None where it was not judged."""
+    ruled_out: tuple[Region, ...] = ()
+    """Smallest bodies that would have been found, by part of the box; empty where unknown."""
 
     @property
     def result(self) -> str:
@@ -117,6 +120,7 @@ class Inspection(Short):
             "notes": list(self.notes),
             "uncertainty": "sigma is one standard deviation; 95 % of errors are below 1.96 of it",
             "tolerance_m": self.tolerance_m,
+            "ruled_out": [asdict(region) for region in self.ruled_out],
             "parts": [asdict(part) for part in self.parts],
             "models": [_model(report) for report in self.models],
         }

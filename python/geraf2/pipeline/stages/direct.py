@@ -4,13 +4,15 @@ from typing import Any
 
 from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
+from geraf2.echoes.detectability import Detector
 from geraf2.echoes.glints import find_echoes
 from geraf2.echoes.labels import Label
+from geraf2.echoes.ruled_out import region_numbers, rule_out
 from geraf2.echoes.transparency import describe, first_surfaces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_bytes_atomic
-from geraf2.io.mesh import write_mesh
+from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import (
     BACK_NAME,
     BOX_NAME,
@@ -24,6 +26,7 @@ from geraf2.io.run_folder import (
     SDF_NAME,
     SILHOUETTES_NAME,
 )
+from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.pipeline.stages.job import Job, Step
 from geraf2.surfaces.expected_error import quality_numbers
@@ -124,7 +127,20 @@ def draw_surface(
         if meshes.mesh_content.faces.shape[0]:  # drop the same pieces from the field
             sdf = redistance(sdf, meshes.mesh_content, num_threads=threads)
         write_meshes(job, step, meshes)
+        step.numbers |= _ruled_out(job, meshes.mesh_content)
         sdf.save(job.run.path / SDF_NAME)
+
+
+def _ruled_out(job: Job, content: TriangleMesh) -> dict[str, Any]:
+    """Smallest bodies that would have been found; empty where no wall shows the level of metal."""
+    found, config = job.run.stages.get("glints"), getattr(job.config, "glints", None)
+    strength_m = None if found is None else found.numbers.get("metal_strength_m")
+    if strength_m is None or config is None:
+        return {}
+    peaks = job.peaks.of(job.capture)
+    detector = Detector.of(job.capture, job.prior, peaks, config, strength_m)
+    scene = MeshScene(content.vertices, content.faces, num_threads=job.num_threads)
+    return region_numbers(rule_out(detector, job.prior, scene))
 
 
 def write_meshes(job: Job, step: Step, meshes: ExtractedMeshes) -> None:

@@ -1,0 +1,233 @@
+"""Whether metal balls of the size that geraf2 states to be detectable are found.
+
+    python bench/python/detectability.py --out out/detectability [--first 0] [--scans 24] [--fit]
+
+A scan of a random object in a carton (12 planes at 5 mm, 64 samples, 20 dB) is simulated once. The
+echoes of balls at random places are simulated apart, behind the object too, and added. A ball is
+found if at least three glints that geraf2 takes for content lie within 10 mm of its centre, and more
+than twice as many as without it. Its radius is the one that is stated for its place from the scan
+without balls, and half of that. Shares come with Wilson intervals (95 %). With `--fit` radii are
+drawn, and the constants of the statement are compared. Seeds below 1000 are for that, those from
+10000 on for claims. Scans are kept in `--out` and used again.
+"""
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+import geraf2
+from geraf2.echoes.detectability import Detector, smallest_radius
+from geraf2.echoes.glints import GlintConfig, find_echoes
+from geraf2.imaging.peaks import collect_peaks
+from geraf2.geometry.transforms import triple
+from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
+from geraf2.ops.physical_optics import AntennaBlocks
+from geraf2.ops.visibility import MeshScene
+from geraf2.simulation.echo import EchoScene, Layer, plane_echo, wall_layers
+from geraf2.simulation.elements import mesh_elements
+from geraf2.simulation.population_settings import Population
+from geraf2.simulation.random_objects import random_object
+from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
+from geraf2.simulation.spec import (
+    AWR1843,
+    DisturbanceSpec,
+    FigureSpec,
+    RingSpec,
+    ScanSpec,
+    SceneSpec,
+)
+from inspection import print_share
+
+METAL = Population(plastic=0.0, size_m=((0.05, 0.09), (0.07, 0.1), (0.08, 0.11)))
+WAVEFORM = replace(AWR1843, n_samples=64, sample_rate_hz=1.25e6)
+WALL_M, N_BALLS, NEAR_M, APART_M = 0.004, 8, 0.01, 0.045
+_MARGIN_M, _CLEAR_M = 0.025, 0.02
+"""Least distance of a ball's centre from the outside of the box, and of its surface from the object."""
+
+
+def spec_of(seed: int, folder: Path) -> SceneSpec:
+    rng = np.random.default_rng([seed, 21])
+    mesh = random_object(seed, METAL).mesh
+    sides = np.maximum(np.ptp(mesh.vertices, axis=0) + 0.06, rng.uniform(0.15, 0.22, 3))
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    write_mesh(mesh, folder / "truth.ply")
+    rings = (RingSpec(n_poses=4, elevation_deg=35.0, start_angle_deg=15.0),) * (seed % 2)
+    room = 0.5 * (sides - np.ptp(mesh.vertices, axis=0)) - 0.02
+    return SceneSpec(
+        figure=FigureSpec(
+            mesh=str(folder / "truth.ply"),
+            height_m=float(high[2] - low[2]),
+            center_m=triple(room * rng.uniform(-1.0, 1.0, 3)),
+        ),
+        walls=(geraf2.Wall(size_m=triple(sides), thickness_m=WALL_M, permittivity=1.6),),
+        waveform=WAVEFORM,
+        scan=ScanSpec(
+            n_poses=12 if seed % 2 == 0 else 8,
+            spacing_m=0.005,
+            aperture_m=(0.13, 0.21),
+            standoff_m=0.36,
+            rings=rings,
+        ),
+        disturbance=DisturbanceSpec(snr_db=float(rng.uniform(0.0, 25.0))),
+    )
+
+
+def base_scan(seed: int, folder: Path) -> tuple[geraf2.Capture, TriangleMesh, SceneSpec]:
+    spec = spec_of(seed, folder)
+    if not (folder / "scene").is_dir():
+        capture, truth = geraf2.simulate(spec, seed=seed, num_threads=1)
+        geraf2.save_capture(capture, folder / "scene")
+        write_mesh(truth, folder / "placed.ply")
+    return geraf2.load_capture(folder / "scene").load(), read_mesh(folder / "placed.ply"), spec
+
+
+class Adder:
+    """Echoes of further metal bodies in a simulated scan."""
+
+    def __init__(self, capture: geraf2.Capture, truth: TriangleMesh, spec: SceneSpec) -> None:
+        self.capture, self.truth, self.spec = capture, truth, spec
+        self.planes = scan_planes(spec.scan)
+        # The simulator scales all samples by one number: that of the first plane.
+        made = self._echo(truth, self.planes[0], walls=True)
+        own = capture.poses[0].signal
+        self.unit = float(np.vdot(made, own).real / np.vdot(made, made).real)
+
+    def _echo(self, body: TriangleMesh, plane: ScanPlane, *, walls: bool = False) -> np.ndarray:
+        whole = TriangleMesh.joined([self.truth, body]) if body is not self.truth else body
+        facets, areas = mesh_elements(body.vertices, body.faces, 0.0012)
+        layers = wall_layers(self.spec.walls, self.spec.numerics.wall_patch_m) if walls else ()
+        scene = EchoScene(
+            waveform=self.capture.waveform,
+            walls=self.spec.walls,
+            blocker=MeshScene(whole.vertices, whole.faces, num_threads=1),
+            figure=Layer(elements=(facets,), areas=areas),
+            wall_layers=layers,
+            num_threads=1,
+        )
+        order, offsets = antenna_blocks(plane, self.spec.numerics.antenna_block_m)
+        antennas = AntennaBlocks(
+            tx=plane.tx[order], rx=plane.rx[order], offsets=offsets, boresight=plane.axes[0]
+        )
+        echo = plane_echo(scene, antennas).reorder(np.argsort(order))
+        return np.asarray(echo.figure + echo.walls)
+
+    def with_balls(self, centers: np.ndarray, radii: np.ndarray) -> geraf2.Capture:
+        balls = TriangleMesh.joined([ball(c, r) for c, r in zip(centers, radii, strict=True)])
+        poses = tuple(
+            replace(
+                pose,
+                signal=(pose.signal + self.unit * self._echo(balls, plane)).astype(np.complex64),
+            )
+            for pose, plane in zip(self.capture.poses, self.planes, strict=True)
+        )
+        return replace(self.capture, poses=poses)
+
+
+def ball(center: np.ndarray, radius: float) -> TriangleMesh:
+    made = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    return TriangleMesh(vertices=made.vertices + center, faces=made.faces)
+
+
+def places(rng: np.random.Generator, spec: SceneSpec, scene: MeshScene) -> np.ndarray:
+    """Centres of balls, clear of each other, the object and the walls."""
+    half, found = 0.5 * np.array(spec.walls[0].size_m) - _MARGIN_M, list[np.ndarray]()
+    for _ in range(4000):
+        at = rng.uniform(-1.0, 1.0, 3) * half
+        if len(found) < N_BALLS and all(np.linalg.norm(at - o) > APART_M for o in found):
+            if not scene.contains(at[None])[0] and scene.distance(at[None])[0] > _CLEAR_M:
+                found.append(at)
+    return np.array(found).reshape(-1, 3)
+
+
+class Seen:
+    """Glints of a scan."""
+
+    def __init__(self, capture: geraf2.Capture, prior: geraf2.LosPrior) -> None:
+        config = GlintConfig()
+        self.peaks = collect_peaks(
+            capture, prior, config.subaperture, config.noise_margin_db, num_threads=1
+        )
+        found = find_echoes(capture, prior, config, peaks=self.peaks, num_threads=1)
+        self.glints, self.metal = found.glints, found.metal
+
+    def counts(self, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
+        """Glints within 10 mm of each ball's surface or centre."""
+        near = KDTree(self.glints.positions).query_ball_point(centers, NEAR_M + radii)
+        return np.array([len(one) for one in near])
+
+
+def scan_rows(seed: int, options: argparse.Namespace) -> list[dict[str, np.ndarray | float]]:
+    folder = options.out / str(seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    rng = np.random.default_rng([seed, 22])
+    capture, truth, spec = base_scan(seed, folder)
+    prior = geraf2.LosPrior.from_box(spec.walls[0].size_m, walls=spec.walls)
+    base = Seen(capture, prior)
+    if base.metal is None:
+        print(f"  {seed}: no level of metal")
+        return []
+    scene = MeshScene(truth.vertices, truth.faces, num_threads=1)
+    centers = places(rng, spec, scene)
+    adder, rows = Adder(capture, truth, spec), []
+    detector = Detector.of(capture, prior, base.peaks, GlintConfig(), base.metal.strength_m)
+    start = time.process_time()
+    needed = detector.needed_radii(centers, scene)
+    seconds = time.process_time() - start
+    for kind in ("drawn", "drawn again") if options.fit else ("stated", "half"):
+        radii = np.exp(rng.uniform(np.log(0.0004), np.log(0.01), len(centers)))
+        if not options.fit:
+            stated = smallest_radius(needed, *options.enough)
+            radii = stated * (1.0 if kind == "stated" else 0.5)
+        usable = np.isfinite(radii) & (radii < 0.03)
+        before = base.counts(centers, radii)
+        after = Seen(adder.with_balls(centers[usable], radii[usable]), prior).counts(centers, radii)
+        for k in np.flatnonzero(usable):
+            rows.append(
+                {
+                    "seed": seed,
+                    "kind": kind,
+                    "radius_m": float(radii[k]),
+                    "found": bool(after[k] >= 3 and after[k] > 2 * before[k]),
+                    "after": int(after[k]),
+                    "before": int(before[k]),
+                    "needed": [[float(x[k]) for x in np.sort(one, axis=1).T[:6]] for one in needed],
+                }
+            )
+    print(
+        f"  {seed}: metal {base.metal.strength_m:.4f} +- {base.metal.sigma_db:.1f} dB, unit "
+        f"{adder.unit:.3g}, {seconds:.2f} s, "
+        + " ".join(f"{1e3 * r['radius_m']:.1f}{'+' if r['found'] else '-'}" for r in rows),
+        flush=True,
+    )
+    return rows
+
+
+def main() -> None:
+    import json
+
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("out/detectability"))
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--scans", type=int, default=24)
+    parser.add_argument("--fit", action="store_true")
+    parser.add_argument("--enough", nargs=2, type=int, default=(2, 3))
+    options = parser.parse_args()
+    rows = []
+    for seed in range(options.first, options.first + options.scans):
+        rows += scan_rows(seed, options)
+        (options.out / f"rows_{'fit' if options.fit else 'claim'}_{options.first}.json").write_text(
+            json.dumps(rows)
+        )
+    for kind in sorted({r["kind"] for r in rows}):
+        print_share(
+            [r["found"] for r in rows if r["kind"] == kind], f"balls of the {kind} size found"
+        )
+
+
+if __name__ == "__main__":
+    main()
