@@ -1,30 +1,34 @@
 """Whether metal balls of the size that geraf2 states to be detectable are found.
 
-    python bench/python/detectability.py --out out/detectability [--first 0] [--scans 24] [--fit]
+    python bench/python/detectability.py --out out/detectability [--first 10000] [--scans 20]
+    python bench/python/detectability.py --out out/detectability --fit --scans 16
 
-A scan of a random object in a carton (12 planes at 5 mm, 64 samples, 20 dB) is simulated once. The
-echoes of balls at random places are simulated apart, behind the object too, and added. A ball is
-found if at least three glints that geraf2 takes for content lie within 10 mm of its centre, and more
-than twice as many as without it. Its radius is the one that is stated for its place from the scan
-without balls, and half of that. Shares come with Wilson intervals (95 %). With `--fit` radii are
-drawn, and the constants of the statement are compared. Seeds below 1000 are for that, those from
-10000 on for claims. Scans are kept in `--out` and used again.
+A scan of a random metal object in a carton (8 planes and 4 raised ones or 12 planes, at 5 mm, 64
+samples, 0 to 25 dB) is simulated once. The echoes of eight balls at random places, behind the
+object too, are simulated apart and added. A ball is found if at least three glints that geraf2
+takes for content lie within 10 mm of it, and more than twice as many as without it. Its radius is
+the one that is stated for its place from the scan without balls, and half of that. Shares come with
+Wilson intervals (95 %). With `--fit` radii are drawn, and the constants of the statement are
+chosen: in how many sub-apertures and planes a ball must stand out, and by how much. Seeds below
+1000 are for that, those from 10000 on for claims. Scans are kept in `--out` and used again.
 """
 
 import argparse
+import json
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import trimesh
+from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
 import geraf2
-from geraf2.echoes.detectability import Detector, smallest_radius
+from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, smallest_radius
 from geraf2.echoes.glints import GlintConfig, find_echoes
-from geraf2.imaging.peaks import collect_peaks
 from geraf2.geometry.transforms import triple
+from geraf2.imaging.peaks import collect_peaks
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
@@ -46,8 +50,10 @@ from inspection import print_share
 METAL = Population(plastic=0.0, size_m=((0.05, 0.09), (0.07, 0.1), (0.08, 0.11)))
 WAVEFORM = replace(AWR1843, n_samples=64, sample_rate_hz=1.25e6)
 WALL_M, N_BALLS, NEAR_M, APART_M = 0.004, 8, 0.01, 0.045
+_LARGEST_M, _MOST = 0.02, 6
+"""Largest radius of a ball [m], and most sub-apertures and planes that are tried."""
 _MARGIN_M, _CLEAR_M = 0.025, 0.02
-"""Least distance of a ball's centre from the outside of the box, and of its surface from the object."""
+"""Least distance of a ball's centre from the outside of the box, and from the object."""
 
 
 def spec_of(seed: int, folder: Path) -> SceneSpec:
@@ -138,9 +144,10 @@ def places(rng: np.random.Generator, spec: SceneSpec, scene: MeshScene) -> np.nd
     half, found = 0.5 * np.array(spec.walls[0].size_m) - _MARGIN_M, list[np.ndarray]()
     for _ in range(4000):
         at = rng.uniform(-1.0, 1.0, 3) * half
-        if len(found) < N_BALLS and all(np.linalg.norm(at - o) > APART_M for o in found):
-            if not scene.contains(at[None])[0] and scene.distance(at[None])[0] > _CLEAR_M:
-                found.append(at)
+        clear = all(np.linalg.norm(at - other) > APART_M for other in found)
+        clear = clear and not scene.contains(at[None])[0] and scene.distance(at[None])[0] > _CLEAR_M
+        if clear and len(found) < N_BALLS:
+            found.append(at)
     return np.array(found).reshape(-1, 3)
 
 
@@ -161,7 +168,8 @@ class Seen:
         return np.array([len(one) for one in near])
 
 
-def scan_rows(seed: int, options: argparse.Namespace) -> list[dict[str, np.ndarray | float]]:
+def scan_rows(seed: int, options: argparse.Namespace) -> list[dict]:
+    """What became of each ball of a scan."""
     folder = options.out / str(seed)
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng([seed, 22])
@@ -169,64 +177,89 @@ def scan_rows(seed: int, options: argparse.Namespace) -> list[dict[str, np.ndarr
     prior = geraf2.LosPrior.from_box(spec.walls[0].size_m, walls=spec.walls)
     base = Seen(capture, prior)
     if base.metal is None:
-        print(f"  {seed}: no level of metal")
+        print(f"  {seed}: the walls show no level of metal")
         return []
     scene = MeshScene(truth.vertices, truth.faces, num_threads=1)
     centers = places(rng, spec, scene)
-    adder, rows = Adder(capture, truth, spec), []
     detector = Detector.of(capture, prior, base.peaks, GlintConfig(), base.metal.strength_m)
     start = time.process_time()
     needed = detector.needed_radii(centers, scene)
-    seconds = time.process_time() - start
+    stated, seconds = smallest_radius(needed), time.process_time() - start
+    adder, rows = Adder(capture, truth, spec), list[dict]()
     for kind in ("drawn", "drawn again") if options.fit else ("stated", "half"):
-        radii = np.exp(rng.uniform(np.log(0.0004), np.log(0.01), len(centers)))
-        if not options.fit:
-            stated = smallest_radius(needed, *options.enough)
-            radii = stated * (1.0 if kind == "stated" else 0.5)
-        usable = np.isfinite(radii) & (radii < 0.03)
-        before = base.counts(centers, radii)
-        after = Seen(adder.with_balls(centers[usable], radii[usable]), prior).counts(centers, radii)
-        for k in np.flatnonzero(usable):
-            rows.append(
-                {
-                    "seed": seed,
-                    "kind": kind,
-                    "radius_m": float(radii[k]),
-                    "found": bool(after[k] >= 3 and after[k] > 2 * before[k]),
-                    "after": int(after[k]),
-                    "before": int(before[k]),
-                    "needed": [[float(x[k]) for x in np.sort(one, axis=1).T[:6]] for one in needed],
-                }
-            )
-    print(
-        f"  {seed}: metal {base.metal.strength_m:.4f} +- {base.metal.sigma_db:.1f} dB, unit "
-        f"{adder.unit:.3g}, {seconds:.2f} s, "
-        + " ".join(f"{1e3 * r['radius_m']:.1f}{'+' if r['found'] else '-'}" for r in rows),
-        flush=True,
-    )
+        radii = stated * (1.0 if kind == "stated" else 0.5)
+        if options.fit:
+            radii = np.exp(rng.uniform(np.log(0.0004), np.log(0.01), len(centers)))
+        usable = np.flatnonzero(radii < _LARGEST_M)
+        there, radii = centers[usable], radii[usable]
+        before = base.counts(there, radii)
+        after = Seen(adder.with_balls(there, radii), prior).counts(there, radii)
+        rows += [
+            {
+                "seed": seed,
+                "kind": kind,
+                "radius_m": float(radii[n]),
+                "at_floor": bool(stated[k] <= LEAST_RADIUS_M),
+                "found": bool(after[n] >= 3 and after[n] > 2 * before[n]),
+                "needed": [np.sort(one[k])[:_MOST].tolist() for one in needed],
+            }
+            for n, k in enumerate(usable)
+        ]
+    each = " ".join(f"{1e3 * r['radius_m']:.1f}{'-+'[r['found']]}" for r in rows)
+    level = f"metal +- {base.metal.sigma_db:.1f} dB, stated in {seconds:.2f} s"
+    print(f"  {seed}: {level}, radii in mm {each}", flush=True)
     return rows
 
 
-def main() -> None:
-    import json
+def choose_constants(rows: list[dict]) -> None:
+    """Print what fits best: log odds rise with the level over that of a ball that stands out."""
+    found = np.array([row["found"] for row in rows])
+    radii = np.array([row["radius_m"] for row in rows])
+    fits = []
+    for n_sub in range(1, _MOST + 1):
+        for n_planes in range(1, _MOST + 1):
+            least = [
+                sorted(one[n_sub - 1] if len(one) >= n_sub else np.inf for one in row["needed"])
+                for row in rows
+            ]
+            at = np.array([one[n_planes - 1] if len(one) >= n_planes else np.inf for one in least])
+            over = np.clip(20.0 * np.log10(radii / np.maximum(at, 1e-5)), -60.0, 60.0)
 
+            def loss(model: np.ndarray, over: np.ndarray = over) -> float:
+                share = 0.01 + 0.98 / (1.0 + np.exp(-(over - model[0]) / np.exp(model[1])))
+                return -float(np.log(np.where(found, share, 1.0 - share)).sum())
+
+            starts = [minimize(loss, [x, 0.5], method="Nelder-Mead") for x in (-6.0, 0.0, 6.0)]
+            best = min(starts, key=lambda one: one.fun)
+            nine_db = best.x[0] + np.log(9.0) * np.exp(best.x[1])
+            fits.append((best.fun, n_sub, n_planes, best.x[0], nine_db))
+    for fun, n_sub, n_planes, middle, nine_db in sorted(fits)[:6]:
+        print(
+            f"{n_sub} sub-apertures of {n_planes} planes: loss {fun:.1f}, half are found at "
+            f"{middle:.1f} dB, nine of ten at {nine_db:.1f} dB: margin {10 ** (nine_db / 20):.2f}"
+        )
+
+
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("out/detectability"))
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--scans", type=int, default=24)
-    parser.add_argument("--fit", action="store_true")
-    parser.add_argument("--enough", nargs=2, type=int, default=(2, 3))
+    parser.add_argument("--first", type=int)
+    parser.add_argument("--scans", type=int, default=20)
+    parser.add_argument("--fit", action="store_true", help="choose the constants")
     options = parser.parse_args()
+    first = options.first if options.first is not None else (0 if options.fit else 10_000)
     rows = []
-    for seed in range(options.first, options.first + options.scans):
+    for seed in range(first, first + options.scans):
         rows += scan_rows(seed, options)
-        (options.out / f"rows_{'fit' if options.fit else 'claim'}_{options.first}.json").write_text(
-            json.dumps(rows)
-        )
-    for kind in sorted({r["kind"] for r in rows}):
-        print_share(
-            [r["found"] for r in rows if r["kind"] == kind], f"balls of the {kind} size found"
-        )
+        name = "fit" if options.fit else "claim"
+        (options.out / f"{name}.json").write_text(json.dumps(rows))
+    for kind in sorted({row["kind"] for row in rows}):
+        own = [row for row in rows if row["kind"] == kind]
+        print_share([row["found"] for row in own], f"balls of the {kind} size found")
+        above = [row["found"] for row in own if not row["at_floor"]]
+        print_share(above, f"  those above the floor of {2e3 * LEAST_RADIUS_M:g} mm")
+    if options.fit:
+        choose_constants(rows)
 
 
 if __name__ == "__main__":

@@ -23,9 +23,8 @@ _STEP_M = 0.04
 """Distance of the sub-apertures that are looked at: half of their side [m]."""
 _CELLS = np.linspace(0.0, 4.0, 161)
 """Offsets at which the response of a window is tabulated, in cells of one over its length."""
-LEAST_RADIUS_M = 0.0025
-"""Smaller balls are not counted as found: pieces of a surface begin at 5 mm
-(:class:`geraf2.surfaces.pieces.PieceModel`) [m]."""
+LEAST_RADIUS_M = 0.0012
+"""Smaller balls, below a third of a wavelength, return less than geometrical optics has it [m]."""
 
 
 _N_SUBAPERTURES, _N_PLANES = 2, 2

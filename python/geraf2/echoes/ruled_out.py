@@ -128,9 +128,9 @@ def describe_ruled_out(regions: Sequence[Region]) -> str:
             limit = 2e3 * _LARGEST_RADIUS_M
             texts.append(f"a {kind} ball of {limit:.0f} mm cannot be ruled out in 5 % of the box")
             continue
-        text = f"no {kind} ball above {size:.0f} mm in 95 % of the box"
+        text = f"no {kind} ball above {size:.2g} mm in 95 % of the box"
         if below is not None:
-            text += ", " + (f"{more:.0f} mm" if more else "none ruled out") + " below the content"
+            text += ", " + (f"{more:.2g} mm" if more else "none ruled out") + " below the content"
         texts.append(text)
     return "; ".join(texts)
 

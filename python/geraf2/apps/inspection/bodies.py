@@ -6,6 +6,7 @@ from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.apps.inspection.material import UNKNOWN, Material, Measured
@@ -37,6 +38,8 @@ _N_SAMPLES = 24
 """Surfaces that intervals of sizes rest on: a spread to 14 %."""
 _MIN_PART_SHARE = 0.02
 """Least area of a part relative to the largest, as in the reconstruction."""
+_MIN_GLINTS = 3
+"""Fewest glints of a body that is too small to be a part."""
 
 # RMS errors near a glint and elsewhere, for meshes without expected errors.
 _SEEN_ERROR_M, _GUESSED_ERROR_M = 0.002, 0.006
@@ -197,6 +200,28 @@ def split_bodies(body: Body) -> list[Body]:
         )
         for faces in parts
     ]
+
+
+def small_bodies(bodies: Sequence[Body], glints: Glints | None) -> list[str]:
+    """Sentence on each group of glints that is too small to be a part."""
+    if glints is None or not len(glints):
+        return []
+    near = KDTree(np.concatenate([body.mesh.vertices for body in bodies]))
+    apart = np.flatnonzero(near.query(glints.positions)[0] > PATCH_M)
+    i, j = KDTree(glints.positions[apart]).query_pairs(PATCH_M, output_type="ndarray").T
+    group = connected_labels(i, j, len(apart))
+    found = []
+    for number in np.unique(group):
+        own = apart[group == number]
+        n_planes = len(np.unique(glints.poses[own]))
+        if len(own) < _MIN_GLINTS or n_planes < 2:
+            continue
+        at = ", ".join(f"{1e3 * v:z.0f}" for v in glints.positions[own].mean(axis=0))
+        found.append(
+            f"echoes of a small body, which is no part, come from ({at}) mm: {len(own)} glints of "
+            f"{n_planes} planes"
+        )
+    return found
 
 
 def part_of(body: Body, faces: Ints) -> Body:

@@ -14,7 +14,14 @@ from geraf2._bounds import Arg, Bounded, Seed
 from geraf2._types import Floats
 from geraf2._validation import require_between
 from geraf2.apps.inspection.arrangement import arrange_models, cut_apart
-from geraf2.apps.inspection.bodies import Body, BodyReport, Content, content_of, measure
+from geraf2.apps.inspection.bodies import (
+    Body,
+    BodyReport,
+    Content,
+    content_of,
+    measure,
+    small_bodies,
+)
 from geraf2.apps.inspection.deviation import Deviation, deviation_of
 from geraf2.apps.inspection.expected import (
     ExpectedContents,
@@ -149,6 +156,7 @@ def inspect(
     if models:
         bodies, matches = _match_models(models, Content(pieces, whole, glints), options, listener)
     notes = [_CUT] if len(bodies) > len(pieces) else []
+    notes += small_bodies(pieces, glints)
     with listener.step("measuring the parts"):
         levels = levels_of(result, planes)
         whole = replace(whole, mesh=add_reflectivity(whole.mesh, levels))
