@@ -27,10 +27,11 @@ LEAST_RADIUS_M = 0.0012
 """Smaller balls, below a third of a wavelength, return less than geometrical optics has it [m]."""
 
 
-_N_SUBAPERTURES, _N_PLANES = 2, 2
+_N_SUBAPERTURES, _N_PLANES = 3, 3
 """Sub-apertures of a plane, and planes, in which a ball must stand out to be found."""
 _MARGIN = 2.0
-"""Radius that is found nine times of ten, over that with which a ball just stands out."""
+"""Radius that is found 19 times of 20, over that with which a ball just stands out in so many.
+These are properties of the labels, chosen on scans (`bench/python/detectability.py --fit`)."""
 
 
 def hann_response(cells: Floats) -> Floats:
