@@ -13,6 +13,7 @@ WITHDRAWN = (
     "volume_95_percent_cm3",
     "extents_95_percent_mm",
     "likely_ghosts",
+    "ruled_out",
     "permittivity",
     "permittivity_sigma",
     "thickness_m",
