@@ -29,6 +29,8 @@ AREAS = {
     "viewing": "geraf2 view",
     "calibration": "Calibration",
 }
+PROGRAMS = ("geraf2", "pip", "rosbags-convert")
+"""Programs whose call is a hint."""
 
 
 @dataclass(frozen=True)
@@ -111,9 +113,22 @@ def findings() -> list[Message]:
     return [m for m in collect() if m.kind == "warning" or "checks" in m.module]
 
 
-def cell(text: str) -> str:
-    """Text for a cell of a table."""
+def escape(text: str) -> str:
+    """Text of the code in a page of Markdown."""
     return " ".join(text.split()).replace("|", r"\|").replace("<", r"\<").replace("*", r"\*")
+
+
+def _advice(message: Message) -> str:
+    """Say in whole sentences what was expected and what to do; empty where the code does not."""
+    said = []
+    if message.expected:
+        known = message.expected != "…"
+        said.append(f"geraf2 expects {message.expected}." if known else "The line says what fits.")
+    if message.hint:
+        hint = "the line says what to do" if message.hint == "…" else message.hint
+        is_command = hint.split()[0] in PROGRAMS
+        said.append(f"Run {hint}." if is_command else f"{hint[:1].upper()}{hint[1:]}.")
+    return " ".join(said)
 
 
 def errors_page() -> str:
@@ -123,17 +138,19 @@ def errors_page() -> str:
         if message.kind != "error" or "checks" in message.module:
             continue
         first = message.module.removeprefix("apps.").split(".")[0]
-        row = f"| {cell(message.text)} | {cell(message.expected)} | {cell(message.hint)} |"
-        areas[AREAS.get(first, "Everything else")].setdefault(message.text, row)
+        advice = escape(_advice(message))
+        entry = escape(message.text) + (f"\n: {advice}" if advice else "")
+        areas[AREAS.get(first, "Everything else")].setdefault(message.text, entry)
     parts = [
         "# Every error",
         "Collected from the code. An ellipsis stands for what is known when it happens: a name, a "
-        "value, a file. Each ends with exit code 2 and leaves what existed as it was.",
+        "value, a file. Each ends with exit code 2 and leaves what existed as it was. Below a "
+        "message is what geraf2 expects and what to do. A message without such a line says by "
+        "itself what is wrong with the thing that it names.",
     ]
     for area in [*dict.fromkeys(AREAS.values()), "Everything else"]:
-        if rows := sorted(areas[area].values()):
-            head = "| message | expected | what to do |\n|---|---|---|\n"
-            parts += [f"## {area}", head + "\n".join(rows)]
+        if entries := sorted(areas[area].values()):
+            parts += [f"## {area}", *entries]
     return "\n\n".join(parts) + "\n"
 
 
@@ -160,6 +177,6 @@ def warnings_page(docs: Path) -> str:
     for message in findings():
         match = next((entry for entry in known if entry["says"] in message.text), {})
         parts.append(
-            f"{cell(message.text)}\n: {match.get('cause', '')} {match.get('do', '')}".strip()
+            f"{escape(message.text)}\n: {match.get('cause', '')} {match.get('do', '')}".strip()
         )
     return "\n\n".join(parts) + "\n"

@@ -56,9 +56,9 @@ ROWS = [
             ("camera parameters", swap(TEXT + "cameras.txt", " 64 ", " -6 ")),
             ("number of parameters", put(TEXT + "cameras.txt", "1 PINHOLE 64 48 1 2 3")),
             ("CAMERA_ID", put(TEXT + "cameras.txt", "1 PINHOLE a b")),
-            ("camera 42", put(TEXT + "cameras.txt", "1 PINHOLE 64 48 60 60 32 24")),
+            ("cameras.txt: camera 42", put(TEXT + "cameras.txt", "1 PINHOLE 64 48 60 60 32 24")),
             ("IMAGE_ID", put(TEXT + "images.txt", "1 2 3")),
-            ("holds no photo", put(TEXT + "images.txt", "")),
+            ("images.txt: holds no photo", put(TEXT + "images.txt", "")),
         )
     ),
     *sweep("los nerf out {}", "mask-threshold|-1|256|nan\nmasks|nowhere"),

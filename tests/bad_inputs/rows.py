@@ -246,12 +246,11 @@ IMPORTERS = [
         "radar.toml",
         """path_bais_m|0.1
         walls|3
-        antennas.axes|[[1,0,0],[0,1,0]]
+        antennas.axes|[[1,0,0],[0,1,0]]|[[1,0,0],[1,0,0],[1,0,0]]
         raw.n_tx|0|99
         arrays|3""",
     ),
     *keys(RAW, "radar.toml", 'n_samples|63\nraw.layout|"other"\nantennas.rx_offsets_m|[[1,2]]'),
-    *keys(RAW, "radar.toml", "antennas.axes|[[1,0,0],[1,0,0],[1,0,0]]"),
     bad(RAW, toml("radar.toml", "raw.n_rx", "3"), text="receivers"),
     *puts(RAW, "raw/adc.bin", b"", bytes(7), bytes(40000)),
     bad(RAW, cut("raw/adc.bin", 0.97)),

@@ -67,7 +67,7 @@ def test_errors_are_collected_with_what_to_do(site):
     assert lost.module == "io.container"
     assert lost.hint == "make one with 'geraf2 import'"
     assert lost.kind == "error"
-    assert "| no such scene |  | make one with 'geraf2 import' |" in messages.errors_page()
+    assert "no such scene\n: Make one with 'geraf2 import'.\n" in messages.errors_page()
 
 
 def _resolves(name: str, module: str) -> bool:

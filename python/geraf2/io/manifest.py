@@ -2,6 +2,7 @@
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints
 
 from geraf2.records import (
@@ -119,12 +120,25 @@ class RawManifest(_Strict):
     along a log with time stamps have positions of their own."""
 
 
+def _are_orthonormal(rows: list[list[float]]) -> list[list[float]]:
+    axes = np.asarray(rows)
+    if float(np.abs(axes @ axes.T - np.eye(3)).max()) > 1e-3:
+        msg = f"must be orthonormal rows, got {rows}"
+        raise ValueError(msg)
+    return rows
+
+
+_Axes = Annotated[
+    list[_Vector], Field(min_length=3, max_length=3), AfterValidator(_are_orthonormal)
+]
+
+
 class AntennaManifest(_Strict):
     """The board on the end effector; all in the frame of the end effector."""
 
     tx_offsets_m: Annotated[list[_Vector], Field(min_length=1)] | None = None
     rx_offsets_m: Annotated[list[_Vector], Field(min_length=1)] | None = None
-    axes: Annotated[list[_Vector], Field(min_length=3, max_length=3)] | None = None
+    axes: _Axes | None = None
     """Looking direction, horizontal, vertical; by default x, y, z."""
 
 

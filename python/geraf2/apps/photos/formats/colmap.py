@@ -103,17 +103,16 @@ def read_colmap(folder: Path) -> PhotoSource:
     images = (_read_images_text if is_text else _read_images_binary)(files[1])
     if not images:
         raise UserError(
-            what="the COLMAP model holds no photo",
-            where=folder,
+            what="holds no photo",
+            where=files[1],
             hint="COLMAP found no pose: take more photos that overlap",
         )
     root = _image_folder(folder, [image.name for image in images])
     records = []
     for image in sorted(images, key=lambda entry: entry.name):
         if image.camera_id not in cameras:
-            raise UserError(
-                what=f"camera {image.camera_id} of {image.name!r} is missing", where=folder
-            )
+            what = f"camera {image.camera_id} of {image.name!r} is missing"
+            raise UserError(what=what, where=files[0])
         camera = cameras[image.camera_id]
         records.append(
             PhotoRecord(
