@@ -3,8 +3,8 @@
     OMP_NUM_THREADS=1 python bench/full_wave/captures.py OUT [--only ball cup]
 
 Makes OUT/NAME/scene, a scene folder with its truth, and OUT/NAME/twin.toml with truth.ply, the spec
-from which `geraf2 simulate` makes the same scan by physical optics. `geraf2 benchmark OUT2 --only
-full_wave --captures OUT` compares them. What is there is kept. A body takes 1 to 10 minutes of one
+from which `geraf2 simulate` makes the same scan by physical optics. comparison.py compares
+them. What is there is kept. A body takes 1 to 10 minutes of one
 core. The captures are in the public domain (CC0 1.0), which each states in its provenance.
 """
 

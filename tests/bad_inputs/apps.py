@@ -20,11 +20,8 @@ ROWS = [
             benchmark out --only population table1 --seeds 1:2|run each by itself
             benchmark out --only population --seeds 1:2 --presets fats|did you mean 'fast'
             benchmark out --only population --seeds 1:2 --against other|no results of the population
-            benchmark out --only full_wave|no full-wave captures
-            benchmark out --only full_wave table1|full_wave
-            benchmark out --only full_wave --quick|--quick
-            benchmark out --only table1 --captures x|--captures
-            benchmark out --only full_wave --presets fats|fats
+            benchmark out --only table1 --presets fast|--presets
+            benchmark out --only population table1|alone
             plan --depth 0.2 --figure plan.html|--depth has no page
             live tcp://example.org:80 out|is no socket of this machine
             live tcp://localhost out|is no socket of this machine

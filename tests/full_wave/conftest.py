@@ -6,7 +6,18 @@ from types import SimpleNamespace
 
 import pytest
 
-_NAMES = ("waves", "body", "echo", "meridian", "cluster", "box", "mirror", "bodies", "captures")
+_NAMES = (
+    "waves",
+    "body",
+    "echo",
+    "meridian",
+    "cluster",
+    "box",
+    "mirror",
+    "bodies",
+    "captures",
+    "comparison",
+)
 
 
 @pytest.fixture(scope="session")

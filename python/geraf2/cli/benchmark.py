@@ -12,7 +12,6 @@ from geraf2.apps.benchmark import (
     RowResult,
     Runner,
     costs,
-    full_wave,
     listed,
     load_suite,
     population,
@@ -29,7 +28,7 @@ from geraf2.pipeline.estimates import n_threads
 from geraf2.pipeline.presets import preset_type
 
 _MARKER_NAME = "benchmark.json"
-_OF_POPULATION = ("seeds", "against", "cache")
+_OF_POPULATION = ("seeds", "against", "cache", "presets")
 _OF_SUITE = ("quick", "scenes", "cases", "methods", "list", "suite", "seed")
 
 
@@ -68,16 +67,13 @@ class Config:
     from 10000 on for claims alone."""
     presets: Annotated[tuple[str, ...], Arg(metavar="PRESET ...")] = ()
     """With --only population: presets to compare, the first is the reference; fast when not
-    given. With --only full_wave: fast and best when not given."""
+    given."""
     against: Annotated[Path | None, Arg(metavar="OTHER_OUT")] = None
     """With --only population: paired differences against the results in another OUT, as of another
     commit."""
     cache: Annotated[Path | None, Arg(metavar="FOLDER")] = None
     """With --only population: folder of the simulated scenes, which several OUT may share; OUT when
     not given."""
-    captures: Annotated[Path | None, Arg(metavar="FOLDER")] = None
-    """With --only full_wave: captures of bench/full_wave/captures.py, compared with the same scans
-    by physical optics; OUT/captures when not given."""
     seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Of scenes, reconstructions and samples."""
     threads: Threads = None
@@ -89,10 +85,6 @@ def main(config: Config) -> int:
     if population.NAME in config.only:
         return _population(config)
     _require_unset(config, "is for --only population", _OF_POPULATION)
-    if full_wave.NAME in config.only:
-        return _full_wave(config)
-    _require_unset(config, "is for --only population and full_wave", ("presets",))
-    _require_unset(config, "is for --only full_wave", ("captures",))
     threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
     choice = {"scene": config.scenes, "case": config.cases, "method": config.methods}
@@ -144,35 +136,12 @@ def _require_unset(config: Config, why: str, names: tuple[str, ...]) -> None:
             raise UserError(what=f"--{name} {why}", where="benchmark")
 
 
-def _require_alone(config: Config) -> None:
-    if len(config.only) > 1:
-        raise UserError(
-            what="--only population and full_wave run alone",
-            got=" ".join(config.only),
-            hint="run each by itself",
-        )
-
-
-def _full_wave(config: Config) -> int:
-    """Full-wave captures beside physical optics, as a table on the terminal."""
-    _require_alone(config)
-    _require_unset(config, "does not go with --only full_wave", (*_OF_SUITE, "jobs", "scheduler"))
-    presets = tuple(dict.fromkeys(config.presets or ("fast", "best")))
-    for preset in presets:
-        preset_type(preset)
-    folders = full_wave.bodies(config.captures or config.out / "captures")
-    _open_folder(config)
-    for line in full_wave.compare(
-        folders, presets, config.out, CONSOLE.note, num_threads=config.threads
-    ):
-        say(line)
-    return 0
-
-
 def _population(config: Config) -> int:
     """Presets on seeds of the population, as a table on the terminal."""
-    _require_alone(config)
-    _require_unset(config, "does not go with --only population", (*_OF_SUITE, "captures"))
+    if len(config.only) > 1:
+        got, hint = " ".join(config.only), "run each by itself"
+        raise UserError(what="--only population runs alone", got=got, hint=hint)
+    _require_unset(config, "does not go with --only population", _OF_SUITE)
     if config.seeds is None:
         raise UserError(what="--only population needs --seeds A:B", hint="--seeds 1000:1040")
     seeds = population.parse_seeds(config.seeds)

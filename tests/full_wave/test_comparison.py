@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 import geraf2
-from geraf2.apps.benchmark import full_wave
-from geraf2.cli.main import main
 from geraf2.io.mesh import read_mesh, write_mesh
 from geraf2.io.toml import write_toml
 from geraf2.pipeline.commands.simulate import simulate_scene
@@ -15,23 +13,20 @@ from geraf2.scene.store import load_capture, save_capture
 
 
 @pytest.fixture(scope="module")
-def captures(tmp_path_factory):
+def captures(tmp_path_factory, wave):
     """A body whose capture is the simulator's own."""
     folder = tmp_path_factory.mktemp("captures") / "thing"
     folder.mkdir()
     spec = geraf2.examples.small_scene()
-    simulate_scene(spec, folder / full_wave.SCENE_NAME)
-    write_toml(folder / full_wave.TWIN_NAME, spec)
+    simulate_scene(spec, folder / wave.comparison.SCENE_NAME)
+    write_toml(folder / wave.comparison.TWIN_NAME, spec)
     return folder.parent
 
 
-def test_equal_captures_have_equal_scores_and_no_difference(
-    captures, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.setattr(full_wave, "_SPACING_M", 0.008)
-    command = ["benchmark", str(tmp_path), "--only", "full_wave", "--captures", str(captures)]
-    assert main([*command, "--presets", "fast"]) == 0
-    table = capsys.readouterr().out.splitlines()
+def test_equal_captures_have_equal_scores_and_no_difference(captures, tmp_path, wave, monkeypatch):
+    monkeypatch.setattr(wave.comparison, "_SPACING_M", 0.008)
+    folders = wave.comparison.bodies(captures)
+    table = wave.comparison.compare(folders, ["fast"], tmp_path)
     header, full, own, _, heat_header, heat = table
     assert header.startswith("body")
     assert full.split()[:4] == ["thing", "fast", "full", "wave"]
@@ -42,13 +37,12 @@ def test_equal_captures_have_equal_scores_and_no_difference(
     assert float(heat.split()[1]) < -80
     result = next(tmp_path.glob("runs/thing-full-wave-fast/result.json"))
     before = result.stat().st_mtime_ns
-    assert main([*command, "--presets", "fast"]) == 0
+    assert wave.comparison.compare(folders, ["fast"], tmp_path) == table
     assert result.stat().st_mtime_ns == before  # what is done is kept
-    assert capsys.readouterr().out.splitlines() == table
 
 
-def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path):
-    scene = captures / "thing" / full_wave.SCENE_NAME
+def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path, wave):
+    scene = captures / "thing" / wave.comparison.SCENE_NAME
     capture, truth = load_capture(scene), read_mesh(scene / "truth.ply")
     beside = np.array([0.0, 0.0, truth.vertices[:, 2].max() + 0.008])
     k = 2 * np.pi * capture.waveform.frequencies_hz / 299792458.0
@@ -64,8 +58,8 @@ def test_a_heat_map_differs_where_a_scatterer_was_added(captures, tmp_path):
         changed,
         extras=lambda folder: write_mesh(truth, folder / "truth.ply"),
     )
-    same = full_wave.heat_difference(scene, scene)
-    heat = full_wave.heat_difference(changed, scene)
+    same = wave.comparison.heat_difference(scene, scene)
+    heat = wave.comparison.heat_difference(changed, scene)
     assert same.difference_db < -60
     assert heat.difference_db > -15
     assert heat.outside_share > 0.5

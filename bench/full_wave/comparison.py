@@ -1,6 +1,12 @@
-"""Full-wave captures against the simulator's captures of the same bodies and plan."""
+"""Full-wave captures against the simulator's captures of the same bodies and plan.
 
-from collections.abc import Callable, Sequence
+    python bench/full_wave/comparison.py CAPTURES OUT [--presets fast best]
+
+CAPTURES is what captures.py made. What is done is kept in OUT.
+"""
+
+import argparse
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -24,8 +30,6 @@ from geraf2.scene import Grid, load_capture
 from geraf2.simulation import load_spec
 from geraf2.surfaces.isosurface import signed_distances
 
-NAME = "full_wave"
-"""Of the experiment, as --only names it."""
 SCENE_NAME, TWIN_NAME = "scene", "twin.toml"
 """In the folder of a body: its capture, and the spec of the same scan by physical optics."""
 # Raised when a number means something else.
@@ -84,19 +88,9 @@ def bodies(captures: Path) -> list[Path]:
 
 
 def compare(
-    folders: Sequence[Path],
-    presets: Sequence[str],
-    out: Path,
-    on_result: Callable[[str], None] = lambda name: None,
-    *,
-    num_threads: int | None = None,
+    folders: Sequence[Path], presets: Sequence[str], out: Path, num_threads: int | None = None
 ) -> list[str]:
-    """Lines of the table of all bodies; what is done is kept in `out`.
-
-    folders: of the bodies.
-    presets: names of presets.
-    on_result: called with the name of each capture and preset that is done.
-    """
+    """Lines of the table of all bodies, of these folders; what is done is kept in `out`."""
     scores, heats = [_SCORES], [_HEATS]
     for folder in folders:
         name, scene = folder.name, folder / SCENE_NAME
@@ -110,7 +104,6 @@ def compare(
                 run = out / RUNS_FOLDER / f"{name}-{kind.replace(' ', '-')}-{preset}"
                 found = score(scene, source, preset, run, num_threads)
                 scores.append(_score_line(name, preset, kind, found))
-                on_result(scores[-1])
     return [*scores, "", *heats]
 
 
@@ -184,3 +177,16 @@ def _heat_line(name: str, heat: Heat) -> str:
         f"{name:10s} {heat.difference_db:14.1f} {100 * heat.outside_share:11.0f} "
         f"{100 * heat.inside_share:10.0f}  {x}, {y}, {z}"
     )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("captures", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--presets", nargs="+", default=["fast", "best"])
+    given = parser.parse_args()
+    print("\n".join(compare(bodies(given.captures), given.presets, given.out)))
+
+
+if __name__ == "__main__":
+    main()
