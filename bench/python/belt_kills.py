@@ -9,7 +9,7 @@ lengths are the same.
 """
 
 import argparse
-import csv
+import json
 import os
 import random
 import signal
@@ -97,14 +97,14 @@ def _kill_one(pid: int, rng: random.Random) -> bool:
     return True
 
 
-def results_of(out: Path) -> tuple[dict[str, bytes], dict[str, tuple[str, str]]]:
+def results_of(out: Path) -> tuple[dict[str, bytes], dict[str, tuple[str, float | None]]]:
     """Mesh of each parcel, and state and length of each row."""
     meshes = {
         path.parent.name.rpartition("-")[0]: path.read_bytes()
         for path in out.glob("runs/*/mesh_content.ply")
     }
-    with (out / "parcels.csv").open(newline="") as file:
-        rows = {row["scene"]: (row["state"], row["length_m"]) for row in csv.DictReader(file)}
+    records = [json.loads(path.read_text()) for path in out.glob("results/*.json")]
+    rows = {r["scene"]: (r["state"], r["numbers"].get("length_m")) for r in records}
     return meshes, rows
 
 

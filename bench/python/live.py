@@ -68,7 +68,7 @@ def run(rows: Path, scene: Path, preset: str, every: int, is_whole: bool) -> Non
                 n_planes=len(order),
                 f1=f1_of(mesh, truth),
                 seen=session.result.numbers["mesh"]["evidence_shares"]["seen"],
-                error_mm=session.result.numbers["mesh"]["expected_error_median_mm"],
+                error_mm=session.result.numbers["mesh"].get("expected_error_median_mm"),
                 seconds=round(seconds, 2),
                 cpu_seconds=round(cpu, 2),
             )

@@ -31,8 +31,7 @@ import json, sys
 from geraf2 import _memory
 needs, require = [0.0], _memory.require_memory
 def noted(needed_bytes, hint, *, where=None):
-    if not _memory._IN_PARTS.get():
-        needs.append(needed_bytes)
+    needs.append(needed_bytes)
     require(needed_bytes, hint, where=where)
 _memory.require_memory = noted
 from geraf2.cli.main import main

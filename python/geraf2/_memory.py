@@ -9,7 +9,6 @@ from pathlib import Path
 from geraf2.errors import UserError
 
 _LIMIT_BYTES: ContextVar[float] = ContextVar("memory limit", default=math.inf)
-_IN_PARTS: ContextVar[bool] = ContextVar("held in parts", default=False)
 
 _FLAG = "--max-memory"
 
@@ -45,16 +44,6 @@ def memory_limit(n_bytes: float) -> Iterator[None]:
         _LIMIT_BYTES.reset(before)
 
 
-@contextmanager
-def memory_of_parts() -> Iterator[None]:
-    """Let what is described inside the block be larger than the memory: parts of it are held."""
-    before = _IN_PARTS.set(True)
-    try:
-        yield
-    finally:
-        _IN_PARTS.reset(before)
-
-
 def available_memory_bytes() -> float | None:
     """Memory that new processes may use without swapping; None where it is unknown."""
     try:
@@ -72,8 +61,6 @@ def require_memory(needed_bytes: float, hint: str, *, where: object = None) -> N
 
     hint: what to do, with the setting that makes it large.
     """
-    if _IN_PARTS.get():
-        return
     free = available_memory_bytes()
     allowed = _LIMIT_BYTES.get()
     if needed_bytes <= min(allowed, math.inf if free is None else free):

@@ -77,7 +77,7 @@ COMMANDS = [
             live nowhere out --idle 0.2|no plane came
             live scene run|is no session
             calibrate scene|box
-            calibrate scene --box 0.16 0.16 0.16 --no-delay --reflector 0 0 0|--reflector
+            calibrate scene --box 0.16 0.16 0.16 --no-delay --delay-search -0.1 0.1|--delay-search
             los spec.toml out|spec.toml
             los box.ply out --unit furlong|--unit
             los 0.2xax0.2 out|0.2xax0.2
@@ -108,7 +108,7 @@ COMMANDS = [
     *sweep(PLAN + " {}", "aperture|0 0.1\nelevations-deg|90|10 10\nspacing|1e-12\narray|nix"),
     *sweep("plan --depth 0.3 {}", "aperture|11 1\nstandoff|1\nplanes|3\nfigure|a.png"),
     *sweep("render run {}", "echo.max-edge-m|1e-7\nspacing-m|5\nmax-memory|1e-6"),
-    *sweep(f"calibrate scene {BOX} {{}}", "channels|1|0\ndelay-search|0.1 0\nreflector|nan 0 0"),
+    *sweep(f"calibrate scene {BOX} {{}}", "channels|1|0\ndelay-search|0.1 0"),
     *sweep("los 0.2x0.2x0.2 out {}", "box-center|nan 0 0\nbounds|1 1 1 0 0 0\nunit|mm"),
 ]
 SPECS = [
@@ -446,7 +446,6 @@ verify run|run/prior.npz|../norm.npz
 render run|run/views|../other
 los box.ply out --unit m|out/training-1.safetensors|../other/diary.txt
 inspect run|run/inspection.json|../other/diary.txt
-image scene run --tiles --overwrite --every 4 --spacing-m 0.02|run/image.zarr|../other
 """
 """Links that lead out of a folder that came from elsewhere."""
 FILES = [

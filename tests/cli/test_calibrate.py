@@ -104,8 +104,6 @@ def test_write_corrects_the_scene_itself(carton):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--no-delay", "--reflector", "0", "0", "0"], "either --no-delay or --reflector"),
-        (["--reflector", "0.1", "0.3", "0.5"], "the reflector does not stand out"),
         (["--no-delay", "--delay-search", "-0.1", "0.1"], "either --no-delay or --delay-search"),
         (["--no-delay", "--no-frame", *PLAIN], "nothing is left to search for"),
         (["--delay-search", "0.9", "1"], "walls of the box do not stand out"),

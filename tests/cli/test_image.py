@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from geraf2.cli.main import main
-from geraf2.imaging.volume import image_volume
+from geraf2.imaging.volume import image_volume, slabs_of
 from geraf2.scene import Grid, load_capture, save_capture
+from geraf2.scene.capture import LazyPoses
+from geraf2.scene.store import capture_digest, open_capture
 from helpers.synthetic import TARGETS, point_capture
 
 
@@ -15,6 +17,7 @@ def points(tmp_path):
     return tmp_path / "s"
 
 
+GRID = Grid(origin_m=(-0.04, -0.06, -0.05), spacing_m=0.005, shape=(17, 25, 21))
 FLAGS = ["--size-m", "0.08", "0.08", "0.08", "--center-m", "0", "0", "0", "--spacing-m", "0.005"]
 
 
@@ -47,3 +50,25 @@ def test_flags_may_stand_anywhere_and_one_pose_is_enough(points, tmp_path):
     grid = Grid(origin_m=tuple(stored["origin_m"]), spacing_m=0.005, shape=stored["volume"].shape)
     alone = image_volume(load_capture(points), grid, poses=[2])
     assert np.array_equal(alone, stored["volume"])
+
+
+def test_slabs_give_the_image_of_the_whole_to_the_methods_rtol(points, monkeypatch):
+    capture, grid = load_capture(points), GRID
+    whole = image_volume(capture, grid)
+    monkeypatch.setattr("geraf2.imaging.volume._MAX_SLAB_VOXELS", 4 * 17 * 21)
+    assert [part.shape for _, part in slabs_of(grid)] == [*[(17, 4, 21)] * 6, (17, 1, 21)]
+    assert np.abs(image_volume(capture, grid) - whole).max() <= 1e-3 * whole.max()
+
+
+def test_poses_of_a_scene_are_read_on_demand_and_not_kept(points):
+    capture, loaded = open_capture(points), load_capture(points)
+    assert capture.n_antennas == loaded.n_antennas
+    assert capture_digest(capture) == capture_digest(loaded)
+    assert isinstance(capture.poses, LazyPoses)
+    assert capture.poses[-1] is not capture.poses[-1]
+    some = capture.poses[1::2]
+    assert some.n_antennas == capture.poses.n_antennas[1::2]
+    assert [pose.name for pose in some] == [pose.name for pose in loaded.poses[1::2]]
+    with pytest.raises(IndexError):
+        capture.poses[8]
+    assert capture.load().poses[1].signal.tobytes() == loaded.poses[1].signal.tobytes()

@@ -34,7 +34,7 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys):
     shown = capsys.readouterr()
     lines = re.findall(
         r"^plane +(\d)  +(\d+) peaks  expected error ([\d.]+) mm  seen (\d+) %  "
-        r"(?:[a-z ]+  )?[\d.]+ s$",
+        r"(?:F1 [^)]*\)  )?(?:[a-z ]+  )?[\d.]+ s$",
         shown.out,
         flags=re.MULTILINE,
     )
@@ -63,6 +63,7 @@ def test_a_scan_that_is_not_to_be_trusted_reaches_no_target_and_says_why(
     planes = [line for line in lines if line.startswith("plane")]
     assert len(planes) == 3
     assert all("expected error not determined" in line for line in planes)
+    assert not any("F1" in line for line in planes)
     assert all("%  not to be trusted  " in line for line in planes)
     assert [line.split()[0] for line in lines[-3:]] == ["verdict", "because", "do"]
 

@@ -54,6 +54,7 @@ def test_a_run_ends_with_its_verdict(finished_run, capsys, trust):
     assert found["verdict"] == VERDICTS[trust].numbers()
     assert (found["expected_error_median_mm"] is None) == withdrawn
     assert found.get("not_determined") == (CAUSE.text if withdrawn else None)
+    assert (found["stated_f1_5mm"] is None) == withdrawn
     numbers = geraf2.load_run(finished_run).numbers
     assert ("expected_error_median_mm" in numbers["mesh"]) != withdrawn
     assert numbers["mesh"]["n_pieces"] == found["n_pieces"] > 0

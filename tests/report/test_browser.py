@@ -11,6 +11,7 @@ from geraf2.evaluation import evaluate_mesh, write_metrics
 from geraf2.io.mesh import write_mesh
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.run_folder import mesh_digest
+from geraf2.io.verdict import VERDICT_STAGE, Trust
 from geraf2.report import write_report
 from geraf2.scene import Grid
 from helpers.browsing import (
@@ -24,7 +25,7 @@ from helpers.browsing import (
 )
 from helpers.drawing import small_pictures
 from helpers.glint_sets import glints_on_sphere
-from helpers.run_folders import record_run
+from helpers.run_folders import VERDICTS, record_run
 from helpers.solids import triangles
 
 pytestmark = pytest.mark.browser
@@ -74,6 +75,7 @@ def page_url(tmp_path_factory):
     (out / "config.toml").write_text('preset = "fast"\n[fit]\nspacing_m = 0.003\n')
     calibration = {"applied": ["delay: 1.5 mm of path +- 0.2"], "left": ["axis: 0.1 mm +- 5.0"]}
     numbers = {"box": found_box(), "calibration": calibration, "glints": {}, "mesh": {}}
+    numbers[VERDICT_STAGE] = VERDICTS[Trust.DOUBTFUL].numbers()
     record_run(out, "block", numbers=numbers, warnings=["antennas are far apart"])
     save_planes(ScannedPlanes(corners_m=planes_around(6)), out / "planes.json")
     grid = Grid.cube((0, 0, 0), 0.06, 48)
@@ -108,6 +110,10 @@ def test_the_report_in_a_browser(open_page, page_url, axe, size, dark, without_w
     page = open_page(page_url, size, dark, without_webgl)
     assert [url for url in page.requests if not url.startswith("data:")] == [page_url]
     require_readable(page, size)
+    verdict = page.locator(".verdict")
+    assert "Doubtful 40 % likely wrong" in " ".join(verdict.inner_text().split())
+    below = verdict.bounding_box()["y"] + verdict.bounding_box()["height"]
+    assert below < page.locator("section").first.bounding_box()["y"]  # before any number
     assert serious_findings(page, axe) == []
     if without_webgl:
         require_pictures(page)

@@ -13,7 +13,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from geraf2._bounds import Bounded, ChannelCount, CoordinateM
+from geraf2._bounds import Bounded, ChannelCount
 from geraf2._types import Ints, Progress
 from geraf2.calibration.acceptance import Judgement, judge, nothing_found
 from geraf2.calibration.autofocus import (
@@ -31,7 +31,6 @@ from geraf2.calibration.channel_phase import (
     phase_gain,
 )
 from geraf2.calibration.corrections import Corrections
-from geraf2.calibration.instrument_delay import DelayCurve, delay_from_reflector
 from geraf2.calibration.leakage import find_leakage
 from geraf2.calibration.wall_alignment import (
     GROUPS,
@@ -54,7 +53,7 @@ _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 # Planes whose elevations round to the same multiple are one ring of the scan [degrees].
 _RING_DEG = 15.0
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
-DelaySource = Literal["walls", "reflector", "kept"]
+DelaySource = Literal["walls", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,8 +64,6 @@ class CalibrationConfig(Bounded):
     """Subtract direct leakage between transmitter and receiver."""
     delay: bool = True
     """Correct the instrument delay."""
-    reflector_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
-    """Position of a reflector that gives the delay in place of the walls [m]."""
     frame: bool = True
     """Move the prior, the turntable axis and the poses' angles to agree with the walls."""
     n_channels: ChannelCount | None = None
@@ -79,18 +76,10 @@ class CalibrationConfig(Bounded):
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.delay and self.reflector_m is not None:
-            msg = f"reflector_m gives a delay, which delay=False leaves, got {self.reflector_m}"
-            raise ValueError(msg)
-
     @property
     def delay_from(self) -> DelaySource:
         """Source of the instrument delay; "kept" does not change it."""
-        if not self.delay:
-            return "kept"
-        return "walls" if self.reflector_m is None else "reflector"
+        return "walls" if self.delay else "kept"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,8 +97,6 @@ class Calibration:
     of delay and turntable axis [m]."""
     walls: WallAlignment | None = None
     """Estimate with the applied corrections; None if walls were not used or not seen."""
-    curve: DelayCurve | None = None
-    """Search for the delay by a reflector."""
     channels: ChannelPhases | None = None
     """None if channels were not searched for or cannot be distinguished."""
     drift: AntennaDrift | None = None
@@ -163,8 +150,7 @@ def calibrate(
     config: selection of corrections; all when None.
     peaks: of the capture's planes, and of its corrected planes; collected when None.
 
-    Raises UserError if a reflector gives no delay, or if the given channels do not
-    divide the antennas of a plane.
+    Raises UserError if the given channels do not divide the antennas of a plane.
     """
     config = config or CalibrationConfig()
     if config.channels and config.n_channels is not None:
@@ -178,7 +164,7 @@ def calibrate(
         return found.in_order(np.argsort(order), capture)
     run = _Run(capture, prior, config, peaks or KeptPeaks(prior, num_threads=num_threads))
     report = progress or (lambda _: None)
-    steps = (run.leakage, run.delay, run.channels, run.walls, run.positions)
+    steps = (run.leakage, run.channels, run.walls, run.positions)
     for number, step in enumerate(steps):
         run.add(step())
         report((number + 1) / len(steps))
@@ -206,8 +192,7 @@ class _Run:
         self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
         n_poses = len(capture.poses)
         self.subset = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
-        held = config.delay_from != "walls"
-        self.alignment = replace(config.alignment, keep_delay=held)
+        self.alignment = replace(config.alignment, keep_delay=not config.delay)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
     def add(self, step: _Step) -> None:
@@ -225,19 +210,6 @@ class _Run:
             Judgement(name="leakage", applied=applied, text=str(found), numbers=found.numbers)
         )
         return {"leakage": found} if applied else {}
-
-    def delay(self) -> _Step:
-        """Estimate the delay by a given reflector; it is always applied."""
-        if self.config.reflector_m is None:
-            return {}
-        search = self.config.alignment.search_m(self.capture)
-        position = np.asarray(self.config.reflector_m, dtype=np.float64)
-        curve = delay_from_reflector(self.capture, position, search)
-        self.found["curve"], self.offset_sigma_m = curve, 0.5 * curve.sigma_m
-        text = f"{1e3 * curve.delay_m:+z.2f} mm of path +- {1e3 * curve.sigma_m:.2f}"
-        numbers = {"delay_m": curve.delay_m, "sigma_m": curve.sigma_m}
-        self.judgements.append(Judgement(name="delay", applied=True, text=text, numbers=numbers))
-        return {"delay_m": curve.delay_m}
 
     def channels(self) -> _Step:
         """Estimate the phases of channels, which are interleaved or differ in their offsets."""
@@ -312,10 +284,9 @@ class _Run:
             fit = found if gain.is_sure else every
             self.judgements.append(judge(group, *_describe(fit, group), gain))
         self.found["walls"] = found
-        if self.config.reflector_m is None:
-            # An estimated offset that is not applied remains in the capture.
-            rest_m = every.offset_m - found.offset_m
-            self.offset_sigma_m = float(np.hypot(rest_m, every.offset_sigma_m))
+        # An estimated offset that is not applied remains in the capture.
+        rest_m = every.offset_m - found.offset_m
+        self.offset_sigma_m = float(np.hypot(rest_m, every.offset_sigma_m))
         values: dict[Group, _Step] = {
             "delay": {"delay_m": found.delay_m},
             "frame": {"prior_to_capture": found.prior_to_capture},

@@ -232,7 +232,7 @@ def find_wall_peak(
             got=n_near,
             hint="check that the prior lies in the scan's frame and in metres; widen "
             "--delay-search LOW HIGH where the delay was not recorded; a scan that faces no wall "
-            "needs --reflector",
+            "needs a known delay and --no-delay",
         )
     return OffsetPeak(
         offset_m=offset,

@@ -9,6 +9,7 @@ from geraf2.io.verdict import WITHDRAWN, Trust, Verdict, confidence, not_determi
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.pieces import ghost_texts
 from geraf2.surfaces.samples import size_lines
+from geraf2.surfaces.stated_score import score_text
 
 EXIT_UNTRUSTED = 3
 """Of `--strict`, for a result that is not to be trusted."""
@@ -27,8 +28,10 @@ _KEPT = (
 def print_found(result: Reconstruction) -> None:
     """Print what a run found, and keep it for `--json`."""
     mesh, verdict = result.numbers.get("mesh", {}), result.verdict
-    rows([*found_lines(mesh, verdict), *size_lines(mesh, confidence(verdict))])
-    keep({name: mesh[name] for name in _KEPT if name in mesh})
+    score = result.stated_f1
+    stated = [] if score is None else [("stated F1", score_text(score))]
+    rows([*found_lines(mesh, verdict), *stated, *size_lines(mesh, confidence(verdict))])
+    keep({"stated_f1_5mm": score} | {name: mesh[name] for name in _KEPT if name in mesh})
     if verdict is not None and not_determined(verdict):
         keep({name: None for name in _KEPT if name in WITHDRAWN})
         keep({"not_determined": verdict.reason})

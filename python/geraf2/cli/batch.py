@@ -30,7 +30,7 @@ class Config(BatchOptions):
     scenes: Positional[Annotated[tuple[str, ...], Arg(metavar="SCENES")]]
     """Scene folders, patterns of them, CSV tables with columns scene, box, prior, truth."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    """Folder for runs/, results/, batch.html and batch.csv."""
+    """Folder for runs/, results/ and batch.html."""
     los: Path | None = None
     """Outside of all boxes, as of `geraf2 reconstruct`. When not given, it is a scene's own
     los.ply, or else found by radar."""

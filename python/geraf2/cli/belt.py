@@ -21,7 +21,7 @@ class Config(BeltOptions):
     stream: Positional[Annotated[Path, Arg(metavar="STREAM")]]
     """Scene folder with belt.json, as of `geraf2 simulate` with [belt]; it may grow."""
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    """Folder for parcels/, runs/, results/, parcels.csv and parcels.html."""
+    """Folder for parcels/, runs/, results/ and parcels.html."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """As of `geraf2 reconstruct`."""
 
@@ -39,7 +39,6 @@ def main(config: Config) -> int:
                 f"{found.per_hour:.0f} an hour here; {found.cpu_seconds:.1f} CPU s each, "
                 f"{ceil(found.cores)} cores for 6,000 an hour",
             ),
-            ("table", str(config.out / f"{STEM}.csv")),
             ("page", str(config.out / f"{STEM}.html")),
         ]
     )

@@ -1,6 +1,7 @@
 """`geraf2 benchmark`: tables of methods over simulated scenes."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -11,14 +12,13 @@ from geraf2.apps.benchmark import (
     Row,
     RowResult,
     Runner,
-    costs,
-    listed,
+    Suite,
     load_suite,
     population,
     rows_of,
     write_pages,
 )
-from geraf2.apps.benchmark.pages import MARKDOWN_NAME, TABLES_FOLDER
+from geraf2.apps.benchmark.pages import MARKDOWN_NAME
 from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
@@ -34,14 +34,14 @@ _OF_SUITE = ("quick", "scenes", "cases", "methods", "list", "suite", "seed")
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
-    """Simulate scenes, reconstruct them with every method, and write tables, pictures and a page.
+    """Simulate scenes, reconstruct them with every method, and write tables and a page.
 
     Scenes and results are kept: run again to continue where it stopped, or after a change to make
     again what depends on it.
     """
 
     out: Positional[Annotated[Path, Arg(metavar="OUT")]]
-    """Folder for scenes/, runs/, tables/, figures/, benchmark.md and benchmark.html."""
+    """Folder for scenes/, runs/, benchmark.md and benchmark.html."""
     quick: bool = False
     """A short form: fewer planes, antennas and rows; minutes."""
     only: Annotated[tuple[str, ...], Arg(metavar="NAME ...")] = ()
@@ -53,8 +53,8 @@ class Config:
     methods: Annotated[tuple[str, ...], Arg(metavar="METHOD ...")] = ()
     """Only these methods: names, or patterns such as '*-raw'."""
     list: bool = False
-    """List experiments, how many rows each has and has had made, and the processor time that they
-    took and that the rest will take, and stop."""
+    """List experiments, how many rows each has, and how many were made in what processor time, and
+    stop."""
     jobs: ThreadCount = 1
     """Rows at a time, on dask workers of this machine; each gets its share of the threads."""
     scheduler: str | None = None
@@ -85,16 +85,15 @@ def main(config: Config) -> int:
     if population.NAME in config.only:
         return _population(config)
     _require_unset(config, "is for --only population", _OF_POPULATION)
-    threads = config.threads
     suite = load_suite(config.suite, quick=config.quick)
     choice = {"scene": config.scenes, "case": config.cases, "method": config.methods}
     todo = rows_of(suite, config.only, choice)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
-    runner = Runner(out=config.out, seed=config.seed, num_threads=threads or share)
+    runner = Runner(out=config.out, seed=config.seed, num_threads=config.threads or share)
     everything = rows_of(suite, tuple(suite.experiments))
     is_chosen = bool(config.only) or any(choice.values())
     if config.list:
-        rows(listed(suite, costs(runner, todo if is_chosen else everything)))
+        rows(_listed(suite, runner, todo if is_chosen else everything))
         return 0
     _open_folder(config)
     start, done = time.perf_counter(), count(1)
@@ -106,20 +105,29 @@ def main(config: Config) -> int:
     now = {row.name: result for row, result in results}
     # Tables that earlier runs made are shown, too.
     pairs = [(row, now.get(row.name) or runner.known(row)) for row in everything]
-    with progress_bar("drawing the page"):
-        shown = [(row, result) for row, result in pairs if result is not None]
-        page = write_pages(config.out, suite, shown, num_threads=threads)
+    shown = [(row, result) for row, result in pairs if result is not None]
+    page = write_pages(config.out, suite, shown)
     failed = sum(result.error is not None for _, result in results)
     rows(
         [
             ("rows", f"{len(results)}, of which {failed} failed"),
-            ("tables", str(config.out / TABLES_FOLDER)),
-            ("all of them", str(config.out / MARKDOWN_NAME)),
+            ("tables", str(config.out / MARKDOWN_NAME)),
             ("page", str(page)),
             ("time", f"{time.perf_counter() - start:.0f} s"),
         ]
     )
     return 2 if failed else 0
+
+
+def _listed(suite: Suite, runner: Runner, todo: Sequence[Row]) -> list[tuple[str, str]]:
+    """Names of experiments with their rows, and the processor time of those that were made."""
+    texts = []
+    for name in dict.fromkeys(row.experiment for row in todo):
+        own = [runner.known(row) for row in todo if row.experiment == name]
+        spent = [r.all_cpu_seconds or 0.0 for r in own if r is not None and r.error is None]
+        made = f", {len(spent)} made in {sum(spent) / 60.0:.1f} CPU minutes" if spent else ""
+        texts.append((name, f"{suite.experiments[name].title} ({len(own)} rows{made})"))
+    return texts
 
 
 def _open_folder(config: Config) -> None:

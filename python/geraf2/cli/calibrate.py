@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from geraf2._bounds import Arg, ChannelCount, SignedM, Triple
+from geraf2._bounds import Arg, ChannelCount, SignedM
 from geraf2.calibration.driver import CalibrationConfig
 from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.cli._console import CONSOLE, Threads, rows, say
@@ -38,8 +38,6 @@ class Config(PriorSource):
     """Closed mesh of the outside of the box, metres; los.ply of the scene when not given."""
     no_delay: bool = False
     """Leave the instrument delay."""
-    reflector: Annotated[Triple | None, Arg(metavar="X Y Z")] = None
-    """Position of a small reflector to find the delay from, in place of the walls [m]."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
     """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
     -0.3 1.0 where none was recorded (a delay of 0)."""
@@ -93,10 +91,8 @@ def main(config: Config) -> int:
 
 
 def _settings(config: Config) -> CalibrationConfig:
-    for name in ("reflector", "delay_search"):
-        if config.no_delay and getattr(config, name) is not None:
-            flag = f"--{name.replace('_', '-')}"
-            raise UserError(what=f"give either --no-delay or {flag}", got="both")
+    if config.no_delay and config.delay_search is not None:
+        raise UserError(what="give either --no-delay or --delay-search", got="both")
     if config.no_delay and config.no_frame and config.no_channels and config.no_positions:
         raise UserError(
             what="nothing is left to search for",
@@ -113,7 +109,6 @@ def _settings(config: Config) -> CalibrationConfig:
         raise UserError(what="give either --channels or --no-channels", got="both")
     return CalibrationConfig(
         delay=not config.no_delay,
-        reflector_m=config.reflector,
         frame=not config.no_frame,
         n_channels=config.channels,
         channels=not config.no_channels,

@@ -1,6 +1,5 @@
 """`geraf2 image`: matched-filter volume of a scene."""
 
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
@@ -8,22 +7,18 @@ from typing import Annotated
 from geraf2._bounds import Arg
 from geraf2.cli._console import CONSOLE, Threads, say
 from geraf2.cli._fields import Positional
-from geraf2.errors import UserError
 from geraf2.io.run_folder import IMAGE_NAME
 from geraf2.pipeline.commands.image import (
     DEPTH_PICTURE_NAME,
     PICTURE_NAME,
     SIDECAR_NAME,
     ImageOptions,
-    ImageResult,
     image_scene,
 )
-from geraf2.pipeline.commands.image_tiles import TILES_NAME, RunSlabs, TiledImage, image_tiles
 
 _LABELS = {
     IMAGE_NAME: "volume",
     SIDECAR_NAME: "about it",
-    TILES_NAME: "volume",
     PICTURE_NAME: "projections",
     DEPTH_PICTURE_NAME: "sharpest slice",
 }
@@ -43,12 +38,6 @@ class Config:
     """Run folder; gets image.npz, image.json and figures/projections.png."""
     options: Annotated[ImageOptions, Arg(name="")] = field(default_factory=ImageOptions)
     """What is imaged, and where."""
-    tiles: bool = False
-    """Write image.zarr, slab by slab, in place of image.npz: the volume is never held as a whole,
-    and the same command continues where it stopped."""
-    scheduler: str | None = None
-    """With --tiles: address of a running dask scheduler, tcp://HOST:PORT, on whose workers the
-    slabs are imaged; they see the same files and have the same geraf2."""
     overwrite: bool = False
     """Replace an image of other options, or the run of another scene."""
     threads: Threads = None
@@ -57,9 +46,14 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    if config.scheduler is not None and not config.tiles:
-        raise UserError(what="--scheduler needs --tiles")
-    made = _image_tiles(config) if config.tiles else _image_whole(config)
+    made = image_scene(
+        config.scene,
+        config.out,
+        config.options,
+        overwrite=config.overwrite,
+        num_threads=config.threads,
+        listener=CONSOLE,
+    )
     say(f"{'method':<14} {made.method}")
     say(f"largest at     ({', '.join(f'{x:z.3f}' for x in made.strongest_m)}) m")
     if made.searched_m is not None:
@@ -70,35 +64,3 @@ def main(config: Config) -> int:
     for name in made.files:
         say(f"{_LABELS[name]:<14} {made.path / name}")
     return 0
-
-
-def _image_whole(config: Config) -> ImageResult:
-    return image_scene(
-        config.scene,
-        config.out,
-        config.options,
-        overwrite=config.overwrite,
-        num_threads=config.threads,
-        listener=CONSOLE,
-    )
-
-
-def _image_tiles(config: Config) -> TiledImage:
-    workers: AbstractContextManager[RunSlabs | None] = nullcontext()
-    if config.scheduler is not None:
-        from geraf2.apps.batch.options import BatchOptions  # noqa: PLC0415 - an extra
-        from geraf2.apps.batch.tiles import slab_workers  # noqa: PLC0415 - as above
-
-        workers = slab_workers(BatchOptions(scheduler=config.scheduler, threads=config.threads))
-    with workers as run_slabs:
-        made = image_tiles(
-            config.scene,
-            config.out,
-            config.options,
-            run_slabs=run_slabs,
-            overwrite=config.overwrite,
-            num_threads=config.threads,
-            listener=CONSOLE,
-        )
-    say(f"slabs          {len(made.slabs)}, {made.n_done} of them imaged now")
-    return made

@@ -96,6 +96,9 @@ def _show(report: PlaneReport) -> None:
     if report.seen_share is not None:
         error = "not determined" if error_mm is None else f"{error_mm:.2f} mm"
         found = f"expected error {error}  seen {100 * report.seen_share:.0f} %"
+    if report.stated_f1 is not None:
+        low, middle, high = report.stated_f1
+        found += f"  F1 {middle:.2f} ({low:.2f} to {high:.2f})"
     if report.verdict is not None:
         found += f"  {report.verdict.trust}"
     say(f"plane {report.plane:3d}  {report.n_peaks:4d} peaks  {found}  {report.seconds:.1f} s")

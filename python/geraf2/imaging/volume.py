@@ -1,14 +1,18 @@
 """Matched-filter volumes of whole captures."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats, Progress
-from geraf2.imaging.slabs import Slabs
+from geraf2.geometry.transforms import triple
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, Pose, Waveform
+
+# Voxels that are imaged at once, 256 a side: a complex image and its magnitudes take 0.25 GiB.
+_MAX_SLAB_VOXELS = 256**3
 
 
 def image_volume(
@@ -16,7 +20,6 @@ def image_volume(
     grid: Grid,
     *,
     poses: Sequence[int] | None = None,
-    slabs: Slabs | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> NDArray[np.float32]:
@@ -33,10 +36,6 @@ def image_volume(
         Voxels to image [m].
     poses
         Indices of the poses to use; all when None.
-    slabs
-        Parts of the grid that are imaged in sequence, which limits the memory; the whole grid at
-        once when None. The ends of slabs determine the nodes of the interpolation, so results for
-        other slabs differ within the method's rtol.
     num_threads
         When None, torch's number if torch is loaded, else all cores.
     progress
@@ -61,7 +60,7 @@ def image_volume(
     """
     volume = np.zeros(grid.shape, dtype=np.float32)
     chosen = range(len(capture.poses)) if poses is None else poses
-    parts = [((), grid)] if slabs is None else list(slabs)
+    parts = list(slabs_of(grid))
     for number, index in enumerate(chosen):
         pose = capture.poses[index]  # read the signal once for all slabs
         for k, (region, part) in enumerate(parts):
@@ -70,6 +69,20 @@ def image_volume(
                 pose_image(pose, part, capture.waveform, num_threads=num_threads, progress=report)
             )
     return volume
+
+
+def slabs_of(grid: Grid) -> Iterator[tuple[tuple[slice, ...], Grid]]:
+    """Yield the index of each slab of a grid along its longest axis, and its voxels."""
+    axis = max(range(3), key=lambda a: grid.shape[a])
+    n_all = grid.shape[axis]
+    n_layers = max(1, _MAX_SLAB_VOXELS * n_all // grid.n_voxels)
+    for first in range(0, n_all, n_layers):
+        index = [slice(0, n) for n in grid.shape]
+        index[axis] = slice(first, min(first + n_layers, n_all))
+        nx, ny, nz = (s.stop - s.start for s in index)
+        corner = np.array([s.start for s in index])
+        origin = triple(np.asarray(grid.origin_m) + grid.spacing_m * corner)
+        yield tuple(index), replace(grid, origin_m=origin, shape=(nx, ny, nz))
 
 
 def plane_images(

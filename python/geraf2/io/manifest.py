@@ -51,7 +51,7 @@ class CalibrationManifest(_Strict):
     prior: str
     """Prior: the outside of the box."""
     software: str
-    delay_from: Literal["walls", "reflector", "kept"]
+    delay_from: Literal["walls", "kept"]
     leakage: str | None = None
     """Level, delays and method of the leakage that was subtracted."""
     path_bias_before_m: BiasM

@@ -11,7 +11,7 @@ import errno
 import os
 import re
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
 from functools import cache
@@ -79,19 +79,6 @@ def exists(path: Path) -> bool:
     return (is_file(path) or bool(list_files(path, most=1))) if is_remote(path) else path.exists()
 
 
-def remove(path: Path) -> None:
-    """Remove a file, if there is one."""
-    if not is_remote(path):
-        path.unlink(missing_ok=True)
-        return
-    store, key = _address(path)
-    try:
-        with _as_os_errors(path):
-            store.delete(key)
-    except FileNotFoundError:
-        pass
-
-
 def list_files(folder: Path, most: int | None = None) -> dict[str, tuple[int, str]]:
     """Size and version tag of each file below a remote folder, by its path."""
     store, key = _address(folder)
@@ -106,11 +93,9 @@ def list_files(folder: Path, most: int | None = None) -> dict[str, tuple[int, st
     return dict(sorted(found.items()))
 
 
-def fetch(source: Path, folder: Path, only: Collection[str] | None = None) -> None:
-    """Copy all files below a remote folder to one on the disk, or `only` some."""
+def fetch(source: Path, folder: Path) -> None:
+    """Copy all files below a remote folder to one on the disk."""
     for name in list_files(source):
-        if only is not None and name not in only:
-            continue
         if ".." in PurePosixPath(name).parts or name.startswith("/"):
             raise UserError(what="holds a name that leads out of it", where=source, got=repr(name))
         target = folder / name
@@ -138,18 +123,15 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def local_folder(path: Path, only: Collection[str] | None = None) -> Iterator[Path]:
-    """Lend a folder to work in: itself, or a copy on the disk that is sent when the body ends.
-
-    only: files that the copy has; all when None. Others stay in the store.
-    """
+def local_folder(path: Path) -> Iterator[Path]:
+    """Lend a folder to work in: itself, or a copy on the disk that is sent when the body ends."""
     if not is_remote(path):
         yield path
         return
     with tempfile.TemporaryDirectory(prefix="geraf2-", ignore_cleanup_errors=True) as name:
         folder = Path(name) / path.name
         folder.mkdir()
-        fetch(path, folder, only)
+        fetch(path, folder)
         yield folder
         push(folder, path)
 

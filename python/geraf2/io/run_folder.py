@@ -95,7 +95,6 @@ _OF_MESH = (
 OF_IMAGE = (
     IMAGE_NAME,
     "image.json",
-    "image.zarr/*",
     f"{FIGURES_FOLDER}/projections.png",
     f"{FIGURES_FOLDER}/depth.png",
 )

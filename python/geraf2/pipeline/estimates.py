@@ -1,14 +1,14 @@
 """Estimated time and memory of jobs, from rates measured on one machine."""
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from geraf2._memory import memory_of_parts, require_memory
-from geraf2.imaging.slabs import SLAB_BYTES_PER_VOXEL, SLAB_GIB, Slabs
-from geraf2.scene import Capture, Grid, LosPrior
+from geraf2._memory import require_memory
+from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary
 from geraf2.surfaces.config import SurfaceFitConfig
 from geraf2.surfaces.fit_memory import fit_bytes
@@ -19,7 +19,6 @@ _RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
 # Python with its libraries and the pictures of a report, then bytes per antenna sample.
 _RECONSTRUCT_FIXED_BYTES = 320e6
 _RECONSTRUCT_BYTES_PER_SAMPLE = 32.0
-_BYTES_PER_SAMPLE = 24.0
 # Time per voxel-antenna pair of the block kernel on one thread, for 64 samples and AVX2 [ns].
 _IMAGE_NS_PER_PAIR = 0.9
 _IMAGE_FIXED_BYTES = 190e6
@@ -28,8 +27,6 @@ _RENDER_FIXED_BYTES = 400e6
 _BYTES_PER_VOXEL = 24.0
 # Time per voxel-antenna pair of the factorised kernel on one thread [ns].
 _FACTORISED_NS_PER_PAIR = 0.2
-# Python with its libraries and the nodes of the kernel.
-_SLAB_FIXED_BYTES = 115e6
 # Per surface element in the simulator and in the fits to heat maps.
 BYTES_PER_ELEMENT = 500.0
 # Per part of a surface: per sample of its echo, and per target of its images.
@@ -96,47 +93,38 @@ def image_estimate(summary: CaptureSummary, n_voxels: int | None = None) -> Esti
     pairs = float(n_voxels) * summary.n_antennas
     return Estimate(
         seconds=2.0 + 1e-9 * _IMAGE_NS_PER_PAIR * pairs / n_threads(),
-        memory_bytes=_IMAGE_FIXED_BYTES
-        + _BYTES_PER_IMAGE_VOXEL * n_voxels
-        + 8.0
-        * max((pose.n_antennas for pose in summary.poses), default=0)
-        * summary.waveform.n_samples,  # poses are read one at a time
+        memory_bytes=_image_bytes(
+            n_voxels,  # poses are read one at a time
+            max((pose.n_antennas for pose in summary.poses), default=0)
+            * summary.waveform.n_samples,
+        ),
     )
 
 
-def slab_bytes(slabs: Slabs, n_samples: int) -> float:
-    """Memory of a process that images one slab.
-
-    n_samples: of the largest pose, over all its antennas.
-    """
-    return _SLAB_FIXED_BYTES + SLAB_BYTES_PER_VOXEL * slabs.n_voxels + _BYTES_PER_SAMPLE * n_samples
+def _image_bytes(n_voxels: float, n_samples: int) -> float:
+    """Memory of an image; n_samples: of the largest pose, over all its antennas."""
+    return _IMAGE_FIXED_BYTES + _BYTES_PER_IMAGE_VOXEL * n_voxels + 8.0 * n_samples
 
 
 def fine_image(
     sides_m: Sequence[float], wavelength_m: float, pose_sizes: Sequence[int], n_samples: int
 ) -> str:
-    """Describe the cost of `geraf2 image --tiles` with four voxels per wavelength.
+    """Describe the cost of `geraf2 image` with four voxels per wavelength.
 
     sides_m: of the volume. pose_sizes: antennas of each pose. n_samples: of each antenna.
     """
     spacing = 0.25 * wavelength_m
-    shape = [int(side / spacing) + 1 for side in sides_m]
-    with memory_of_parts():
-        grid = Grid.centered((0.0, 0.0, 0.0), spacing, shape)
-    slabs = Slabs.of(
-        grid, max(SLAB_GIB * 2.0**30, SLAB_BYTES_PER_VOXEL * grid.n_voxels / max(shape))
-    )
-    seconds = 1e-9 * _FACTORISED_NS_PER_PAIR * grid.n_voxels * sum(pose_sizes)
-    memory = slab_bytes(slabs, n_samples * max(pose_sizes, default=0))
+    n_voxels = math.prod(int(side / spacing) + 1 for side in sides_m)
+    seconds = 1e-9 * _FACTORISED_NS_PER_PAIR * n_voxels * sum(pose_sizes)
+    memory = _image_bytes(n_voxels, n_samples * max(pose_sizes, default=0))
     cpu = (
         f"{max(seconds, 1.0):.0f} CPU s"
         if seconds < 3600.0
         else f"{seconds / 3600.0:.1f} CPU hours"
     )
     return (
-        f"{grid.n_voxels / 1e6:.3g} million voxels of {1e3 * spacing:.2g} mm, "
-        f"{4e-6 * grid.n_voxels:.3g} MB in {len(slabs)} slab{'s' * (len(slabs) > 1)}: about {cpu} "
-        f"in all, {memory / 2**30:.1f} GiB a process (geraf2 image --tiles)"
+        f"{n_voxels / 1e6:.3g} million voxels of {1e3 * spacing:.2g} mm: about {cpu} and "
+        f"{memory / 2**30:.1f} GiB (geraf2 image --spacing-m {spacing:.2g})"
     )
 
 

@@ -29,6 +29,7 @@ from geraf2.io.verdict import Verdict
 from geraf2.pipeline.prior import read_prior
 from geraf2.pipeline.run_record import RunRecord
 from geraf2.scene import LosPrior
+from geraf2.surfaces.stated_score import score_of
 
 if TYPE_CHECKING:
     import trimesh
@@ -174,6 +175,15 @@ class Reconstruction:
     def verdict(self) -> Verdict | None:
         """How far the result can be trusted, why, and what to do; None where it was not judged."""
         return self.run.verdict
+
+    @property
+    def stated_f1(self) -> tuple[float, float, float] | None:
+        """F1 at 5 mm: lower end of the 90 % interval, median and upper end, 0 to 1.
+
+        It includes the probability that the result is wrong. None where the result was not judged
+        or is not to be trusted, and for presets that state no errors.
+        """
+        return None if self.verdict is None else score_of(self.content_mesh, self.verdict)
 
     @property
     def report(self) -> Path | None:

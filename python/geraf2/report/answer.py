@@ -17,6 +17,7 @@ from geraf2.surfaces.expected_error import seen_vertices, typical_error_m
 from geraf2.surfaces.isosurface import SurfaceReport, surface_report
 from geraf2.surfaces.pieces import ghost_texts
 from geraf2.surfaces.samples import size_lines
+from geraf2.surfaces.stated_score import score_of, score_text
 
 # Vertices this near to the extreme of the content define its end [m]: half of the usual voxel.
 _END_REACH_M = 0.0015
@@ -119,11 +120,11 @@ def _certainty_card(content: TriangleMesh, verdict: Verdict | None) -> Card:
         return Card(title=title, value=NOT_DETERMINED, lines=(f"B{why}.", hint))
     most, condition = 1e3 * typical_error_m(content, 0.95), verdict.condition if verdict else ""
     line = "Typical expected error, one standard deviation: half of the surface is below it, 95 %"
-    return Card(
-        title=title,
-        value=f"{1e3 * typical_error_m(content):.1f} mm",
-        lines=(f"{line} below {most:.1f} mm{condition}.",),
-    )
+    lines, score = [f"{line} below {most:.1f} mm{condition}."], score_of(content, verdict)
+    if score is not None:
+        lines.append(f"Stated F1 {score_text(score)}.")
+    value = f"{1e3 * typical_error_m(content):.1f} mm"
+    return Card(title=title, value=value, lines=tuple(lines))
 
 
 def _unseen_card(content: TriangleMesh, seen: Bools, has_outlines: bool) -> Card:

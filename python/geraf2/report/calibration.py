@@ -25,11 +25,7 @@ def calibration_figure(found: Calibration, path: AnyPath) -> None:
 
 
 def _draw_delay(panel: "Axes", found: Calibration) -> None:
-    if found.curve is not None:
-        panel.plot(found.curve.candidates_m, found.curve.quality, color="black")
-        panel.axvline(found.curve.delay_m, color=GLINT_COLOUR)
-        panel.set_ylabel("power over its median")
-    elif found.walls is not None:
+    if found.walls is not None:
         peak = found.walls.peak
         panel.plot(2.0 * peak.candidates_m, peak.density, color="black")
         panel.axvline(found.walls.delay_m, color=GLINT_COLOUR)

@@ -5,13 +5,13 @@ from pathlib import Path
 from urllib.parse import unquote, urlparse
 from urllib.request import url2pathname
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from geraf2.apps.batch.folder import JobPaths, JobResult
 from geraf2.apps.batch.page import Pages
+from geraf2.io.verdict import Trust
 from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
+from helpers.run_folders import CAUSE, VERDICTS
 
 pytestmark = pytest.mark.browser
 
@@ -20,6 +20,7 @@ LONG = "a_rather_long_name_of_a_scene_that_came_from_a_robot_with_a_date_2026_11
 
 def result(scene, **more):
     values = {"state": "done", "preset": "best", "seconds": 31.4, "cpu_seconds": 50.0}
+    values |= {"verdict": str(Trust.RELIABLE), "probability_of_failure": 0.01}
     scores = {"f1_5mm": 0.98, "f1_3mm": 0.9, "f1_2mm": 0.8, "chamfer_1e3_m2": 0.0044}
     scores |= {"volume_ratio": 1.02, "extent_x_mm": 0.1, "extent_y_mm": 1.0, "extent_z_mm": -1.0}
     scores |= {"offset_mm": 0.2}
@@ -37,13 +38,14 @@ def page_url(tmp_path_factory):
         done = result(paths.scene, numbers={"typical_error_mm": 0.1 * (n + 1)})
         if paths.scene == "broken":
             error = "the first plane holds numbers that are not finite: " + 20 * "really "
-            done = replace(done, state="bad input", error=error, scores={}, numbers={})
+            done = replace(done, state="bad input", error=error, scores={}, numbers={}, verdict="")
         else:
             paths.run.mkdir(parents=True)
             (paths.run / "report.html").write_text("<!doctype html>")
-            shade = np.full((288, 288), 20 * n, dtype=np.uint8)
-            paths.picture.parent.mkdir(exist_ok=True)
-            Image.fromarray(shade).save(paths.picture)
+        if paths.scene == LONG:
+            worst, cause = VERDICTS[Trust.NOT_TO_BE_TRUSTED], CAUSE
+            more = {"verdict": str(worst.trust), "because": cause.text, "do": cause.action}
+            done = replace(done, **more, probability_of_failure=worst.probability_of_failure)
         paths.write(done)
     Pages(out, "a night").draw(jobs, {})
     return (out / "batch.html").as_uri()
@@ -68,12 +70,15 @@ def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, 
     assert len(links) == 12
     for link in links:
         assert Path(url2pathname(unquote(urlparse(link).path))).exists()
-    picture = page.locator("#jobs img").first.bounding_box()
-    assert picture["width"] >= 144
 
 
 def test_rows_are_filtered_and_ordered(open_page, page_url):
     page = open_page(page_url)
+    row = page.locator("#jobs tr", has_text=LONG)
+    assert row.locator("td.trust").inner_text() == "not to be trusted"
+    assert row.locator("td.error").inner_text() == f"Because {CAUSE.text}: {CAUSE.action}."
+    facts = " ".join(page.locator(".facts").inner_text().split())
+    assert "reliable 11 doubtful 0 not to be trusted 1" in facts
     assert shown(page)[0] == "broken"  # failed ones first
     assert len(shown(page)) == 13
     page.locator("#state").select_option("bad input")

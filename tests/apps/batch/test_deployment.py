@@ -1,6 +1,6 @@
 """The scripts of examples/ with processes of their own over TCP, ssh and sbatch being stand-ins."""
 
-import csv
+import json
 import os
 import shlex
 import socket
@@ -62,8 +62,8 @@ def _require_done(command, position, **environment):
             timeout=900,
         )
     assert done.returncode == 0, (position / "output.txt").read_text()
-    with (position / "out" / "batch.csv").open() as handle:
-        (row,) = csv.DictReader(handle)
+    (record,) = (position / "out" / "results").glob("*.json")
+    row = json.loads(record.read_text())
     assert (row["state"], row["worker"][:6]) == ("done", "tcp://")
 
 

@@ -37,7 +37,7 @@ ONE_FAILED = {"fast": (0.9, 0.01), "matched_filter": (0.5, 0.2), "back_projectio
 
 def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
     results = results_of(suite, **ONE_FAILED)
-    table = make_table("table1", suite.experiments["table1"], suite, results)
+    table = make_table("table1", suite, results)
     assert table.head[:4] == ("scene", "method", "F1 5 mm", "CD [1e-3 m2]")
     means = [row for row in table.rows if row[0].startswith("mean")]
     assert [row[:4] for row in means] == [
@@ -46,3 +46,40 @@ def test_means_are_over_all_scenes_and_leave_out_what_failed(suite):
     ]
     assert len(table.failures) == 2
     assert all(len(row) == len(table.head) for row in table.rows)
+
+
+SUITE = """
+[scenes.a]
+[scenes.b]
+[methods.fast]
+title = "default"
+options = { trust_los = true }
+[methods.other]
+title = "other method"
+[experiments.plain]
+title = "Another"
+scenes = ["a"]
+methods = ["fast"]
+[experiments.world]
+title = "Rungs"
+by_name = true
+scenes = ["a", "b"]
+methods = ["fast", "other"]
+scene = { scan = { n_poses = 5 } }
+cases = [
+  { label = "ideal" },
+  { label = "bent", scene.world.wall_bulge_m = 0.003, scene.scan.spacing_m = 0.01 },
+  { label = "not made" },
+]
+"""
+
+
+def test_an_experiment_runs_by_name_with_its_own_scan_and_options(suite_of):
+    suite = suite_of(SUITE)
+    assert {row.experiment for row in rows_of(suite)} == {"plain"}
+    rows = rows_of(suite, ("world",))
+    assert {row.spec.scan.n_poses for row in rows} == {5}
+    bent = [row.spec for row in rows if row.case.label == "bent"]
+    assert {(s.scan.spacing_m, s.world.wall_bulge_m) for s in bent} == {(0.01, 0.003)}
+    assert [row.how.run_options(3).trust_los for row in rows[:2]] == [True, False]
+    assert rows[0].how.run_options(3).seed == 3

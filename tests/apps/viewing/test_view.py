@@ -22,11 +22,12 @@ from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import mesh_digest
+from geraf2.io.verdict import Trust
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
 from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
 from helpers.glint_sets import glints_on_sphere
-from helpers.run_folders import record_run
+from helpers.run_folders import judge, record_run
 
 RADIUS_M = 0.03
 GRID = Grid(origin_m=(-0.05, -0.05, -0.05), spacing_m=0.005, shape=(21, 21, 21))
@@ -211,6 +212,8 @@ def test_an_open_page_follows_the_files_and_keeps_what_was_chosen(open_page, run
         page.locator('[data-view="+y"]').click()
         page.get_by_label("Colour").select_option(label="one colour")
         page.get_by_label("glints", exact=True).check()
+        assert page.locator(".verdict").count() == 0
+        judge(out, Trust.NOT_TO_BE_TRUSTED)
         write_mesh(solids.ball(2 * RADIUS_M, 2), out / "mesh_content.ply")
         for _ in range(80):  # its policy lets no script wait in the page
             page.wait_for_timeout(250)
@@ -224,6 +227,7 @@ def test_an_open_page_follows_the_files_and_keeps_what_was_chosen(open_page, run
         assert (
             page.get_by_label("Colour").evaluate("e => e.selectedOptions[0].text") == "one colour"
         )
+        assert page.get_by_text("Not to be trusted").is_visible()
         assert page.trouble == []
     finally:
         view.stop()

@@ -116,7 +116,7 @@ def _too_large(n_bytes: float, declared: float) -> Failure:
         what="no worker has enough memory",
         expected=f"about {n_bytes / 2**30:.1f} GiB",
         got=f"{declared / 2**30:.1f} GiB on the largest worker",
-        hint="take fewer --workers, larger ones, or a smaller --slab-gib of an image",
+        hint="take fewer --workers, or larger ones",
     )
     return Failure(state=MEMORY, error=str(error))
 

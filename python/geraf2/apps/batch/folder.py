@@ -4,8 +4,7 @@
         batch.json          jobs of this batch
         runs/SCENE-KEY/     run folders, as of `geraf2 reconstruct`
         results/KEY.json    result of a job, written whole and last
-        results/KEY.png     small picture of the mesh
-        batch.html, batch.csv
+        batch.html
 
 results/ alone determines which jobs are done, so that scheduler, client and workers may die.
 """
@@ -100,11 +99,6 @@ class JobPaths:
     def result(self) -> Path:
         """Record of its result."""
         return self.out / RESULTS_FOLDER / f"{self.key}.json"
-
-    @property
-    def picture(self) -> Path:
-        """Small picture of the mesh."""
-        return self.result.with_suffix(".png")
 
     def read(self) -> JobResult | None:
         """Read the record; None where it is missing or broken."""

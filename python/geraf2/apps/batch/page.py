@@ -1,4 +1,4 @@
-"""Page and table of many runs: a row for each."""
+"""Page of many runs: a row for each."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -10,41 +10,35 @@ from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.io.atomic import write_text_atomic
 from geraf2.io.objects import is_file
 from geraf2.io.run_folder import CONTENT_NAME, REPORT_NAME, RUN_NAME
-from geraf2.io.text import csv_text
 from geraf2.io.verdict import Trust
 from geraf2.report import html
 
 TO_DO = "to do"
-_JUDGED = ("verdict", "probability_of_failure", "because", "do")
+_SHOWN = ("error", "verdict", "because", "do")
 # Share of the time of a running batch that is spent on its page.
 _TIME_SHARE = 0.02
-# Field of a record, of its numbers or scores; title on the page, where it has one; digits.
+# Field of a record, of its numbers or scores; title; digits.
 NUMBERS = (
     ("typical_error_mm", "typical error [mm]", 2),
     ("not_seen_percent", "not seen [%]", 0),
     ("f1_5mm", "F1 5 mm", 3),
-    ("f1_3mm", "", 3),
     ("f1_2mm", "F1 2 mm", 3),
     ("chamfer_1e3_m2", "CD [1e-3 m²]", 4),
     ("volume_ratio", "volume / true", 3),
-    ("extent_x_mm", "", 1),
-    ("extent_y_mm", "", 1),
-    ("extent_z_mm", "", 1),
     ("offset_mm", "offset [mm]", 2),
     ("seconds", "time [s]", 1),
-    ("cpu_seconds", "", 1),
     ("peak_memory_mib", "memory [MiB]", 0),
 )
 
 
 @dataclass
 class Pages:
-    """Page and table of a folder, drawn again while results come."""
+    """Page of a folder, drawn again while results come."""
 
     out: Path
     title: str
     stem: str = "batch"
-    """Of both files."""
+    """Of the file."""
     numbers: Sequence[tuple[str, str, int]] = NUMBERS
     n_latest: int | None = None
     """Rows of the page: so many with the last names, or all with failed ones first when None."""
@@ -54,12 +48,12 @@ class Pages:
     def draw_sometimes(
         self, paths: Callable[[], Sequence[JobPaths]], known: Mapping[str, JobResult]
     ) -> None:
-        """Write both files, unless that would exceed a share of the time."""
+        """Write the page, unless that would exceed a share of the time."""
         if self._draw_s <= _TIME_SHARE * (time.monotonic() - self._drawn_s):
             self.draw(paths(), known)
 
     def draw(self, paths: Sequence[JobPaths], known: Mapping[str, JobResult]) -> None:
-        """Write both files for jobs; known: results by key."""
+        """Write the page for jobs; known: results by key."""
         start = time.monotonic()
         rows = [self._row(own, known.get(own.key) or own.read()) for own in paths]
         rows.sort(key=lambda row: str(row["scene"]))
@@ -67,10 +61,6 @@ class Pages:
         if self.n_latest is None:
             order = "Failed scenes come first"
             rows.sort(key=lambda row: {TO_DO: 1, DONE: 2}.get(row["state"], 0))
-        head = ["scene", "state", *_JUDGED, "preset", *(name for name, _, _ in self.numbers)]
-        head += ["warnings", "error", "worker", "run"]
-        table = csv_text(head, [[row[name] for name in head] for row in rows])
-        write_text_atomic(self.out / f"{self.stem}.csv", table)
         if self.n_latest is not None:
             rows = rows[: -self.n_latest - 1 : -1]
         write_text_atomic(self.out / f"{self.stem}.html", self._as_html(order, rows))
@@ -78,29 +68,25 @@ class Pages:
         self._draw_s = self._drawn_s - start
 
     def _row(self, paths: JobPaths, result: JobResult | None) -> dict[str, Any]:
-        """Entries of a row: texts of the table, and what only the page shows."""
+        """Entries of a row."""
         found = {} if result is None else {**vars(result), **result.numbers, **result.scores}
-        row = {name: "" for name, _, _ in self.numbers}
-        row |= {
-            name: f"{found[name]:.{digits + 2}f}"
+        row = {
+            name: f"{found[name]:.{digits}f}" if name in found else ""
             for name, _, digits in self.numbers
-            if name in found
         }
-        about = ("preset", "error", "worker", *_JUDGED)
         return {
             **row,
-            **{name: "" if (v := found.get(name)) is None else v for name in about},
+            **{name: "" if (v := found.get(name)) is None else v for name in _SHOWN},
             "scene": paths.scene,
             "state": found.get("state", TO_DO),
             "warnings": str(len(found["warnings"])) if found else "",
-            "run": str(paths.run.relative_to(paths.out)),
             "paths": paths,
             "result": result,
         }
 
     def _as_html(self, order: str, rows: Sequence[Mapping[str, Any]]) -> str:
         states = [row["state"] for row in rows]
-        used = [e for e in self.numbers if e[1] and any(row[e[0]] for row in rows)]
+        used = [e for e in self.numbers if any(row[e[0]] for row in rows)]
         titles = [title for _, title, _ in used]
         n_done, n_to_do = states.count(DONE), states.count(TO_DO)
         trusts = [row["verdict"] for row in rows]
@@ -108,7 +94,6 @@ class Pages:
             "batch.html",
             title=self.title,
             order=order,
-            table=f"{self.stem}.csv",
             facts=[
                 ("scenes", len(rows)),
                 ("done", n_done),
@@ -117,17 +102,14 @@ class Pages:
                 (TO_DO, n_to_do),
             ],
             numbers=titles,
-            heads=["scene", "state", "verdict", *titles, "warnings", "error"],
+            heads=["scene", "state", "verdict", *titles, "warnings", "error or doubt"],
             states=sorted(set(states)),
             jobs=[
                 {
                     **row,
                     "failed": row["state"] not in (DONE, TO_DO),
                     "page": _link(row["paths"]),
-                    "picture": _picture(row["paths"]),
-                    "numbers": [
-                        row[name] and f"{float(row[name]):.{digits}f}" for name, _, digits in used
-                    ],
+                    "numbers": [row[name] for name, _, _ in used],
                 }
                 for row in rows
             ],
@@ -139,7 +121,3 @@ def _link(paths: JobPaths) -> str:
     names = (REPORT_NAME, CONTENT_NAME, RUN_NAME)
     found = (paths.run / name for name in names if is_file(paths.run / name))
     return next((str(path.relative_to(paths.out)) for path in found), "")
-
-
-def _picture(paths: JobPaths) -> str:
-    return str(paths.picture.relative_to(paths.out)) if is_file(paths.picture) else ""

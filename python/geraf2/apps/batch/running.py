@@ -27,7 +27,7 @@ def run(
     *,
     options: BatchOptions | None = None,
 ) -> list[JobResult]:
-    """Do all jobs that are not done yet, and write batch.html and batch.csv.
+    """Do all jobs that are not done yet, and write batch.html.
 
     jobs: of distinct scenes and the same settings. out: folder, on a disk shared by all workers.
     client: of a dask scheduler; None: processes of this machine, or options.scheduler.

@@ -1,6 +1,5 @@
 """Reconstruction of one scene by a worker."""
 
-import io
 import logging
 import time
 from collections.abc import Mapping
@@ -8,13 +7,9 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
 from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob
-from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.locks import BusyFolderError
-from geraf2.io.mesh import TriangleMesh
 from geraf2.io.objects import is_file, local_folder
 from geraf2.io.run_folder import REPORT_NAME, RunFolder
 from geraf2.pipeline.events import LOGGER
@@ -22,7 +17,6 @@ from geraf2.pipeline.presets import is_trained
 from geraf2.pipeline.stages.job import peak_memory_bytes
 
 _WAIT_S = 1.0
-_THUMBNAIL_PIXELS = 288
 # The record has the warnings of a run: the worker does not print them.
 _QUIET = logging.NullHandler()
 
@@ -66,7 +60,7 @@ def _make_result(
     with suppress(OSError):  # the peak of the resident set is that of this job
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     wall, cpu = time.perf_counter(), time.process_time()
-    scores = _reconstruct(job, run, paths.picture, num_threads, report)
+    scores = _reconstruct(job, run, num_threads, report)
     record = RunFolder.read(run)
     judged = record.verdict
     cause = judged.causes[0] if judged is not None and judged.causes else None
@@ -109,9 +103,7 @@ def _mesh_numbers(run: RunFolder) -> dict[str, float]:
     return found
 
 
-def _reconstruct(
-    job: BatchJob, run: Path, picture: Path, num_threads: int, report: bool
-) -> dict[str, float]:
+def _reconstruct(job: BatchJob, run: Path, num_threads: int, report: bool) -> dict[str, float]:
     from geraf2.pipeline.commands.evaluate import evaluate  # noqa: PLC0415 - torch, 2 s, on workers only
     from geraf2.pipeline.commands.reconstruct import reconstruct  # noqa: PLC0415 - as above
 
@@ -127,38 +119,10 @@ def _reconstruct(
         report=report and job.truth is None,
         num_threads=num_threads,
     )
-    if len(result.content_mesh.faces):
-        draw_thumbnail(result.content_mesh, picture)
     if job.truth is None:
         return {}
     metrics = evaluate(result, job.truth, report=report, num_threads=num_threads)
     return {name: round(score, 6) for name, score in metrics.headline().items()}
-
-
-def draw_thumbnail(mesh: TriangleMesh, path: Path) -> None:
-    """Draw a small picture of a mesh from one side, lit from the front."""
-    from PIL import Image  # noqa: PLC0415 - for jobs alone
-
-    from geraf2.geometry.triangles import unit_normals  # noqa: PLC0415 - as above
-    from geraf2.ops.visibility import MeshScene  # noqa: PLC0415 - as above
-    from geraf2.report.render import View  # noqa: PLC0415 - as above
-
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    x, y, z = (0.5 * (low + high)).tolist()
-    half, n = 0.52 * float(np.linalg.norm(high - low)), _THUMBNAIL_PIXELS
-    view = View(azimuth_deg=35.0, center_m=(x, y, z), half_width_m=half, n_pixels=n)
-    right, up, toward = view.axes
-    steps = ((np.arange(n) + 0.5) / n * 2.0 - 1.0) * half
-    across, down = np.meshgrid(steps, -steps)
-    plane = across.reshape(-1, 1) * right + down.reshape(-1, 1) * up + (x, y, z)
-    scene = MeshScene(mesh.vertices, mesh.faces, num_threads=1)
-    towards_mesh = np.tile(-toward, (n * n, 1))
-    _, face = scene.closest_hit(plane + 2.0 * half * toward, towards_mesh)
-    light = np.abs(unit_normals(mesh.corners)[face] @ toward)
-    grey = np.where(face >= 0, 60.0 + 170.0 * light, 255.0).reshape(n, n)
-    content = io.BytesIO()
-    Image.fromarray(grey.astype(np.uint8)).save(content, format="PNG")
-    write_bytes_atomic(path, content.getvalue())
 
 
 def _peak_bytes() -> float:

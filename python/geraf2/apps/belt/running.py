@@ -36,9 +36,7 @@ _NUMBERS = (
     ("position_m", "position [m]", 3),
     ("length_m", "length [m]", 3),
     ("travel_percent", "travel [%]", 2),
-    ("travel_sigma_percent", "", 2),
     ("yaw_deg_per_m", "yaw [degrees/m]", 2),
-    ("cutting_cpu_seconds", "", 1),
     *NUMBERS,
 )
 
@@ -85,8 +83,8 @@ def run_belt(
 ) -> BeltOutcome:
     """Cut a stream of parcels apart and reconstruct each on a worker.
 
-    stream: scene folder with belt.json, which may grow. out: folder for parcels/, runs/, results/,
-    parcels.csv and parcels.html. on_line: receives a line for each parcel, and for each plane or
+    stream: scene folder with belt.json, which may grow. out: folder for parcels/, runs/, results/
+    and parcels.html. on_line: receives a line for each parcel, and for each plane or
     parcel that cannot be used.
 
     Parcels that came while others were reconstructed wait in the stream. Finished ones are kept:
@@ -184,7 +182,7 @@ class _Table:
         self._pages.draw_sometimes(lambda: list(self._paths.values()), self._results)
 
     def draw(self) -> None:
-        """Write page and table."""
+        """Write the page."""
         self._pages.draw(list(self._paths.values()), self._results)
 
     def outcome(self) -> BeltOutcome:

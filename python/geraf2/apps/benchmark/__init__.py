@@ -1,6 +1,5 @@
 """Comparison of methods on simulated scenes: suites, runs, tables and pages."""
 
-from geraf2.apps.benchmark.costs import Cost, costs, listed
 from geraf2.apps.benchmark.pages import write_pages
 from geraf2.apps.benchmark.rows import Row, RowResult, rows_of
 from geraf2.apps.benchmark.runner import Runner
@@ -8,15 +7,12 @@ from geraf2.apps.benchmark.suite import Case, Experiment, Method, Suite, load_su
 
 __all__ = [
     "Case",
-    "Cost",
     "Experiment",
     "Method",
     "Row",
     "RowResult",
     "Runner",
     "Suite",
-    "costs",
-    "listed",
     "load_suite",
     "rows_of",
     "write_pages",

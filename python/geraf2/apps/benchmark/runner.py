@@ -32,8 +32,6 @@ SCENES_FOLDER, RUNS_FOLDER = "scenes", "runs"
 SCENE_VERSION, RESULT_VERSION = 1, 4
 _PATIENCE_S = 5.0
 """Time that a process gets to clean up before it is killed [s]."""
-# Fields of a scan that are hashed only where they are set, so that names of older folders hold.
-_LATER = ("rings", "file", "sweeps")
 
 
 class Folders(NamedTuple):
@@ -136,46 +134,24 @@ class Runner:
         }
         return RowResult(**own) if own else None
 
-    def known_scene_seconds(self, row: Row) -> float | None:
-        """Processor time of a row's scene [s]; None where unknown."""
-        seconds = read_record(self.folders(row).scene.with_suffix(".json")).get("cpu_seconds")
-        return float(seconds) if isinstance(seconds, int | float) else None
-
     def folders(self, row: Row) -> Folders:
         """Folders of a row's scene and result."""
         how, case = row.how, row.case
-        spec = {entry.name: getattr(row.spec, entry.name) for entry in fields(row.spec)}
-        if row.spec.world.is_off:  # keeps names of older folders
-            del spec["world"]
-        if row.spec.belt is None:
-            del spec["belt"]
-        scan = {
-            name: value
-            for name, value in vars(row.spec.scan).items()
-            if value or name not in _LATER
-        }
-        spec["scan"] = scan
-        if row.spec.disturbance.far_walls:  # keeps names of older folders
-            spec["disturbance"] = {
-                k: value for k, value in vars(row.spec.disturbance).items() if k != "far_walls"
-            }
         scene = stage_key(
             version=SCENE_VERSION,
-            spec=spec,
+            spec=row.spec,
             seed=self.seed_of(row),
             told=case.given_permittivity,
         )
-        more = {"options": how.options} if how.options else {}
         run = stage_key(
             version=RESULT_VERSION,
             scene=scene,
             kind=how.kind,
             settings=row.config,
-            hold_out=(),  # as in names of older folders
             shift=case.prior_shift_m,
             stages=row.versions,
             seed=self.seed_of(row),
-            **more,
+            options=how.options,
         )
         return Folders(
             (self.cache or self.out) / SCENES_FOLDER / f"{row.scene}-{scene[:10]}",
@@ -195,8 +171,7 @@ class Runner:
         write_toml(scene.with_suffix(".toml"), row.spec)
         if permittivity == "true":
             arguments = (row.spec, scene, self.seed_of(row), self.num_threads)
-            _, spent = self._call(make_scene, *arguments)
-            write_json_atomic(scene.with_suffix(".json"), {"cpu_seconds": spent})
+            self._call(make_scene, *arguments)
             return
         true_row = with_true_walls(row)
         self.simulate(true_row)

@@ -68,8 +68,6 @@ class Experiment:
     """Settings."""
     scene: dict[str, Any] = field(default_factory=dict)
     """Changes of all scenes' specs in all cases, as nested tables."""
-    ladder: bool = False
-    """Whether a table lists the loss of each case against the first."""
     by_name: bool = False
     """Whether it runs only when selected by name."""
     note: str = ""

@@ -45,6 +45,8 @@ class PlaneReport:
     """Not exceeded on half of the area [mm]; None without a surface."""
     seen_share: float | None = None
     """Share of the area that an echo came from."""
+    stated_f1: tuple[float, float, float] | None = None
+    """F1 at 5 mm, lower end of the 90 % interval, median, upper end; None where not determined."""
     verdict: Verdict | None = None
     """How far the surface can be trusted; None where it was not judged. The expected error of one
     that is not to be trusted is None."""
@@ -210,6 +212,7 @@ def _surface_numbers(session: Session) -> dict[str, Any]:
     return {
         "expected_error_mm": numbers.get("expected_error_median_mm"),
         "seen_share": numbers["evidence_shares"]["seen"],
+        "stated_f1": result.stated_f1,
         "verdict": result.verdict,
     }
 

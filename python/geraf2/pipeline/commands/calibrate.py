@@ -123,7 +123,7 @@ def calibrate(
     Raises
     ------
     UserError
-        If the scene is not plausible, or the echoes of walls or reflector are too weak.
+        If the scene is not plausible, or the echoes of walls are too weak.
 
     Examples
     --------
@@ -181,12 +181,10 @@ def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> d
     }
     if found.applied("leakage"):
         values["leakage"] = str(found.corrections.leakage)
-    if found.curve is not None:
-        values["path_bias_sigma_m"] = found.curve.sigma_m
     if walls is not None:
         values["n_wall_echoes"] = len(walls.offsets_after_m)
         values["wall_rms_before_m"], values["wall_rms_m"] = walls.rms_m
-        if found.curve is None and found.applied("delay"):
+        if found.applied("delay"):
             values["path_bias_sigma_m"] = walls.delay_sigma_m
         if found.applied("frame"):
             values |= {

@@ -1,25 +1,23 @@
 """Matched-filter volume of a scene into a run folder, with pictures."""
 
 import time
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import ArrayLike, NDArray
 
 from geraf2._bounds import Bounded, CellM, Count, CountOrZero, LengthM, MarginM, Sides, Triple
-from geraf2._memory import memory_of_parts, require_memory
+from geraf2._memory import require_memory
 from geraf2._types import Floats
 from geraf2.errors import UserError
 from geraf2.geometry.boxes import box_corners
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.plane_waves import depth_sharpness, keep_angles, search_depth
-from geraf2.imaging.slabs import SLAB_GIB, Slabs
-from geraf2.imaging.volume import image_volume
+from geraf2.imaging.volume import image_volume, slabs_of
 from geraf2.io.atomic import write_json_atomic, write_npz_atomic
 from geraf2.io.run_folder import IMAGE_NAME, OF_IMAGE, RunFolder, StageRecord, stage_key
 from geraf2.ops import explain_method
@@ -67,17 +65,14 @@ class ImageOptions(Bounded):
     extent_m: tuple[LengthM, LengthM] | None = None
     """With --depth-m: horizontal and vertical extent across the looking direction [m]; by default
     that of the antennas."""
-    slab_gib: Annotated[float, Interval(ge=1e-3, le=1e4)] = SLAB_GIB
-    """Memory for the voxels of a slab [GiB]: larger volumes are imaged slab by slab, along their
-    longest side. Other slabs give an image that differs within rounding of the method."""
     angles_deg: tuple[_Angle, _Angle] | None = None
     """Keep only waves from between these angles off the looking direction [degrees]: 0 60 removes
     waves along the antennas, 10 60 also flat reflections from right before the radar."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImageRecord:
-    """What is known of an image that lies in a run folder."""
+class ImageResult:
+    """A volume in memory, which also lies in a run folder."""
 
     path: Path
     """The folder."""
@@ -91,12 +86,6 @@ class ImageRecord:
     """Of each of these slices."""
     searched_m: float | None = None
     """Where a search before a single plane found it sharpest [m]; the volume lies around it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ImageResult(ImageRecord):
-    """A volume in memory, which also lies in a run folder."""
-
     volume: NDArray[np.float32]
     """Sum over poses of the magnitude of their images, grid.shape."""
     grid: Grid
@@ -126,18 +115,17 @@ def image_scene(
 
     UserError for an implausible capture, options that do not fit it, a folder of another scene.
     """
-    plan = plan_image(scene, options or ImageOptions(), listener := listener or Listener())
+    plan = _plan_image(scene, options or ImageOptions(), listener := listener or Listener())
     grid = plan.grid
     run = RunFolder.open(out, scene_digest=plan.digest, scene_name=plan.name, overwrite=overwrite)
     key = plan.key()
     run.require_same("image", key, "image", overwrite=overwrite)
-    start, method = time.perf_counter(), explain_image(plan)
-    with listener.step(plan.step) as report:
+    start, method = time.perf_counter(), _explain_image(plan)
+    with listener.step(f"imaging {len(plan.poses)} planes, {grid.n_voxels} voxels") as report:
         volume = image_volume(
             plan.imaged,
             grid,
             poses=plan.poses,
-            slabs=plan.slabs,
             num_threads=num_threads,
             progress=report,
         )
@@ -159,21 +147,16 @@ def image_scene(
     with run.rewrite(*OF_IMAGE):
         _write(result, plan)
         with listener.step("drawing"):
-            maxima = [volume.max(axis=axis) for axis in range(3)]
-            draw_image(plan, run.path, maxima, sharpness, volume.take)
-        note_image(run, key, time.perf_counter() - start, method)
+            _draw_image(plan, run.path, volume, sharpness)
+        seconds = time.perf_counter() - start
+        run.asked["image"] = key
+        run.stages["image"] = StageRecord(seconds=round(seconds, 3))
+        run.log("image", level="info", seconds=round(seconds, 2), method=method)
     return result
 
 
-def note_image(run: RunFolder, key: str, seconds: float, method: str) -> None:
-    """Record a finished image."""
-    run.asked["image"] = key
-    run.stages["image"] = StageRecord(seconds=round(seconds, 3))
-    run.log("image", level="info", seconds=round(seconds, 2), method=method)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ImagePlan:
+class _ImagePlan:
     """Plan of an image; poses are read when needed."""
 
     name: str
@@ -185,7 +168,8 @@ class ImagePlan:
     imaged: Capture
     """Capture, without waves outside the requested angles."""
     poses: list[int]
-    slabs: Slabs
+    grid: Grid
+    """Voxels [m]."""
     axis: int | None
     """Axis of the frame along which depths are compared, if they are."""
     depths_m: Floats
@@ -194,36 +178,22 @@ class ImagePlan:
     """Depth that was searched [m]."""
 
     @property
-    def grid(self) -> Grid:
-        """Voxels [m]."""
-        return self.slabs.grid
-
-    @property
     def pictures(self) -> tuple[str, ...]:
         """Names of the pictures."""
         return (PICTURE_NAME, *([DEPTH_PICTURE_NAME] * (self.axis is not None)))
 
-    @property
-    def step(self) -> str:
-        """Line about the work to come, for the log."""
-        return f"imaging {len(self.poses)} planes, {self.grid.n_voxels} voxels"
-
-    def key(self, **more: object) -> str:
+    def key(self) -> str:
         """Hash of all that the volume depends on."""
-        if len(self.slabs) > 1:
-            more["slab_layers"] = self.slabs.n_layers
         angles = self.options.angles_deg
-        return stage_key(
-            scene=self.digest, grid=self.grid, poses=self.poses, angles_deg=angles, **more
-        )
+        return stage_key(scene=self.digest, grid=self.grid, poses=self.poses, angles_deg=angles)
 
-    def describe(self, file: str, sharpness: Floats) -> dict[str, object]:
+    def describe(self, sharpness: Floats) -> dict[str, object]:
         """Record of the volume, for its sidecar."""
         grid, angles = self.grid, self.options.angles_deg
         about: dict[str, object] = {
             "format": "geraf2-image",
             "format_version": 1,
-            "file": file,
+            "file": IMAGE_NAME,
             "unit": "metre",
             "frame": self.imaged.frame,
             "quantity": "sum over poses of the magnitude of the matched-filter image, each "
@@ -248,16 +218,10 @@ class ImagePlan:
             listener.warning("the image is sharpest where it ends: widen --depth-m")
 
 
-def plan_image(
-    scene: Capture | Path | str,
-    options: ImageOptions,
-    listener: Listener,
-    *,
-    in_parts: bool = False,
-) -> ImagePlan:
+def _plan_image(
+    scene: Capture | Path | str, options: ImageOptions, listener: Listener
+) -> _ImagePlan:
     """Plan an image of a capture or a scene folder, whose poses are read one at a time.
-
-    in_parts: the volume is never held as a whole, and may be larger than the memory.
 
     UserError for an implausible capture and options that do not fit it.
     """
@@ -267,42 +231,38 @@ def plan_image(
     summary = summarize_capture(capture)
     listener.findings(require_plausible(summary, name if in_memory else scene))
     poses = _chosen_poses(options, capture)
-    imaged, searched = filter_angles(options.angles_deg, capture, poses), None
+    imaged, searched = _filter_angles(options.angles_deg, capture, poses), None
     if summary.is_plane and not (options.depth_m or options.size_m or options.center_m):
         options, searched = _search_depth(options, imaged, listener)
     axis, depths = None, np.zeros(0)
     first = capture.poses[poses[0]]
-    with memory_of_parts() if in_parts else nullcontext():
-        by_depth = options.depth_m is not None
-        grid = _depth_grid(options, first, len(poses)) if by_depth else _grid(options, summary)
-        needed = image_estimate(summary, grid.n_voxels).memory_bytes
-        require_memory(needed, "raise --spacing-m, or use --tiles", where=name)
+    by_depth = options.depth_m is not None
+    grid = _depth_grid(options, first, len(poses)) if by_depth else _grid(options, summary)
+    needed = image_estimate(summary, grid.n_voxels).memory_bytes
+    require_memory(needed, "raise --spacing-m or lower --size-m", where=name)
     if by_depth:
         axis = _axis_along(first)
         if axis is not None:
             depths = _depths(grid, axis, first)
-    return ImagePlan(
+    return _ImagePlan(
         name=name,
         digest=capture_digest(capture),
         options=options,
         imaged=imaged,
         poses=poses,
-        slabs=Slabs.of(grid, 2.0**30 * options.slab_gib),
+        grid=grid,
         axis=axis,
         depths_m=depths,
         searched_m=searched,
     )
 
 
-def explain_image(plan: ImagePlan) -> str:
+def _explain_image(plan: _ImagePlan) -> str:
     """Kernel of the first slab of the first pose, and the reason."""
     pose = plan.imaged.poses[plan.poses[0]]
+    _, slab = next(slabs_of(plan.grid))
     return explain_method(
-        pose.tx_positions,
-        pose.rx_positions,
-        plan.slabs.part(0),
-        plan.imaged.waveform,
-        dtype=pose.signal.dtype,
+        pose.tx_positions, pose.rx_positions, slab, plan.imaged.waveform, dtype=pose.signal.dtype
     ).reason
 
 
@@ -410,7 +370,7 @@ def _depths(grid: Grid, axis: int, pose: Pose) -> Floats:
     return np.asarray((positions - antennas) * np.sign(pose.axes[0, axis]))
 
 
-def filter_angles(
+def _filter_angles(
     angles_deg: tuple[float, float] | None, capture: Capture, poses: Sequence[int]
 ) -> Capture:
     """Capture without waves from other angles, of some poses; filtered when they are read."""
@@ -430,7 +390,7 @@ def filter_angles(
     return replace(capture, poses=poses_kept.map(filter_pose))
 
 
-def _write(result: ImageResult, plan: ImagePlan) -> None:
+def _write(result: ImageResult, plan: _ImagePlan) -> None:
     grid = result.grid
     arrays = {
         "volume": result.volume,
@@ -439,26 +399,19 @@ def _write(result: ImageResult, plan: ImagePlan) -> None:
         "poses": np.asarray(plan.poses, dtype=np.int64),
     }
     write_npz_atomic(result.path / IMAGE_NAME, arrays)
-    write_json_atomic(result.path / SIDECAR_NAME, plan.describe(IMAGE_NAME, result.sharpness))
+    write_json_atomic(result.path / SIDECAR_NAME, plan.describe(result.sharpness))
 
 
-def draw_image(
-    plan: ImagePlan,
-    folder: Path,
-    maxima: Sequence[NDArray[np.float32]],
-    sharpness: Floats,
-    take: Callable[[int, int], Any],
+def _draw_image(
+    plan: _ImagePlan, folder: Path, volume: NDArray[np.float32], sharpness: Floats
 ) -> None:
-    """Draw the volume's largest values along x, y and z, and its sharpest slice, if there is one.
-
-    take: gives the slice of an index across an axis.
-    """
+    """Draw the volume's largest values along x, y and z, and its sharpest slice, if any."""
     from geraf2.report.depth import sharpest_slice  # noqa: PLC0415 - takes 0.5 s
     from geraf2.report.figures import draw_projections  # noqa: PLC0415 - as above
 
     (folder / PICTURE_NAME).parent.mkdir(parents=True, exist_ok=True)
-    draw_projections(maxima, plan.grid, folder / PICTURE_NAME)
+    draw_projections([volume.max(axis=axis) for axis in range(3)], plan.grid, folder / PICTURE_NAME)
     if plan.axis is not None:
-        values = take(int(sharpness.argmax()), plan.axis)
+        values = np.take(volume, int(sharpness.argmax()), axis=plan.axis)
         focus = (plan.depths_m, sharpness)
         sharpest_slice(values, plan.grid, plan.axis, *focus, folder / DEPTH_PICTURE_NAME)
