@@ -68,7 +68,8 @@ def test_a_scan_that_is_not_to_be_trusted_reaches_no_target_and_says_why(
     assert [line.split()[0] for line in lines[-3:]] == ["verdict", "because", "do"]
 
 
-def test_it_stops_at_a_target(source, tmp_path, capsys):
+def test_it_stops_at_a_target(source, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(RunFolder, "verdict", property(lambda _: VERDICTS[Trust.RELIABLE]))
     target = ["--until", "expected 99 mm over 50 %", "--no-report"]
     assert main(["live", str(source), str(tmp_path / "out"), *BOX, *target]) == 0
     assert "1 planes: the target is reached" in capsys.readouterr().out

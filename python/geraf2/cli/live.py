@@ -37,7 +37,7 @@ class Config(PriorSource, RecordingOptions):
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
     """best or fast."""
     until: Annotated[str | None, Arg(metavar="TARGET")] = None
-    """End when the surface is expected to be as good: "expected 1 mm over 90 %" of the area."""
+    """End when the surface is reliable and as good: "expected 1 mm over 90 %" of the area."""
     idle: Annotated[float, Interval(ge=0.1, le=1e6), Arg(metavar="SECONDS")] = 60.0
     """End when no plane came for this time, or when all came that SOURCE announces."""
     view: bool = False

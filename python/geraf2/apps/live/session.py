@@ -113,8 +113,8 @@ class Session:
     >>> with geraf2.Session(capture.waveform, geraf2.examples.BOX_M, "fast") as session:
     ...     for pose in capture.poses:
     ...         session.add(pose)
-    ...     len(session), session.reaches("expected 3 mm over 50 %")
-    (6, True)
+    ...     len(session), session.reaches("expected 0.1 mm over 90 %")
+    (6, False)
     """
 
     def __init__(
@@ -261,7 +261,7 @@ class Session:
         return self._result
 
     def reaches(self, target: Target | str) -> bool:
-        """Whether the surface is expected to be as good as this.
+        """Whether the surface is reliable and expected to be as good as this.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class Session:
         Returns
         -------
         bool
-            False also as long as there is no surface.
+            False also as long as there is no surface, or its verdict is not `reliable`.
 
         Raises
         ------
