@@ -42,6 +42,7 @@ def test_an_inspection_inherits_the_verdict(run, capsys, trust, intervals, exist
     assert (part["volume_m3"]["sigma"] is None) == (exists is None)
     assert part["material"]["kind"] == NOT_DETERMINED
     assert found["verdict"] == VERDICTS[trust].numbers()
+    assert f"\nverdict,,{trust},probability of failure," in (run / "inspection.csv").read_text()
     page = (run / "inspection.html").read_text()
     assert page.index('class="verdict ') < page.index("In the box")
     code = 3 if exists is None else 0

@@ -138,6 +138,11 @@ class Inspection(Short):
         for report in self.models:
             name, status = report.model.name, report.match.status
             lines += [("model", name, status, *row) for row in _model_rows(report)]
+        if self.verdict is not None:
+            failure = f"{self.verdict.probability_of_failure:.4f}"
+            lines.append(
+                ("verdict", "", self.verdict.trust, "probability of failure", failure, "", "")
+            )
         lines.append(("result", "", self.result, "failures", len(self.failures), "", ""))
         return csv_text(("kind", "name", "status", "quantity", "value", "sigma", "unit"), lines)
 
