@@ -8,6 +8,7 @@ import numpy as np
 
 from geraf2._types import AnyPath, Array, Floats, Ints
 from geraf2.calibration.autofocus import with_displacements
+from geraf2.calibration.box_search import upward
 from geraf2.calibration.channel_phase import channels_of, with_channel_phases
 from geraf2.calibration.leakage import Leakage, without_leakage
 from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
@@ -179,21 +180,19 @@ def with_delay(capture: Capture, change_m: float) -> Capture:
 def with_turn_reversed(capture: Capture) -> Capture:
     """Capture whose turntable ran in the other sense: planes at the angles -a instead of a.
 
-    Angles are about the turntable's axis, 0 in the direction of the frame's x axis.
+    Angles are about the upright axis through the point that the planes face, 0 towards x, or
+    towards y for a turntable whose axis is x.
     """
-    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
-    point, up = axis
-    along = np.eye(3)[int(np.abs(up).argmin())]  # x, unless the axis is x itself
-    x = along - (along @ up) * up
-    y = np.cross(up, x)
-    outward = np.array(
-        [
-            pose.phase_centers.mean(axis=0) - point if pose.n_antennas else x
-            for pose in capture.poses
-        ]
-    )
-    angles = np.arctan2(outward @ y, outward @ x)
-    return with_axis(capture, np.zeros(2), -2.0 * angles)
+    full = tuple(pose for pose in capture.poses if pose.n_antennas)
+    axis = turntable_axis(full)[0], upward(capture)
+    x = np.roll(np.eye(3), -1, axis=0)[int(np.abs(axis[1]).argmax())]
+    y = np.cross(axis[1], x)
+    poses = []
+    for pose in capture.poses:
+        outward = (pose.phase_centers if pose.n_antennas else axis[0][None]).mean(axis=0) - axis[0]
+        angle = float(np.arctan2(outward @ y, outward @ x))
+        poses.append(moved_pose(pose, np.zeros(2), -2.0 * angle, axis))
+    return replace(capture, poses=tuple(poses))
 
 
 def with_axis(capture: Capture, axis_shift_m: Floats, angles_rad: Floats) -> Capture:

@@ -26,14 +26,15 @@ from geraf2.surfaces.confirmation import Confirmation
 
 # Log odds of a failure without evidence, and by each unit of it. Maximum likelihood of the scans
 # that `bench/python/verdicts.py` makes to estimate them (`verdicts.py fit`).
-_LOG_ODDS = -4.57
+_LOG_ODDS = -4.94
 _WEIGHTS: Mapping[str, float] = {
-    "error": 3.54,
-    "unseen": 2.26,
-    "unconfirmed": 1.05,
-    "disagreement": 0.80,
-    "sense": 1.16,
-    "delay": 0.46,
+    "error": 3.21,
+    "unseen": 2.53,
+    "unconfirmed": 1.20,
+    "disagreement": 1.59,
+    "sense": 0.94,
+    "delay": 0.44,
+    "plastic": 5.77,
 }
 _DOUBTFUL, _FAILED = 0.15, 0.5
 """Probabilities of a failure from which a result is doubtful, and not to be trusted."""
@@ -115,6 +116,7 @@ class _Tests:
             "disagreement": max(0.0, -float(np.log10(agreement / _USUAL_AGREEMENT))),
             "sense": float(np.clip(self.planes.reversed_turn.sigmas, 0.0, _MAX_SIGMAS)),
             "delay": delay_log_odds(self.radius_m),
+            "plastic": float(self.plastic > 0.0),
         }
 
     def verdict(self) -> Verdict:
