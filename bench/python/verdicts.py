@@ -26,6 +26,7 @@ from scipy.optimize import minimize
 import geraf2
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.mesh import read_mesh
+from geraf2.surfaces.stated_score import stated_f1
 
 WORDS = {
     "height": ("height",),
@@ -74,6 +75,10 @@ def run_one(out: Path, about: dict[str, Any], to: Path, preset: str) -> dict[str
     row |= {"mesh": mesh, "verdict": numbers.get("verdict", {})}
     if not len(result.content_mesh.faces):
         return row | {"f1": 0.0}
+    if result.verdict is not None and result.content_mesh.expected_error_m is not None:
+        failure = result.verdict.probability_of_failure
+        low, _, high = stated_f1(result.content_mesh, failure)
+        row["verdict"] = row["verdict"] | {"f1_90_percent": [low, high]}
     scores = evaluate_mesh(result.content_mesh, truth, num_threads=1)
     errors = scores.expected_error
     row |= {"f1": scores.f1(0.005), "f1_15mm": scores.f1(0.015)}
