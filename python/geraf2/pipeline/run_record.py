@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
-from geraf2.io.objects import absolute_path, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
@@ -67,17 +66,14 @@ class RunRecord:
 
         seen_from: folder that the file is about to be in; that of `path` when None.
         """
-        known = {
-            n: absolute_path(p) for n, p in self._paths().items() if p is not None and _is_text(p)
-        }
+        known = {n: p.resolve() for n, p in self._paths().items() if p is not None and _is_text(p)}
         here = (seen_from or path.parent).resolve()
         record = self._with_paths(known)
         scene = {} if record.scene is None else {"scene": str(record.scene)}
         parts = (to_table(part) for part in (record.prior, record.options, record.config))
         table: dict[str, Any] = {**scene, **{k: v for part in parts for k, v in part.items()}}
         if known:
-            on_disk = {name: path for name, path in known.items() if not is_remote(path)}
-            table["places"] = {name: os.path.relpath(path, here) for name, path in on_disk.items()}
+            table["places"] = {name: os.path.relpath(path, here) for name, path in known.items()}
         write_toml(path, table)
 
     @classmethod
@@ -99,8 +95,7 @@ class RunRecord:
         for name, relative in relative_paths.items() if isinstance(relative_paths, dict) else ():
             moved = path.parent / str(relative)
             kept = found.get(name)
-            # Remote stores are not contacted: the record may come from an untrusted source.
-            missing = kept is not None and not is_remote(kept) and not kept.exists()
+            missing = kept is not None and not kept.exists()
             if missing and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
@@ -139,7 +134,7 @@ class RunRecord:
 def _is_text(path: Path) -> bool:
     """Whether the absolute path can be encoded as text."""
     try:
-        str(absolute_path(path)).encode()
+        str(path.resolve()).encode()
     except UnicodeEncodeError:
         return False
     return True
