@@ -138,7 +138,7 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     Parameters
     ----------
     path
-        File, or its address in an object store. Coordinates are taken as metres.
+        File. Coordinates are taken as metres.
     any_unit
         The caller knows the unit, whatever `<path>.json` states; else that must be metres.
 
