@@ -3,7 +3,7 @@
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.io.verdict import VERDICT_STAGE, Cause, Trust, Verdict
 
-CAUSE = Cause("sense", "planes fit better in the other sense", "import with --reverse-turn")
+CAUSE = Cause("sense", "planes fit better in the other sense", "reconstruct with --reverse-turn")
 VERDICTS = {
     trust: Verdict(trust=trust, probability_of_failure=p, causes=causes, tests={})
     for trust, p, causes in (

@@ -10,7 +10,9 @@ from geraf2.io.verdict import VERDICT_STAGE, Cause, Trust, Verdict
 FOUND = Verdict(
     trust=Trust.NOT_TO_BE_TRUSTED,
     probability_of_failure=0.97,
-    causes=(Cause("sense", "planes fit better in the other sense", "import with --reverse-turn"),),
+    causes=(
+        Cause("sense", "planes fit better in the other sense", "reconstruct with --reverse-turn"),
+    ),
     tests={"sense": {"log_odds": 12.5}},
 )
 
