@@ -4,19 +4,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import overload
 
-from geraf2.geometry.boxes import box_corners
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.records import Pose, Wall, Waveform
-from geraf2.scene.aperture import Aperture
-from geraf2.scene.notebook import (
-    BOX_COLOR,
-    PLANE_COLOR,
-    from_above_svg,
-    mesh_outline,
-    table_html,
-    wall_rows,
-    waveform_rows,
-)
 
 
 class LazyPoses(Sequence[Pose]):
@@ -100,27 +89,3 @@ class Capture:
             f"Capture({len(self.poses)} planes, {self.n_antennas} antennas, "
             f"{self.waveform.n_samples} samples a chirp, {len(self.walls)} walls)"
         )
-
-    def _repr_html_(self) -> str:
-        """Table of a notebook; planes and box from above where the poses are in memory."""
-        outlines = []
-        if isinstance(self.poses, tuple):
-            outlines = [
-                (Aperture.from_pose(pose).corners_m, PLANE_COLOR)
-                for pose in self.poses
-                if pose.n_antennas
-            ]
-            walls = [box_corners(wall.center_m, wall.size_m) for wall in self.walls]
-            outlines += [(mesh_outline(corners), BOX_COLOR) for corners in walls]
-        sizes = sorted(set(self.pose_sizes))
-        each = "" if not sizes else f", {sizes[0]} to {sizes[-1]} each"
-        rows = [
-            ("planes", f"{len(self.poses)}"),
-            ("antennas", f"{self.n_antennas}{each}"),
-            *waveform_rows(self.waveform),
-            *wall_rows(self.walls),
-            ("frame", self.frame),
-            ("calibrated", "yes" if self.calibration else "no"),
-            *self.provenance.items(),
-        ]
-        return table_html(rows, from_above_svg(outlines))

@@ -16,14 +16,6 @@ from geraf2.geometry.transforms import apply_rigid, triple
 from geraf2.geometry.triangles import count_open_edges, enclosed_volume_m3, face_areas, unit_normals
 from geraf2.io.mesh import TriangleMesh
 from geraf2.records import Wall
-from geraf2.scene.notebook import (
-    BOX_COLOR,
-    from_above_svg,
-    mesh_outline,
-    size_text,
-    table_html,
-    wall_rows,
-)
 
 # Cosine of angles, and corners over the size, off those of a cuboid.
 _SQUARE = 1e-3
@@ -214,25 +206,15 @@ class LosPrior:
             raise UserError(
                 what="nothing is left of the box when it is cropped",
                 expected=f"a crop below half of its shortest side, {500 * min(self.size_m):.0f} mm",
-                got=f"{1e3 * margin_m:.0f} mm of a box of {size_text(self.size_m)}",
+                got=f"{1e3 * margin_m:.0f} mm of a box of {_size_text(self.size_m)}",
                 hint="lower crop-m",
             )
         return LosPrior.from_box((x, y, z), self.center_m)
 
     def __repr__(self) -> str:
         """Summary in a line, without its arrays."""
-        size = size_text(self.size_m)
+        size = _size_text(self.size_m)
         return f"LosPrior({size}, {len(self.faces)} triangles, {len(self.walls)} walls)"
-
-    def _repr_html_(self) -> str:
-        """Table of a notebook, and the outside seen from above."""
-        rows = [
-            ("outside of the box", size_text(self.size_m)),
-            ("middle", ", ".join(f"{1e3 * x:z.0f}" for x in self.center_m) + " mm"),
-            ("triangles", f"{len(self.faces)}"),
-            *wall_rows(self.walls),
-        ]
-        return table_html(rows, from_above_svg([(mesh_outline(self.vertices), BOX_COLOR)]))
 
     @property
     def size_m(self) -> tuple[float, float, float]:
@@ -269,3 +251,8 @@ def _nearest_order(axes: Floats) -> Floats:
     turned = axes[list(order)]
     turned = turned * np.where(np.diag(turned) < 0.0, -1.0, 1.0)[:, None]
     return np.asarray(turned if np.linalg.det(turned) > 0.0 else turned * [[1.0], [-1.0], [1.0]])
+
+
+def _size_text(size_m: tuple[float, ...]) -> str:
+    """Text of side lengths in millimetres."""
+    return " x ".join(f"{1e3 * side:.0f}" for side in size_m) + " mm"
