@@ -22,7 +22,6 @@ ROWS = [
             benchmark out --only population --seeds 1:2 --against other|no results of the population
             benchmark out --only table1 --presets fast|--presets
             benchmark out --only population table1|alone
-            plan --depth 0.2 --figure plan.html|--depth has no page
             live tcp://example.org:80 out|is no socket of this machine
             live tcp://localhost out|is no socket of this machine
             live tcp://localhost:x out|is no socket of this machine

@@ -92,7 +92,7 @@ COMMANDS = [
             reconstruct scene out --preset matched-filter --samples 4|has no posterior
             plan --box 0.001 0.2 0.2|at least 0.042 m
             plan --box 0.001 0.2 0.2 --minutes 5|--box: the box is too small
-            plan --box 0.001 0.2 0.2 --figure plan.html|--box: the box is too small
+            plan --box 0.001 0.2 0.2 --figure plan.html|.png
             plan --box 0.2 0.2 0.2 --minutes 0.01|no plan can be reached in the time
             plan --box 0.2 0.2 0.2 --minutes 5 --out scan.txt|ending in .json or .csv
             benchmark out --only nothing --list|nothing

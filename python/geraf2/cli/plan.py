@@ -37,15 +37,13 @@ class Config(PlanOptions):
     """
 
     figure: Path | None = None
-    """PNG to draw; or .html: a page in 3D, with sliders for minutes and channels."""
+    """PNG to draw."""
     like: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Explain the scan of a scene instead: what it sees, and how long it would take."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
-    if config.figure is not None and config.figure.suffix == ".html":
-        return _write_page(config, config.figure)
     if config.minutes is not None or config.like is not None:
         return _show_lines(config)
     if config.array is not None:
@@ -94,18 +92,6 @@ def main(config: Config) -> int:
 
         plan_figure(plan, config.figure)
         say(f"drawing  {config.figure}")
-    return 0
-
-
-def _write_page(config: Config, path: Path) -> int:
-    from geraf2.apps.planning.plan_page import write_plan_page  # noqa: PLC0415 - matplotlib takes 0.5 s
-
-    for name in ("like", "depth", "out"):
-        if getattr(config, name) is not None:
-            raise UserError(what=f"--{name} has no page: --figure then ends in .png", got=path)
-    require_file(path, (".html",))
-    for file in write_plan_page(path, config):
-        say(f"page     {file}" if file == path else f"poses    {file}")
     return 0
 
 

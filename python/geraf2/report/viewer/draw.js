@@ -264,12 +264,6 @@ class Painter {
     });
   }
 
-  // Path of an arm: points in the order of time, of which `pathDone` are drawn strongly.
-  setPath(points) {
-    this.path = { ...this.array("flat", [["a_position", points, 3]]), n: points.length / 3 };
-    this.pathDone = this.path.n;
-  }
-
   prepareVolume({ values, shape, colours }) {
     const gl = this.gl;
     const texture = gl.createTexture();
@@ -369,10 +363,6 @@ class Painter {
       this.drawSurface(mesh, view, mesh.opacity);
     }
     if (view.slice) this.drawSlice(view.slice, view);
-    if (this.path) {
-      const paints = [[this.path.n, [0.5, 0.5, 0.5, 0.35]], [this.pathDone, [0.84, 0.37, 0, 1]]];
-      for (const [n, paint] of paints) this.paintFlat(this.path, gl.LINE_STRIP, n, paint, uncut(view));
-    }
     gl.depthMask(false);
     if (planes && planes.visible && planes.opacity > 0) this.drawPlanes(planes, view);
     else if (planes) for (const n of view.held) this.drawPlanes({ ...planes, opacity: 1 }, view, n);
