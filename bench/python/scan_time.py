@@ -39,6 +39,7 @@ from geraf2.scene.aperture import Aperture
 from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, simulate
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
+from geraf2.simulation.solids import build_solid
 from geraf2.surfaces.isosurface import signed_distances
 
 mpl.use("Agg")
@@ -143,13 +144,15 @@ def write_scenes(out: Path, objects: Iterable[str]) -> None:
         if (folder / "truth.ply").is_file():
             continue
         out.mkdir(parents=True, exist_ok=True)
-        height = 0.06 + 0.07 * np.random.default_rng([len(name), *name.encode()]).random()
-        figure = FigureSpec(name=name, height_m=height)
         if name.isdecimal():
             mesh = random_object(int(name), METAL).mesh
             write_mesh(mesh, out / f"{name}.ply")
             height = float(np.ptp(mesh.vertices[:, 2]))
             figure = FigureSpec(mesh=str(out / f"{name}.ply"), height_m=height)
+        else:  # of any length from 8 to 16 cm
+            length = 0.08 + 0.08 * np.random.default_rng([*name.encode()]).random()
+            sides = np.ptp(build_solid(FigureSpec(name=name)).vertices, axis=0)
+            figure = FigureSpec(name=name, height_m=float(length * sides[2] / sides.max()))
         spec = SceneSpec(
             figure=figure,
             walls=(Wall(size_m=(0.22, 0.22, 0.22), thickness_m=0.004, permittivity=1.6),),

@@ -7,9 +7,10 @@ import numpy as np
 from geraf2.apps.inspection.bodies import small_bodies
 from geraf2.cli.main import main
 from geraf2.echoes import Glints
+from geraf2.io.verdict import Trust
 from geraf2.report import write_report
 from helpers.inspected import CUBES, measured_body, run_of
-from helpers.run_folders import record_run
+from helpers.run_folders import judge, record_run
 
 REGIONS = [
     {"name": "in the box", "metal_mm": 5.2, "plastic_mm": 21.0, "unseen_share": 0.01},
@@ -30,6 +31,11 @@ def test_what_was_ruled_out_is_told_everywhere(tmp_path, capsys):
         assert "What was ruled out" in text
         assert "<td>below the content</td><td>8.6</td><td>none</td><td>20</td>" in text
     assert f"N{line[1:]}" in report.read_text()
+    judge(run, Trust.NOT_TO_BE_TRUSTED)
+    main(["inspect", str(run)])
+    assert "ruled out" not in capsys.readouterr().out
+    assert json.loads((run / "inspection.json").read_text())["ruled_out"] == []
+    assert "What was ruled out" not in write_report(run).read_text()
 
 
 def test_a_run_without_the_level_of_metal_says_nothing(tmp_path, capsys):
