@@ -1,4 +1,4 @@
-"""Whether metal balls of the size that geraf2 states to be detectable are found.
+"""Whether balls of the size that geraf2 states to be detectable are found.
 
     python bench/python/detectability.py --out out/detectability [--first 10000] [--scans 20]
     python bench/python/detectability.py --out out/detectability --fit --scans 16
@@ -9,8 +9,9 @@ object too, are simulated apart and added. A ball is found if at least three gli
 takes for content lie within 10 mm of it, and more than twice as many as without it. Its radius is
 the one that is stated for its place from the scan without balls, and half of that. Shares come with
 Wilson intervals (95 %). With `--fit` radii are drawn, and the constants of the statement are
-chosen: in how many sub-apertures and planes a ball must stand out, and by how much. Seeds below
-1000 are for that, those from 10000 on for claims. Scans are kept in `--out` and used again.
+chosen: in how many sub-apertures and planes a ball must stand out, and by how much. `--plastic`
+adds balls of plastic instead of metal. Seeds below 1000 are for choices, those from 10000 on for
+claims. Scans are kept in `--out` and used again.
 """
 
 import argparse
@@ -27,6 +28,8 @@ from scipy.spatial import KDTree
 import geraf2
 from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, smallest_radius
 from geraf2.echoes.glints import GlintConfig, find_echoes
+from geraf2.echoes.reflectivity import face_reflection
+from geraf2.echoes.ruled_out import PLASTIC
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import collect_peaks
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
@@ -36,6 +39,7 @@ from geraf2.simulation.echo import EchoScene, Layer, plane_echo, wall_layers
 from geraf2.simulation.elements import mesh_elements
 from geraf2.simulation.population_settings import Population
 from geraf2.simulation.random_objects import random_object
+from geraf2.simulation.ray_tubes import SmoothMesh, TubeScene
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.spec import (
     AWR1843,
@@ -50,6 +54,7 @@ from inspection import print_share
 METAL = Population(plastic=0.0, size_m=((0.05, 0.09), (0.07, 0.1), (0.08, 0.11)))
 WAVEFORM = replace(AWR1843, n_samples=64, sample_rate_hz=1.25e6)
 WALL_M, N_BALLS, NEAR_M, APART_M = 0.004, 8, 0.01, 0.045
+_LOSS_TANGENT = 0.01
 _LARGEST_M, _MOST = 0.02, 6
 """Largest radius of a ball [m], and most sub-apertures and planes that are tried."""
 _MARGIN_M, _CLEAR_M = 0.025, 0.02
@@ -103,11 +108,30 @@ class Adder:
         own = capture.poses[0].signal
         self.unit = float(np.vdot(made, own).real / np.vdot(made, made).real)
 
-    def _echo(self, body: TriangleMesh, plane: ScanPlane, *, walls: bool = False) -> np.ndarray:
+    def _echo(
+        self,
+        body: TriangleMesh,
+        plane: ScanPlane,
+        *,
+        walls: bool = False,
+        permittivity: float = 0.0,
+    ) -> np.ndarray:
         whole = TriangleMesh.joined([self.truth, body]) if body is not self.truth else body
         facets, areas = mesh_elements(body.vertices, body.faces, 0.0012)
         layers = wall_layers(self.spec.walls, self.spec.numerics.wall_patch_m) if walls else ()
+        tubes = None
+        if permittivity:
+            areas = abs(face_reflection(permittivity)) * areas
+            tubes = TubeScene(
+                mesh=SmoothMesh(MeshScene(body.vertices, body.faces, num_threads=1)),
+                walls=self.spec.walls,
+                waveform=self.capture.waveform,
+                wall_amplitude=1.0,
+            )
         scene = EchoScene(
+            tubes=tubes,
+            permittivity=permittivity,
+            loss_tangent=_LOSS_TANGENT,
             waveform=self.capture.waveform,
             walls=self.spec.walls,
             blocker=MeshScene(whole.vertices, whole.faces, num_threads=1),
@@ -122,12 +146,16 @@ class Adder:
         echo = plane_echo(scene, antennas).reorder(np.argsort(order))
         return np.asarray(echo.figure + echo.walls)
 
-    def with_balls(self, centers: np.ndarray, radii: np.ndarray) -> geraf2.Capture:
+    def with_balls(
+        self, centers: np.ndarray, radii: np.ndarray, permittivity: float
+    ) -> geraf2.Capture:
         balls = TriangleMesh.joined([ball(c, r) for c, r in zip(centers, radii, strict=True)])
         poses = tuple(
             replace(
                 pose,
-                signal=(pose.signal + self.unit * self._echo(balls, plane)).astype(np.complex64),
+                signal=(
+                    pose.signal + self.unit * self._echo(balls, plane, permittivity=permittivity)
+                ).astype(np.complex64),
             )
             for pose, plane in zip(self.capture.poses, self.planes, strict=True)
         )
@@ -188,12 +216,16 @@ def scan_rows(seed: int, options: argparse.Namespace) -> list[dict]:
     adder, rows = Adder(capture, truth, spec), list[dict]()
     for kind in ("drawn", "drawn again") if options.fit else ("stated", "half"):
         radii = stated * (1.0 if kind == "stated" else 0.5)
+        if options.plastic:
+            radii = radii / abs(face_reflection(PLASTIC))
         if options.fit:
             radii = np.exp(rng.uniform(np.log(0.0004), np.log(0.01), len(centers)))
         usable = np.flatnonzero(radii < _LARGEST_M)
         there, radii = centers[usable], radii[usable]
         before = base.counts(there, radii)
-        after = Seen(adder.with_balls(there, radii), prior).counts(there, radii)
+        after = Seen(adder.with_balls(there, radii, PLASTIC * options.plastic), prior).counts(
+            there, radii
+        )
         rows += [
             {
                 "seed": seed,
@@ -246,12 +278,13 @@ def main() -> None:
     parser.add_argument("--first", type=int)
     parser.add_argument("--scans", type=int, default=20)
     parser.add_argument("--fit", action="store_true", help="choose the constants")
+    parser.add_argument("--plastic", action="store_true", help="balls of plastic")
     options = parser.parse_args()
     first = options.first if options.first is not None else (0 if options.fit else 10_000)
     rows = []
     for seed in range(first, first + options.scans):
         rows += scan_rows(seed, options)
-        name = "fit" if options.fit else "claim"
+        name = "fit" if options.fit else "plastic" if options.plastic else "metal"
         (options.out / f"{name}.json").write_text(json.dumps(rows))
     for kind in sorted({row["kind"] for row in rows}):
         own = [row for row in rows if row["kind"] == kind]

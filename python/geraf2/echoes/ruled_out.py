@@ -13,7 +13,7 @@ from geraf2.echoes.reflectivity import face_reflection
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
 
-_GRID_M, _MOST = 0.035, 7
+_GRID_M, _MOST = 0.045, 6
 """Spacing of the positions that are looked at [m], and most of them along a side."""
 _MARGIN_M = 0.02
 """Positions nearer to the outside of the box are left out: walls hide what touches them [m]."""
@@ -23,7 +23,7 @@ _LARGEST_RADIUS_M = 0.02
 """A place where no smaller ball stands out is out of sight [m]."""
 _SHARE = 0.95
 """Share of the places that a stated size holds for."""
-_PLASTIC = 2.7
+PLASTIC = 2.7
 """Permittivity of printed plastic, whose front face alone is counted."""
 
 
@@ -90,7 +90,7 @@ def _places(prior: LosPrior, content: MeshScene) -> Floats:
 def _region(name: str, radii: Floats) -> Region:
     seen = radii < _LARGEST_RADIUS_M
     radius = float(np.quantile(radii, _SHARE, method="higher"))
-    plastic = radius / abs(face_reflection(_PLASTIC))
+    plastic = radius / abs(face_reflection(PLASTIC))
 
     def diameter_mm(radius_m: float) -> float | None:
         return round(2e3 * radius_m, 1) if radius_m < _LARGEST_RADIUS_M else None
