@@ -1,6 +1,6 @@
 """Whether balls of the size that geraf2 states to be detectable are found.
 
-    python bench/python/detectability.py --out out/detectability [--first 10000] [--scans 20]
+    python bench/python/detectability.py --out out/detectability [--first 10100] [--scans 20]
     python bench/python/detectability.py --out out/detectability --fit --scans 16
 
 A scan of a random metal object in a carton (8 planes and 4 raised ones or 12 planes, at 5 mm, 64
@@ -8,10 +8,10 @@ samples, 0 to 25 dB) is simulated once. The echoes of eight balls at random plac
 object too, are simulated apart and added. A ball is found if at least three glints that geraf2
 takes for content lie within 10 mm of it, and more than twice as many as without it. Its radius is
 the one that is stated for its place from the scan without balls, and half of that. Shares come with
-Wilson intervals (95 %). With `--fit` radii are drawn, and the constants of the statement are
-chosen: in how many sub-apertures and planes a ball must stand out, and by how much. `--plastic`
-adds balls of plastic instead of metal. Seeds below 1000 are for choices, those from 10000 on for
-claims. Scans are kept in `--out` and used again.
+Wilson intervals (95 %). With `--fit` radii are drawn, and the margin over the radius at which half
+of them are found is printed. `--plastic` adds balls of plastic instead of metal. Seeds below 1000
+and those to 10010 are for choices, those from 10100 on for claims. Scans are kept in `--out` and
+used again.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 from scipy.spatial import KDTree
 
 import geraf2
-from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, smallest_radius
+from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector
 from geraf2.echoes.glints import GlintConfig, find_echoes
 from geraf2.echoes.reflectivity import face_reflection
 from geraf2.echoes.ruled_out import PLASTIC
@@ -55,8 +55,8 @@ METAL = Population(plastic=0.0, size_m=((0.05, 0.09), (0.07, 0.1), (0.08, 0.11))
 WAVEFORM = replace(AWR1843, n_samples=64, sample_rate_hz=1.25e6)
 WALL_M, N_BALLS, NEAR_M, APART_M = 0.004, 8, 0.01, 0.045
 _LOSS_TANGENT = 0.01
-_LARGEST_M, _MOST = 0.02, 6
-"""Largest radius of a ball [m], and most sub-apertures and planes that are tried."""
+_LARGEST_M = 0.02
+"""Largest radius of a ball [m]."""
 _MARGIN_M, _CLEAR_M = 0.025, 0.02
 """Least distance of a ball's centre from the outside of the box, and from the object."""
 
@@ -188,7 +188,7 @@ class Seen:
             capture, prior, config.subaperture, config.noise_margin_db, num_threads=1
         )
         found = find_echoes(capture, prior, config, peaks=self.peaks, num_threads=1)
-        self.glints, self.metal = found.glints, found.metal
+        self.glints, self.metal, self.clutter = found.glints, found.metal, found.clutter
 
     def counts(self, centers: np.ndarray, radii: np.ndarray) -> np.ndarray:
         """Glints within 10 mm of each ball's surface or centre."""
@@ -209,10 +209,11 @@ def scan_rows(seed: int, options: argparse.Namespace) -> list[dict]:
         return []
     scene = MeshScene(truth.vertices, truth.faces, num_threads=1)
     centers = places(rng, spec, scene)
-    detector = Detector.of(capture, prior, base.peaks, GlintConfig(), base.metal.strength_m)
+    detector = Detector.of(
+        capture, prior, base.peaks, GlintConfig(), base.metal.strength_m, base.clutter
+    )
     start = time.process_time()
-    needed = detector.needed_radii(centers, scene)
-    stated, seconds = smallest_radius(needed), time.process_time() - start
+    stated, seconds = detector.smallest_radii(centers, scene), time.process_time() - start
     adder, rows = Adder(capture, truth, spec), list[dict]()
     for kind in ("drawn", "drawn again") if options.fit else ("stated", "half"):
         radii = stated * (1.0 if kind == "stated" else 0.5)
@@ -233,7 +234,7 @@ def scan_rows(seed: int, options: argparse.Namespace) -> list[dict]:
                 "radius_m": float(radii[n]),
                 "at_floor": bool(stated[k] <= LEAST_RADIUS_M),
                 "found": bool(after[n] >= 3 and after[n] > 2 * before[n]),
-                "needed": [np.sort(one[k])[:_MOST].tolist() for one in needed],
+                "stated_m": float(stated[k]),
             }
             for n, k in enumerate(usable)
         ]
@@ -243,33 +244,23 @@ def scan_rows(seed: int, options: argparse.Namespace) -> list[dict]:
     return rows
 
 
-def choose_constants(rows: list[dict]) -> None:
-    """Print what fits best: log odds rise with the level over that of a ball that stands out."""
+def choose_margin(rows: list[dict]) -> None:
+    """Print over which radius, against the stated one, half and 19 of 20 balls are found."""
     found = np.array([row["found"] for row in rows])
-    radii = np.array([row["radius_m"] for row in rows])
-    fits = []
-    for n_sub in range(1, _MOST + 1):
-        for n_planes in range(1, _MOST + 1):
-            least = [
-                sorted(one[n_sub - 1] if len(one) >= n_sub else np.inf for one in row["needed"])
-                for row in rows
-            ]
-            at = np.array([one[n_planes - 1] if len(one) >= n_planes else np.inf for one in least])
-            over = np.clip(20.0 * np.log10(radii / np.maximum(at, 1e-5)), -60.0, 60.0)
+    over = np.array([20.0 * np.log10(row["radius_m"] / row["stated_m"]) for row in rows])
+    over = np.clip(over, -60.0, 60.0)
 
-            def loss(model: np.ndarray, over: np.ndarray = over) -> float:
-                share = 0.01 + 0.98 / (1.0 + np.exp(-(over - model[0]) / np.exp(model[1])))
-                return -float(np.log(np.where(found, share, 1.0 - share)).sum())
+    def loss(model: np.ndarray) -> float:
+        share = 0.01 + 0.98 / (1.0 + np.exp(-(over - model[0]) / np.exp(model[1])))
+        return -float(np.log(np.where(found, share, 1.0 - share)).sum())
 
-            starts = [minimize(loss, [x, 0.5], method="Nelder-Mead") for x in (-6.0, 0.0, 6.0)]
-            best = min(starts, key=lambda one: one.fun)
-            nine_db = best.x[0] + np.log(9.0) * np.exp(best.x[1])
-            fits.append((best.fun, n_sub, n_planes, best.x[0], nine_db))
-    for fun, n_sub, n_planes, middle, nine_db in sorted(fits)[:6]:
-        print(
-            f"{n_sub} sub-apertures of {n_planes} planes: loss {fun:.1f}, half are found at "
-            f"{middle:.1f} dB, nine of ten at {nine_db:.1f} dB: margin {10 ** (nine_db / 20):.2f}"
-        )
+    starts = [minimize(loss, [x, 0.5], method="Nelder-Mead") for x in (-12.0, -6.0, 0.0)]
+    best = min(starts, key=lambda one: one.fun)
+    sure_db = best.x[0] + np.log(19.0) * np.exp(best.x[1])
+    print(
+        f"loss {best.fun:.1f}: half are found at {best.x[0]:.1f} dB over the stated radius, 19 of "
+        f"20 at {sure_db:.1f} dB"
+    )
 
 
 def main() -> None:
@@ -280,7 +271,7 @@ def main() -> None:
     parser.add_argument("--fit", action="store_true", help="choose the constants")
     parser.add_argument("--plastic", action="store_true", help="balls of plastic")
     options = parser.parse_args()
-    first = options.first if options.first is not None else (0 if options.fit else 10_000)
+    first = options.first if options.first is not None else (0 if options.fit else 10_100)
     rows = []
     for seed in range(first, first + options.scans):
         rows += scan_rows(seed, options)
@@ -292,7 +283,7 @@ def main() -> None:
         above = [row["found"] for row in own if not row["at_floor"]]
         print_share(above, f"  those above the floor of {2e3 * LEAST_RADIUS_M:g} mm")
     if options.fit:
-        choose_constants(rows)
+        choose_margin(rows)
 
 
 if __name__ == "__main__":

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, hann_response, smallest_radius
+from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, hann_response
 from geraf2.echoes.glints import GlintConfig
+from geraf2.echoes.labels import Clutter
 from geraf2.echoes.ruled_out import (
     Region,
     describe_ruled_out,
@@ -71,7 +72,8 @@ def peaks_of(capture):
 
 @pytest.fixture(scope="module")
 def detector(capture):
-    return Detector.of(capture, PRIOR, peaks_of(capture), CONFIG, STRENGTH_M)
+    clutter = Clutter(support=10.0, strong=0.1)
+    return Detector.of(capture, PRIOR, peaks_of(capture), CONFIG, STRENGTH_M, clutter)
 
 
 def n_standing_out(peaks, center, radius):
@@ -107,11 +109,22 @@ def test_a_ball_behind_another_one_or_in_its_lobe_is_hidden(detector):
     assert np.median(near) > 3.0 * np.median(far)
 
 
-def test_more_planes_and_a_floor(detector):
-    needed = detector.needed_radii(np.array([[0.06, 0.02, 0.05]]))
-    assert smallest_radius(needed)[0] >= LEAST_RADIUS_M
-    assert np.isinf(smallest_radius(needed[:1])).all()
-    assert smallest_radius([10.0 * one for one in needed]) > smallest_radius(needed)
+def test_more_clutter_and_stronger_returns_want_a_larger_ball(detector):
+    points = np.array([[0.06, 0.02, 0.05], [-0.05, -0.06, 0.0]])
+    radii = detector.smallest_radii(points)
+    assert (radii >= LEAST_RADIUS_M).all()
+    assert np.isfinite(radii).all()
+    for clutter in (Clutter(support=1.0, strong=0.1), Clutter(support=10.0, strong=1e3)):
+        assert (replace(detector, clutter=clutter).smallest_radii(points) > radii).all()
+    nothing = replace(detector, peaks=detector.peaks.select(np.zeros(0, dtype=int)))
+    assert np.isinf(nothing.smallest_radii(points)).all()
+
+
+def test_odds_of_a_return_rise_with_support_and_strength():
+    clutter = Clutter(support=8.0, strong=1.0)
+    few, many = clutter.log_odds(np.array([0.0, 3.0]), np.array([0.0, 6.0]), np.array([1.0, 0.1]))
+    assert few < 0.0 < many
+    assert clutter.log_odds(3.0, 6.0, 0.01) == pytest.approx(many - 20.0 * 0.038, abs=1e-9)
 
 
 def test_parts_of_the_box_are_named_with_what_was_ruled_out(detector):

@@ -1,8 +1,9 @@
 """Smallest ball that would have been found at a place (docs/math/echoes.md#detectability).
 
 A ball of radius a returns an echo to every antenna that sees it, of the amplitude of metal times
-a / (2 R^2). It is found where that exceeds, in enough sub-apertures, whatever hides an echo at its
-place: the noise, the dynamic range of the image, and the main lobes of stronger echoes.
+a / (2 R^2). That stands out where it exceeds whatever hides an echo at its place: the noise, the
+dynamic range of the image, and the main lobes of stronger echoes. It is found where it stands out
+in so many sub-apertures that the labels take its returns for content, against the scan's clutter.
 """
 
 from collections.abc import Sequence
@@ -10,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glints import GlintConfig
+from geraf2.echoes.labels import Clutter
 from geraf2.echoes.reflectivity import crossing_loss, mid_wave_number
 from geraf2.imaging.peaks import PeakSet, box_spans
 from geraf2.ops.visibility import MeshScene
@@ -27,11 +29,14 @@ LEAST_RADIUS_M = 0.0012
 """Smaller balls, below a third of a wavelength, return less than geometrical optics has it [m]."""
 
 
-_N_SUBAPERTURES, _N_PLANES = 3, 3
-"""Sub-apertures of a plane, and planes, in which a ball must stand out to be found."""
-_MARGIN = 2.0
-"""Radius that is found 19 times of 20, over that with which a ball just stands out in so many.
-These are properties of the labels, chosen on scans (`bench/python/detectability.py --fit`)."""
+_OWN_SHARE, _OTHER_SHARE = 0.2, 0.15
+"""Support by a return of the same ball in the same plane and in another one, over that at the same
+place with the same normal: normals of a ball turn from sub-aperture to sub-aperture."""
+_MARGIN = 2.2
+"""Radius that is found 19 times of 20, over that with which the labels are even. These three were
+chosen on scans of random radii (`bench/python/detectability.py --fit`)."""
+_RADII_M = np.geomspace(0.0004, 0.04, 70)
+"""Radii that are tried [m]."""
 
 
 def hann_response(cells: Floats) -> Floats:
@@ -66,6 +71,8 @@ class Detector:
     """Thresholds of the search for glints."""
     strength_m: float
     """Of metal, :class:`geraf2.echoes.reflectivity.MetalLevel` [m]."""
+    clutter: Clutter
+    """What its returns compete with."""
 
     @classmethod
     def of(
@@ -75,6 +82,7 @@ class Detector:
         peaks: PeakSet,
         config: GlintConfig,
         strength_m: float,
+        clutter: Clutter,
     ) -> "Detector":
         """Detector of a scan, from all of its peaks."""
         return cls(
@@ -86,7 +94,34 @@ class Detector:
             focus_m=prior.bounds.mean(axis=0),
             config=config,
             strength_m=strength_m,
+            clutter=clutter,
         )
+
+    def smallest_radii(self, points: Floats, blocker: MeshScene | None = None) -> Floats:
+        """Least radius with which a ball is found, (n,) [m]; inf where it is out of sight.
+
+        Arguments as those of `needed_radii`.
+        """
+        planes = self.needed_radii(points, blocker)
+        if not planes:
+            return np.full(len(points), np.inf)
+        share = len(self.peaks.tops) / max(int(self.peaks.spaced(_STEP_M).sum()), 1)
+        # Sub-apertures in which a ball of each radius stands out, (n_points, n_planes, n_radii).
+        counts = share * np.stack(
+            [(one[:, :, None] <= _RADII_M).sum(axis=1) for one in planes], axis=1
+        )
+        away = np.median(
+            [np.linalg.norm(points - plane.middle_m, axis=1) for plane in self.apertures], axis=0
+        )
+        metal = self.strength_m * crossing_loss(self.walls)
+        level = metal * _RADII_M / (2.0 * away[:, None, None] ** 2)
+        others = counts.sum(axis=1, keepdims=True) - counts
+        odds = self.clutter.log_odds(
+            _OWN_SHARE * np.maximum(counts - 1.0, 0.0), _OTHER_SHARE * others, level
+        )
+        found: Bools = np.any((odds > 0.0) & (counts > 0.0), axis=1)
+        least = np.where(found.any(axis=1), _RADII_M[found.argmax(axis=1)], np.inf)
+        return np.asarray(np.maximum(_MARGIN * least, LEAST_RADIUS_M))
 
     def needed_radii(self, points: Floats, blocker: MeshScene | None = None) -> list[Floats]:
         """Least radius with which a ball stands out in each sub-aperture, (n, m) [m] a plane.
@@ -150,22 +185,6 @@ class Detector:
             masked = (peaks.magnitudes[here] * lobes.prod(axis=2)).max(axis=1, initial=0.0)
             hidden[:, column] = np.maximum(hidden[:, column], masked)
         return np.asarray(hidden)
-
-
-def smallest_radius(needed: Sequence[Floats]) -> Floats:
-    """Least radius with which a ball is found, (n,) [m]; inf where it is out of sight.
-
-    needed: of each plane, as of `Detector.needed_radii`.
-    """
-    of_planes = [
-        np.sort(one, axis=1)[:, _N_SUBAPERTURES - 1]
-        for one in needed
-        if one.shape[1] >= _N_SUBAPERTURES
-    ]
-    if len(of_planes) < _N_PLANES:
-        return np.full(needed[0].shape[0] if needed else 0, np.inf)
-    radii = np.sort(np.stack(of_planes, axis=1), axis=1)[:, _N_PLANES - 1]
-    return np.asarray(np.maximum(_MARGIN * radii, LEAST_RADIUS_M))
 
 
 def _lobe(cells: Floats) -> Floats:

@@ -14,7 +14,7 @@ from geraf2._bounds import Bounded, Decibels, Share, SignedDb, SignedM
 from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.hypotheses import Candidates, find_candidates
-from geraf2.echoes.labels import Label, LabelledPeaks, label_peaks
+from geraf2.echoes.labels import Clutter, Label, LabelledPeaks, label_peaks
 from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
 from geraf2.echoes.reflectivity import MetalLevel, Windows, metal_level
 from geraf2.echoes.wall_delay import unknown_delay_m
@@ -73,6 +73,8 @@ class FoundEchoes(NamedTuple):
     """Index of each glint in the labelled peaks, (n_glints,)."""
     metal: MetalLevel | None
     """Strength of metal on the scale of the magnitudes; None where no wall shows it."""
+    clutter: Clutter
+    """What a return competes with."""
 
 
 def find_glints(
@@ -183,7 +185,8 @@ def find_echoes(
         prior.walls or capture.walls,
         capture.waveform,
     )
-    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal)
+    clutter = Clutter.of(near, found, labelled, prior.expected_volume_m3)
+    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal, clutter)
 
 
 def _threshold(probability: Floats, least: float) -> float:

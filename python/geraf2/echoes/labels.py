@@ -49,6 +49,8 @@ _PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
 """Change of the log odds with strength and with the ratio to the noise [1/dB]."""
 _MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
+_LEAST_MARGIN_DB = 15.0
+"""Ratio to the noise of peaks that just stand out of it [dB]."""
 _POINTS_AT_ONCE = 1000
 _NEGLIGIBLE = 1e-6
 """Support that is neglected, relative to a neighbour at the same position."""
@@ -105,6 +107,50 @@ class LabelledPeaks:
             for label in Label
             if (self.labels == label).any()
         }
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clutter:
+    """What a return competes with in a scan; see `posterior`."""
+
+    support: float
+    """Of a neighbour at the same place, in units of the density of clutter."""
+    strong: float
+    """Magnitude of the strongest returns."""
+
+    @classmethod
+    def of(
+        cls, peaks: PeakSet, found: Candidates, labelled: LabelledPeaks, volume_m3: float
+    ) -> "Clutter":
+        """Find it from labelled peaks; arguments as those of `label_peaks`."""
+        inside = found.depth_m > 0.0
+        direct = np.unique(found.peaks[inside & ~found.is_alias])
+        explained = np.zeros(len(peaks))
+        explained[labelled.candidates.peaks] = labelled.probability
+        n_clutter = float((1.0 - explained[direct]).sum()) + _FLOOR * max(len(direct), 1)
+        return cls(
+            support=volume_m3 * np.pi / n_clutter * _peak_density(),
+            strong=float(np.quantile(peaks.magnitudes[found.peaks[inside]], 0.98)),
+        )
+
+    def log_odds(self, own: Floats, other: Floats, magnitude: Floats) -> Floats:
+        """Log odds of returns that just stand out of the noise, of the shape of all arguments.
+
+        own, other: neighbours at the same place, of the same plane and of others.
+        """
+        below_db = 20.0 * np.log10(np.minimum(magnitude / self.strong, 1.0))
+        support = (
+            np.log(_ALONE + self.support * own)
+            + _OTHER_POWER * np.log1p(self.support * other / _OTHER_SCALE)
+            - _SHARED * np.log(self.support)
+        )
+        return np.asarray(
+            _LOG_ODDS + _PER_STRENGTH_DB * below_db + _PER_MARGIN_DB * _LEAST_MARGIN_DB + support
+        )
+
+    def numbers(self) -> dict[str, float]:
+        """For run.json."""
+        return {"support_over_clutter": self.support, "strong_magnitude": self.strong}
 
 
 def label_peaks(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Bools, Floats
-from geraf2.echoes.detectability import Detector, smallest_radius
+from geraf2.echoes.detectability import Detector
 from geraf2.echoes.reflectivity import face_reflection
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
@@ -54,7 +54,7 @@ def rule_out(
     points = _places(prior, content)
     if not len(points):
         return []
-    radii = smallest_radius(detector.needed_radii(points, content))
+    radii = detector.smallest_radii(points, content)
     low, high = content.vertices.min(axis=0), content.vertices.max(axis=0)
     z = points[:, 2]
     over = ((points > low) & (points < high))[:, :2].all(axis=1)

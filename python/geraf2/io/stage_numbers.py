@@ -57,6 +57,8 @@ class _Known:
     metal_strength_m: float = 0.0
     metal_strength_sigma_db: float = 0.0
     n_wall_flashes: int = 0
+    support_over_clutter: float = 0.0
+    strong_magnitude: float = 0.0
     outlines: int | None = None
     applied: tuple[str, ...] = ()
     left: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
 from geraf2.echoes.detectability import Detector
 from geraf2.echoes.glints import find_echoes
-from geraf2.echoes.labels import Label
+from geraf2.echoes.labels import Clutter, Label
 from geraf2.echoes.ruled_out import region_numbers, rule_out
 from geraf2.echoes.transparency import describe, first_surfaces
 from geraf2.errors import UserError
@@ -79,7 +79,7 @@ def find_glints(job: Job) -> Glints:
         return zero_level(fit_sdf(first, _FIRST_SURFACE, num_threads=threads))
 
     with job.step("glints") as step:
-        glints, labelled, index, metal = find_echoes(
+        glints, labelled, index, metal, clutter = find_echoes(
             capture,
             job.prior,
             job.config.glints,
@@ -95,7 +95,7 @@ def find_glints(job: Job) -> Glints:
         glints.save(folder / GLINTS_NAME)
         write_bytes_atomic(folder / PEAKS_NAME, labelled.cloud_bytes())
         step.numbers |= {"n_glints": len(glints), "labels": labelled.counts()}
-        step.numbers |= {} if metal is None else metal.numbers()
+        step.numbers |= {} if metal is None else metal.numbers() | clutter.numbers()
         step.numbers |= {} if body is None else body.numbers()
         if body is not None:
             job.listener.note(describe(body.numbers()))
@@ -134,11 +134,14 @@ def draw_surface(
 def _ruled_out(job: Job, content: TriangleMesh) -> dict[str, Any]:
     """Smallest bodies that would have been found; empty where no wall shows the level of metal."""
     found, config = job.run.stages.get("glints"), getattr(job.config, "glints", None)
-    strength_m = None if found is None else found.numbers.get("metal_strength_m")
-    if strength_m is None or config is None:
+    if found is None or config is None or "metal_strength_m" not in found.numbers:
         return {}
-    peaks = job.peaks.of(job.capture)
-    detector = Detector.of(job.capture, job.prior, peaks, config, strength_m)
+    strength_m, support, strong = (
+        found.numbers[name]
+        for name in ("metal_strength_m", "support_over_clutter", "strong_magnitude")
+    )
+    clutter, peaks = Clutter(support=support, strong=strong), job.peaks.of(job.capture)
+    detector = Detector.of(job.capture, job.prior, peaks, config, strength_m, clutter)
     scene = MeshScene(content.vertices, content.faces, num_threads=job.num_threads)
     return region_numbers(rule_out(detector, job.prior, scene))
 
