@@ -11,7 +11,6 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import WRITABLE_SUFFIXES, Evidence, write_mesh
 from geraf2.io.outputs import require_file
-from geraf2.io.ros import write_mesh_mcap
 from geraf2.pipeline.reconstruction import load_run
 
 
@@ -25,7 +24,7 @@ class Config:
     run: Positional[Annotated[Path, Arg(metavar="OUT")]]
     """Run folder of `geraf2 reconstruct`."""
     file: Positional[Annotated[Path, Arg(metavar="FILE")]]
-    """File to write: .ply, .glb, .stl or .mcap (ROS 2); .ply of glints."""
+    """File to write: .ply, .glb or .stl; .ply of glints."""
     only_seen: bool = False
     """Only triangles whose corners were all seen: an echo came from there."""
     glints: bool = False
@@ -37,7 +36,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     result = load_run(config.run)
-    require_file(config.file, (".ply",) if config.glints else (*WRITABLE_SUFFIXES, ".mcap"))
+    require_file(config.file, (".ply",) if config.glints else WRITABLE_SUFFIXES)
     if config.file.exists() and not config.overwrite:
         raise UserError(
             what="is there already", where=config.file, hint="pass --overwrite to replace it"
@@ -53,10 +52,7 @@ def main(config: Config) -> int:
             if mesh.evidence is None:
                 raise UserError(what="the preset of the run does not know what was seen")
             mesh = mesh.with_faces(mesh.faces[(mesh.evidence == Evidence.SEEN)[mesh.faces].all(1)])
-        if config.file.suffix.lower() == ".mcap":
-            write_mesh_mcap(mesh, config.file)
-        else:
-            write_mesh(mesh, config.file, made_from={"command": "geraf2 export"})
+        write_mesh(mesh, config.file, made_from={"command": "geraf2 export"})
         found = {"n_vertices": len(mesh.vertices), "n_faces": len(mesh.faces)}
     rows([*((name, str(n)) for name, n in found.items()), ("file", str(config.file))])
     keep(found | {"file": str(config.file)})

@@ -4,23 +4,17 @@ import sys
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
-from mcap_ros2.decoder import DecoderFactory
-from rosbags.highlevel import AnyReader
 
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._bag import frame_clock
 from geraf2.calibration.clock_offset import Sweep, find_clock_offset
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from geraf2.geometry.triangles import vertex_normals
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
-from geraf2.io.ros import write_mesh_mcap
 from helpers.console import the_error
 from helpers.raw_capture import RADAR, RADAR_TOML
 from helpers.ros_bag import at_times, frames_of, rewritten, scan_path, write_bag
-from helpers.solids import ball
 
 RADAR_MANIFEST = RadarManifest(
     **RADAR, raw=RawManifest(n_rx=1), antennas=AntennaManifest(rx_offsets_m=[[0.0, 0.0, 0.0]])
@@ -88,11 +82,6 @@ def test_info_lists_the_topics_of_a_bag(tmp_path, bag, path, frames, capsys):
         assert "/radar/adc xwr_driver/msg/AdcFrame, 1341 messages: samples of a radar" in shown
         assert "/tf tf2_msgs/msg/TFMessage, 1391 messages: poses" in shown
         assert f"geraf2 import rosbag {source} scene" in shown
-    write_mesh_mcap(ball(0.05, 1), tmp_path / "mesh.mcap")  # has no times
-    assert main(["info", str(tmp_path / "mesh.mcap")]) == 0
-    shown = " ".join(capsys.readouterr().out.split())
-    assert "recorded" not in shown
-    assert "visualization_msgs/msg/Marker, 1 message " in shown
     unusable = write_bag(tmp_path / "b", path, frames, adc=None)
     assert main(["info", str(unusable)]) == 0
     done = capsys.readouterr()
@@ -284,28 +273,3 @@ def test_a_message_that_is_not_one_frame_is_refused(bag):
     radar = RADAR_MANIFEST.model_copy(update={"raw": RawManifest(n_rx=1, n_chirps_per_frame=2)})
     with pytest.raises(UserError, match="a message is not one frame, expected 512 bytes"):
         load_importer("rosbag").open(bag, radar, ImportOptions())
-
-
-def test_results_are_read_by_other_libraries(tmp_path):
-    n = len(ball(0.05, 1).vertices)
-    mesh = ball(0.05, 1, expected_error_m=np.linspace(0.001, 0.004, n))
-    target = tmp_path / "mesh.mcap"
-    write_mesh_mcap(mesh, target)
-    assert list(tmp_path.iterdir()) == [target]
-    with target.open("rb") as file:
-        reader = make_reader(file, decoder_factories=[DecoderFactory()])
-        cloud, marker = (decoded for *_, decoded in reader.iter_decoded_messages())
-    assert cloud.header.frame_id == "capture"
-    table = np.frombuffer(cloud.data, "<f4").reshape(cloud.width, -1)
-    names = [field.name for field in cloud.fields]
-    assert names == ["x", "y", "z", "normal_x", "normal_y", "normal_z", "expected_error"]
-    normals = vertex_normals(mesh.vertices, mesh.faces)
-    assert np.allclose(
-        table, np.column_stack([mesh.vertices, normals, mesh.expected_error_m]), atol=1e-6
-    )
-    assert marker.type == 11  # TRIANGLE_LIST
-    corners = np.array([[p.x, p.y, p.z] for p in marker.points]).reshape(-1, 3, 3)
-    assert np.allclose(corners, mesh.corners)
-    assert len(marker.colors) == len(marker.points)
-    with AnyReader([target]) as reader:
-        assert {c.msgtype.split("/")[-1] for c in reader.connections} == {"PointCloud2", "Marker"}
