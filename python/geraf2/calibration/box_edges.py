@@ -4,10 +4,12 @@ The edge between an unseen face and a seen wall echoes along that wall, in direc
 to the edge. The flashes of the seen wall lie within it.
 """
 
-import numpy as np
+from collections.abc import Iterator
 
-from geraf2._types import Bools, Floats
-from geraf2.calibration.box_search import densest_planes
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from geraf2._types import Bools, Floats, Ints
 from geraf2.imaging.peaks import PeakSet
 
 SQUARE_COSINE = float(np.cos(0.2))
@@ -27,6 +29,8 @@ _FLASH_COSINE = float(np.cos(0.05))
 _CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
 # Least density of an edge's echoes, relative to the densest; grating lobes have less.
 _MIN_SHARE = 0.4
+# Width of the profile along which edges are searched [m].
+_PROFILE_STEP_M, _PROFILE_SIGMA_M = 0.001, 0.0025
 
 Face = tuple[int, int]
 """Axis and side of a face."""
@@ -95,7 +99,7 @@ def find_edge(
                 on_wall &= corner < _CORNER_M
         on_edge |= on_wall & across & square
     on_edge &= outward > min_m + _ON_WALL_M
-    for position, members in densest_planes(
+    for position, members in _densest_planes(
         outward[on_edge], np.sqrt(strength[on_edge]), _MIN_SHARE
     ):
         own = np.flatnonzero(on_edge)[members]
@@ -108,3 +112,24 @@ def find_edge(
 def within(points: Floats, normals: Floats, offsets_m: Floats) -> Bools:
     """Whether points (n, 3) [m] lie within all faces, (n,). normals: (3, 2, 3)."""
     return np.asarray((np.tensordot(points, normals, (1, 2)) <= offsets_m).all(axis=(1, 2)))
+
+
+def _densest_planes(
+    offsets_m: Floats, weights: Floats, min_share: float = 0.0
+) -> Iterator[tuple[float, Ints]]:
+    """Positions of the density's maxima, the outermost first, and the indices of their members.
+
+    min_share: least density relative to the largest.
+    """
+    if not len(offsets_m):
+        return
+    reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
+    cells = ((offsets_m + reach) / _PROFILE_STEP_M).astype(np.int64)
+    counts = np.bincount(cells, weights, int(2.0 * reach / _PROFILE_STEP_M) + 1)
+    middles = _PROFILE_STEP_M * (np.arange(len(counts)) + 0.5) - reach
+    density = gaussian_filter1d(counts, _PROFILE_SIGMA_M / _PROFILE_STEP_M)
+    peaks = 1 + np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
+    for peak in peaks[::-1]:
+        near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _PROFILE_SIGMA_M)
+        if len(near) and density[peak] >= min_share * density.max():
+            yield float(np.average(offsets_m[near], weights=weights[near])), near

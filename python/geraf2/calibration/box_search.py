@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, gaussian_filter1d
+from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
@@ -55,8 +55,6 @@ _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
 # without loss. The null may lie off the middle.
 _PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
-# Width of the profile along which edges are searched [m].
-_EDGE_STEP_M, _EDGE_SIGMA_M = 0.001, 0.0025
 # Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
 # [rad], range tolerance [m], least share and number of planes with the same range.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
@@ -466,24 +464,3 @@ def explained(
         directions=lobes.directions[best],
         ranges_m=peaks.ranges_m + longer - rough.shift_m,
     )
-
-
-def densest_planes(
-    offsets_m: Floats, weights: Floats, min_share: float = 0.0
-) -> Iterator[tuple[float, Ints]]:
-    """Positions of the density's maxima, the outermost first, and the indices of their members.
-
-    min_share: least density relative to the largest.
-    """
-    if not len(offsets_m):
-        return
-    reach = float(np.abs(offsets_m).max(initial=0.0)) + 0.02
-    cells = ((offsets_m + reach) / _EDGE_STEP_M).astype(np.int64)
-    counts = np.bincount(cells, weights, int(2.0 * reach / _EDGE_STEP_M) + 1)
-    middles = _EDGE_STEP_M * (np.arange(len(counts)) + 0.5) - reach
-    density = gaussian_filter1d(counts, _EDGE_SIGMA_M / _EDGE_STEP_M)
-    peaks = 1 + np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:]))
-    for peak in peaks[::-1]:
-        near = np.flatnonzero(np.abs(offsets_m - middles[peak]) < 2.0 * _EDGE_SIGMA_M)
-        if len(near) and density[peak] >= min_share * density.max():
-            yield float(np.average(offsets_m[near], weights=weights[near])), near
