@@ -1,7 +1,7 @@
 """The box around the content, from a scan alone."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -23,14 +23,16 @@ from geraf2.calibration.box_search import (
     RoughFaces,
     explained,
     leaking,
-    rough_faces,
     scene_peaks,
     upward,
     with_lobes,
 )
+from geraf2.calibration.corrections import with_delay
+from geraf2.calibration.cuboid_search import MAX_PATH_M, BoxSearch, delay_odds, rough_faces
 from geraf2.calibration.found_box import (
     SKEW_RAD,
     FoundBox,
+    NoBoxError,
     NoCuboidError,
     Seen,
     WallsNotFoundError,
@@ -41,10 +43,11 @@ from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
 from geraf2.calibration.wall_faces import N_MODES
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.ops._threads import limit_blas_threads
 from geraf2.scene import Capture, LosPrior
-from geraf2.scene.summary import CaptureSummary, summarize_capture
+from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_capture
 
 BOX_VERSION = 8
 """Increase when the same capture gives another box."""
@@ -78,6 +81,7 @@ def find_box(
     *,
     expected: LosPrior | None = None,
     summary: CaptureSummary | None = None,
+    keep_delay: bool = False,
     num_threads: int | None = None,
 ) -> FoundBox:
     """Find the box around the content from the scan alone: a cuboid at any yaw.
@@ -85,11 +89,14 @@ def find_box(
     Parameters
     ----------
     capture
-        The scan. Its instrument delay must be known to a centimetre.
+        The scan.
     expected
-        A cuboid whose orientation is preferred if the scan allows several.
+        A cuboid whose orientation is preferred if the scan allows several, and by whose near walls
+        a delay that was not recorded is found.
     summary
         Of the capture, if already computed.
+    keep_delay
+        Use the recorded instrument delay, even if near and far walls agree at another one.
     num_threads
         All cores when None.
 
@@ -105,6 +112,8 @@ def find_box(
         A UserError: no walls are found, or antennas are within them.
     NoCuboidError
         The walls are those of another shape.
+    DelayUnknownError
+        No delay was recorded, and the scan does not show it.
 
     Examples
     --------
@@ -120,9 +129,34 @@ def find_box(
     if reach < MIN_REACH_M:
         raise WallsNotFoundError(seen=f"the planes meet {1e3 * reach:.0f} mm in front of them")
     capture = _shifted(capture, -focus)
-    peaks = scene_peaks(np.zeros(3), reach, num_threads)
+    is_recorded = keep_delay or is_delay_given(capture)
+    farther_m = 0.0 if is_recorded else 0.5 * MAX_PATH_M
+    peaks = scene_peaks(np.zeros(3), reach, num_threads, farther_m)
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
-    tries, leakage_db, flashes = _initial_boxes(capture, peaks, reach, like)
+    seen = _SeenWalls.of(capture, peaks, reach, farther_m)
+    box = expected and expected.move(rigid(np.eye(3), -focus))
+    delay = delay_odds(seen.search, box, is_recorded=is_recorded)
+    change_m = 0.0 if keep_delay else delay.change_m
+    capture = with_delay(capture, change_m)
+    if change_m:
+        seen = _SeenWalls.of(capture, peaks, reach, farther_m)
+    try:
+        found = _find(capture, peaks, seen, like, (reach, farther_m))
+    except NoBoxError as error:
+        error.delay_change_m = change_m
+        raise
+    return replace(found.moved(focus), delay=delay, delay_change_m=change_m)
+
+
+def _find(
+    capture: Capture,
+    peaks: KeptPeaks,
+    seen: "_SeenWalls",
+    like: Floats | None,
+    reach_m: tuple[float, float],
+) -> FoundBox:
+    """Find the likeliest box that no echo contradicts. reach_m: as of `_SeenWalls.of`."""
+    tries, leakage_db = seen.boxes(like)
     if leakage_db > _LEAKAGE_DB:
         first = next(tries)
         leakage = find_leakage(capture, first[0].prior, peaks)
@@ -130,19 +164,20 @@ def find_box(
             tries = chain([first], tries)
         else:
             capture = without_leakage(capture, leakage)
-            tries, _, flashes = _initial_boxes(capture, peaks, reach, like)
+            seen = _SeenWalls.of(capture, peaks, *reach_m)
+            tries, _ = seen.boxes(like)
     contradicted = list[tuple[FoundBox, WallsNotFoundError]]()
-    for start, seen in tries:
+    for start, corrected in tries:
         try:
-            box = _finished(capture, start, _Known(peaks, seen))
+            box = _finished(capture, start, _Known(peaks, corrected))
         except WallsNotFoundError as error:
             contradicted.append((start, error))
             continue
         if not (box.seen[:2] == Seen.SQUARELY).any(axis=1).all():
-            _require_cuboid(flashes, box.normals.reshape(6, 3))
-        return box.moved(focus)
+            _require_cuboid(seen.flashes, box.normals.reshape(6, 3))
+        return box
     likeliest, reason = contradicted[0]
-    _require_cuboid(flashes, likeliest.normals.reshape(6, 3))
+    _require_cuboid(seen.flashes, likeliest.normals.reshape(6, 3))
     raise reason
 
 
@@ -169,38 +204,61 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
     return replace(capture, poses=tuple(pose.moved(shift_m) for pose in capture.poses))
 
 
-def _initial_boxes(
-    capture: Capture, peaks: KeptPeaks, reach_m: float, like: Floats | None
-) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float, Flashes]:
-    """Find boxes before the fit with corrected peaks.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _SeenWalls:
+    """Peaks of a scan as flashes of walls, and the search for a box among them."""
 
-    Returns them, the leakage's level relative to walls [dB], and the flashes.
-    """
-    found = peaks.of(capture)
-    leaks = leaking(capture, found, reach_m)
-    kept = found.select(~leaks)
-    top = float(kept.strengths.max(initial=0.0))
-    kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
-    if not len(kept):
-        raise WallsNotFoundError(seen="no echo above the noise")
-    lobes, index = with_lobes(capture, kept)
-    flashes = Flashes.of(capture, kept, lobes, index)
-    up = upward(capture)
-    found_faces = rough_faces(flashes, up, reach_m, capture.waveform, like)
-    first = next(found_faces)
-    if np.isnan(first.offsets_m).all():
-        _require_cuboid(flashes, np.outer([-1.0, 1.0], up))
-        raise WallsNotFoundError(seen=f"{len(kept)} echoes, none of a plane that is seen squarely")
+    kept: PeakSet
+    """Peaks that may belong to walls."""
+    lobes: PeakSet
+    """The same, also in the directions whose grating lobes they may be."""
+    index: Ints
+    """Peak of each direction."""
+    flashes: Flashes
+    search: BoxSearch
+    leakage_db: float
+    """Level of leakage relative to the strongest peak [dB]."""
 
-    def boxes() -> Iterator[tuple[FoundBox, PeakSet]]:
-        for rough in chain([first], found_faces):
-            if not np.isnan(rough.offsets_m).all():
-                corrected = explained(kept, lobes, index, flashes, rough)
-                yield _initial_box(rough, corrected), corrected
+    @classmethod
+    def of(
+        cls, capture: Capture, peaks: KeptPeaks, reach_m: float, farther_m: float
+    ) -> "_SeenWalls":
+        """Peaks that are no leakage. farther_m: as of `scene_peaks` [m]."""
+        found = peaks.of(capture)
+        leaks = leaking(capture, found, reach_m + 0.5 * farther_m)
+        kept = found.select(~leaks)
+        top = float(kept.strengths.max(initial=0.0))
+        kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
+        if not len(kept):
+            raise WallsNotFoundError(seen="no echo above the noise")
+        lobes, index = with_lobes(capture, kept)
+        flashes = Flashes.of(capture, kept, lobes, index)
+        leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
+        return cls(
+            kept=kept,
+            lobes=lobes,
+            index=index,
+            flashes=flashes,
+            search=BoxSearch(flashes, upward(capture), reach_m, capture.waveform),
+            leakage_db=20.0 * float(np.log10(max(leakage, 1e-300) / top)),
+        )
 
-    leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
-    level_db = 20.0 * float(np.log10(max(leakage, 1e-300) / top)) - first.level_db
-    return boxes(), level_db, flashes
+    def boxes(self, like: Floats | None) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
+        """Boxes before the fit with corrected peaks, and the leakage's level relative to walls."""
+        found_faces = rough_faces(self.search, like)
+        first = next(found_faces)
+        if np.isnan(first.offsets_m).all():
+            _require_cuboid(self.flashes, np.outer([-1.0, 1.0], self.search.up))
+            n = len(self.kept)
+            raise WallsNotFoundError(seen=f"{n} echoes, none of a plane that is seen squarely")
+
+        def tries() -> Iterator[tuple[FoundBox, PeakSet]]:
+            for rough in chain([first], found_faces):
+                if not np.isnan(rough.offsets_m).all():
+                    corrected = explained(self.kept, self.lobes, self.index, self.flashes, rough)
+                    yield _initial_box(rough, corrected), corrected
+
+        return tries(), self.leakage_db - first.level_db
 
 
 def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:

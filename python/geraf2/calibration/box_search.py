@@ -5,7 +5,6 @@ the box from behind. Hypotheses of a cuboid are compared by how many sub-apertur
 (docs/math/calibration.md#box-from-the-scan).
 """
 
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -15,11 +14,10 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import OVERLAP, WallMiddles
-from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.geometry.transforms import triple
-from geraf2.imaging.peaks import KeptPeaks, PeakSet, grating_lobes
+from geraf2.imaging.peaks import REACH_M, KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.scene import Capture, LosPrior, Waveform
+from geraf2.scene import Capture, LosPrior
 
 # Half as many sub-apertures and directions as for glints, in a fifth of the time.
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
@@ -27,40 +25,33 @@ _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 _REGION = 1.3
 # Largest angle between a flash and its wall's normal, by noise and the slopes of a bulge [rad].
 MAX_ANGLE_RAD = 0.06
-# Steps of the yaw in the first search and around its best.
-_YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
-# An expected yaw is preferred within this angle, if it has this share of the highest score.
-_LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
-# Other yaws are tried, at most so many, if they have this share of the highest score.
-_RIVAL_SHARE, _MAX_RIVALS = 0.9, 3
 # Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
 OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].
-LEVEL_STEP_DB, _LEVEL_SIGMA_DB, _N_LEVELS = 2.0, 4.0, 20
-# Lowest level of walls: flat metal is 18 dB stronger. Walls whose faces cancel are 10 dB weaker.
-_LOWEST_DB, _LOWEST_PAIR_DB = -22.0, -32.0
-# Largest error of the recorded delay, one-way, and its standard deviation [m].
-_MAX_SHIFT_M, _SHIFT_SIGMA_M = 0.024, 0.01
+LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
+LOWEST_DB = -22.0
+"""Lowest level of walls [dB]: flat metal is 18 dB stronger."""
+MAX_SHIFT_M = 0.024
+"""Largest error of the recorded delay, one-way [m]."""
+MAX_SHIFT = round(MAX_SHIFT_M / OFFSET_STEP_M)
+"""The same in steps of the offset."""
 # Log-likelihood ratio of a flash on its wall against clutter, whose density is uniform over ranges
 # and directions [nats]. Counts below are in flashes, of which four overlap.
 _FLASH_NATS = 7.0
+NATS = _FLASH_NATS / OVERLAP
+"""Log-likelihood ratio of one counted flash [nats]."""
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
 # Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
 # the scan [m], which the smallest boxes exceed.
 _FACING_COSINE, _FOOT_M = 0.98, 0.06
-# Least count of a wall, and least share of the largest count on its side.
-_MIN_COUNT, _MIN_SHARE = 1.0, 0.5
-# Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
-# without loss. The null may lie off the middle.
-_PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
 # Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
 # [rad], range tolerance [m], least share and number of planes with the same range.
 _BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
 MIN_SIDE_M = 0.04
 """Least side length of a box [m]."""
-MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * _MAX_SHIFT_M + OFFSET_STEP_M
+MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * MAX_SHIFT_M + OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
 APERTURE_M = _COARSE.size_m
 """Side of the sub-apertures in which walls are searched [m]."""
@@ -68,10 +59,16 @@ APERTURE_M = _COARSE.size_m
 _MIN_AHEAD = 0.8
 
 
-def scene_peaks(center_m: Floats, reach_m: float, num_threads: int | None) -> KeptPeaks:
-    """Coarse peaks of everything between planes at the distance reach_m from center_m [m]."""
+def scene_peaks(
+    center_m: Floats, reach_m: float, num_threads: int | None, farther_m: float = 0.0
+) -> KeptPeaks:
+    """Coarse peaks of everything between planes at the distance reach_m from center_m [m].
+
+    farther_m: by which an unknown delay may move echoes away from the antennas, one-way [m].
+    """
     region = LosPrior.from_box((_REGION * reach_m,) * 3, triple(center_m))
-    return KeptPeaks(region, _COARSE, num_threads=num_threads)
+    near, far = REACH_M
+    return KeptPeaks(region, _COARSE, reach_m=(near, far + farther_m), num_threads=num_threads)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -123,13 +120,18 @@ class Flashes:
             loss_shift_m=middles.loss_shift_m,
         )
 
-    def counts(self, normal: Floats, n_offsets: int) -> tuple["Counts", "Counts"]:
-        """Flashes of near and of far walls with this outward normal, (3,)."""
+    def counts(self, normal: Floats, n_offsets: int, margin: int = 0) -> tuple["Counts", "Counts"]:
+        """Flashes of near and of far walls with this outward normal, (3,).
+
+        margin: further offsets at both ends.
+        """
         cosine = self.normals @ normal
+        offsets_m = self.offsets_m + margin * OFFSET_STEP_M
+        n_offsets += 2 * margin
         own = np.flatnonzero(
             (cosine > np.cos(MAX_ANGLE_RAD))
-            & (self.offsets_m > 0.0)
-            & (self.offsets_m < n_offsets * OFFSET_STEP_M)
+            & (offsets_m > 0.0)
+            & (offsets_m < n_offsets * OFFSET_STEP_M)
         )
         angle = np.arccos(np.clip(cosine[own], -1.0, 1.0))
         weights = self.weights[own] * (1.0 - (angle / MAX_ANGLE_RAD) ** 2)
@@ -139,7 +141,7 @@ class Flashes:
         found = []
         for far, facing in ((False, toward < -_FACING_COSINE), (True, toward > _FACING_COSINE)):
             kind = self.far[own] == far
-            density = self.density(own[kind], self.offsets_m[own[kind]], weights[kind], n_offsets)
+            density = self.density(own[kind], offsets_m[own[kind]], weights[kind], n_offsets)
             found.append(Counts(density, int((is_near & facing).sum())))
         return found[0], found[1]
 
@@ -153,11 +155,10 @@ class Flashes:
         sides: outward normals of a cuboid, or of some of its sides, (n, 3).
         """
         ahead = np.einsum("ij,ij->i", self.ahead[self.subapertures], self.normals)
-        usable = (np.abs(ahead) > _FACING_COSINE) & (self.levels_db > _LOWEST_DB)
+        usable = (np.abs(ahead) > _FACING_COSINE) & (self.levels_db > LOWEST_DB)
         near, far = (np.flatnonzero(usable & (self.far == kind)) for kind in (False, True))
         best = (0, 0)
-        most = round(_MAX_SHIFT_M / OFFSET_STEP_M)
-        for shift in range(-most, most + 1, 2) if len(near) and len(far) else ():
+        for shift in range(-MAX_SHIFT, MAX_SHIFT + 1, 2) if len(near) and len(far) else ():
             moved = self.offsets_m + shift * OFFSET_STEP_M * np.where(self.far, -1.0, 1.0)
             scaled = np.column_stack(
                 [
@@ -178,14 +179,14 @@ class Flashes:
     def density(self, own: Ints, offsets_m: Floats, weights: Floats, n_offsets: int) -> Floats:
         """Smoothed count over offset and level, one flash of each sub-aperture in a few cells."""
         offset = (offsets_m / OFFSET_STEP_M).astype(np.int64)
-        level = (self.levels_db[own] / LEVEL_STEP_DB).astype(np.int64) + _N_LEVELS - 1
+        level = (self.levels_db[own] / LEVEL_STEP_DB).astype(np.int64) + N_LEVELS - 1
         level = np.maximum(level, 0)
-        cell = (self.subapertures[own] * n_offsets + offset // 4) * _N_LEVELS + level // 4
+        cell = (self.subapertures[own] * n_offsets + offset // 4) * N_LEVELS + level // 4
         order = np.lexsort((-weights, cell))
         first = order[np.unique(cell[order], return_index=True)[1]]
-        shape = n_offsets, _N_LEVELS
+        shape = n_offsets, N_LEVELS
         count = np.bincount(
-            (offset * _N_LEVELS + level)[first], weights[first], n_offsets * _N_LEVELS
+            (offset * N_LEVELS + level)[first], weights[first], n_offsets * N_LEVELS
         )
         widths = OFFSET_SIGMA_M / OFFSET_STEP_M, _LEVEL_SIGMA_DB / LEVEL_STEP_DB
         smooth = gaussian_filter(count.reshape(shape), widths, mode="constant")
@@ -266,12 +267,6 @@ def upward(capture: Capture) -> Floats:
     return np.asarray(np.eye(3)[nearest] * np.sign(mean[nearest]))
 
 
-def shift_penalty(cells: int) -> float:
-    """Flashes that an error of the delay costs by its prior. cells: the error, in offset steps."""
-    sigma = _SHIFT_SIGMA_M / OFFSET_STEP_M
-    return float(0.5 * (cells / sigma) ** 2 * OVERLAP / _FLASH_NATS)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RoughFaces:
     """Planes of a box from flashes."""
@@ -291,144 +286,6 @@ class RoughFaces:
     def normals(self) -> Floats:
         """Outward normals of the faces against and along each axis, (3, 2, 3)."""
         return np.stack([-self.axes, self.axes], axis=1)
-
-
-class Hypothesis(NamedTuple):
-    """Score of a cuboid, for the best level and delay at a yaw."""
-
-    score: float
-    yaw_rad: float
-    shift: int
-    """Error of the delay, in cells of the offset."""
-    pair: int
-    """Half the distance of a wall's two echoes, in cells."""
-    level: int
-
-
-class BoxSearch:
-    """Search for the cuboid with most flashes at one level and one delay."""
-
-    def __init__(self, flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform) -> None:
-        self.flashes, self.up = flashes, up
-        self.first = np.abs(np.roll(up, 1))
-        self.second = np.cross(up, self.first)
-        self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
-        pair_m = pair_distance_m(waveform)
-        shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
-        self.pairs = sorted({0, *shares})
-        # A pair of echoes lies around the middle of the faces.
-        self.unmoved = -round(flashes.loss_shift_m / OFFSET_STEP_M)
-        self.upright = [flashes.counts(normal, self.n_offsets) for normal in (-up, up)]
-
-    def axes(self, yaw_rad: float) -> Floats:
-        """Axes of a box, (3, 3)."""
-        x = np.cos(yaw_rad) * self.first + np.sin(yaw_rad) * self.second
-        return np.stack([x, np.cross(self.up, x), self.up])
-
-    def sides(self, yaw_rad: float) -> list[tuple[Counts, Counts]]:
-        """Flashes of the faces against and along each axis."""
-        x, y, _ = self.axes(yaw_rad)
-        return [self.flashes.counts(n, self.n_offsets) for n in (-x, x, -y, y)] + self.upright
-
-    def lowest_level(self, pair: int) -> int:
-        """Index of the lowest level of walls. pair: half the distance of two echoes, in cells."""
-        return _N_LEVELS + int((_LOWEST_PAIR_DB if pair else _LOWEST_DB) / LEVEL_STEP_DB)
-
-    def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[Hypothesis]:
-        """Best hypothesis at each yaw.
-
-        shifts: of the delay, in cells of the offset.
-        """
-        penalty = np.array([shift_penalty(shift) for shift in shifts])
-        most = max(abs(shift) for shift in shifts)
-        least = max(round(0.5 * MIN_SIDE_M / OFFSET_STEP_M), most)
-        end = self.n_offsets - most
-        found = []
-        for yaw in yaws:
-            sides = self.sides(yaw)
-            tries = []
-            for pair in self.pairs:
-                total = np.repeat(-penalty[:, None], _N_LEVELS, axis=1)
-                start = self.unmoved if pair else 0
-                for near, far in sides:
-                    n, f = shifted(near.score(pair), start), shifted(far.score(pair), -start)
-                    for number, shift in enumerate(shifts):
-                        both = n[least - shift : end - shift] + f[least + shift : end + shift]
-                        total[number] += both.max(axis=0)
-                total[:, : self.lowest_level(pair)] = -np.inf
-                row, level = divmod(int(total.argmax()), _N_LEVELS)
-                tries.append(Hypothesis(float(total.max()), yaw, start + shifts[row], pair, level))
-            found.append(max(tries))
-        return found
-
-    def faces(self, found: Hypothesis) -> Floats:
-        """Outermost plane of each side with enough flashes, (3, 2) [m]; NaN without."""
-        offsets = [self._outermost(side, found) for side in self.sides(found.yaw_rad)]
-        return np.array(offsets).reshape(3, 2)
-
-    def _outermost(self, side: tuple[Counts, Counts], found: Hypothesis) -> float:
-        """Outermost offset of a side with enough flashes [m]; NaN without.
-
-        side: near and far flashes of its normal.
-        """
-        near, far = (counts.score(found.pair) for counts in side)
-        score = shifted(near, found.shift) + shifted(far, -found.shift)
-        count = score[:, found.level]
-        count[: round(0.5 * MIN_SIDE_M / OFFSET_STEP_M)] = 0.0
-        least = max(_MIN_COUNT, _MIN_SHARE * float(count.max()))
-        rises, falls = np.diff(count, prepend=0.0) > 0.0, np.diff(count, append=0.0) <= 0.0
-        peaks = np.flatnonzero(rises & falls & (count >= least))
-        return (peaks[-1] + 0.5) * OFFSET_STEP_M if len(peaks) else np.nan
-
-
-def rough_faces(
-    flashes: Flashes, up: Floats, reach_m: float, waveform: Waveform, like: Floats | None = None
-) -> Iterator[RoughFaces]:
-    """Cuboids around the origin of which most sub-apertures show flashes, the best first.
-
-    The walls of a box have one level, and one error of the delay moves near and far walls apart. A
-    flat face of content is seen from few sides, or differs in level.
-
-    up: the box's vertical, an axis of the frame, (3,).
-    reach_m: distance of the planes, beyond which no wall lies [m].
-    like: axes that are preferred if nearly as many flashes agree, (3, 3).
-    """
-    search = BoxSearch(flashes, up, reach_m, waveform)
-    most = round(_MAX_SHIFT_M / OFFSET_STEP_M)
-    coarse, fine = _YAW_STEPS_RAD
-    found = search.best(np.arange(0.0, 0.5 * np.pi, coarse), range(-most, most + 1, 2))
-    score = np.array([each.score for each in found])
-    is_peak = (score >= np.roll(score, 1)) & (score >= np.roll(score, -1))
-    is_peak &= score >= _RIVAL_SHARE * score.max()
-    rivals = sorted((found[k] for k in np.flatnonzero(is_peak)), reverse=True)[:_MAX_RIVALS]
-    if like is not None:
-        side = like[int(np.abs(like @ up).argmin())]
-        turn = np.array([each.yaw_rad for each in found])
-        turn -= np.arctan2(side @ search.second, side @ search.first)
-        near = np.abs(turn - 0.5 * np.pi * np.rint(turn / (0.5 * np.pi))) < _LIKE_RAD
-        alike = max(each for each, is_near in zip(found, near, strict=True) if is_near)
-        if alike.score > _LIKE_SHARE * score.max():
-            rivals.insert(0, alike)
-    for rival in rivals:
-        yaws = rival.yaw_rad + np.arange(-coarse, coarse + 0.5 * fine, fine)
-        yield _faces_of(search, max(search.best(yaws, range(-most, most + 1))))
-
-
-def _faces_of(search: BoxSearch, best: Hypothesis) -> RoughFaces:
-    """Faces of a hypothesis, at the one of four equal yaws that is nearest to the frame's axes."""
-    offsets = search.faces(best)
-    quarters = round(best.yaw_rad / (0.5 * np.pi) - 1e-9)
-    axes = search.axes(best.yaw_rad - 0.5 * np.pi * quarters)
-    for _ in range(quarters % 4):
-        offsets = offsets[[1, 0, 2]]
-        offsets[0] = offsets[0, ::-1]
-    return RoughFaces(
-        axes=axes,
-        offsets_m=offsets,
-        shift_m=best.shift * OFFSET_STEP_M,
-        pair_m=best.pair * OFFSET_STEP_M,
-        level_db=LEVEL_STEP_DB * (best.level + 1 - _N_LEVELS),
-    )
 
 
 def explained(

@@ -15,6 +15,7 @@ from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
+from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.scene import Capture, LosPrior, Pose
 
 _LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
@@ -172,9 +173,13 @@ def _read_leakage(arrays: Mapping[str, Array]) -> Leakage | None:
 
 
 def with_delay(capture: Capture, change_m: float) -> Capture:
-    """Capture with another instrument delay, changed by `change_m` on the two-way path [m]."""
+    """Capture with a known delay, changed by `change_m` on the two-way path [m]."""
     bias = float(capture.waveform.path_bias_m + change_m)
-    return replace(capture, waveform=replace(capture.waveform, path_bias_m=bias))
+    return replace(
+        capture,
+        waveform=replace(capture.waveform, path_bias_m=bias),
+        provenance={**capture.provenance, DELAY_KEY: DELAY_GIVEN},
+    )
 
 
 def with_turn_reversed(capture: Capture) -> Capture:

@@ -39,6 +39,7 @@ from geraf2.calibration.wall_alignment import (
     WallAlignment,
     WallProblem,
 )
+from geraf2.calibration.wall_echoes import walls_not_seen
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
@@ -270,6 +271,9 @@ class _Run:
             return {}
         try:
             problem = WallProblem(self.capture, self.prior, self.alignment, self.peaks)
+            every = problem.result(problem.fit(groups))
+            if not len(every.offsets_after_m):
+                raise walls_not_seen(0, self.alignment.search_m(self.capture))
         except UserError as error:
             text = "the walls of the box do not stand out"
             self.judgements.append(nothing_found(groups[0], text, "no data", error))
@@ -278,11 +282,14 @@ class _Run:
             group: problem.gain([other for other in groups if other != group], group)
             for group in groups
         }
-        chosen = [group for group, gain in gains.items() if gain.is_sure]
-        every, found = (problem.result(problem.fit(subset)) for subset in (groups, chosen))
+        always = ("delay",) if self.alignment.always_delay else ()
+        chosen = [group for group, gain in gains.items() if gain.is_sure or group in always]
+        found = problem.result(problem.fit(chosen))
         for group, gain in gains.items():
-            fit = found if gain.is_sure else every
-            self.judgements.append(judge(group, *_describe(fit, group), gain))
+            is_applied = group in chosen
+            judged = judge(group, *_describe(found if is_applied else every, group), gain)
+            against = "" if is_applied else judged.against
+            self.judgements.append(replace(judged, applied=is_applied, against=against))
         self.found["walls"] = found
         # An estimated offset that is not applied remains in the capture.
         rest_m = every.offset_m - found.offset_m

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from geraf2._types import Floats, Ints
+from geraf2.calibration.cuboid_search import DelayOdds
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import triple
 from geraf2.scene import LosPrior
@@ -51,6 +52,10 @@ class FoundBox:
     """Of the offsets of opposite faces, which share the delay and the walls' thickness, (3,)."""
     content_share: float = 0.0
     """Share of the energy from within; near zero if the planes are those of a metal body."""
+    delay: DelayOdds | None = None
+    """Delays at which near and far walls lie on it."""
+    delay_change_m: float = 0.0
+    """Change of the recorded delay that it was found with, on the two-way path [m]."""
 
     @property
     def normals(self) -> Floats:
@@ -113,6 +118,7 @@ class FoundBox:
             "axes": self.axes.round(6).tolist(),
             "yaw_deg": round(self.yaw_deg, 4),
             "yaw_sigma_deg": round(self.yaw_sigma_deg, 4),
+            **self._delay_numbers(),
             "faces": {
                 name: {
                     "seen": Seen(int(self.seen[k, side])).name.lower(),
@@ -122,6 +128,15 @@ class FoundBox:
                 }
                 for name, k, side in face_names()
             },
+        }
+
+    def _delay_numbers(self) -> dict[str, float]:
+        if self.delay is None:
+            return {}
+        return {
+            "delay_odds": round(self.delay.odds, 2),
+            "other_delay_m": round(self.delay.other_m, 4),
+            "delay_change_m": round(self.delay_change_m, 4),
         }
 
     def _seen_text(self) -> str:
@@ -162,7 +177,14 @@ def _json_number(values: Floats | float) -> Any:
     return round(float(array), 6) if np.isfinite(array) else None
 
 
-class NoCuboidError(UserError):
+class NoBoxError(UserError):
+    """A scan shows no box."""
+
+    delay_change_m = 0.0
+    """Change of the recorded delay, on the two-way path, that the scan shows nevertheless [m]."""
+
+
+class NoCuboidError(NoBoxError):
     """The walls that a scan shows are not those of a cuboid."""
 
     def __init__(self) -> None:
@@ -174,7 +196,7 @@ class NoCuboidError(UserError):
         )
 
 
-class WallsNotFoundError(UserError):
+class WallsNotFoundError(NoBoxError):
     """A scan shows no walls of a box."""
 
     def __init__(self, seen: str) -> None:

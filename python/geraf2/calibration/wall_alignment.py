@@ -24,6 +24,7 @@ from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene.summary import is_delay_given
 
 # Standard deviations of an echo of a near and of a far wall, whose path crosses the content: of
 # range [m], and of both directions [rad]. Most of it is from short waves of a bulge.
@@ -51,12 +52,14 @@ class AlignmentConfig(Bounded):
 
     delay_search_m: tuple[SignedM, SignedM] | None = None
     """Searched changes of the instrument delay, on the two-way path [m]. By default -0.03 to 0.03
-    if a delay was recorded, and -0.3 to 1 if not (a delay of 0)."""
+    if a delay was recorded, and -0.3 to 1 if not."""
     keep_delay: bool = False
     """Keep the instrument delay; then the axis may also lie nearer or farther."""
     delay_sigma_m: MarginM = 2.0 * DELAY_SIGMA_M
     """Expected error of a recorded delay, on the two-way path [m]; an axis that is 1 mm nearer to
     the radar has the same effect."""
+    always_delay: bool = False
+    """Apply the estimate of the delay even if held-out echoes do not confirm it."""
     translation_sigma_m: MarginM = 0.01
     """Expected error of the prior's position [m]."""
     rotation_sigma_rad: MarginRad = 0.05
@@ -71,6 +74,13 @@ class AlignmentConfig(Bounded):
     """Expected error of each wall's distance from the centre of the prior [m]."""
     min_echoes: Few = MIN_WALL_ECHOES
     """Least number of near walls' echoes that agree."""
+
+    @classmethod
+    def after(cls, delay_change_m: float) -> "AlignmentConfig":
+        """Prior for a capture whose delay the search for the box changed: it is known to a cell."""
+        if not delay_change_m:
+            return cls()
+        return cls(delay_sigma_m=_NEAR_SEARCH_M[1], always_delay=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -87,7 +97,7 @@ class AlignmentConfig(Bounded):
 
     def is_recorded(self, capture: Capture) -> bool:
         """Whether the capture has a measured delay."""
-        return capture.waveform.path_bias_m != 0.0 and self.delay_search_m is None
+        return is_delay_given(capture) and self.delay_search_m is None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

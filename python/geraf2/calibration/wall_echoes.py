@@ -225,19 +225,26 @@ def find_wall_peak(
         best = int(peaks[0]) if len(peaks) else best
     offset, (n_near, n_far) = float(candidates[best]), counts(best)
     if n_near < least or best in (0, n_steps - 1):  # a maximum at the edge is no peak
-        raise UserError(
-            what="the walls of the box do not stand out",
-            expected=f"at least {least} echoes along the prior's faces at one offset between "
-            f"{search_m[0]:g} and {search_m[1]:g} m",
-            got=n_near,
-            hint="check that the prior lies in the scan's frame and in metres; widen "
-            "--delay-search LOW HIGH where the delay was not recorded; a scan that faces no wall "
-            "needs a known delay and --no-delay",
-        )
+        raise walls_not_seen(n_near, search_m, least)
     return OffsetPeak(
         offset_m=offset,
         n_near=n_near,
         n_far=n_far,
         candidates_m=candidates,
         density=score / max(float(score.max()), 1e-300),
+    )
+
+
+def walls_not_seen(
+    n_near: int, search_m: tuple[float, float], least: int = MIN_WALL_ECHOES
+) -> UserError:
+    """Error of a prior whose faces echo too rarely. n_near, least: echoes found and needed."""
+    return UserError(
+        what="the walls of the box do not stand out",
+        expected=f"at least {least} echoes along the prior's faces at one offset between "
+        f"{search_m[0]:g} and {search_m[1]:g} m",
+        got=n_near,
+        hint="check that the prior lies in the scan's frame and in metres; widen --delay-search "
+        "LOW HIGH where the delay was not recorded; a scan that faces no wall needs a known delay "
+        "and --no-delay",
     )

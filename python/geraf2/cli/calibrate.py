@@ -11,6 +11,7 @@ from geraf2.cli._console import CONSOLE, Threads, rows, say
 from geraf2.cli._fields import Positional, part_of
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
+from geraf2.pipeline.box_check import STATED
 from geraf2.pipeline.commands.calibrate import CALIBRATION_FIGURE_NAME, calibrate, require_room
 from geraf2.pipeline.prior import PriorSource
 
@@ -35,12 +36,13 @@ class Config(PriorSource):
     overwrite: bool = False
     """Replace another scene in OUT."""
     los: Annotated[Path | None, Arg(metavar="MESH")] = None
-    """Closed mesh of the outside of the box, metres; los.ply of the scene when not given."""
+    """Closed mesh of the outside of the box, metres; los.ply of the scene, or the box that it
+    states, when not given."""
     no_delay: bool = False
     """Leave the instrument delay."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
     """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
-    -0.3 1.0 where none was recorded (a delay of 0)."""
+    -0.3 1.0 where none was recorded and the box is no cuboid."""
     no_frame: bool = False
     """Leave the box, the turntable axis and the angles where they are."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None
@@ -65,7 +67,8 @@ def main(config: Config) -> int:
     los = config.los
     if los is None and config.box is None and (config.scene / LOS_NAME).is_file():
         los = config.scene / LOS_NAME
-    prior, name = replace(part_of(config, PriorSource), los=los).load()
+    source = replace(part_of(config, PriorSource), los=los)
+    prior, name = source.load() if source.is_given else (None, STATED)
     calibrated = calibrate(
         config.scene,
         prior,

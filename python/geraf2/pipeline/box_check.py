@@ -2,12 +2,21 @@
 
 from dataclasses import dataclass, replace
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_finder import MIN_CONTENT, find_box
-from geraf2.calibration.found_box import FoundBox, NoCuboidError, Seen, WallsNotFoundError
+from geraf2.calibration.corrections import with_delay
+from geraf2.calibration.cuboid_search import DelayUnknownError
+from geraf2.calibration.found_box import (
+    FoundBox,
+    NoBoxError,
+    NoCuboidError,
+    Seen,
+    WallsNotFoundError,
+)
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
 from geraf2.io.run_folder import RunFolder
@@ -16,6 +25,8 @@ from geraf2.pipeline.prior import add_walls
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary
 
+BY_RADAR, STATED = "the box by radar", "the box of the scene"
+"""Names in messages of a found box, and of one that the scene states."""
 BOX_STAGE = "box"
 """Name of the step in progress messages."""
 # Differences from the prior that calibration corrects: size, centre [m], rotation [degrees].
@@ -42,30 +53,78 @@ class BoxCheck:
     is_warning: bool = False
     """Whether the user is warned: the prior was corrected, or no box was found."""
 
+    name: str = BY_RADAR
+    """Name of the prior in messages."""
+    delay_m: float = 0.0
+    """Change of the recorded delay with which it was found, on the two-way path [m]."""
+
     def place(self, capture: Capture) -> Capture:
         """Capture with the walls of a new prior; without walls if the prior is rotated."""
         if not self.is_new:
             return capture
         return replace(capture, walls=() if self.prior.is_turned else self.prior.walls)
 
+    def numbers(self) -> dict[str, Any]:
+        """Entry of run.json."""
+        return {"by_radar": self.text, **(self.found.numbers() if self.found else {})}
+
+
+def stated_box(capture: Capture) -> LosPrior | None:
+    """Carton that the scene states, the first hypothesis of the box; None without."""
+    if not capture.walls:
+        return None
+    outer = capture.walls[0]
+    return LosPrior.from_box(outer.size_m, outer.center_m, walls=capture.walls)
+
 
 def box_from_radar(
-    capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
+    capture: Capture,
+    summary: CaptureSummary,
+    listener: Listener,
+    num_threads: int | None,
+    *,
+    keep_delay: bool = False,
 ) -> BoxCheck:
-    """Find the box if no prior is given; without walls, the region of the content."""
+    """Find the box if no prior is given; without walls, the region of the content.
+
+    keep_delay: as of `find_box`.
+    """
     with listener.step(BOX_STAGE):
         try:
-            found = find_box(capture, summary=summary, num_threads=num_threads)
+            found = find_box(
+                capture, summary=summary, keep_delay=keep_delay, num_threads=num_threads
+            )
         except WallsNotFoundError as error:
+            capture = with_delay(capture, error.delay_change_m)
             prior = content_region(capture, summary=summary, num_threads=num_threads)
             sides = _in_mm(np.asarray(prior.size_m), np.arange(3))
             text = (
                 f"no walls of a box are seen ({error.seen}): all within {sides} mm is treated as "
                 "content in free air; if it is in a box, give --box X Y Z or --los MESH"
             )
-            return BoxCheck(prior=prior, found=None, text=text, is_new=True, is_warning=True)
+            delay_m = error.delay_change_m
+            return BoxCheck(
+                prior=prior, found=None, text=text, is_new=True, is_warning=True, delay_m=delay_m
+            )
+    return _by_radar(capture, found, str(found))
+
+
+def _by_radar(
+    capture: Capture, found: FoundBox, text: str, *, is_warning: bool = False
+) -> BoxCheck:
     prior = add_walls(found.prior, capture.walls)
-    return BoxCheck(prior=prior, found=found, text=str(found), is_new=True)
+    return _with_delay(
+        BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=is_warning)
+    )
+
+
+def _with_delay(check: BoxCheck) -> BoxCheck:
+    """Add the delay that the box was found with."""
+    found = check.found
+    if found is None or not found.delay_change_m:
+        return check
+    text = f"{check.text}; {found.delay}"
+    return replace(check, text=text, delay_m=found.delay_change_m, is_warning=True)
 
 
 def check_prior(
@@ -75,59 +134,88 @@ def check_prior(
     summary: CaptureSummary,
     listener: Listener,
     num_threads: int | None,
+    *,
+    keep_delay: bool = False,
 ) -> BoxCheck:
     """Compare a given prior with the box of the scan, and correct a cuboid that differs.
 
-    name: of the prior in errors.
+    name: of the prior in errors. keep_delay: as of `find_box`.
 
     One pair of planes may be flat content or multipath, which is a warning.
-    Raises UserError if the scan shows two sides of another box.
+    Raises UserError if the scan shows two sides of another box than a given one, or if it shows
+    that box at another delay than the recorded one. A box that only the scene states is replaced.
     """
-    text, found = "no wall is seen squarely: the prior was compared with nothing", None
+    what = STATED if name == STATED else "the prior"
+    kept = BoxCheck(prior=prior, found=None, text="", name=name)
     with listener.step(BOX_STAGE):
         try:
-            found = find_box(capture, expected=prior, summary=summary, num_threads=num_threads)
-        except NoCuboidError as error:
-            text = f"{str(error).partition(',')[0]}: the prior was compared with nothing"
-            is_warning = prior.cuboid is not None
-            return BoxCheck(prior=prior, found=None, text=text, is_warning=is_warning)
-        except UserError:
-            pass
-    if found is None or prior.cuboid is None:
-        if found is not None:
-            text = f"{found}; the prior is no cuboid and is not compared"
-        return BoxCheck(prior=prior, found=found, text=text)
-    difference = Difference.measure(found, *prior.cuboid)
+            found = find_box(
+                capture,
+                expected=prior,
+                summary=summary,
+                keep_delay=keep_delay,
+                num_threads=num_threads,
+            )
+        except NoBoxError as error:
+            is_other = isinstance(error, NoCuboidError)
+            seen = str(error).partition(",")[0] if is_other else "no wall is seen squarely"
+            return replace(
+                kept,
+                text=f"{seen}: {what} was compared with nothing",
+                is_warning=is_other and prior.cuboid is not None,
+                delay_m=error.delay_change_m,
+            )
+        except DelayUnknownError:
+            if prior.cuboid is not None:
+                raise
+            return replace(kept, text="the delay is not known: the prior was compared with nothing")
+    if prior.cuboid is None:
+        return _with_delay(
+            replace(kept, found=found, text=f"{found}; {what} is no cuboid and is not compared")
+        )
+    kept = replace(kept, delay_m=found.delay_change_m)
+    return _compare(capture, found, kept, Difference.measure(found, *prior.cuboid), what)
+
+
+def _compare(
+    capture: Capture, found: FoundBox, kept: BoxCheck, difference: "Difference", what: str
+) -> BoxCheck:
+    """Check of a cuboid: kept, corrected, or replaced by the found box; UserError for another one.
+
+    what: the prior in texts.
+    """
+    given, own = (
+        _in_mm(sizes, difference.both) for sizes in (difference.given_size_m, found.size_m)
+    )
     if difference.is_other and difference.is_within and found.content_share < MIN_CONTENT:
-        text = f"planes of {_in_mm(found.size_m, difference.both)} mm within the prior are content"
-        return BoxCheck(prior=prior, found=None, text=text)
+        return replace(kept, text=f"planes of {own} mm within {what} are content")
     if difference.is_other and len(difference.both) == 1:
         text = (
-            f"planes {_in_mm(found.size_m, difference.both)} mm apart are no walls of the prior, "
-            f"whose side is {_in_mm(difference.given_size_m, difference.both)} mm; it is kept, "
+            f"planes {own} mm apart are no walls of {what}, whose side is {given} mm; it is kept, "
             "since no other walls were seen"
         )
-        return BoxCheck(prior=prior, found=None, text=text, is_warning=True)
+        return replace(kept, text=text, is_warning=True)
+    if difference.is_other and kept.name == STATED:
+        text = f"{found}; the scene states sides of {given} mm, which the scan contradicts"
+        return _by_radar(capture, found, text, is_warning=True)
     if difference.is_other:
         raise UserError(
             what="the scan shows another box than the prior",
-            where=name,
-            expected=f"sides of {_in_mm(difference.given_size_m, difference.both)} mm",
-            got=f"{_in_mm(found.size_m, difference.both)} mm by the walls' echoes",
+            where=kept.name,
+            expected=f"sides of {given} mm",
+            got=f"{own} mm by the walls' echoes",
             hint="leave the prior out, or keep it with --trust-los",
         )
     if not difference.text:
-        off_m, text = (found.size_m - difference.given_size_m)[difference.both], f"{found}; "
-        text += "no two opposite faces are seen: the prior's sides were not compared"
+        off_m = (found.size_m - difference.given_size_m)[difference.both]
+        text = f"no two opposite faces are seen: {what}'s sides were not compared"
         if len(off_m):
-            sides = _in_mm(difference.given_size_m, difference.both)
             most = 1e3 * float(np.abs(off_m).max())
-            text = f"{found}; the prior agrees: sides of {sides} mm differ by at most {most:.1f} mm"
-        return BoxCheck(prior=prior, found=found, text=text)
+            text = f"{what} agrees: sides of {given} mm differ by at most {most:.1f} mm"
+        return _with_delay(replace(kept, found=found, text=text))
     corrected = difference.correct(found)
-    text = f"the prior is off by {difference.text} and was corrected: {corrected}"
-    prior = add_walls(corrected.prior, capture.walls)
-    return BoxCheck(prior=prior, found=found, text=text, is_new=True, is_warning=True)
+    text = f"{what} is off by {difference.text} and was corrected: {corrected}"
+    return replace(_by_radar(capture, corrected, text, is_warning=True), name=kept.name)
 
 
 def require_determined(run: RunFolder) -> None:

@@ -204,8 +204,9 @@ def summarize_capture(capture: Capture) -> CaptureSummary:
 
 
 def is_delay_given(capture: Capture) -> bool:
-    """Whether the instrument delay is known, by the provenance of a capture."""
-    return capture.provenance.get(DELAY_KEY, DELAY_NOT_KNOWN) != DELAY_NOT_KNOWN
+    """Whether the instrument delay of a capture is known: it is not 0, or stated to be 0."""
+    stated = capture.provenance.get(DELAY_KEY, DELAY_NOT_KNOWN) != DELAY_NOT_KNOWN
+    return stated or capture.waveform.path_bias_m != 0.0
 
 
 def summarize_poses(

@@ -5,8 +5,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geraf2 import __version__
+from geraf2.calibration.box_finder import find_box
+from geraf2.calibration.corrections import with_delay
+from geraf2.calibration.cuboid_search import DelayUnknownError
 from geraf2.calibration.driver import Calibration, CalibrationConfig
 from geraf2.calibration.driver import calibrate as calibrate_capture
+from geraf2.calibration.found_box import NoBoxError
 from geraf2.io.container import (
     LOS_NAME,
     MANIFEST_NAME,
@@ -17,8 +21,9 @@ from geraf2.io.container import (
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
 from geraf2.ops._threads import limit_blas_threads
+from geraf2.pipeline.box_check import stated_box
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.prior import add_walls
+from geraf2.pipeline.prior import PriorSource, add_walls
 from geraf2.pipeline.sign_check import explain_sign_errors
 from geraf2.scene import Capture, LosPrior, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
@@ -91,7 +96,7 @@ class CalibratedScene:
 @limit_blas_threads
 def calibrate(
     scene: Path | str,
-    prior: LosPrior,
+    prior: LosPrior | None = None,
     config: CalibrationConfig | None = None,
     *,
     prior_name: str = "given",
@@ -106,6 +111,7 @@ def calibrate(
         Folder of the scene, which does not change.
     prior
         Outside of the box, roughly in the capture frame [m]; without walls, it takes the scene's.
+        The box that the scene states when None.
     config
         Corrections that are searched.
     prior_name
@@ -123,7 +129,8 @@ def calibrate(
     Raises
     ------
     UserError
-        If the scene is not plausible, or the echoes of walls are too weak.
+        If the scene is not plausible, no box is given or stated, or the echoes of walls are too
+        weak.
 
     Examples
     --------
@@ -139,9 +146,20 @@ def calibrate(
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
     listener.findings(require_plausible(summarize_capture(capture), scene))
+    prior = prior or stated_box(capture) or PriorSource().load()[0]  # says how to give one
     prior = prior if prior.walls else add_walls(prior, capture.walls, listener)
+    placed, alignment = capture, config.alignment
+    if config.delay_from == "walls" and alignment.delay_search_m is None:
+        placed, change_m = _at_delay_of_box(capture, prior, listener, num_threads)
+        alignment = alignment.after(change_m)
     with listener.step("calibrating") as report:
-        found = calibrate_capture(capture, prior, config, num_threads=num_threads, progress=report)
+        found = calibrate_capture(
+            placed,
+            prior,
+            replace(config, alignment=alignment),
+            num_threads=num_threads,
+            progress=report,
+        )
     for one in found.judgements:
         if one.error is not None:  # it was asked for
             with explain_sign_errors(capture, scene, num_threads):
@@ -155,6 +173,27 @@ def calibrate(
     table = CalibrationManifest.model_validate(values)
     corrected = replace(found.capture, calibration=(*capture.calibration, table))
     return CalibratedScene(scene=Path(scene), found=replace(found, capture=corrected), table=table)
+
+
+def _at_delay_of_box(
+    capture: Capture, prior: LosPrior, listener: Listener, num_threads: int | None
+) -> tuple[Capture, float]:
+    """Capture with the delay at which its walls lie on one box, as `reconstruct` finds it.
+
+    Also returns the change of the delay [m].
+    """
+    change_m = 0.0
+    try:
+        box = find_box(capture, expected=prior, num_threads=num_threads)
+        change_m = box.delay_change_m
+        if change_m:
+            listener.note(str(box.delay))
+    except NoBoxError as error:
+        change_m = error.delay_change_m
+    except DelayUnknownError:
+        if prior.cuboid is not None:
+            raise
+    return (with_delay(capture, change_m) if change_m else capture), change_m
 
 
 def require_room(scene: Path, out: Path | None, *, overwrite: bool) -> None:

@@ -36,10 +36,13 @@ from geraf2.io.toml import to_table
 from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.box_check import (
     BOX_STAGE,
+    BY_RADAR,
+    STATED,
     BoxCheck,
     box_from_radar,
     check_prior,
     require_determined,
+    stated_box,
 )
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
@@ -87,8 +90,9 @@ def reconstruct(
     prior
         Outside of the box: a prior, three outer side lengths about the origin [m], a closed mesh in
         metres in the capture's frame, a folder that `geraf2 los` made, or photos with poses. The
-        box is found by radar (`geraf2.find_box`) when None. A cuboid that is off by millimetres or
-        degrees is corrected, and a prior without walls takes those of the capture.
+        capture's own outer walls when None, and without them the box is found by radar
+        (`geraf2.find_box`). A cuboid that is off by millimetres or degrees is corrected, and a
+        prior without walls takes those of the capture.
     preset
         Name of a preset, or its constants: best, fast, paper, or a method to compare with.
     out
@@ -165,10 +169,6 @@ def reconstruct(
     return Reconstruction(run)
 
 
-BY_RADAR = "the box by radar"
-"""Name of a found box in messages."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Request:
     """A request whose inputs were checked, before its run folder is touched."""
@@ -217,16 +217,17 @@ class Request:
         others, options = (given, record, listener, num_threads), record.options
         if options.reverse_turn:
             request = cls._check(with_turn_reversed(capture), *others)
-            return replace(request, corrections=Corrections(reversed_turn=1))
+            return request.reversed()
         found, failure = attempt(lambda: cls._check(capture, *others, summary))
         if options.calibrate == "auto":
             prior = found.prior[0] if found is not None and found.prior else None
             if failure is not None:
                 prior, _ = attempt(lambda: content_region(capture, num_threads=num_threads))
             peaks = None if prior is None else kept_peaks(prior, record.config, num_threads)
-            if peaks is not None and check_planes(capture, peaks.of(capture)).is_reversed:
+            seen = capture if found is None else found.capture
+            if peaks is not None and check_planes(seen, peaks.of(seen)).is_reversed:
                 turned = cls._check(with_turn_reversed(capture), *others)
-                return replace(turned, corrections=Corrections(reversed_turn=1))
+                return turned.reversed()
             found = None if found is None else replace(found, peaks=peaks)
         if found is None:
             raise failure or AssertionError
@@ -250,25 +251,29 @@ class Request:
         making = find_prior_job(source.los, options.photos, summary, listener)
         found, box = None, None
         start, cpu_start = time.perf_counter(), time.process_time()
-        if making is None and (given is not None or source.is_given):
-            last = options.trust_los
-            found = _prior(given or source, capture, summary, listener, is_last=last)
-            if not options.trust_los:
-                with explain_sign_errors(capture, where, num_threads):
-                    box = check_prior(capture, *found, summary, listener, num_threads)
-        elif making is None:
-            with explain_sign_errors(capture, where, num_threads):
-                box = box_from_radar(capture, summary, listener, num_threads)
+        stated, others = stated_box(capture), (summary, listener, num_threads)
+        keep_delay = options.calibrate == "no"
+        with explain_sign_errors(capture, where, num_threads):
+            if making is None and (given is not None or source.is_given):
+                last = options.trust_los
+                found = _prior(given or source, capture, summary, listener, is_last=last)
+            elif making is None and stated is not None:
+                found = stated, STATED
+            if found and not options.trust_los:
+                box = check_prior(capture, *found, *others, keep_delay=keep_delay)
+            elif making is None and not found:
+                box = box_from_radar(capture, *others, keep_delay=keep_delay)
         if box is not None:
             if box.found is None:  # no wall is seen where it is
                 require_sign(capture, where, num_threads)
-            found = box.prior, found[1] if found else BY_RADAR
+            found = box.prior, box.name
         box_seconds = time.perf_counter() - start, time.process_time() - cpu_start
         if found:
             require_reconstructable(summary, record.config, found[0].size_m, where)
         keep_planes(capture, options.hold_out, where)
+        corrections = Corrections(delay_m=box.delay_m if box else 0.0)
         return cls(
-            capture=capture if box is None else box.place(capture),
+            capture=corrections.applied(capture if box is None else box.place(capture)),
             summary=summary,
             findings=findings,
             prior=found,
@@ -280,7 +285,12 @@ class Request:
             listener=listener,
             num_threads=num_threads,
             started=begin,
+            corrections=corrections,
         )
+
+    def reversed(self) -> "Request":
+        """Return the same for a capture whose turntable was turned in the other sense."""
+        return replace(self, corrections=replace(self.corrections, reversed_turn=1))
 
     @property
     def where(self) -> Path | str:
@@ -346,8 +356,8 @@ def start_job(
     if request.box is not None:
         box = request.box
         seconds, cpu = (round(value, 3) for value in request.box_seconds)
-        numbers = {"by_radar": box.text, **(box.found.numbers() if box.found else {})}
-        run.stages[BOX_STAGE] = StageRecord(seconds=seconds, cpu_seconds=cpu, numbers=numbers)
+        record_of = StageRecord(seconds=seconds, cpu_seconds=cpu, numbers=box.numbers())
+        run.stages[BOX_STAGE] = record_of
         (heard if box.is_warning else request.listener).note(box.text)
     job = Job(
         run=run,
@@ -362,6 +372,7 @@ def start_job(
         else kept_peaks(prior, record.config, request.num_threads),
         num_threads=request.num_threads,
         resume=resume,
+        has_walls=request.box is None or request.box.found is not None or name != BY_RADAR,
         made_from={
             "scene": run.scene_digest,
             "prior": key,

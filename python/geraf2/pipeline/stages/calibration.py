@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
+from geraf2.calibration.wall_alignment import AlignmentConfig
 from geraf2.io.digests import file_digest
 from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline.stages.job import Job
@@ -31,17 +32,24 @@ def calibrate_job(
 
     Applied corrections are reported to the listener.
     """
+    before = before or Corrections()
+    config = CalibrationConfig(
+        positions=with_positions,
+        delay=job.has_walls,
+        frame=job.has_walls,
+        alignment=AlignmentConfig.after(before.delay_m),
+    )
     with job.step(CALIBRATION_STAGE) as step:
         found = calibrate(
             job.capture,
             job.prior,
-            None if with_positions else CalibrationConfig(positions=False),
+            config,
             peaks=job.peaks,
             num_threads=job.num_threads,
             progress=step.progress,
         )
         step.numbers |= {"applied": [], "left": []}
-        if before is not None and before.reversed_turn:
+        if before.reversed_turn:
             step.numbers["reversed_turn"] = 1
         step.numbers["common_offset_sigma_mm"] = 1e3 * found.common_offset_sigma_m
         for judgement in found.judgements:
@@ -49,8 +57,11 @@ def calibrate_job(
             for key, value in judgement.numbers.items():
                 step.numbers[f"{judgement.name}_{key}"] = value
         path = job.run.path / CALIBRATION_NAME
-        turned = 0 if before is None else before.reversed_turn
-        stored = replace(found.corrections, reversed_turn=turned)
+        stored = replace(
+            found.corrections,
+            reversed_turn=before.reversed_turn,
+            delay_m=before.delay_m + found.corrections.delay_m,
+        )
         stored.save(path)
     if found.corrections.are_none:
         return job, stored

@@ -43,6 +43,8 @@ class Job:
     num_threads: int | None = None
     resume: bool = False
     """Whether a training continues from its checkpoint."""
+    has_walls: bool = True
+    """Whether the prior may be a box: not so for the region of content in free air."""
     made_from: Mapping[str, str] = field(default_factory=dict)
     """Inputs and command, written to the meshes."""
 
