@@ -14,6 +14,7 @@ from geraf2.calibration.channel_phase import (
 from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.driver import CalibrationConfig, calibrate
 from geraf2.calibration.leakage import Leakage
+from geraf2.calibration.wall_alignment import WallProblem
 from geraf2.errors import UserError
 from helpers.carton import PRIOR, carton_capture, with_bias
 
@@ -185,6 +186,21 @@ def test_unseen_walls_are_an_error_if_requested(capture):
     )
     assert found.capture is capture
     (one,) = found.judgements
+    assert (one.name, one.applied, one.against) == ("delay", False, "no data")
+    assert "walls of the box do not stand out" in str(one.error)
+
+
+def test_walls_without_a_usable_echo_give_no_estimate(capture, monkeypatch):
+    chosen = WallProblem.walls_of
+
+    def none_left(problem, values, share, use=None):
+        walls = chosen(problem, values, share, use)
+        return walls.select(np.zeros(len(walls.index), dtype=bool))
+
+    monkeypatch.setattr(WallProblem, "walls_of", none_left)
+    (one,) = calibrate(
+        capture, PRIOR, CalibrationConfig(leakage=False, channels=False, positions=False)
+    ).judgements
     assert (one.name, one.applied, one.against) == ("delay", False, "no data")
     assert "walls of the box do not stand out" in str(one.error)
 

@@ -9,10 +9,12 @@ from scipy.spatial.transform import Rotation
 
 import geraf2
 from geraf2 import examples, simulate
+from geraf2.calibration.corrections import Corrections
 from geraf2.calibration.found_box import FoundBox, Seen
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
-from geraf2.io.run_folder import RunFolder
+from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
+from geraf2.io.run_folder import CALIBRATION_NAME, RunFolder
 from geraf2.pipeline import box_check
 from geraf2.pipeline.box_check import check_prior
 from geraf2.pipeline.commands import reconstruct as reconstruct_command
@@ -21,6 +23,7 @@ from geraf2.scene import LosPrior
 from geraf2.surfaces import FitConfig
 from helpers.run_folders import add_steps
 
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
 SIZE = np.array([0.30, 0.20, 0.25])
 
 
@@ -105,8 +108,7 @@ def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
     listener.note = heard.append
     capture, truth = simulate(replace(examples.small_scene(), walls=()), seed=0)
     sides = tuple(float(s) for s in np.ptp(truth.vertices, axis=0) + 0.03)
-    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
-    geraf2.reconstruct(capture, sides, coarse, tmp_path / "run", listener=listener)
+    geraf2.reconstruct(capture, sides, COARSE, tmp_path / "run", listener=listener)
     assert "no wall is seen squarely: the prior was compared with nothing" in heard
 
 
@@ -164,12 +166,79 @@ def test_echoes_that_contradict_a_box_by_radar_are_a_warning_and_a_given_one_an_
         raise UserError(what="the box does not contain the scene")
 
     monkeypatch.setattr(reconstruct_command, "require_echoes_inside", contradict)
-    capture = examples.small_capture()[0]
-    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
-    geraf2.reconstruct(capture, None, coarse, tmp_path / "run")
+    capture = replace(examples.small_capture()[0], walls=())
+    geraf2.reconstruct(capture, None, COARSE, tmp_path / "run")
     assert "does not contain the scene" in (tmp_path / "run" / "log.jsonl").read_text()
     with pytest.raises(UserError, match="does not contain the scene"):
-        geraf2.reconstruct(capture, LosPrior.from_box(examples.BOX_M), coarse)
+        geraf2.reconstruct(capture, LosPrior.from_box(examples.BOX_M), COARSE)
+
+
+def stated(size):
+    capture = examples.small_capture()[0]
+    wall = replace(capture.walls[0], size_m=tuple(size))
+    return replace(capture, walls=(wall,))
+
+
+def check_stated(capture, found, monkeypatch):
+    monkeypatch.setattr(box_check, "find_box", lambda *_, **__: found)
+    prior = box_check.stated_box(capture)
+    return check_prior(capture, prior, box_check.STATED, None, Listener(), None)
+
+
+def test_a_box_that_the_scene_states_is_checked_like_a_given_one(monkeypatch):
+    agreeing = check_stated(stated(SIZE + 0.003), a_box(), monkeypatch)
+    assert agreeing.text.startswith("the box of the scene agrees: sides of 303 x 203 mm differ by")
+    np.testing.assert_allclose(agreeing.prior.size_m, SIZE + 0.003)
+    assert agreeing.name == box_check.STATED
+    turned = check_stated(stated(SIZE), a_box(degrees=12.0), monkeypatch)
+    assert "the box of the scene is off by 12.0 degrees of rotation and was" in turned.text
+
+
+def test_a_box_that_the_scene_states_wrongly_is_replaced_with_a_warning(monkeypatch):
+    checked = check_stated(stated(1.2 * SIZE), a_box(), monkeypatch)
+    assert "the scene states sides of 360 x 240 mm, which the scan contradicts" in checked.text
+    assert checked.is_warning
+    assert checked.name == box_check.BY_RADAR
+    np.testing.assert_allclose(checked.prior.size_m[:2], SIZE[:2])
+
+
+def test_a_run_without_prior_uses_and_names_the_box_of_the_scene(tmp_path):
+    run = geraf2.reconstruct(examples.small_capture()[0], None, COARSE, tmp_path / "run")
+    box = run.numbers["box"]
+    assert box["by_radar"].startswith("the box of the scene agrees: sides of 160 mm")
+    assert box["delay_odds"] < 0.0 <= box["other_delay_m"]
+    np.testing.assert_allclose(run.prior.size_m, examples.BOX_M)
+
+
+def not_recorded(capture):
+    provenance = {**capture.provenance, DELAY_KEY: DELAY_NOT_KNOWN}
+    waveform = replace(capture.waveform, path_bias_m=0.0)
+    return replace(capture, provenance=provenance, waveform=waveform, walls=())
+
+
+def test_reconstruct_and_calibrate_find_the_same_delay_that_was_not_recorded(tmp_path):
+    capture, _ = examples.small_capture()
+    scene = tmp_path / "scene"
+    geraf2.save_capture(not_recorded(capture), scene)
+    prior = LosPrior.from_box(examples.BOX_M)
+    run = geraf2.reconstruct(scene, prior, COARSE, tmp_path / "run")
+    assert (
+        "the delay was not recorded: with this box it is 152 mm" in run.numbers["box"]["by_radar"]
+    )
+    found_m = Corrections.load(tmp_path / "run" / CALIBRATION_NAME).delay_m
+    assert found_m == pytest.approx(0.15, abs=0.004)
+    assert geraf2.calibrate(scene, prior).table.path_bias_m == pytest.approx(found_m, abs=1e-3)
+
+
+def test_content_in_free_air_gives_no_delay(tmp_path):
+    spec = replace(examples.small_scene(), walls=())
+    spec = replace(spec, waveform=replace(spec.waveform, path_bias_m=0.0))
+    capture, truth = simulate(spec, seed=0)
+    run = geraf2.reconstruct(capture, None, "fast", tmp_path / "run")
+    assert geraf2.evaluate(run, truth, report=False).f1(0.005) > 0.8
+    assert not any("delay" in text for text in run.numbers["calibration"]["applied"])
+    with pytest.raises(UserError, match="delay was not recorded, and the scan does not show it"):
+        geraf2.reconstruct(not_recorded(capture), None, "fast")
 
 
 def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):

@@ -31,6 +31,7 @@ from geraf2.scene import LosPrior, Waveform
 
 # Steps of the yaw in the first search and around its best.
 _YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
+_COARSE_YAWS_RAD = np.arange(0.0, 0.5 * np.pi, _YAW_STEPS_RAD[0])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Other yaws are tried, at most so many, if they have this share of the highest score.
@@ -41,8 +42,8 @@ MAX_PATH_M = 0.6
 """Longest instrument delay of radar boards and their cables, on the two-way path [m]."""
 # Log odds against a rare error, a wrong record of a delay or of a box, of which one in 100 has it.
 _RARE_NATS = float(np.log(100.0))
-# Error of a stated box, of its sides and its position [m].
-_AROUND_M = 0.015
+# Error of a given box's faces, by a tape measure and by its place on the turntable [m].
+_GIVEN_SIGMA_M = 0.005
 # Least count of a wall, and least share of the largest count on its side.
 _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
@@ -118,7 +119,7 @@ class BoxSearch:
         """Score of each error of the delay, by level, (n_shifts, n_levels).
 
         penalties: by the error, in cells of the offset.
-        around_m: offsets that sides must have to `_AROUND_M`, (6,) [m].
+        around_m: offsets that the sides of a given box have, (6,) [m].
         """
         start, margin = self.unmoved if pair else 0, self.margin
         most = max(abs(shift) for shift in penalties)
@@ -127,15 +128,23 @@ class BoxSearch:
         total = np.repeat(-np.array(list(penalties.values()))[:, None], N_LEVELS, axis=1)
         for side, (near, far) in enumerate(sides):
             n, f = shifted(near.score(pair), start), shifted(far.score(pair), -start)
-            first, last = low, high
+            first, last, off = low, high, np.zeros((1, 1))
             if around_m is not None:
-                ends = (around_m[side] + np.array([-_AROUND_M, _AROUND_M])) / OFFSET_STEP_M + margin
-                first, last = np.clip(ends.astype(np.int64), low, high - 1)
+                given = around_m[side] / OFFSET_STEP_M + margin
+                reach = 3.0 * _GIVEN_SIGMA_M / OFFSET_STEP_M
+                first, last = np.clip([int(given - reach), int(given + reach)], low, high - 1)
+                off = (np.arange(first, last)[:, None] + 0.5 - given) * OFFSET_STEP_M
+            away = 0.5 * (off / _GIVEN_SIGMA_M) ** 2 / NATS
             for number, shift in enumerate(penalties):
                 both = n[first - shift : last - shift] + f[first + shift : last + shift]
-                total[number] += both.max(axis=0, initial=0.0)
+                total[number] += (both - away).max(axis=0, initial=0.0)
         total[:, : self.lowest_level(pair)] = -np.inf
         return total
+
+    def bound(self, yaw_rad: float) -> float:
+        """Largest score at a yaw if near and far walls had delays of their own."""
+        both = [kind.score(0).max(axis=0) for side in self.sides(yaw_rad) for kind in side]
+        return float(np.sum(both, axis=0)[self.lowest_level(0) :].max())
 
     def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[Hypothesis]:
         """Best hypothesis at each yaw.
@@ -158,8 +167,7 @@ class BoxSearch:
     @cached_property
     def coarse(self) -> list[Hypothesis]:
         """Best hypothesis with about the recorded delay at each yaw of the first search."""
-        yaws = np.arange(0.0, 0.5 * np.pi, _YAW_STEPS_RAD[0])
-        return self.best(yaws, range(-MAX_SHIFT, MAX_SHIFT + 1, 2))
+        return self.best(_COARSE_YAWS_RAD, range(-MAX_SHIFT, MAX_SHIFT + 1, 2))
 
     @property
     def rivals(self) -> list[Hypothesis]:
@@ -308,10 +316,12 @@ def delay_odds(
     recorded_m = search.waveform.path_bias_m
     low = min(round(-0.5 * recorded_m / OFFSET_STEP_M), -MAX_SHIFT)
     high = max(round(0.5 * (MAX_PATH_M - recorded_m) / OFFSET_STEP_M), MAX_SHIFT)
-    shifts = np.arange(low - low % 2, high + 1, 2)
+    shifts = np.arange(low + low % 2, high + 1, 2)
     penalties = dict.fromkeys(shifts.tolist(), 0.0)
     wide = BoxSearch(search.flashes, search.up, search.reach_m, search.waveform, max(-low, high))
     yaws = [rival.yaw_rad for rival in search.rivals]
+    if not is_recorded:  # whose walls may lie anywhere
+        yaws.append(max(_COARSE_YAWS_RAD, key=wide.bound))
     if box is not None and box.cuboid is not None:
         side = box.cuboid[0][int(np.abs(box.cuboid[0] @ search.up).argmin())]
         yaws.append(float(np.arctan2(side @ search.second, side @ search.first)))
