@@ -8,7 +8,7 @@ import pytest
 from geraf2 import examples, simulate
 from geraf2.calibration import box_finder
 from geraf2.calibration.box_finder import find_box
-from geraf2.calibration.box_search import rough_faces
+from geraf2.calibration.cuboid_search import rough_faces
 from geraf2.calibration.found_box import Seen
 from geraf2.calibration.free_air import content_region
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S

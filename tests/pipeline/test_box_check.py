@@ -181,8 +181,7 @@ def stated(size):
 
 def check_stated(capture, found, monkeypatch):
     monkeypatch.setattr(box_check, "find_box", lambda *_, **__: found)
-    prior = box_check.stated_box(capture)
-    return check_prior(capture, prior, box_check.STATED, None, Listener(), None)
+    return check_prior(capture, *box_check.stated_box(capture), None, Listener(), None)
 
 
 def test_a_box_that_the_scene_states_is_checked_like_a_given_one(monkeypatch):

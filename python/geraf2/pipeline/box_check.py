@@ -69,12 +69,12 @@ class BoxCheck:
         return {"by_radar": self.text, **(self.found.numbers() if self.found else {})}
 
 
-def stated_box(capture: Capture) -> LosPrior | None:
-    """Carton that the scene states, the first hypothesis of the box; None without."""
+def stated_box(capture: Capture) -> tuple[LosPrior, str] | None:
+    """Carton that the scene states, the first hypothesis of the box, and its name."""
     if not capture.walls:
         return None
     outer = capture.walls[0]
-    return LosPrior.from_box(outer.size_m, outer.center_m, walls=capture.walls)
+    return LosPrior.from_box(outer.size_m, outer.center_m, walls=capture.walls), STATED
 
 
 def box_from_radar(

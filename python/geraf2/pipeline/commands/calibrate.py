@@ -146,7 +146,7 @@ def calibrate(
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
     listener.findings(require_plausible(summarize_capture(capture), scene))
-    prior = prior or stated_box(capture) or PriorSource().load()[0]  # says how to give one
+    prior = prior or (stated_box(capture) or PriorSource().load())[0]  # the last says how
     prior = prior if prior.walls else add_walls(prior, capture.walls, listener)
     placed, alignment = capture, config.alignment
     if config.delay_from == "walls" and alignment.delay_search_m is None:

@@ -37,7 +37,6 @@ from geraf2.ops._threads import limit_blas_threads
 from geraf2.pipeline.box_check import (
     BOX_STAGE,
     BY_RADAR,
-    STATED,
     BoxCheck,
     box_from_radar,
     check_prior,
@@ -251,16 +250,15 @@ class Request:
         making = find_prior_job(source.los, options.photos, summary, listener)
         found, box = None, None
         start, cpu_start = time.perf_counter(), time.process_time()
-        stated, others = stated_box(capture), (summary, listener, num_threads)
-        keep_delay = options.calibrate == "no"
+        others, keep_delay = (summary, listener, num_threads), options.calibrate == "no"
         with explain_sign_errors(capture, where, num_threads):
             if making is None and (given is not None or source.is_given):
                 last = options.trust_los
                 found = _prior(given or source, capture, summary, listener, is_last=last)
-            elif making is None and stated is not None:
-                found = stated, STATED
+            elif making is None:
+                found = stated_box(capture)
             if found and not options.trust_los:
-                box = check_prior(capture, *found, *others, keep_delay=keep_delay)
+                box = check_prior(capture, found[0], found[1], *others, keep_delay=keep_delay)
             elif making is None and not found:
                 box = box_from_radar(capture, *others, keep_delay=keep_delay)
         if box is not None:
