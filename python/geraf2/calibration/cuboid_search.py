@@ -314,8 +314,8 @@ def delay_odds(
     box: cuboid that is given, in the same frame; wrong once in a hundred.
     """
     recorded_m = search.waveform.path_bias_m
-    low = min(round(-0.5 * recorded_m / OFFSET_STEP_M), -MAX_SHIFT)
-    high = max(round(0.5 * (MAX_PATH_M - recorded_m) / OFFSET_STEP_M), MAX_SHIFT)
+    low = min(int(-0.5 * recorded_m / OFFSET_STEP_M), -MAX_SHIFT)
+    high = max(int(0.5 * (MAX_PATH_M - recorded_m) / OFFSET_STEP_M), MAX_SHIFT)
     shifts = np.arange(low + low % 2, high + 1, 2)
     penalties = dict.fromkeys(shifts.tolist(), 0.0)
     wide = BoxSearch(search.flashes, search.up, search.reach_m, search.waveform, max(-low, high))
