@@ -33,7 +33,7 @@ class Config(BatchOptions):
     """Folder for runs/, results/ and batch.html."""
     los: Path | None = None
     """Outside of all boxes, as of `geraf2 reconstruct`. When not given, it is a scene's own
-    los.ply, or else found by radar."""
+    los.ply or the box that it states, or else found by radar."""
     box: Sides | None = None
     """Or the outer side lengths of all boxes [m]."""
     preset: str = "best"

@@ -29,7 +29,8 @@ class PriorSource:
     """Outside of the box: a closed mesh (metres, the scene's frame), a folder of `geraf2 los`, or
     photos with poses, from which a surface is trained first."""
     box: Annotated[Sides | None, Arg(metavar="X Y Z")] = None
-    """Or the outer side lengths of the box, axes along the frame's [m]. Neither: by radar."""
+    """Or the outer side lengths of the box, axes along the frame's [m]. Neither: the
+    box that the scene states, else by radar."""
     box_center: Annotated[Triple, Arg(metavar="X Y Z")] = (0.0, 0.0, 0.0)
     """Centre of the box with these sides [m]."""
 

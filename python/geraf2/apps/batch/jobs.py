@@ -38,7 +38,8 @@ class BatchJob:
     scene: Path
     """Scene folder."""
     prior: PriorSource = field(default_factory=PriorSource)
-    """Outside of the box; by default the scene's own los.ply, or as the radar sees it."""
+    """Outside of the box; by default the scene's own los.ply, or the box that it states, or as
+    the radar sees it."""
     truth: Path | None = None
     """Mesh of the truth, in metres in the scene's frame."""
     options: RunOptions = field(default_factory=RunOptions)
