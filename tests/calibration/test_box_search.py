@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from geraf2 import examples
-from geraf2.calibration.box_search import Flashes, rough_faces
+from geraf2.calibration.box_search import Flashes
+from geraf2.calibration.cuboid_search import BoxSearch, rough_faces
 from geraf2.echoes.wall_delay import pair_distance_m
 
 HALF_M = np.array([0.08, 0.10, 0.09])
@@ -75,7 +76,7 @@ class Scan:
         )
 
     def found(self, like=None):
-        return next(rough_faces(self.flashes(), UP, REACH_M, WAVEFORM, like))
+        return next(rough_faces(BoxSearch(self.flashes(), UP, REACH_M, WAVEFORM), like))
 
 
 def yaw_deg(axes):

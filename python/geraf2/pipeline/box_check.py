@@ -143,7 +143,8 @@ def check_prior(
 
     One pair of planes may be flat content or multipath, which is a warning.
     Raises UserError if the scan shows two sides of another box than a given one, or if it shows
-    that box at another delay than the recorded one. A box that only the scene states is replaced.
+    that box at another delay than the recorded one. A box that only the scene states is replaced
+    by another cuboid, and refused for another shape.
     """
     what = STATED if name == STATED else "the prior"
     kept = BoxCheck(prior=prior, found=None, text="", name=name)
@@ -158,6 +159,8 @@ def check_prior(
             )
         except NoBoxError as error:
             is_other = isinstance(error, NoCuboidError)
+            if is_other and name == STATED:
+                raise
             seen = str(error).partition(",")[0] if is_other else "no wall is seen squarely"
             return replace(
                 kept,
