@@ -163,7 +163,8 @@ class Adder:
 
 
 def ball(center: np.ndarray, radius: float) -> TriangleMesh:
-    made = trimesh.creation.icosphere(subdivisions=4, radius=radius)
+    # Edges of at most 1.1 mm.
+    made = trimesh.creation.icosphere(subdivisions=3 if radius < 0.008 else 4, radius=radius)
     return TriangleMesh(vertices=made.vertices + center, faces=made.faces)
 
 
