@@ -78,15 +78,20 @@ def csv_rows(rows: Iterable[Sequence[Any]]) -> str:
 
 
 def interval_text(
-    value: float, half: float | None, *, digits: int = 1, scale: float | None = None
+    value: float,
+    half: float | None,
+    *,
+    digits: int = 1,
+    scale: float | None = None,
+    unit: str = "",
 ) -> str:
-    """Value ± half of its interval; "not determined" if that is larger than the quantity.
+    """Value ± half of its interval, with its unit; "not determined" if that is larger.
 
     half: None where the interval is withdrawn. scale: size of the quantity in the unit of the
     value, which it is when None; that of a position is the size of the thing.
     """
     if half is None:
-        return f"{value:z.{digits}f}"
+        return f"{value:z.{digits}f}{unit}"
     if not half <= (abs(value) if scale is None else scale):
         return NOT_DETERMINED
-    return f"{value:z.{digits}f} ± {half:.{digits}f}"
+    return f"{value:z.{digits}f} ± {half:.{digits}f}{unit}"

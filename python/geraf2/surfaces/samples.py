@@ -101,14 +101,14 @@ def size_lines(numbers: Mapping[str, Any], confidence: float = 1.0) -> list[tupl
     if "volume_95_percent_cm3" not in numbers:
         return []
     sides = " x ".join(map(_with_half, numbers["extents_mm"], numbers["extents_95_percent_mm"]))
-    volume = _with_half(numbers["volume_cm3"], numbers["volume_95_percent_cm3"])
+    volume = _with_half(numbers["volume_cm3"], numbers["volume_95_percent_cm3"], " cm^3")
     share = f"({95.0 * confidence:.0f} %)"
     return [
         ("size x, y, z", f"{sides} mm {share}"),
-        ("volume", f"{volume} cm^3 {share}"),
+        ("volume", f"{volume} {share}"),
         ("shared offset", f"one sigma {numbers['common_offset_sigma_mm']:.2f} mm, included"),
     ]
 
 
-def _with_half(value: float, interval: tuple[float, float]) -> str:
-    return interval_text(value, 0.5 * (interval[1] - interval[0]))
+def _with_half(value: float, interval: tuple[float, float], unit: str = "") -> str:
+    return interval_text(value, 0.5 * (interval[1] - interval[0]), unit=unit)

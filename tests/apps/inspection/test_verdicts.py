@@ -102,3 +102,5 @@ def test_a_material_of_a_doubtful_scan_is_named_only_if_it_stays_certain():
 )
 def test_an_interval_larger_than_its_quantity_is_no_number(value, half, scale, text):
     assert interval_text(value, half, scale=scale) == text
+    with_unit = text if text == NOT_DETERMINED else f"{text} mm"
+    assert interval_text(value, half, scale=scale, unit=" mm") == with_unit

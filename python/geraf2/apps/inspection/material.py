@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from geraf2.io.text import NOT_DETERMINED, interval_text
 
@@ -21,10 +21,10 @@ class Measured:
     """Standard uncertainty, in the same unit; 95 % of errors are below 1.96 of it. None of a scan
     that is not to be trusted."""
 
-    def text(self, factor: float = 1.0, *, digits: int = 1, scale: float | None = None) -> str:
-        """Value times a factor, with its interval; see `geraf2.io.text.interval_text`."""
+    def text(self, factor: float = 1.0, **form: Any) -> str:
+        """Value times a factor, with its interval; form: as of `geraf2.io.text.interval_text`."""
         half = None if self.sigma is None else 1.96 * factor * self.sigma
-        return interval_text(factor * self.value, half, digits=digits, scale=scale)
+        return interval_text(factor * self.value, half, **form)
 
 
 @dataclass(frozen=True, kw_only=True)
