@@ -7,7 +7,7 @@ import geraf2
 from geraf2.calibration.corrections import with_turn_reversed
 from geraf2.io.verdict import Trust
 from geraf2.pipeline.stages.calibration import correct_capture
-from helpers.specular import BOX_M, capture_of, sphere_paths
+from helpers.specular import BOX_M, capture_of, raster, sphere_paths
 
 CENTERS, RADII = np.array([[0.03, 0.01, 0.0], [-0.025, 0.02, 0.01]]), [0.03, 0.025]
 BOX = (BOX_M,) * 3
@@ -15,7 +15,10 @@ BOX = (BOX_M,) * 3
 
 @pytest.fixture(scope="module")
 def capture():
-    return capture_of(lambda tx, _: sphere_paths(tx, CENTERS, RADII), n_poses=24)
+    def paths_of(tx, _):
+        return sphere_paths(tx, CENTERS, RADII)
+
+    return capture_of(paths_of, n_poses=20, positions=raster(31, 0.004))
 
 
 def radius_errors_m(mesh):

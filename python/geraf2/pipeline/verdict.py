@@ -63,11 +63,11 @@ def judge(job: Job, *, is_turn_stated: bool = False) -> None:
     if not (job.run.path / GLINTS_NAME).is_file():
         return
     with job.step(VERDICT_STAGE) as step:
-        step.numbers |= _Tests.of(job, is_turn_stated=is_turn_stated).verdict().numbers()
+        step.numbers |= RunTests.of(job, is_turn_stated=is_turn_stated).verdict().numbers()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Tests:
+class RunTests:
     """Results of all tests of a run."""
 
     planes: PlaneCheck
@@ -86,7 +86,8 @@ class _Tests:
     apertures: tuple[Aperture, ...]
 
     @classmethod
-    def of(cls, job: Job, *, is_turn_stated: bool) -> "_Tests":
+    def of(cls, job: Job, *, is_turn_stated: bool) -> "RunTests":
+        """Do all tests of a job's run."""
         mesh = read_mesh(job.run.path / CONTENT_NAME)
         glints = Glints.load(job.run.path / GLINTS_NAME)
         stages = {name: record.numbers for name, record in job.run.stages.items()}
