@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carton_scene import CartonScene, photograph
-from geraf2._types import Floats
 from geraf2.errors import UserError
-from geraf2.geometry.transforms import rigid, upright_axes
 from geraf2.io.mesh_colours import to_srgb
 from geraf2.scene import Wall
-from geraf2.scene.photos import Camera, PhotoSet, save_photos
+from geraf2.scene.photos import Camera, PhotoSet
 from geraf2.scene.store import load_capture
+from photo_writing import look_at, save_photos
 
 # Independent random streams of one seed.
 _POSITIONS, _POSES, _SENSOR = range(5, 8)
@@ -146,14 +145,6 @@ def ring_cameras(spec: PhotosSpec, wall: Wall, seed: int) -> list[Camera]:
                 )
             )
     return cameras
-
-
-def look_at(eye: Floats, target: Floats, roll_rad: float = 0.0) -> Floats:
-    """Pose of a camera at `eye` directed at `target`, z up in the picture, (4, 4) [m]."""
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right, down = upright_axes(forward)
-    cos, sin = np.cos(roll_rad), np.sin(roll_rad)
-    return rigid(np.stack([cos * right + sin * down, cos * down - sin * right, forward], 1), eye)
 
 
 def expose(

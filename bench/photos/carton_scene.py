@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from geraf2._types import Bools, Floats
-from geraf2.geometry.transforms import upright_axes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall
 from geraf2.scene.photos import Camera
+from photo_writing import upright_axes
 from textures import Texture, board, carton_face, table
 
 _Array = NDArray[np.float32]

@@ -24,10 +24,10 @@ from geraf2.evaluation import sample_surface
 from geraf2.io.mesh import read_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import load_capture
-from geraf2.scene.photos import save_photos
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "photos"))
 from carton_photos import PhotosSpec, simulate_photos
+from photo_writing import save_photos
 from scores import FIGURES, HEADER, Bench, Score, reconstruct_and_score
 
 ALLOWED = 0.02

@@ -36,7 +36,6 @@ from geraf2.evaluation.mesh_metrics import sample_surface
 from geraf2.fields import BoxSolid
 from geraf2.geometry.triangles import face_areas
 from geraf2.io.mesh import write_mesh
-from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions, PhotoPreset
 from geraf2.scene import Wall
 from geraf2.surfaces.isosurface import largest_components, surface_report
@@ -45,6 +44,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "photos"))
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from carton_photos import PhotosSpec, simulate_photos
 from helpers.middlebury import convert_middlebury
+from photo_writing import write_image
 
 SIDE_M = 0.22
 HOLD_OUT = 8

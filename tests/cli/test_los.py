@@ -15,14 +15,13 @@ from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.io.photo_files import write_image
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
-from geraf2.scene.photos import save_photos
 from helpers.console import the_error
 from helpers.small_scene import FAST
+from photo_writing import save_photos, write_image
 
 BOX_SIDE = 0.20
 WALL = Wall(size_m=(BOX_SIDE,) * 3, thickness_m=0.004, permittivity=1.6)

@@ -11,7 +11,6 @@ from geraf2.geometry.transforms import (
     require_rigid,
     rigid,
     rotation_of_quaternion,
-    upright_axes,
 )
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
@@ -30,16 +29,6 @@ def test_a_quaternion_equals_its_axis_and_angle():
     want = Rotation.from_rotvec(angle * axis).as_matrix()
     np.testing.assert_allclose(rotation_of_quaternion(quaternion), want, atol=1e-14)
     assert np.isnan(rotation_of_quaternion(np.zeros(4))).all()
-
-
-def test_upright_axes_are_level_and_downward():
-    for forward in ([1.0, 0.0, 0.0], [0.6, 0.0, 0.8], [0.0, -0.6, -0.8]):
-        right, down = upright_axes(np.array(forward))
-        assert right[2] == 0.0
-        assert down[2] < 0.0
-        axes = np.stack([right, down, forward])
-        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-15)
-        assert np.linalg.det(axes) == pytest.approx(1.0)
 
 
 def test_a_rotation_with_four_digits_becomes_exact():

@@ -6,7 +6,8 @@ import numpy as np
 
 from geraf2.apps.photos.formats.images import read_image
 from geraf2.geometry.transforms import inverse_rigid
-from geraf2.scene.photos import Camera, PhotoSet, save_photos
+from geraf2.scene.photos import Camera, PhotoSet
+from photo_writing import save_photos
 
 
 def convert_middlebury(source: Path, folder: Path) -> Path:

@@ -4,8 +4,8 @@ from functools import cache
 
 import numpy as np
 
-from carton_photos import look_at
 from geraf2.scene.photos import Camera, PhotoSet
+from photo_writing import look_at
 
 CENTER = np.array([0.02, -0.01, 0.03])
 RADIUS_M = 0.08

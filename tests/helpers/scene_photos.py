@@ -5,9 +5,8 @@ import struct
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from carton_photos import look_at
-from geraf2.io.photo_files import write_image
-from geraf2.scene.photos import Camera, PhotoSet, save_photos
+from geraf2.scene.photos import Camera, PhotoSet
+from photo_writing import look_at, save_photos, write_image
 
 SIZE = (64, 48)
 INTRINSICS = np.array([[60.0, 0.0, 32.5], [0.0, 60.0, 24.5], [0.0, 0.0, 1.0]])

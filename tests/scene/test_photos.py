@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from carton_photos import look_at
 from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
+from photo_writing import look_at
 
 INTRINSICS = np.array([[520.0, 0.0, 322.0], [0.0, 515.0, 238.5], [0.0, 0.0, 1.0]])
 DISTORTION = (-0.21, 0.07, 1.5e-3, -8e-4, -0.01)

@@ -35,13 +35,6 @@ def apply_rigid(transform: Floats, points: Floats) -> Floats:
     return np.asarray(points @ transform[:3, :3].T + transform[:3, 3])
 
 
-def upright_axes(forward: Floats) -> tuple[Floats, Floats]:
-    """Right and down directions of a view along a unit vector (3,), with z up; (3,) each."""
-    right = np.cross(forward, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return right, np.cross(forward, right)
-
-
 def rotation_of_quaternion(quaternion: Floats) -> Floats:
     """Rotation matrix of a quaternion (w, x, y, z) of any length; NaN for zero."""
     norm = float(np.linalg.norm(quaternion))

@@ -1,14 +1,12 @@
 """Photographs with known cameras, in the capture frame."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from geraf2._types import Bools, Floats
 from geraf2._validation import require_least, require_positive, require_shape
-from geraf2.io.photo_files import TRANSFORMS_NAME, PhotoRecord, write_image, write_transforms
 
 # Newton steps that remove distortion; they stop earlier, far below a thousandth of a pixel.
 _MAX_STEPS = 20
@@ -221,31 +219,3 @@ class PhotoSet:
             [a @ (c.position - middle) for a, c in zip(across, self.cameras, strict=True)], axis=0
         )
         return np.asarray(middle + np.linalg.lstsq(lhs, rhs, rcond=1e-6)[0])
-
-
-def save_photos(photos: PhotoSet, folder: Path) -> None:
-    """Write a photo set as PNG files, masks and transforms.json in metres.
-
-    photos: what to write; names become file names.
-    folder: made where it is missing.
-    """
-    records = []
-    for index, (name, camera) in enumerate(zip(photos.names, photos.cameras, strict=True)):
-        path = folder / Path(name).with_suffix(".png").name
-        write_image(path, photos.images[index])
-        mask_path = None
-        if photos.masks is not None:
-            mask_path = folder / "masks" / path.name
-            write_image(mask_path, np.where(photos.masks[index], 255, 0).astype(np.uint8))
-        records.append(
-            PhotoRecord(
-                name=name,
-                path=path,
-                intrinsics=camera.intrinsics,
-                camera_to_world=camera.camera_to_world,
-                distortion=np.array(camera.distortion),
-                size=(camera.width, camera.height),
-                mask_path=mask_path,
-            )
-        )
-    write_transforms(folder / TRANSFORMS_NAME, records, frame=photos.frame)

@@ -9,7 +9,7 @@ from carton_photos import PhotosSpec, expose, ring_cameras, simulate_photos
 from carton_scene import CartonScene, photograph
 from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.scene import Wall
-from geraf2.scene.photos import save_photos
+from photo_writing import save_photos
 
 WALL = Wall(
     size_m=(0.2, 0.14, 0.1), thickness_m=0.004, permittivity=1.6, center_m=(0.02, 0.0, 0.03)

@@ -12,9 +12,9 @@ from geraf2.apps.photos.formats import find_photos
 from geraf2.apps.photos.photo_store import load_photos
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import OPENGL_TO_OPENCV
-from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions
 from helpers.scene_photos import SIZE, image_of, ring_of_cameras, write_colmap, write_images
+from photo_writing import write_image
 
 UNIT = LosOptions(unit="m")
 POINTS = np.random.default_rng(1).uniform(-0.1, 0.1, (30, 3))

@@ -9,10 +9,10 @@ from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.apps.photos.photo_checks import check_photos
 from geraf2.apps.photos.photo_store import box_outline, load_photos
 from geraf2.errors import UserError
-from geraf2.io.photo_files import write_image
 from geraf2.pipeline.los_options import LosOptions
 from helpers.middlebury import convert_middlebury
 from helpers.scene_photos import SIZE, write_photo_set
+from photo_writing import write_image
 
 TEMPLE_BOUNDS = np.array([[-0.073568, 0.021728, -0.012445], [0.028855, 0.181892, 0.062736]])
 
