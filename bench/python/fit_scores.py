@@ -1,0 +1,249 @@
+"""Scores of the fit on evidence that is there: finished runs and scenes of glints without radar.
+
+    python bench/python/fit_scores.py [--ordinary RUN=TRUTH...] [--random RUN=TRUTH...]
+        [--figures NAME...] [--seeds A:B] [--set FIELD=VALUE...] [--save FILE] [--against FILE]
+
+Each `RUN` is a folder of `geraf2 reconstruct` with the preset fast or best, whose glints and
+outlines are fitted again; each `TRUTH` is a mesh in metres. `--figures` and `--seeds` make scenes
+of glints instead: from a procedural object or one of the population every sub-aperture gets the
+points whose normals meet its middle, with errors and false glints. That takes a
+second or two a scene.
+
+`--set` changes fields of `FitConfig`, and the same evidence is also fitted without it: the table
+states F1 at 5, 3 and 2 mm and the mean of the paired differences with its standard error, of
+ordinary and of random objects apart. `--save` and `--against` compare two versions of the code.
+"""
+
+import argparse
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+
+import geraf2
+from geraf2.apps.benchmark.population import parse_seeds
+from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.merging import tangent_deviation
+from geraf2.evaluation.mesh_metrics import sample_surface, threshold_score
+from geraf2.geometry.triangles import face_areas, vertex_normals
+from geraf2.io.mesh import TriangleMesh, read_mesh
+from geraf2.io.run_folder import PRIOR_NAME
+from geraf2.ops.visibility import MeshScene
+from geraf2.pipeline.posterior import evidence_of_run
+from geraf2.pipeline.prior import read_prior
+from geraf2.scene import LosPrior
+from geraf2.scene.aperture import Aperture
+from geraf2.simulation.figures import FIGURES, build_figure
+from geraf2.simulation.population import draw_scene
+from geraf2.simulation.population_settings import POPULATION
+from geraf2.simulation.random_objects import random_object
+from geraf2.simulation.scan import scan_planes
+from geraf2.simulation.spec import ScanSpec
+from geraf2.surfaces.extraction import content_surface
+from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
+from geraf2.surfaces.isosurface import extract_surface
+from geraf2.surfaces.pieces import separate_pieces
+
+THRESHOLDS_M = (0.005, 0.003, 0.002)
+# Points of a score, and those of the surface among which sub-apertures find the specular ones.
+N_SAMPLES, N_POINTS = 10_000, 100_000
+# Sub-aperture and step, distance within which it has one echo [m]; dynamic range in power.
+SIZE_M, STEP_M, ECHO_M, DYNAMIC_RANGE = 0.08, 0.02, 0.018, 10.0**2.2
+
+
+# Errors of a glint, as found in runs with a known truth: an offset of its plane, along the normal
+# and across it [m]; of each component of the normal; of the logarithm of the strength.
+PLANE_M, ALONG_M, ACROSS_M, NORMAL_RAD, FADING = 0.5e-3, 0.7e-3, 1.5e-3, 0.08, 0.4
+# False glints over true ones, the number of them in a clump, and its radius [m].
+FALSE_SHARE, IN_CLUMP, CLUMP_M = 0.04, 8, 0.004
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scene:
+    name: str
+    kind: str  # ordinary or random
+    evidence: Evidence
+    fit: FitConfig
+    prior: LosPrior | None
+    truth: TriangleMesh
+
+
+def scene_of_run(pair: str, kind: str) -> Scene:
+    """Evidence and settings of a finished run, RUN=TRUTH."""
+    run, path = map(Path, pair.split("=", 1))
+    result, prior, truth = geraf2.load_run(run), read_prior(run / PRIOR_NAME), read_mesh(path)
+    evidence, fit, _ = evidence_of_run(result.run, result.record.config)
+    return Scene(name=run.name, kind=kind, evidence=evidence, fit=fit, prior=prior, truth=truth)
+
+
+def scene_of_object(name: str, kind: str, truth: TriangleMesh, scan: ScanSpec, seed: int) -> Scene:
+    """Glints of an object by geometry, without radar."""
+    rng = np.random.default_rng(seed)
+    planes = []
+    for plane in scan_planes(scan):
+        half = 0.5 * np.ptp((plane.tx @ plane.axes.T)[:, 1:], axis=0)
+        middle = 0.5 * (plane.tx + plane.rx).mean(axis=0)
+        planes.append(Aperture.from_rectangle(middle, plane.axes, half))
+    surface = *surface_points(truth, rng), MeshScene(truth.vertices, truth.faces)
+    found = [(k, *e) for k, plane in enumerate(planes) for e in echoes(plane, *surface)]
+    poses, positions, normals, strengths = (np.array(part) for part in zip(*found, strict=True))
+    n = len(poses)
+    across = ACROSS_M * rng.standard_normal((n, 3))
+    across -= np.sum(across * normals, axis=1, keepdims=True) * normals
+    along = PLANE_M * rng.standard_normal(len(planes))[poses] + ALONG_M * rng.standard_normal(n)
+    positions += across + along[:, None] * normals
+    normals += NORMAL_RAD * rng.standard_normal((n, 3))
+    strengths *= np.exp(FADING * rng.standard_normal(n))
+
+    n_clumps = int(FALSE_SHARE * n / IN_CLUMP)
+    low, high = truth.vertices.min(axis=0) - 0.02, truth.vertices.max(axis=0) + 0.02
+    false = np.repeat(rng.uniform(low, high, (n_clumps, 3)), IN_CLUMP, axis=0)
+    false += CLUMP_M * rng.standard_normal(false.shape)
+    seen_from = np.repeat(rng.integers(len(planes), size=n_clumps), IN_CLUMP)
+    towards = np.array([planes[k].middle_m for k in seen_from]).reshape(-1, 3) - false
+    positions, normals = np.concatenate([positions, false]), np.concatenate([normals, towards])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    glints = Glints(
+        positions=positions,
+        normals=normals,
+        strengths=np.append(strengths, np.full(len(false), np.quantile(strengths, 0.3))),
+        position_sigma_m=np.hypot(2e-4, 1.1 * tangent_deviation(positions, normals)),
+        normal_sigma_rad=np.full(len(positions), 0.04),
+        poses=np.append(poses, seen_from).astype(np.int64),
+        probability=np.repeat([0.95, 0.7], [n, len(false)]),
+    )
+    evidence, fit = Evidence(glints=glints), FitConfig(spacing_m=0.005)
+    return Scene(name=name, kind=kind, evidence=evidence, fit=fit, prior=None, truth=truth)
+
+
+def surface_points(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a surface and its smooth normals there, (N_POINTS, 3) each."""
+    areas = face_areas(mesh.corners)
+    face = rng.choice(len(areas), N_POINTS, p=areas / areas.sum())
+    weights = rng.dirichlet(np.ones(3), N_POINTS)
+    smooth = vertex_normals(mesh.vertices, mesh.faces)[mesh.faces[face]]
+    points = np.einsum("nk,nkc->nc", weights, mesh.corners[face])
+    normals = np.einsum("nk,nkc->nc", weights, smooth)
+    return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def echoes(
+    aperture: Aperture, points: np.ndarray, normals: np.ndarray, blocker: MeshScene
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Positions, directions and strengths of the echoes of each sub-aperture of a plane."""
+    mirror = aperture.mirror(points, normals)
+    hit = np.flatnonzero(mirror.margins_m > 0.0)
+    hit = hit[~blocker.occluded(points[hit] + 5e-4 * normals[hit], mirror.positions_m[hit])]
+    low, sides = aperture.low_m[1:], 2.0 * aperture.half_m
+    n_steps = np.floor((sides - np.minimum(SIZE_M, sides)) / STEP_M + 1e-9)
+    first = low + 0.5 * (sides - n_steps * STEP_M)
+    local = mirror.positions_m[hit] @ aperture.axes[1:].T
+    cell = np.rint((local - first) / STEP_M)
+    inside = ((cell >= 0) & (cell <= n_steps)).all(axis=1)
+    hit, local, cell = hit[inside], local[inside], cell[inside]
+    if not len(hit):
+        return
+    off = np.linalg.norm(local - (first + cell * STEP_M), axis=1)
+    corners, which = np.unique(cell, axis=0, return_inverse=True)
+    order = np.lexsort((off, which.ravel()))
+    groups = np.split(hit[order], np.cumsum(np.bincount(which.ravel()))[:-1])
+    for corner, own in zip(corners, groups, strict=True):
+        shares = (first + corner * STEP_M - low) / np.maximum(aperture.half_m, 1e-9) - 1.0
+        middle, found, left = aperture.points_at(shares[None])[0], [], own
+        while len(left):  # the power of an echo is the area that reflects to the sub-aperture
+            near = np.linalg.norm(points[left] - points[left[0]], axis=1) < ECHO_M
+            found.append((points[left[0]], int(near.sum())))
+            left = left[~near]
+        least = max(power for _, power in found) / DYNAMIC_RANGE
+        for point, power in found:
+            if power > least:
+                direction = middle - point
+                yield point, direction / np.linalg.norm(direction), float(np.sqrt(power))
+
+
+def figure_scene(name: str) -> Scene:
+    """Procedural object on 36 planes around it."""
+    seed, mesh = sorted(FIGURES).index(name), build_figure(name)
+    rng = np.random.default_rng(seed)
+    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]).as_matrix()
+    vertices = (mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))) @ turn.T
+    vertices *= 0.15 / np.ptp(vertices, axis=0).max()
+    truth = TriangleMesh(vertices=vertices, faces=mesh.faces)
+    return scene_of_object(name, "ordinary", truth, ScanSpec(), seed)
+
+
+def random_scene(seed: int) -> Scene:
+    """Object and planes of a seed of the population."""
+    spec = draw_scene(seed).spec
+    mesh = random_object(np.random.default_rng(seed), POPULATION).mesh
+    shift = np.asarray(spec.figure.center_m) - mesh.vertices.min(0) - 0.5 * np.ptp(mesh.vertices, 0)
+    truth = TriangleMesh(vertices=mesh.vertices + shift, faces=mesh.faces)
+    return scene_of_object(f"random-{seed}", "random", truth, spec.scan, seed)
+
+
+def scores(scene: Scene, config: FitConfig) -> list[float]:
+    """F1 at the thresholds."""
+    sdf = fit_sdf(scene.evidence, config, num_threads=1)
+    if scene.prior is None:
+        mesh = extract_surface(sdf)
+    else:
+        surface = content_surface(sdf, scene.prior, num_threads=1)
+        mesh = separate_pieces(surface, scene.evidence.seen)[0]
+    if not len(mesh.faces):
+        return [0.0] * len(THRESHOLDS_M)
+    points = [
+        sample_surface(of, N_SAMPLES, np.random.default_rng(seed))
+        for seed, of in enumerate((mesh, scene.truth))
+    ]
+    to_truth, to_mesh = KDTree(points[1]).query(points[0])[0], KDTree(points[0]).query(points[1])[0]
+    return [threshold_score(to_truth, to_mesh, limit).f1 for limit in THRESHOLDS_M]
+
+
+def differences(kinds: np.ndarray, before: np.ndarray, after: np.ndarray) -> Iterator[str]:
+    """A line for each kind: means, and mean and standard error of the paired differences."""
+    for kind in np.unique(kinds):
+        old, new = before[kinds == kind], after[kinds == kind]
+        error = (new - old).std(axis=0, ddof=1) / np.sqrt(len(old)) if len(old) > 1 else 0 * old[0]
+        columns = zip(old.mean(axis=0), new.mean(axis=0), error, strict=True)
+        cells = (f"{a:.3f} -> {b:.3f} ({b - a:+.3f} +- {e:.3f})" for a, b, e in columns)
+        yield f"{kind:9s} {len(old):3d}  " + "   ".join(cells)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--ordinary", nargs="*", default=[], metavar="RUN=TRUTH")
+    parser.add_argument("--random", nargs="*", default=[], metavar="RUN=TRUTH")
+    parser.add_argument("--figures", nargs="*", default=[], help="names, or 'all'")
+    parser.add_argument("--seeds", type=parse_seeds, default=(), help="A:B, B excluded")
+    parser.add_argument("--set", nargs="*", default=[], dest="changes", metavar="FIELD=VALUE")
+    parser.add_argument("--save", type=Path, help="write the scores of the last setting")
+    parser.add_argument("--against", type=Path, help="scores to compare with, of --save")
+    options = parser.parse_args()
+    names = sorted(FIGURES) if options.figures == ["all"] else options.figures
+    makers: list[Callable[[], Scene]] = [
+        *(lambda p=p: scene_of_run(p, "ordinary") for p in options.ordinary),
+        *(lambda p=p: scene_of_run(p, "random") for p in options.random),
+        *(lambda n=n: figure_scene(n) for n in names),
+        *(lambda s=s: random_scene(s) for s in options.seeds),
+    ]
+    changes = {name: float(value) for name, value in (c.split("=", 1) for c in options.changes)}
+    known, rows = json.loads(options.against.read_text()) if options.against else {}, []
+    for make in makers:
+        scene = make()
+        after = scores(scene, replace(scene.fit, **changes))
+        before = known.get(scene.name) or (scores(scene, scene.fit) if changes else after)
+        rows.append((scene.name, scene.kind, before, after))
+        print(f"{scene.name:32s} {np.round(before, 3)} -> {np.round(after, 3)}", flush=True)
+    kinds = np.array([row[1] for row in rows])
+    print("F1 at 5, 3, 2 mm, mean difference and its standard error:")
+    print("\n".join(differences(kinds, *(np.array([row[k] for row in rows]) for k in (2, 3)))))
+    if options.save is not None:
+        options.save.write_text(json.dumps({row[0]: row[3] for row in rows}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
