@@ -71,6 +71,8 @@ class Scan:
 
     name: str
     kind: str
+    base: str = ""
+    """Scan whose capture is edited."""
     cause: str = ""
     """Word that the right cause has; empty for a good scan."""
     make: Callable[[Path], tuple[Capture, TriangleMesh, dict[str, Any]]]
@@ -401,7 +403,7 @@ def scans_of(of_set: str) -> list[Scan]:
     for at, kind in enumerate(["height", "plastic", "hard", *EDITS]):
         label = kind.replace(", ", "-").replace(" ", "-")
         for number in range(N_BAD):
-            seed, cause = first + 1000 * (at + 1) + number, kind
+            seed, cause, base = first + 1000 * (at + 1) + number, kind, ""
             figure = names[(at + number) % len(names)]
             if kind == "hard":
                 make, name = partial(hard, seed, number), f"{label}-{seed}"
@@ -417,7 +419,7 @@ def scans_of(of_set: str) -> list[Scan]:
                     base = good[0][(1 + 3 * number) % N_ORDINARY]
                 name, cause = f"{label}-{base}-{number}", EDITS[kind][0]
                 make = partial(edited, kind, base, seed, number)
-            scans.append(Scan(name=name, kind=kind, cause=cause, make=make))
+            scans.append(Scan(name=name, kind=kind, base=base, cause=cause, make=make))
     return scans
 
 
@@ -426,6 +428,9 @@ def make(out: Path, of_set: str, kinds: list[str]) -> None:
     for scan in scans_of(of_set):
         folder, record = out / scan.name, out / f"{scan.name}.json"
         if record.is_file() or (kinds and scan.kind not in kinds):
+            continue
+        if scan.base and not (out / f"{scan.base}.json").is_file():
+            print(f"{scan.name}: left out, {scan.base} is not there yet", flush=True)
             continue
         start = time.process_time()
         capture, truth, about = scan.make(out)
