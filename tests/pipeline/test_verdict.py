@@ -9,7 +9,7 @@ import geraf2
 from geraf2.echoes.plane_agreement import PlaneAgreement, Rival
 from geraf2.io.verdict import Trust
 from geraf2.pipeline.plane_check import PlaneCheck
-from geraf2.pipeline.verdict import RunTests, delay_log_odds
+from geraf2.pipeline.verdict import DelayByWalls, RunTests, delay_log_odds
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.confirmation import Confirmation
 from helpers.solids import ball
@@ -35,6 +35,7 @@ SOUND = RunTests(
     is_turned=False,
     echoes=Confirmation(visible=0.35, confirmed=0.92),
     radius_m=0.008,
+    walls=DelayByWalls(),
     error_m=0.001,
     seen=0.5,
     saturation=0.0,
@@ -67,6 +68,8 @@ def test_a_sound_run_is_reliable_and_has_no_cause():
         ({"planes": replace(PLANES, recorded=agreement(0.02))}, "planes"),
         ({"radius_m": -0.03}, "delay"),
         ({"radius_m": 0.09}, "delay"),
+        ({"walls": DelayByWalls(odds=12.0, other_m=0.25, used_m=0.15)}, "delay"),
+        ({"radius_m": -0.03, "walls": DelayByWalls(odds=-9.0)}, "plastic"),
         ({"saturation": 0.02}, "saturated"),
         ({"plastic": 0.4}, "plastic"),
         ({"apertures": LOW}, "few planes"),

@@ -7,6 +7,7 @@ surface that the planes do not confirm. The probability of a failure is logistic
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -17,6 +18,7 @@ from geraf2.freespace.coverage import scan_coverage
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME
 from geraf2.io.verdict import VERDICT_STAGE, Cause, Trust, Verdict
+from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.plane_check import DOUBTFUL_SIGMAS, PlaneCheck, check_planes
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE
 from geraf2.pipeline.stages.job import Job
@@ -49,10 +51,41 @@ _SATURATED = 1e-3
 """Share of samples on a plane's largest value above which samples were cut off."""
 _MIN_BLIND = 0.3
 """Least share of the content's height out of sight that is a cause."""
+_SURE_NATS, _MAX_NATS, _SAME_DELAY_M = 3.0, 10.0, 0.04
+"""Log odds from which the walls decide on the delay, and beyond which they count no more; and a
+range cell of the two-way path [m]."""
 _LOW_AGREEMENT = 0.1
 """Agreement of planes below which their geometry is a cause."""
 _MAX_SIGMAS = 4.0
 """Larger evidence for the other sense of the turntable counts no more."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DelayByWalls:
+    """What near and far walls say of the delay that was used."""
+
+    odds: float = 0.0
+    """Log odds of another delay against the recorded one; 0 where no far wall was seen."""
+    other_m: float = 0.0
+    """That delay, on the two-way path [m]."""
+    used_m: float = 0.0
+    """Delay of the run [m]."""
+
+    @classmethod
+    def of(cls, box: Mapping[str, Any], used_m: float) -> "DelayByWalls":
+        """Read them from the numbers of the box."""
+        odds, other = box.get("delay_odds", 0.0), box.get("other_delay_m", used_m)
+        return cls(odds=float(odds), other_m=float(other), used_m=float(used_m))
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the walls fit another delay than the one that was used."""
+        return self.odds > _SURE_NATS and abs(self.other_m - self.used_m) > _SAME_DELAY_M
+
+    @property
+    def is_right(self) -> bool:
+        """Whether the walls confirm the delay that was used."""
+        return abs(self.odds) > _SURE_NATS and not self.is_wrong
 
 
 def judge(job: Job, *, is_turn_stated: bool = False) -> None:
@@ -75,6 +108,8 @@ class RunTests:
     """Whether the turntable's sense was corrected by the planes alone."""
     echoes: Confirmation
     radius_m: float | None
+    """Most frequent radius of the content [m]; None where it is not seen."""
+    walls: DelayByWalls
     error_m: float
     """Typical expected error [m]."""
     seen: float
@@ -98,6 +133,7 @@ class RunTests:
             and bool(stages.get(CALIBRATION_STAGE, {}).get("reversed_turn", 0)),
             echoes=Confirmation.of(mesh, glints, apertures, num_threads=job.num_threads),
             radius_m=modal_radius_m(glints),
+            walls=DelayByWalls.of(stages.get(BOX_STAGE, {}), job.capture.waveform.path_bias_m),
             error_m=1e-3 * stages["mesh"]["expected_error_median_mm"],
             seen=stages["mesh"]["evidence_shares"]["seen"],
             saturation=saturation_share(job.capture),
@@ -116,7 +152,9 @@ class RunTests:
             "unconfirmed": 1.0 - self.echoes.confirmed,
             "disagreement": max(0.0, -float(np.log10(agreement / _USUAL_AGREEMENT))),
             "sense": float(np.clip(self.planes.reversed_turn.sigmas, 0.0, _MAX_SIGMAS)),
-            "delay": delay_log_odds(self.radius_m),
+            "delay": min(self.walls.odds, _MAX_NATS)
+            if self.walls.is_wrong
+            else delay_log_odds(self.radius_m),
             "plastic": float(self.plastic > 0.0),
         }
 
@@ -149,11 +187,14 @@ class RunTests:
     def _causes(self) -> Iterator[Cause]:
         """Yield what explains a failure: what a test shows first, then what is low in general."""
         yield from self._of_planes()
-        if delay_log_odds(self.radius_m) > 0.0:
+        is_odd = delay_log_odds(self.radius_m) > 0.0
+        if self.walls.is_wrong:
+            yield self._wrong_by_walls()
+        elif is_odd and not self.walls.is_right and not self.plastic:
             yield self._delayed()
         if self.saturation > _SATURATED:
             yield self._saturated()
-        if self.plastic > 0.0:
+        if self.plastic or (is_odd and self.walls.is_right):
             yield self._plastic()
         yield from self._of_coverage()
         if 0.0 < self.planes.recorded.share < _LOW_AGREEMENT:
@@ -237,11 +278,21 @@ class RunTests:
             "lower the receiver's gain and scan again",
         )
 
+    def _wrong_by_walls(self) -> Cause:
+        return Cause(
+            "delay",
+            "near and far walls of the box agree with another instrument delay than the "
+            f"{1e3 * self.walls.used_m:.0f} mm of path that were used",
+            f"record {1e3 * self.walls.other_m:.0f} mm, or leave out --calibrate no",
+        )
+
     def _plastic(self) -> Cause:
+        seen = f"{100.0 * self.plastic:.0f} % of the echoes come from behind the surface"
+        if not self.plastic:
+            seen = "the echoes lie on surfaces that curve as no outside of a body does"
         return Cause(
             "plastic",
-            f"{100.0 * self.plastic:.0f} % of the echoes come from behind the surface: the "
-            "content is plastic, whose shape and size are not determined",
+            f"{seen}: the content is plastic, whose shape and size are not determined",
             "use the position of the content, not its shape",
         )
 
