@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from geraf2.echoes.detectability import LEAST_RADIUS_M, Detector, hann_response
-from geraf2.echoes.glints import GlintConfig
-from geraf2.echoes.labels import Clutter
+from geraf2.echoes.glints import GlintConfig, find_echoes
+from geraf2.echoes.labels import Clutter, Label
 from geraf2.echoes.ruled_out import (
     Region,
     describe_ruled_out,
@@ -149,3 +149,14 @@ def test_the_line_states_metal_and_plastic():
     assert "a metal ball of 40 mm cannot be ruled out" in describe_ruled_out([blind])
     assert describe_ruled_out([]) == ""
     assert region_numbers([]) == {}
+
+
+def test_the_clutter_of_a_scan_is_that_of_its_labels(capture):
+    peaks = peaks_of(capture)
+    found = find_echoes(capture, PRIOR, CONFIG, peaks=peaks)
+    n_direct = int((found.labelled.labels == Label.DIRECT).sum())
+    assert n_direct > 100
+    assert 0.5 * peaks.magnitudes.max() < found.clutter.strong <= peaks.magnitudes.max()
+    # A scan of one ball has little else: its support is far above that of a cluttered one.
+    assert found.clutter.support > 10.0
+    assert set(found.clutter.numbers()) == {"support_over_clutter", "strong_magnitude"}
