@@ -75,7 +75,6 @@ COMMANDS = [
             simulate scene out|scene
             live nowhere out --idle 0.2|no plane came
             live scene run|is no session
-            calibrate scene|box
             calibrate scene --box 0.16 0.16 0.16 --no-delay --delay-search -0.1 0.1|--delay-search
             los spec.toml out|spec.toml
             los box.ply out --unit furlong|--unit
