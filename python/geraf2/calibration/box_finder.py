@@ -135,16 +135,21 @@ def find_box(
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
     seen = _SeenWalls.of(capture, peaks, reach, farther_m)
     box = expected and expected.move(rigid(np.eye(3), -focus))
-    delay = delay_odds(seen.search, box, is_recorded=is_recorded)
-    change_m = 0.0 if keep_delay else delay.change_m
-    capture = with_delay(capture, change_m)
-    if change_m:
-        seen = _SeenWalls.of(capture, peaks, reach, farther_m)
-    try:
-        found = _find(capture, peaks, seen, like, (reach, farther_m))
-    except NoBoxError as error:
-        error.delay_change_m = change_m
-        raise
+    search = seen.search
+    for any_yaw in (not is_recorded, True):
+        delay = delay_odds(search, box, is_recorded=is_recorded, any_yaw=any_yaw)
+        change_m = 0.0 if keep_delay else delay.change_m
+        moved = with_delay(capture, change_m)
+        if change_m:
+            seen = _SeenWalls.of(moved, peaks, reach, farther_m)
+        try:
+            found = _find(moved, peaks, seen, like, (reach, farther_m))
+        except NoBoxError as error:
+            error.delay_change_m = change_m
+            if any_yaw or keep_delay or change_m:
+                raise
+        else:
+            break
     return replace(found.moved(focus), delay=delay, delay_change_m=change_m)
 
 

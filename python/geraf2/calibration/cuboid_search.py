@@ -303,7 +303,11 @@ class DelayUnknownError(UserError):
 
 
 def delay_odds(
-    search: BoxSearch, box: LosPrior | None = None, *, is_recorded: bool = True
+    search: BoxSearch,
+    box: LosPrior | None = None,
+    *,
+    is_recorded: bool = True,
+    any_yaw: bool = False,
 ) -> DelayOdds:
     """Compare all delays that the hardware allows by the flashes that one cuboid explains.
 
@@ -312,6 +316,7 @@ def delay_odds(
 
     search: of the scan with the recorded delay.
     box: cuboid that is given, in the same frame; wrong once in a hundred.
+    any_yaw: the recorded delay may be wrong, and with it the yaws that fit it.
     """
     recorded_m = search.waveform.path_bias_m
     low = min(int(-0.5 * recorded_m / OFFSET_STEP_M), -MAX_SHIFT)
@@ -320,20 +325,14 @@ def delay_odds(
     penalties = dict.fromkeys(shifts.tolist(), 0.0)
     wide = BoxSearch(search.flashes, search.up, search.reach_m, search.waveform, max(-low, high))
     yaws = [rival.yaw_rad for rival in search.rivals]
-    if not is_recorded:  # whose walls may lie anywhere
-        yaws.append(max(_COARSE_YAWS_RAD, key=wide.bound))
     if box is not None and box.cuboid is not None:
         side = box.cuboid[0][int(np.abs(box.cuboid[0] @ search.up).argmin())]
         yaws.append(float(np.arctan2(side @ search.second, side @ search.first)))
-    free, given = np.zeros((2, len(shifts)))
-    for yaw in yaws:
-        sides, around = wide.sides(yaw), _given_offsets(wide.axes(yaw), box)
-        for pair in wide.pairs:
-            free = np.maximum(free, wide.scores(sides, pair, penalties).max(axis=1))
-            if around is not None:
-                own = wide.scores(sides, pair, penalties, around).max(axis=1)
-                given = np.maximum(given, own)
     near = np.abs(shifts) <= MAX_SHIFT
+    free, given = np.max([_delay_scores(wide, yaw, penalties, box) for yaw in yaws], axis=0)
+    if any_yaw or NATS * (free[near].max() - free[~near].max()) < _RARE_NATS:
+        more = _delay_scores(wide, max(_COARSE_YAWS_RAD, key=wide.bound), penalties, box)
+        free, given = np.maximum((free, given), more)
     other = int(np.where(near, -1.0, free).argmax())
     given = np.where(given > 0.0, given + 2.0 * _RARE_NATS / NATS, 0.0)
     total = np.maximum(free, given)
@@ -348,6 +347,20 @@ def delay_odds(
         lead=NATS * float(total[best] - rest),
         box_odds=NATS * float(given.max() - total[near].max()),
     )
+
+
+def _delay_scores(
+    search: BoxSearch, yaw_rad: float, penalties: Mapping[int, float], box: LosPrior | None
+) -> Floats:
+    """Best scores of each error of the delay at a yaw, of any box and of a given one, (2, n)."""
+    sides, around = search.sides(yaw_rad), _given_offsets(search.axes(yaw_rad), box)
+    found = np.zeros((2, len(penalties)))
+    for pair in search.pairs:
+        for row, own in enumerate((None, around)):
+            if row == 0 or own is not None:
+                score = search.scores(sides, pair, penalties, own).max(axis=1)
+                found[row] = np.maximum(found[row], score)
+    return found
 
 
 def _given_offsets(axes: Floats, box: LosPrior | None) -> Floats | None:
