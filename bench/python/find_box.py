@@ -128,7 +128,7 @@ def measured(scene: Path, yaw_deg: float, preset: str | None, with_wrong: bool) 
         walls = tuple(replace(w, size_m=sides, center_m=box.center_m) for w in scan.walls)
         known = replace(scan, walls=() if yaw_deg else walls)
         row["f1_given"] = round(scores(known, replace(box, walls=walls), truth, preset), 4)
-        row["f1"] = round(scores(scan, None, truth, preset), 4)
+        row["f1"] = round(scores(replace(scan, walls=()), None, truth, preset), 4)
         if with_wrong:
             row["f1_wrong"] = round(scores(scan, wrong(box), truth, preset, False), 4)
     return row

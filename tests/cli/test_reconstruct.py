@@ -133,8 +133,8 @@ def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
     np.testing.assert_allclose(box["size_m"][:2], 0.2, atol=2e-3)
     assert set(box["faces"]) == {"-x", "+x", "-y", "+y", "-z", "+z"}
     np.testing.assert_allclose(load_run(tmp_path / "out").prior.cuboid[1], box["size_m"], atol=1e-5)
-    # It is in the numbers; only a prior that was corrected is something to warn of.
-    assert not any(box["by_radar"] in text for text in RunFolder.read(tmp_path / "out").warnings)
+    warned = RunFolder.read(tmp_path / "out").warnings
+    assert any("states sides of 150 x 150 mm, which the scan contradicts" in x for x in warned)
 
 
 def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
