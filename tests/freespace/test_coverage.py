@@ -5,12 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.freespace.coverage import coverage_of, scan_coverage, summary_coverage
+from geraf2.freespace.coverage import scan_coverage, summary_coverage
 from geraf2.freespace.specular import specular_visibility
 from geraf2.scene import Wall
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.summary import summarize_capture
-from helpers.specular import fibonacci_sphere
 from helpers.synthetic import point_capture
 
 STANDOFF_M = 0.4
@@ -90,18 +89,6 @@ def test_planes_of_one_direction_have_no_heights():
     found = scan_coverage([plane(0.0), plane(0.0, up_m=0.3)], np.zeros(3), (0.2, 0.2, 0.9))
     assert found.blind == ()
     assert found.gaps_deg == ()
-
-
-@pytest.mark.parametrize("n", [50, 9000])
-def test_share_of_a_ball_that_planes_receive(n):
-    normals = fibonacci_sphere(n)
-    share = coverage_of(ring(), 0.04 * normals, normals, tolerance_rad=0.0)
-    exact = (specular_visibility(0.04 * normals, normals, ring()) >= 0.0).any(axis=1).mean()
-    assert share == pytest.approx(exact, abs=0.02)
-    assert coverage_of(ring(), 0.04 * normals, normals) > share
-    equator = (np.abs(normals[:, 2]) < 0.2).astype(float)
-    assert coverage_of(ring(), 0.04 * normals, normals, equator) == pytest.approx(1.0)
-    assert coverage_of([], normals, normals) == 0.0
 
 
 def test_the_region_is_the_inside_of_the_innermost_wall_else_the_prior():

@@ -11,14 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats
-from geraf2.freespace.specular import seen_share, specular_visibility
+from geraf2.freespace.specular import seen_share
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding, warning
 from geraf2.scene.summary import CaptureSummary
 
-NORMAL_TOLERANCE_RAD = 0.1
-"""A vertex of a mesh counts as received if a normal this near to its own is: normals of a fitted
-surface are off by 0.03 to 0.15 rad."""
 _MIN_BLIND_M = 0.01
 """Heights out of sight that matter: less is within the thickness of a floor of board [m]."""
 _MAX_GAP_DEG = 60.0
@@ -33,8 +30,6 @@ _FLAT_COSINE = 0.98
 """A plane that looks down within 11 degrees of the vertical receives no vertical face."""
 _STEEP_DEG = 60.0
 """A plane raised by more receives surfaces from above and closes no gap between azimuths."""
-_MAX_POINTS = 4000
-"""Points of a surface that are looked at; the share is then known to 0.8 %."""
 _BELOW, _ABOVE, _BETWEEN = "below all antennas", "above all antennas", "between the antennas"
 
 
@@ -197,31 +192,6 @@ def summary_coverage(summary: CaptureSummary, box_m: Floats | None = None) -> Sc
         low, high = box_m.min(axis=0), box_m.max(axis=0)
         return scan_coverage(summary.planes, 0.5 * (low + high), high - low)
     return scan_coverage(summary.planes, summary.focus)
-
-
-def coverage_of(
-    planes: Sequence[Aperture],
-    points: Floats,
-    normals: Floats,
-    weights: Floats | None = None,
-    *,
-    tolerance_rad: float = NORMAL_TOLERANCE_RAD,
-) -> float:
-    """Share of a surface that some plane could receive, 0 to 1; nothing blocks a path.
-
-    planes: of the scan. points, normals: of the surface, outward, (n, 3) [m].
-    weights: area of each point, (n,); all alike when None.
-    tolerance_rad: of the normals.
-    """
-    if not len(points) or not len(planes):
-        return 0.0
-    step = -(-len(points) // _MAX_POINTS)
-    at, facing = points[::step], normals[::step]
-    middles = np.stack([plane.middle_m for plane in planes])
-    away = np.linalg.norm(at[:, None] - middles[None], axis=2)
-    least = -np.tan(tolerance_rad) * away
-    seen = np.isfinite(specular_visibility(at, facing, planes, min_m=least)).any(axis=1)
-    return float(np.average(seen, weights=None if weights is None else weights[::step]))
 
 
 def _span(values: Floats) -> tuple[float, float]:
