@@ -17,14 +17,12 @@ from geraf2.report.render import MeshPainter, View
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "how-to"
 SCANS = {
-    "height": "height-dog",
-    "delay": "delay-ordinary-llama-0",
-    "delay-not-recorded": "delay-not-recorded-ordinary-scissors-0",
+    "height": "height-elephant",
     "sense": "sense-ordinary-llama-2-0",
     "axes": "axes-ordinary-llama-0",
-    "swapped": "swapped-ordinary-spectacles-1",
+    "swapped": "swapped-ordinary-llama-2-3",
     "few-planes": "few-planes-ordinary-shoe-2-1",
-    "plastic": "plastic-slab-2",
+    "plastic": "plastic-ball-1",
     "saturated": "saturated-ordinary-dog-0",
     "hard": "hard-3300",
 }

@@ -13,9 +13,12 @@ import geraf2
 from geraf2 import examples
 from geraf2.apps.live.follow import LiveOptions, follow
 from geraf2.io.growing_scene import GrowingScene
+from geraf2.io.run_folder import RunFolder
+from geraf2.io.verdict import Trust
 from geraf2.pipeline.prior import PriorSource
 from geraf2.scene.store import manifest_of
 from geraf2.surfaces import FitConfig
+from helpers.run_folders import VERDICTS
 from helpers.synthetic import CAPTURE_JSON, write_frame
 
 COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
@@ -67,8 +70,9 @@ class Heard(geraf2.Listener):
         self.texts += [str(finding) for finding in findings]
 
 
-def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path):
+def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path, monkeypatch):
     """It is written at a speed of its own, from before there is a folder."""
+    monkeypatch.setattr(RunFolder, "verdict", property(lambda _: VERDICTS[Trust.RELIABLE]))
     heard = Heard()
 
     def play():
