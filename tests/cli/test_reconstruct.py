@@ -42,7 +42,7 @@ def test_a_run_holds_everything(built_run):
     assert (config["preset"], config["box"], config["seed"]) == ("fast", [0.2] * 3, 0)
     events = [json.loads(line) for line in (built_run / "log.jsonl").read_text().splitlines()]
     done = [e["stage"] for e in events if e["event"] == "done"]
-    assert done == ["calibration", "glints", "sdf", "mesh", "samples", "report"]
+    assert done == ["calibration", "glints", "sdf", "mesh", "verdict", "samples", "report"]
     assert events[-1]["event"] == "finished"
     assert [*RunFolder.read(built_run).stages] == ["box", *done]
 
