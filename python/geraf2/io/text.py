@@ -10,7 +10,8 @@ from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, read_regular
+from geraf2.io.objects import read_bytes
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 
 NOT_DETERMINED = "not determined"
 """Text in place of a value that a scan does not show."""
@@ -20,7 +21,7 @@ def read_text(path: Path, most: int = TEXT_BYTES) -> str:
     """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
     refuse_other_kind(path)
     try:
-        text = read_regular(path, most).decode("utf-8-sig")
+        text = read_bytes(path, most).decode("utf-8-sig")
         return text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
+from geraf2.io.objects import absolute_path, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
@@ -66,14 +67,17 @@ class RunRecord:
 
         seen_from: folder that the file is about to be in; that of `path` when None.
         """
-        known = {n: p.resolve() for n, p in self._paths().items() if p is not None and _is_text(p)}
+        known = {
+            n: absolute_path(p) for n, p in self._paths().items() if p is not None and _is_text(p)
+        }
         here = (seen_from or path.parent).resolve()
         record = self._with_paths(known)
         scene = {} if record.scene is None else {"scene": str(record.scene)}
         parts = (to_table(part) for part in (record.prior, record.options, record.config))
         table: dict[str, Any] = {**scene, **{k: v for part in parts for k, v in part.items()}}
         if known:
-            table["places"] = {name: os.path.relpath(path, here) for name, path in known.items()}
+            on_disk = {name: path for name, path in known.items() if not is_remote(path)}
+            table["places"] = {name: os.path.relpath(path, here) for name, path in on_disk.items()}
         write_toml(path, table)
 
     @classmethod
@@ -95,7 +99,8 @@ class RunRecord:
         for name, relative in relative_paths.items() if isinstance(relative_paths, dict) else ():
             moved = path.parent / str(relative)
             kept = found.get(name)
-            missing = kept is not None and not kept.exists()
+            # Remote stores are not contacted: the record may come from an untrusted source.
+            missing = kept is not None and not is_remote(kept) and not kept.exists()
             if missing and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
@@ -134,7 +139,7 @@ class RunRecord:
 def _is_text(path: Path) -> bool:
     """Whether the absolute path can be encoded as text."""
     try:
-        str(path.resolve()).encode()
+        str(absolute_path(path)).encode()
     except UnicodeEncodeError:
         return False
     return True
