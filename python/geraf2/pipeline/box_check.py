@@ -19,6 +19,7 @@ from geraf2.calibration.found_box import (
 )
 from geraf2.calibration.free_air import content_region
 from geraf2.errors import UserError
+from geraf2.io.belt_file import MOTION_KEY
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import add_walls
@@ -70,8 +71,11 @@ class BoxCheck:
 
 
 def stated_box(capture: Capture) -> tuple[LosPrior, str] | None:
-    """Carton that the scene states, the first hypothesis of the box, and its name."""
-    if not capture.walls:
+    """Carton that the scene states, the first hypothesis of the box, and its name.
+
+    None for a parcel of a belt, whose walls are known and whose place on it is not.
+    """
+    if not capture.walls or MOTION_KEY in capture.provenance:
         return None
     outer = capture.walls[0]
     return LosPrior.from_box(outer.size_m, outer.center_m, walls=capture.walls), STATED

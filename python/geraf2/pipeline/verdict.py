@@ -187,7 +187,9 @@ class RunTests:
     def _causes(self) -> Iterator[Cause]:
         """Yield what explains a failure: what a test shows first, then what is low in general."""
         yield from self._of_planes()
-        is_odd = delay_log_odds(self.radius_m) > 0.0
+        # A wrong delay leaves the planes in agreement.
+        agrees = self.planes.recorded.share > _LOW_AGREEMENT
+        is_odd = agrees and delay_log_odds(self.radius_m) > 0.0
         if self.walls.is_wrong:
             yield self._wrong_by_walls()
         elif is_odd and not self.walls.is_right and not self.plastic:
