@@ -22,7 +22,7 @@ from pathlib import Path
 
 TESTS = Path(__file__).resolve().parent.parent / "tests"
 HERE = TESTS / "fuzzing"
-sys.path.insert(0, str(TESTS))
+sys.path[:0] = [str(TESTS), str(TESTS.parent / "bench" / "photos")]
 EXECUTIONS = HERE / "executions.json"
 TOGETHER = "together"
 LARGEST = 9000
