@@ -19,7 +19,7 @@ def test_a_run_has_glints_of_the_rim_and_outlines_unless_switched_off(built_scen
     out = tmp_path / "out"
     assert run(built_scene, out) == 0
     stages = RunFolder.read(out).stages
-    assert [*stages] == ["box", "calibration", "glints", "selection", "sdf", "mesh"]
+    assert [*stages] == ["box", "calibration", "glints", "selection", "sdf", "mesh", "verdict"]
     assert len(Glints.load(out / "rim_glints.npz")) > 50
     assert stages["selection"].numbers["outlines"] == len(Silhouettes.load(out / "silhouettes.npz"))
     assert read_mesh(out / "mesh_content.ply").expected_error_m.min() > 0

@@ -36,7 +36,8 @@ def capture(source):
 @pytest.mark.data
 def test_an_unknown_delay_is_found_to_a_millimetre_of_path(source, capture):
     prior = LosPrior.from_mesh(read_mesh(source / "los_box.ply"))
-    blind = replace(capture, waveform=replace(capture.waveform, path_bias_m=0.0))
+    waveform = replace(capture.waveform, path_bias_m=0.0)
+    blind = replace(capture, waveform=waveform, provenance={})  # which says that it was recorded
     found = aligned(blind, prior)
     assert found.delay_m == pytest.approx(0.15, abs=1e-3)
     assert abs(found.delay_m - 0.15) < 2.0 * found.delay_sigma_m
