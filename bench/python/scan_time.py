@@ -37,7 +37,7 @@ from geraf2.freespace.specular import seen_share
 from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.io.scan_file import write_scan_file
+from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.scene import Capture, Pose, Wall, load_capture, save_capture
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation import FigureSpec, ScanSpec, SceneSpec, simulate
@@ -118,32 +118,27 @@ DESIGNS = {
 }
 
 
-def write_superset(path: Path) -> None:
+def scan_of(n_around: int, n_raised: int, raised_deg: float) -> ScanFile:
+    """Planes around, raised and above, as a scanner with one arm sweeps them."""
     design = Design(
-        n_around=12,
-        n_raised=8,
-        raised_deg=40.0,
+        n_around=n_around,
+        n_raised=n_raised,
+        raised_deg=raised_deg,
         above=True,
         spacing_m=SPACING_M,
         aperture_m=APERTURE_M,
     )
     scanner = Scanner(channels=8, speed_m_per_s=SPEED_M_PER_S)
-    write_scan_file(path, swept_planes(design.planes(STANDOFF_M), SPACING_M, scanner)[0])
+    return swept_planes(design.planes(STANDOFF_M), SPACING_M, scanner)[0]
+
+
+def write_superset(path: Path) -> None:
+    write_scan_file(path, scan_of(12, 8, 40.0))
 
 
 def write_scenes(out: Path, objects: Iterable[str]) -> None:
     """Scan of 6 planes around and 1 above, of each object in the box."""
-    design = Design(
-        n_around=6,
-        n_raised=0,
-        raised_deg=0.0,
-        above=True,
-        spacing_m=SPACING_M,
-        aperture_m=APERTURE_M,
-    )
-    scan = swept_planes(
-        design.planes(STANDOFF_M), SPACING_M, Scanner(channels=8, speed_m_per_s=SPEED_M_PER_S)
-    )[0]
+    scan = scan_of(6, 0, 0.0)
     for name in objects:
         folder = out / name
         if (folder / "truth.ply").is_file():

@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 import geraf2
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.mesh import read_mesh
-from geraf2.surfaces.stated_score import stated_f1
+from geraf2.surfaces.stated_score import FAILED_BELOW, stated_f1
 
 WORDS = {
     "height": ("height",),
@@ -40,7 +40,7 @@ WORDS = {
     "hard": ("hardware",),
 }
 """By the cause of a bad scan, words of which a verdict's cause, or an error, has one if right."""
-BAD_F1, GOOD_F1 = 0.5, 0.8
+GOOD_F1 = 0.8
 NOT_TRUSTED = "not to be trusted"
 
 
@@ -133,7 +133,7 @@ def read_rows(runs: Path, preset: str) -> list[dict[str, Any]]:
 
 def table(runs: Path, preset: str) -> None:
     rows = read_rows(runs, preset)
-    bad = [row for row in rows if row["f1"] < BAD_F1 and row["cause"]]
+    bad = [row for row in rows if row["f1"] < FAILED_BELOW and row["cause"]]
     good = [row for row in rows if row["f1"] > GOOD_F1]
     print("| kind | scans | stopped | F1, least to most | bad: so called | good: so called |")
     print("|---|---|---|---|---|---|")
@@ -142,7 +142,7 @@ def table(runs: Path, preset: str) -> None:
         f1 = [row["f1"] for row in own if "error" not in row] or [float("nan")]
         counts = [
             share([row for row in some if row["kind"] == kind], lambda r: r["said"] == NOT_TRUSTED)
-            for some in ([row for row in rows if row["f1"] < BAD_F1], good)
+            for some in ([row for row in rows if row["f1"] < FAILED_BELOW], good)
         ]
         stopped = sum("error" in row for row in own)
         print(
@@ -172,9 +172,11 @@ def holds_f1(row: dict[str, Any]) -> bool:
 
 
 def print_probabilities(rows: list[dict[str, Any]]) -> None:
-    """Stated probability that F1 is below BAD_F1 against how often it is."""
+    """Stated probability that F1 is below FAILED_BELOW against how often it is."""
     name = "probability_of_failure"
-    stated = [(r["verdict"][name], r["f1"] < BAD_F1) for r in rows if name in r.get("verdict", {})]
+    stated = [
+        (r["verdict"][name], r["f1"] < FAILED_BELOW) for r in rows if name in r.get("verdict", {})
+    ]
     for low, high in ((0.0, 0.02), (0.02, 0.1), (0.1, 0.5), (0.5, 0.9), (0.9, 1.01)):
         here = [failed for p, failed in stated if low <= p < high]
         to = min(high, 1.0)
@@ -186,7 +188,7 @@ def fit(runs: Path, preset: str) -> None:
     names = list(rows[0]["verdict"]["tests"]["evidence"])
     evidence = [[r["verdict"]["tests"]["evidence"][name] for name in names] for r in rows]
     inputs = np.column_stack([np.ones(len(rows)), np.array(evidence)])
-    failed = np.array([row["f1"] < BAD_F1 for row in rows])
+    failed = np.array([row["f1"] < FAILED_BELOW for row in rows])
 
     def loss(weights: np.ndarray) -> float:
         odds = inputs @ weights

@@ -31,7 +31,7 @@ _STRONG_DB = -15.0
 _MAX_ECHOES = 3000
 """Largest number of echoes that are compared; more have the same sub-aperture's errors."""
 _ROUNDS = 12
-_MIN_PLANES = 4
+MIN_PLANES = 4
 """Least number of planes whose agreement is compared."""
 
 
@@ -123,7 +123,7 @@ class Rival:
         """Compare a rival with the recorded geometry, plane by plane."""
         used = (recorded.n_pairs > 0) | (other.n_pairs > 0)
         gain = (other.log_likelihood - recorded.log_likelihood)[used]
-        if len(gain) < _MIN_PLANES:
+        if len(gain) < MIN_PLANES:
             return cls(share=other.share, sigmas=0.0)
         error = float(gain.std(ddof=1)) / np.sqrt(len(gain))
         return cls(share=other.share, sigmas=float(gain.mean() / max(error, 1e-9)))

@@ -53,7 +53,6 @@ class BoxCheck:
     """Whether the prior is the found box, or was corrected by it."""
     is_warning: bool = False
     """Whether the user is warned: the prior was corrected, or no box was found."""
-
     name: str = BY_RADAR
     """Name of the prior in messages."""
     delay_m: float = 0.0

@@ -6,7 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from geraf2._types import Floats
 from geraf2.echoes.plane_agreement import (
+    MIN_PLANES,
     PlaneAgreement,
     Rival,
     as_recorded_at,
@@ -37,8 +39,6 @@ class PlaneCheck:
     """Reversed vertical axes; the same as recorded where one ring is as high as its content."""
     exchanged: tuple[tuple[int, int], ...] = ()
     """Planes that agree better in each other's places."""
-    odd: tuple[int, ...] = ()
-    """Planes that agree with the others neither in their own nor in another place."""
 
     @property
     def is_reversed(self) -> bool:
@@ -53,14 +53,14 @@ class PlaneCheck:
             "other_sense_sigmas": round(self.reversed_turn.sigmas, 1),
             "upside_down_sigmas": round(self.upside_down.sigmas, 1),
             "exchanged_planes": [list(pair) for pair in self.exchanged],
-            "odd_planes": list(self.odd),
         }
 
 
-def check_planes(capture: Capture, peaks: PeakSet) -> PlaneCheck:
+def check_planes(capture: Capture, peaks: PeakSet, *, with_exchanged: bool = True) -> PlaneCheck:
     """Compare the planes of a capture.
 
     peaks: of all planes.
+    with_exchanged: also try planes that disagree in each other's places.
     """
     echoes, n = strong_echoes(peaks), len(capture.poses)
 
@@ -69,40 +69,37 @@ def check_planes(capture: Capture, peaks: PeakSet) -> PlaneCheck:
         return Rival.of(recorded, plane_agreement(turned, n))
 
     recorded = plane_agreement(echoes, n)
-    exchanged, odd = _find_exchanged(capture, echoes, recorded)
     return PlaneCheck(
         recorded=recorded,
         reversed_turn=rival(horizontal=True),
         upside_down=rival(vertical=True),
-        exchanged=exchanged,
-        odd=odd,
+        exchanged=_find_exchanged(capture, echoes, recorded.of_planes) if with_exchanged else (),
     )
 
 
+def is_turn_reversed(capture: Capture, peaks: PeakSet) -> bool:
+    """Whether the turntable of a capture surely ran in the other sense. peaks: of all planes."""
+    return check_planes(capture, peaks, with_exchanged=False).is_reversed
+
+
 def _find_exchanged(
-    capture: Capture, echoes: PeakSet, recorded: PlaneAgreement
-) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
-    """Pairs of planes that agree better in each other's places, and other planes that disagree."""
-    shares = recorded.of_planes
+    capture: Capture, echoes: PeakSet, shares: Floats
+) -> tuple[tuple[int, int], ...]:
+    """Pairs of planes that agree better in each other's places. shares: of each plane as it is."""
     known = np.isfinite(shares)
-    if known.sum() < 4:
-        return (), ()
-    low = np.flatnonzero(known & (shares < _ODD_SHARE * np.nanmedian(shares)))
+    if known.sum() < MIN_PLANES:
+        return ()
+    usual = _ODD_SHARE * float(np.nanmedian(shares))
+    low = np.flatnonzero(known & (shares < usual))
     candidates = low[np.argsort(shares[low])][:_MAX_ODD]
-    left, pairs = {int(k) for k in low}, list[tuple[int, int]]()
     gains = list[tuple[float, int, int]]()
-    for a, b in combinations(sorted(int(k) for k in candidates), 2):
-        moved = plane_agreement(
-            as_recorded_at(echoes, capture.poses, {a: b, b: a}), len(capture.poses)
-        )
-        gain = float((moved.of_planes - shares)[[a, b]].min())
-        gains.append((gain, a, b))
+    for a, b in combinations(sorted(candidates.tolist()), 2):
+        moved = as_recorded_at(echoes, capture.poses, {a: b, b: a})
+        there = plane_agreement(moved, len(capture.poses)).of_planes
+        gains.append((float((there - shares)[[a, b]].min()), a, b))
+    left, pairs = set(candidates.tolist()), list[tuple[int, int]]()
     for gain, a, b in sorted(gains, reverse=True):
-        if (
-            gain > 0.0
-            and {a, b} <= left
-            and gain > 0.5 * float(np.nanmedian(shares)) - max(shares[a], shares[b])
-        ):
+        if {a, b} <= left and gain > max(0.0, usual - max(shares[a], shares[b])):
             pairs.append((a, b))
             left -= {a, b}
-    return tuple(sorted(pairs)), tuple(sorted(left))
+    return tuple(sorted(pairs))

@@ -23,6 +23,7 @@ from geraf2.pipeline.plane_check import DOUBTFUL_SIGMAS, PlaneCheck, check_plane
 from geraf2.pipeline.stages.calibration import CALIBRATION_STAGE
 from geraf2.pipeline.stages.job import Job
 from geraf2.scene.aperture import Aperture
+from geraf2.scene.checks import MAX_SATURATED
 from geraf2.scene.summary import saturation_share
 from geraf2.surfaces.confirmation import Confirmation
 
@@ -47,8 +48,6 @@ _MIRRORED = 0.5
 _RADIUS_M, _RADIUS_SIGMA_M, _ROUND_SHARE, _ROUND_M = 0.009, 0.006, 0.1, (-0.005, 0.065)
 _DELAY_ERROR_M, _OTHER_SHARE = 0.1, 0.01
 _USUAL_AGREEMENT = 0.3
-_SATURATED = 1e-3
-"""Share of samples on a plane's largest value above which samples were cut off."""
 _MIN_BLIND = 0.3
 """Least share of the content's height out of sight that is a cause."""
 _SURE_NATS, _MAX_NATS, _SAME_DELAY_M = 3.0, 10.0, 0.04
@@ -194,7 +193,7 @@ class RunTests:
             yield self._wrong_by_walls()
         elif is_odd and not self.walls.is_right and not self.plastic:
             yield self._delayed()
-        if self.saturation > _SATURATED:
+        if self.saturation > MAX_SATURATED:
             yield self._saturated()
         if self.plastic or (is_odd and self.walls.is_right):
             yield self._plastic()
@@ -239,10 +238,11 @@ class RunTests:
         """Yield what the planes cannot see: content out of their height, and few planes."""
         low, high = self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)
         coverage = scan_coverage(self.apertures, 0.5 * (low + high), high - low)
-        for one, finding in zip(coverage.blind, coverage.findings(), strict=False):
+        findings = coverage.findings()  # of blind heights first
+        for one, finding in zip(coverage.blind, findings, strict=False):
             if one.span_m > _MIN_BLIND * (high[2] - low[2]):
                 yield Cause("height", finding.message, finding.action)
-        for finding in coverage.findings()[len(coverage.blind) :]:
+        for finding in findings[len(coverage.blind) :]:
             yield Cause("few planes", finding.message, finding.action)
 
     def _disagreeing(self) -> Cause:

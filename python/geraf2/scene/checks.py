@@ -17,7 +17,7 @@ _MAX_OFF_AXIS_RAD = np.deg2rad(30.0)
 # A plane is flat: its depth is jitter, far below its width.
 _MAX_DEPTH_FRACTION = 0.3
 # Clipped data sit on the largest value in bulk; in float data the maximum is met once or twice.
-_MAX_SATURATED = 1e-3
+MAX_SATURATED = 1e-3
 # A constant offset in the samples; echoes average out over antennas and samples to below 1e-3.
 _MAX_DC = 0.01
 # Interference in a thousandth of the recordings does no harm.
@@ -138,7 +138,7 @@ def _check_samples(summary: CaptureSummary) -> Iterator[Finding]:
             "frames were lost: record these planes again where many are",
         )
     clipped = [
-        pose for pose in full if pose.n_constant == 0 and pose.saturated_fraction > _MAX_SATURATED
+        pose for pose in full if pose.n_constant == 0 and pose.saturated_fraction > MAX_SATURATED
     ]
     if clipped:
         percent = 100 * max(pose.saturated_fraction for pose in clipped)

@@ -45,7 +45,7 @@ from geraf2.pipeline.box_check import (
 )
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.plane_check import check_planes
+from geraf2.pipeline.plane_check import is_turn_reversed
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.posterior import require_posterior
 from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
@@ -215,8 +215,7 @@ class Request:
         """
         others, options = (given, record, listener, num_threads), record.options
         if options.reverse_turn:
-            request = cls._check(with_turn_reversed(capture), *others)
-            return request.reversed()
+            return cls._check(with_turn_reversed(capture), *others).reversed()
         found, failure = attempt(lambda: cls._check(capture, *others, summary))
         if options.calibrate == "auto":
             prior = found.prior[0] if found is not None and found.prior else None
@@ -224,9 +223,8 @@ class Request:
                 prior, _ = attempt(lambda: content_region(capture, num_threads=num_threads))
             peaks = None if prior is None else kept_peaks(prior, record.config, num_threads)
             seen = capture if found is None else found.capture
-            if peaks is not None and check_planes(seen, peaks.of(seen)).is_reversed:
-                turned = cls._check(with_turn_reversed(capture), *others)
-                return turned.reversed()
+            if peaks is not None and is_turn_reversed(seen, peaks.of(seen)):
+                return cls._check(with_turn_reversed(capture), *others).reversed()
             found = None if found is None else replace(found, peaks=peaks)
         if found is None:
             raise failure or AssertionError
