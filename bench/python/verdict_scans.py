@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -163,9 +162,9 @@ def carton_scene(
 
 def within_budget(spec: SceneSpec) -> SceneSpec:
     """Spec with fewer planes, coarser ones, then smaller ones, as its CPU time needs."""
-    thing: Any = SimpleNamespace(mesh=build_solid(spec.figure))
+    mesh = build_solid(spec.figure)
     budget_s = WAVES_BUDGET_S if spec.world.wall_waves else BUDGET_S
-    while simulation_seconds(spec, thing) > budget_s:
+    while simulation_seconds(spec, mesh) > budget_s:
         scan = spec.scan
         width, height = scan.aperture_m
         if scan.n_planes > 16:

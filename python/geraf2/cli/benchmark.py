@@ -63,17 +63,15 @@ class Config:
     suite: Annotated[Path | None, Arg(metavar="SUITE.toml")] = None
     """Scenes and experiments of your own."""
     seeds: Annotated[str | None, Arg(metavar="A:B")] = None
-    """With --only population: seeds A to B - 1. 0:100 is for estimating, 1000:1100 for deciding,
-    from 10000 on for claims alone."""
+    """With --only population or ordinary: seeds A to B - 1. From 0 they are for estimating, from
+    1000 for deciding, of the population from 10000 on for claims alone."""
     presets: Annotated[tuple[str, ...], Arg(metavar="PRESET ...")] = ()
-    """With --only population: presets to compare, the first is the reference; fast when not
-    given."""
+    """With these: presets to compare, the first is the reference; fast when not given."""
     against: Annotated[Path | None, Arg(metavar="OTHER_OUT")] = None
-    """With --only population: paired differences against the results in another OUT, as of another
-    commit."""
+    """With these: paired differences against the results in another OUT, as of another commit."""
     cache: Annotated[Path | None, Arg(metavar="FOLDER")] = None
-    """With --only population: folder of the simulated scenes, which several OUT may share; OUT when
-    not given."""
+    """With these: folder of the simulated scenes, which several OUT may share; OUT when not
+    given."""
     seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Of scenes, reconstructions and samples."""
     threads: Threads = None
@@ -82,9 +80,9 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command; exit code 2 if a row failed."""
-    if population.NAME in config.only:
-        return _population(config)
-    _require_unset(config, "is for --only population", _OF_POPULATION)
+    if any(name in population.SETS for name in config.only):
+        return _by_seed(config)
+    _require_unset(config, "is for --only population or ordinary", _OF_POPULATION)
     suite = load_suite(config.suite, quick=config.quick)
     choice = {"scene": config.scenes, "case": config.cases, "method": config.methods}
     todo = rows_of(suite, config.only, choice)
@@ -144,27 +142,28 @@ def _require_unset(config: Config, why: str, names: tuple[str, ...]) -> None:
             raise UserError(what=f"--{name} {why}", where="benchmark")
 
 
-def _population(config: Config) -> int:
-    """Presets on seeds of the population, as a table on the terminal."""
+def _by_seed(config: Config) -> int:
+    """Presets on seeds of the population or of ordinary objects, as a table on the terminal."""
     if len(config.only) > 1:
-        got, hint = " ".join(config.only), "run each by itself"
-        raise UserError(what="--only population runs alone", got=got, hint=hint)
-    _require_unset(config, "does not go with --only population", _OF_SUITE)
+        what = f"--only {next(n for n in config.only if n in population.SETS)} runs alone"
+        raise UserError(what=what, got=" ".join(config.only), hint="run each by itself")
+    scenes = population.SETS[config.only[0]]
+    _require_unset(config, f"does not go with --only {scenes.name}", _OF_SUITE)
     if config.seeds is None:
-        raise UserError(what="--only population needs --seeds A:B", hint="--seeds 1000:1040")
+        raise UserError(what=f"--only {scenes.name} needs --seeds A:B", hint=scenes.example)
     seeds = population.parse_seeds(config.seeds)
     presets = tuple(dict.fromkeys(config.presets or ("fast",)))
     for preset in presets:
         preset_type(preset)
-    others = population.results_against(config.against) if config.against else []
+    others = population.results_against(config.against, scenes) if config.against else []
     _open_folder(config)
     if population.is_reserved(seeds):
         warn(f"seeds from {population.RESERVED_SEED} on are reserved for claims")
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
     runner = Runner(out=config.out, num_threads=config.threads or share, cache=config.cache)
-    task = population.Population(runner=runner, presets=presets)
+    task = population.Population(runner=runner, presets=presets, scenes=scenes)
     total, done = len(seeds) * len(presets), count(1)
-    with progress_bar("population") as progress:
+    with progress_bar(scenes.name) as progress:
         progress(0.0)
 
         def report(row: Row, result: RowResult) -> None:
@@ -172,7 +171,7 @@ def _population(config: Config) -> int:
             progress(next(done) / total)
 
         results = task.run(seeds, report, jobs=config.jobs, scheduler=config.scheduler)
-    records = population.records_of(config.cache or config.out)
+    records = population.records_of(config.cache or config.out, scenes)
     for line in population.tables(results, presets, records, others).splitlines():
         say(line)
     return 0

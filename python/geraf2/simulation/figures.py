@@ -1,6 +1,6 @@
 """Procedural objects: smooth unions of simple solids, meshed by marching cubes.
 
-Most are tables of parts in the TOML file beside; those with curves or cuts are functions.
+Most are tables of parts in the TOML files beside; those with curves or cuts are functions.
 """
 
 import itertools
@@ -17,6 +17,7 @@ from geraf2.io.toml import read_table
 from geraf2.simulation.implicit import (
     Figure,
     Solid,
+    arc,
     ball,
     blend,
     block,
@@ -34,16 +35,24 @@ _PARTS: dict[str, tuple[Callable[..., Solid], tuple[int, ...], tuple[int, ...]]]
     "ball": (ball, (3, 3), (1,)),
     "block": (block, (3, 3, 1), (1,)),
     "ring": (ring, (3, 2, 1), (1,)),
+    "arc": (arc, (3, 2, 2, 1), (1,)),
 }
 
 
 def _part(row: str, side: float) -> Solid:
     kind, *words = row.split()
-    make, sizes, along_y = _PARTS[kind]
     numbers = np.array([float(word) for word in words])
+    if kind == "lathe":
+        return _lathe(numbers)
+    make, sizes, along_y = _PARTS[kind]
     numbers[list(along_y)] *= side
     arguments = np.split(numbers, np.cumsum(sizes)[:-1])
     return make(*(a if a.size > 1 else float(a[0]) for a in arguments))
+
+
+def _lathe(numbers: Floats) -> Solid:
+    solid, foot = revolve(numbers[2:].reshape(-1, 2)), np.array([*numbers[:2], 0.0])
+    return lambda points: solid(points - foot)
 
 
 def _figure_of_table(table: dict[str, Any]) -> Figure:
@@ -51,7 +60,12 @@ def _figure_of_table(table: dict[str, Any]) -> Figure:
     for entry in table["parts"]:
         rows, sides = (entry, (-1.0, 1.0)) if isinstance(entry, list) else ([entry], (1.0,))
         parts += [_part(row, side) for side in sides for row in rows]
-    return Figure(blend(parts, table["fillet"]), tuple(table["low"]), tuple(table["high"]))
+    body, cuts = blend(parts, table["fillet"]), [_part(row, 1.0) for row in table.get("cuts", ())]
+
+    def distance(points: Floats) -> Floats:
+        return np.asarray(np.maximum.reduce([body(points), *(-cut(points) for cut in cuts)]))
+
+    return Figure(distance, tuple(table["low"]), tuple(table["high"]))
 
 
 def _jug() -> Figure:
@@ -118,7 +132,8 @@ def _mug() -> Figure:
 FIGURES: dict[str, Callable[[], Figure]] = {
     **{
         name: partial(_figure_of_table, table)
-        for name, table in read_table(files("geraf2.simulation") / "figures.toml").items()
+        for file in ("figures.toml", "ordinary.toml")
+        for name, table in read_table(files("geraf2.simulation") / file).items()
     },
     "jug": _jug,
     "knot": _knot,

@@ -85,6 +85,18 @@ def tube(path: Floats, radius: float) -> Solid:
     return distance
 
 
+def arc(
+    center: Sequence[float], radii: Sequence[float], ends_deg: Sequence[float], radius: float
+) -> Solid:
+    """Round tube along part of an ellipse with radii along x and z, in a plane y = const.
+
+    ends_deg: angles where it starts and ends, from x to z [degrees].
+    """
+    turn = np.deg2rad(np.linspace(ends_deg[0], ends_deg[1], 25))
+    ellipse = np.stack([radii[0] * np.cos(turn), 0.0 * turn, radii[1] * np.sin(turn)], axis=1)
+    return tube(np.asarray(center) + ellipse, radius)
+
+
 def revolve(profile: Floats) -> Solid:
     """Solid of revolution: stacked tapered strokes through (height, radius), (n, 2)."""
     strokes = [

@@ -9,6 +9,7 @@ import numpy as np
 from geraf2._types import Floats
 from geraf2.geometry.transforms import triple
 from geraf2.geometry.triangles import face_areas
+from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Wall, Waveform
 from geraf2.scene.plan import rows_columns
 from geraf2.simulation.population_settings import POPULATION, Population
@@ -32,8 +33,9 @@ RADARS: dict[str, Waveform] = {
     "60 GHz": replace(AWR1843, start_frequency_hz=60.0e9),
 }
 """Chirps by name."""
-_WAVES = ("waves", "second_bounce")
 _PLASTIC = "dielectric"
+WITHOUT_WAVES = tuple(e for e in EFFECTS if e not in (_PLASTIC, "waves", "second_bounce"))
+"""Effects of the world but for those whose simulation is slow, and for plastic."""
 # CPU seconds of the simulator, measured on one thread: for each pair of an antenna sample and an
 # element of a surface; for rays in plastic, or that touch the object twice, a pair and a sample;
 # for walls as waves an antenna and square metre of walls.
@@ -67,7 +69,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
     rng = np.random.default_rng(seed)
     thing = random_object(rng, population)
     world = _world(rng, population, thing)
-    wall, center = _box(rng, population, thing)
+    wall, center = draw_box(rng, population, thing.extents_m, standing=thing.standing)
     radar = choose(rng, population.radar)
     scan = _scan(rng, population, wall)
     has_clutter = rng.random() < population.clutter
@@ -87,7 +89,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
         world=world,
     )
     budget_s = population.waves_budget_s if world.wall_waves else population.budget_s
-    spec = _limit_to_budget(spec, thing, budget_s)
+    spec = _limit_to_budget(spec, thing.mesh, budget_s)
     record = {
         "seed": seed,
         "parts": [list(kinds) for kinds in thing.parts],
@@ -107,28 +109,31 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
         "clutter": disturbance.scatterer_energy_fraction,
         "world": world.preset,
         "waves": world.wall_waves,
-        "estimated_s": simulation_seconds(spec, thing),
+        "estimated_s": simulation_seconds(spec, thing.mesh),
     }
     return DrawnScene(spec=spec, record=record)
 
 
-def _box(
-    rng: np.random.Generator, population: Population, thing: RandomObject
+def draw_box(
+    rng: np.random.Generator, population: Population, extents_m: Floats, *, standing: bool
 ) -> tuple[Wall, Floats]:
-    """Box that holds the object with clearance, and the middle of the object in it, (3,) [m]."""
+    """Box that holds an object with clearance, and the middle of the object in it, (3,) [m].
+
+    extents_m: sides of the object, (3,) [m]. standing: whether it stands on the floor.
+    """
     low, high = population.box_side_m
     thickness = rng.uniform(*population.wall_thickness_m)
     clearance = rng.uniform(*population.clearance_m)
     # Half of the diagonal: a box that is turned by some degrees still holds the object.
-    around = np.linalg.norm(thing.extents_m[:2]) * np.sin(np.deg2rad(3.5))
-    needed = thing.extents_m + 2.0 * (thickness + clearance) + [around, around, 0.0]
+    around = np.linalg.norm(extents_m[:2]) * np.sin(np.deg2rad(3.5))
+    needed = extents_m + 2.0 * (thickness + clearance) + [around, around, 0.0]
     least = np.maximum(low, needed)
     size = least + rng.uniform(0.0, 1.0, 3) * np.maximum(high - least, 0.0)
     room = np.maximum(0.5 * (size - needed), 0.0)
     center = rng.uniform(-1.0, 1.0, 3) * room
-    if thing.standing:
+    if standing:
         floor = -0.5 * size[2] + thickness + population.foot_gap_m
-        center[2] = floor + 0.5 * thing.extents_m[2]
+        center[2] = floor + 0.5 * extents_m[2]
     wall = Wall(
         size_m=triple(size),
         thickness_m=thickness,
@@ -173,17 +178,17 @@ def _world(rng: np.random.Generator, population: Population, thing: RandomObject
     has_waves = bool(rng.random() < population.waves)
     world = WorldSpec(wall_waves=has_waves, multipath=has_waves, second_bounce=has_waves)
     if preset != "none":
-        effects = (e for e in EFFECTS if e != _PLASTIC and (has_waves or e not in _WAVES))
-        world = WorldSpec(preset=preset, effects=tuple(effects))
+        with_waves = tuple(e for e in EFFECTS if e != _PLASTIC)
+        world = WorldSpec(preset=preset, effects=with_waves if has_waves else WITHOUT_WAVES)
     return replace(
         world, figure_permittivity=thing.permittivity, figure_loss_tangent=thing.loss_tangent
     )
 
 
-def simulation_seconds(spec: SceneSpec, thing: RandomObject) -> float:
-    """Estimate of the CPU time of a simulation [s], from measured rates."""
+def simulation_seconds(spec: SceneSpec, mesh: TriangleMesh) -> float:
+    """Estimate of the CPU time of a simulation of this object [s], from measured rates."""
     edge, patch = spec.numerics.max_facet_edge_m, spec.numerics.wall_patch_m
-    n_facets = float(face_areas(thing.mesh.corners).sum()) / (0.3 * edge**2)
+    n_facets = float(face_areas(mesh.corners).sum()) / (0.3 * edge**2)
     x, y, z = spec.walls[0].size_m
     n_patches = 4.0 * (x * y + y * z + z * x) / patch**2
     n_samples, of_sample = spec.waveform.n_samples, _PAIR_S * (n_facets + n_patches)
@@ -196,12 +201,12 @@ def simulation_seconds(spec: SceneSpec, thing: RandomObject) -> float:
     return rows * columns * spec.scan.n_planes * of_antenna
 
 
-def _limit_to_budget(spec: SceneSpec, thing: RandomObject, budget_s: float) -> SceneSpec:
+def _limit_to_budget(spec: SceneSpec, mesh: TriangleMesh, budget_s: float) -> SceneSpec:
     """Spec that does not exceed the budget: fewer and smaller planes, then a coarser raster.
 
     The raster gets coarser only where few planes are left: it decides where grating lobes are.
     """
-    while simulation_seconds(spec, thing) > budget_s:
+    while simulation_seconds(spec, mesh) > budget_s:
         scan = spec.scan
         if scan.n_planes <= _FEW_PLANES and scan.spacing_m < _COARSEST_M:
             smaller = replace(scan, spacing_m=min(_COARSEST_M, scan.spacing_m + 0.001))

@@ -7,7 +7,13 @@ import pytest
 
 from geraf2.apps.benchmark import RowResult, Runner, population
 from geraf2.apps.benchmark.making import population_scores
-from geraf2.apps.benchmark.population import Population, append_result, parse_seeds, read_results
+from geraf2.apps.benchmark.population import (
+    SETS,
+    Population,
+    append_result,
+    parse_seeds,
+    read_results,
+)
 from geraf2.apps.benchmark.population_table import (
     SeedResult,
     mean_interval,
@@ -102,7 +108,7 @@ class StandIn(Runner):
 @pytest.fixture
 def task(tmp_path, monkeypatch):
     spec = SceneSpec(figure=FigureSpec(name="llama"))
-    monkeypatch.setattr(population, "scene_of", lambda folder, seed: spec)
+    monkeypatch.setattr(population, "scene_of", lambda folder, scenes, seed: spec)
     runner = StandIn(out=tmp_path)
     runner.values = {1: 0.5, 2: None, 3: 0.7}
     return Population(runner=runner, presets=("fast",))
@@ -126,7 +132,7 @@ def test_a_second_run_makes_only_what_is_missing_or_failed(task):
 
 def test_a_line_that_was_cut_short_is_made_again(task):
     task.run([1, 3])
-    path = task.runner.out / population.RESULTS_NAME
+    path = task.runner.out / SETS["population"].results_name
     path.write_text(path.read_text()[:-20])
     assert [r.seed for r in read_results(path)] == [1]
     append_result(path, result(7, 0.3))
@@ -138,7 +144,7 @@ def test_a_line_that_was_cut_short_is_made_again(task):
 
 def test_results_of_another_version_are_not_taken(task):
     task.run([1])
-    path = task.runner.out / population.RESULTS_NAME
+    path = task.runner.out / SETS["population"].results_name
     old = [replace(r, version="old") for r in read_results(path)]
     path.unlink()
     append_result(path, old[0])
@@ -146,4 +152,4 @@ def test_results_of_another_version_are_not_taken(task):
     task.run([1], lambda row, _: reported.append(row.seed))
     assert reported == [1]
     # Against another folder its last results count, whatever their version.
-    assert [r.seed for r in population.results_against(task.runner.out)] == [1]
+    assert [r.seed for r in population.results_against(task.runner.out, task.scenes)] == [1]

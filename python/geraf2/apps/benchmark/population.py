@@ -1,11 +1,10 @@
-"""Presets on seeds of the population: simulated, reconstructed, scored, each once."""
+"""Presets on seeds of the population or of ordinary objects: each simulated and scored once."""
 
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
 
 from geraf2 import __version__
 from geraf2.apps.benchmark.population_table import (
@@ -24,15 +23,53 @@ from geraf2.io.text import parse_json
 from geraf2.io.toml import read_table, write_toml
 from geraf2.pipeline.presets import PresetConfig, preset_type, versions_of
 from geraf2.simulation import SceneSpec, parse_spec
-from geraf2.simulation.population import draw_scene
+from geraf2.simulation.ordinary import ORDINARY_VERSION, draw_ordinary
+from geraf2.simulation.population import DrawnScene, draw_scene
 from geraf2.simulation.population_settings import POPULATION_VERSION
 
-NAME = "population"
-"""Of the experiment, as --only names it."""
-RESULTS_NAME = "population.jsonl"
-"""Results: a line for each seed, preset and version."""
-RECORD_NAME = "population.json"
-"""What was drawn for each seed, in the folder of the scenes."""
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSet:
+    """Scenes that seeds name."""
+
+    name: str
+    """Of the experiment, as --only names it."""
+    version: int
+    """Of what the seeds give."""
+    draw: Callable[[int], DrawnScene]
+    """Scene of a seed; UserError where the set has none."""
+    example: str
+    """Seeds that an error suggests."""
+
+    @property
+    def results_name(self) -> str:
+        """File of the results: a line for each seed, preset and version."""
+        return f"{self.name}.jsonl"
+
+    @property
+    def record_name(self) -> str:
+        """File of what was drawn for each seed, in the folder of the scenes."""
+        return f"{self.name}.json"
+
+
+SETS = {
+    one.name: one
+    for one in (
+        SceneSet(
+            name="population",
+            version=POPULATION_VERSION,
+            draw=draw_scene,
+            example="--seeds 1000:1040",
+        ),
+        SceneSet(
+            name="ordinary",
+            version=ORDINARY_VERSION,
+            draw=draw_ordinary,
+            example="--seeds 1000:1064",
+        ),
+    )
+}
+"""Sets of scenes by name."""
 RESERVED_SEED = 10_000
 """First seed that is kept for claims."""
 MAX_SEEDS = 100_000
@@ -62,34 +99,38 @@ def is_reserved(seeds: range) -> bool:
     return seeds[-1] >= RESERVED_SEED
 
 
-def scene_of(folder: Path, seed: int) -> SceneSpec:
+def scene_of(folder: Path, scenes: SceneSet, seed: int) -> SceneSpec:
     """Spec of a seed, drawn once; spec and record are kept in the folder of the scenes."""
-    record_path, spec_path = folder / RECORD_NAME, folder / NAME / f"{seed}.toml"
-    drawn = _records(record_path)
-    if str(seed) in drawn and spec_path.is_file():
-        return parse_spec(read_table(spec_path), where=spec_path)
-    scene = draw_scene(seed)
-    spec_path.parent.mkdir(parents=True, exist_ok=True)
-    write_toml(spec_path, scene.spec)
-    drawn = {**drawn, str(seed): dict(scene.record)}
-    write_json_atomic(record_path, {"version": POPULATION_VERSION, "seeds": drawn})
+    spec_path = folder / scenes.name / f"{seed}.toml"
+    drawn = records_of(folder, scenes)
+    if seed not in drawn or not spec_path.is_file():
+        scene = scenes.draw(seed)
+        spec_path.parent.mkdir(parents=True, exist_ok=True)
+        write_toml(spec_path, scene.spec)
+        record = {"version": scenes.version, "seeds": {**drawn, seed: dict(scene.record)}}
+        write_json_atomic(folder / scenes.record_name, record)
     return parse_spec(read_table(spec_path), where=spec_path)
 
 
-def records_of(folder: Path) -> Records:
-    """Read what was drawn for each seed whose scene was made in this folder."""
-    drawn = _records(folder / RECORD_NAME)
+def records_of(folder: Path, scenes: SceneSet) -> Records:
+    """Read what was drawn for each seed whose scene was made in this folder by this version."""
+    known = read_record(folder / scenes.record_name)
+    drawn = known.get("seeds")
+    if known.get("version") != scenes.version or not isinstance(drawn, dict):
+        return {}
     return {int(seed): record for seed, record in drawn.items()}
 
 
 @dataclass(frozen=True, kw_only=True)
 class Population:
-    """Presets that run on the population, and the folder of their results."""
+    """Presets that run on a set of scenes, and the folder of their results."""
 
     runner: Runner
     """Where results and scenes lie, and with how many threads."""
     presets: tuple[str, ...]
     """Names."""
+    scenes: SceneSet = SETS["population"]
+    """What is reconstructed."""
 
     def config(self, preset: str) -> PresetConfig:
         """Constants of a preset."""
@@ -99,7 +140,7 @@ class Population:
         """Digest of all that the scores of a preset depend on but the seed."""
         config = self.config(preset)
         return stage_key(
-            population=POPULATION_VERSION,
+            population=self.scenes.version,
             scene=SCENE_VERSION,
             result=[RESULT_VERSION, _SCORES_VERSION],
             config=config,
@@ -109,12 +150,14 @@ class Population:
     def row(self, seed: int, preset: str) -> Row:
         """Row of the benchmark for a seed."""
         folder = self.runner.cache or self.runner.out
+        spec = scene_of(folder, self.scenes, seed)
+        name = str(spec.figure.name).removesuffix(f"-{seed}")
         return Row(
-            experiment=NAME,
-            scene=f"random-{seed}",
+            experiment=self.scenes.name,
+            scene=f"{name}-{seed}",
             case=Case(label=""),
             method=preset,
-            spec=scene_of(folder, seed),
+            spec=spec,
             config=self.config(preset),
             how=Method(title=preset, preset=preset, kind="population"),
             seed=seed,
@@ -132,7 +175,7 @@ class Population:
 
         on_result: called after each row that was made. jobs, scheduler: as of `Runner.run_all`.
         """
-        path = self.runner.out / RESULTS_NAME
+        path = self.runner.out / self.scenes.results_name
         asked = [(seed, preset) for seed in seeds for preset in self.presets]
         versions = {preset: self.version(preset) for preset in self.presets}
         found = {
@@ -179,15 +222,15 @@ def tables(
     return "\n\n".join("\n".join(lines) for lines in parts)
 
 
-def results_against(folder: Path) -> list[SeedResult]:
+def results_against(folder: Path, scenes: SceneSet) -> list[SeedResult]:
     """Last result of each seed and preset in another folder; UserError where there is none."""
-    last = {(r.seed, r.preset): r for r in read_results(folder / RESULTS_NAME)}
+    last = {(r.seed, r.preset): r for r in read_results(folder / scenes.results_name)}
     if not last:
         raise UserError(
-            what="has no results of the population",
+            what=f"has no results of --only {scenes.name}",
             where=folder,
-            expected=f"a folder with {RESULTS_NAME}, as 'geraf2 benchmark' makes it",
-            hint="run the other version with --only population into it first",
+            expected=f"a folder with {scenes.results_name}, as 'geraf2 benchmark' makes it",
+            hint=f"run the other version with --only {scenes.name} into it first",
         )
     return list(last.values())
 
@@ -226,11 +269,3 @@ def append_result(path: Path, result: SeedResult) -> None:
             if file.read(1) != b"\n":
                 line = "\n" + line
         file.write(line.encode())
-
-
-def _records(path: Path) -> dict[str, Any]:
-    """Read the records of seeds that were drawn from this version of the population."""
-    known = read_record(path)
-    drawn = known.get("seeds")
-    is_current = known.get("version") == POPULATION_VERSION
-    return drawn if is_current and isinstance(drawn, dict) else {}

@@ -1,4 +1,4 @@
-"""Tables of the population: means, quantiles, failures, paired differences with intervals."""
+"""Tables of scenes by seed: means, quantiles, failures, paired differences with intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -35,7 +35,12 @@ VOLUME_TOLERANCE, EXTENT_TOLERANCE_MM = 0.05, 2.0
 """Errors of volume, relative, and of an extent [mm] that an inspection accepts."""
 _EXTENTS = ("extent_x_mm", "extent_y_mm", "extent_z_mm")
 _GROUP_SCORES = ("within_one", "within_two", "rank", "f1_5mm", "f1_2mm")
-_GROUPS = (("world", ("none", "plausible", "hard")), ("material", ("metal", "plastic")))
+_GROUPS = (
+    ("world", ("none", "plausible", "hard")),
+    ("material", ("metal", "plastic")),
+    ("far walls", ("without", "with echoes")),
+    ("scan", ("one ring", "raised planes")),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +106,7 @@ def preset_table(
 ) -> list[str]:
     """Lines of one preset: each score with mean, interval, and quantiles.
 
-    Then shares of scenes whose sizes are right, and means by world and material, where `records`
+    Then shares of scenes whose sizes are right, and means by what was drawn, where `records`
     has the seeds.
     """
     errors = [result for result in results if result.error is not None]
@@ -162,8 +167,8 @@ def _group_lines(results: Sequence[SeedResult], records: Records) -> list[str]:
                 cells = [f"{values.mean():.3f}" if len(values) else "-" for values in of_own]
                 cells.insert(3, f"{np.median(offset):.2f}" if len(offset) else "-")
                 text = "".join(f"{cell:>10}" for cell in [*cells, str(len(own))])
-                lines.append(f"  {f'{key} {value}':20}{text}")
-    return [f"  {'':20}" + "".join(f"{name:>10}" for name in head), *lines] if lines else []
+                lines.append(f"  {f'{key} {value}':22}{text}")
+    return [f"  {'':22}" + "".join(f"{name:>10}" for name in head), *lines] if lines else []
 
 
 def _known(results: Sequence[SeedResult], name: str) -> Floats:
