@@ -9,6 +9,7 @@ from geraf2.simulation.figures import FIGURES
 
 # Holes through each object of thin parts.
 GENUS = {"slatted_chair": 2, "spectacles": 2, "key": 1, "mug": 1, "scissors": 2}
+GENUS |= {"stool": 3, "spanner": 1, "padlock": 1, "watering_can": 1, "goblet": 0, "headphones": 0}
 
 
 def signed_volume(mesh):

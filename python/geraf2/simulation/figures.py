@@ -43,16 +43,11 @@ def _part(row: str, side: float) -> Solid:
     kind, *words = row.split()
     numbers = np.array([float(word) for word in words])
     if kind == "lathe":
-        return _lathe(numbers)
+        return revolve(numbers.reshape(-1, 2))
     make, sizes, along_y = _PARTS[kind]
     numbers[list(along_y)] *= side
     arguments = np.split(numbers, np.cumsum(sizes)[:-1])
     return make(*(a if a.size > 1 else float(a[0]) for a in arguments))
-
-
-def _lathe(numbers: Floats) -> Solid:
-    solid, foot = revolve(numbers[2:].reshape(-1, 2)), np.array([*numbers[:2], 0.0])
-    return lambda points: solid(points - foot)
 
 
 def _figure_of_table(table: dict[str, Any]) -> Figure:
