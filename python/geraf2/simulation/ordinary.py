@@ -45,17 +45,17 @@ DECIDING_SEED = 1000
 ORDINARY_VERSION = 1
 """Raised when a seed gives another object or another scan."""
 
-_CARTONS = Population(box_side_m=(0.10, 0.20))
-"""Cartons are the population's, but fit: of sides above 0.2 m only what the object needs."""
-_LARGEST_M = (0.10, 0.16)
+_CARTONS = Population(box_side_m=(0.10, 0.18), budget_s=25.0)
+"""Cartons are the population's, but fit: sides above 0.18 m are as the object needs."""
+_LARGEST_M = (0.08, 0.13)
 """Largest extent of an object as it is turned [m]."""
 _LYING = ("spanner", "pliers")
 """Objects that lie on a side."""
-_RING = ScanSpec(n_poses=21, spacing_m=0.004, aperture_m=(0.14, 0.25))
+_RING = ScanSpec(n_poses=18, spacing_m=0.004, aperture_m=(0.12, 0.18))
 _RAISED = replace(
     _RING,
-    n_poses=12,
-    rings=(RingSpec(n_poses=8, elevation_deg=40.0), RingSpec(elevation_deg=90.0)),
+    n_poses=10,
+    rings=(RingSpec(n_poses=7, elevation_deg=40.0), RingSpec(elevation_deg=90.0)),
 )
 """As many planes: around the box, raised, and one above it."""
 _MIN_STANDOFF_M, _SNR_DB = 0.35, 20.0
