@@ -91,12 +91,29 @@ def test_dialects_of_logs(reports):
         scan_of(folder, positions=folder / "time_in_ms.csv")
 
 
+def positions_of(folder, name):
+    parts = [part.rx_positions for part in scan_of(folder, positions=folder / name).poses()]
+    return np.concatenate(parts)
+
+
+@pytest.mark.parametrize(
+    ("report", "names"),
+    [
+        ("log_of_ros_topics", ("rostopic_echo_p", "sec_and_nanosec", "nanoseconds_without_unit")),
+        ("log_with_lines_before_the_names", ("motive", "vicon", "qualisys")),
+    ],
+)
+def test_logs_of_other_programs_give_the_same_positions(reports, report, names):
+    folder = reports / report
+    paths = {path.stem: path.name for path in folder.iterdir()}
+    right = positions_of(folder, paths.get("as_seconds") or paths["plain"])
+    for name in names:
+        np.testing.assert_allclose(positions_of(folder, paths[name]), right, atol=1e-6)
+
+
 def test_rotation_vectors_turn_the_antennas(reports):
     folder = reports / "log_rotation_vector"
-    parts = [
-        np.concatenate([part.rx_positions for part in scan_of(folder, positions=path).poses()])
-        for path in (folder / "log.csv", folder / "same_as_quaternions.csv")
-    ]
+    parts = [positions_of(folder, name) for name in ("log.csv", "same_as_quaternions.csv")]
     np.testing.assert_allclose(parts[0], parts[1], atol=1e-6)
 
 

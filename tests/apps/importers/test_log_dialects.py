@@ -73,6 +73,154 @@ def test_every_dialect_is_read(tmp_path, name):
     assert log.notes == ()
 
 
+def motive(table, *, bodies=("radar",), unit="Meters", scale=1.0, marker=False):
+    """Export of Motive: quaternion before position, bodies beside each other."""
+    turn = ",".join(f"{value:.9f}" for value in TURN.as_quat())
+    n = 8
+    rows = []
+    for k, (time, *at) in enumerate(table):
+        place = ",".join(f"{scale * value:.9f}" for value in at)
+        own = [f"{turn},{place},0.0002"] + [f"{turn},5,5,5,0.0"] * (len(bodies) - 1)
+        rows.append(",".join([str(k), f"{time:.6f}", *own, *(["7,7,7"] if marker else [])]))
+    spread = [body for body in bodies for _ in range(n)] + ["radar:M1"] * (3 if marker else 0)
+    kinds = ["Rigid Body"] * n * len(bodies) + ["Rigid Body Marker"] * (3 if marker else 0)
+    what = (["Rotation"] * 4 + ["Position"] * 3 + ["Mean Marker Error"]) * len(bodies)
+    axes = ["X", "Y", "Z", "W", "X", "Y", "Z", ""] * len(bodies)
+    more = ["Position"] * 3 if marker else []
+    head = [
+        f"Format Version,1.23,Take Name,a,Export Frame Rate,25.0,Length Units,{unit},Space,Global",
+        "",
+        ",".join(["", "Type", *kinds]),
+        ",".join(["", "Name", *spread]),
+        ",".join(["", "", *what, *more]),
+        ",".join(["Frame", "Time (Seconds)", *axes, *(["X", "Y", "Z"] if marker else [])]),
+    ]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def of_vicon(bodies=("cart",)):
+    names = ",".join(["RX,RY,RZ,TX,TY,TZ"] * len(bodies))
+    units = ",".join(["rad,rad,rad,mm,mm,mm"] * len(bodies))
+    turn = ",".join(f"{value:.9f}" for value in TURN.as_rotvec())
+    rows = [
+        ",".join(
+            [f"{k + 1},0"] + [",".join([turn, *(f"{1e3 * v:.6f}" for v in at)]) for _ in bodies]
+        )
+        for k, at in enumerate(POSITIONS)
+    ]
+    head = [
+        "Segments",
+        "25",
+        ",," + ",,,,,,".join(bodies),
+        f"Frame,Sub Frame,{names}",
+        f",,{units}",
+    ]
+    return "\n".join([*head, *rows]) + "\n"
+
+
+def of_qualisys(body="board"):
+    table = np.column_stack([np.arange(1, 21), PLAIN * [1, 1e3, 1e3, 1e3], np.zeros((20, 4))])
+    names = f"Frame\tTime\t{body} X\tY\tZ\tRoll\tPitch\tYaw\tResidual"
+    head = f"NO_OF_FRAMES\t20\nFREQUENCY\t25\nDATA_INCLUDED\t6D\nBODY_NAMES\t{body}\n"
+    return text_of(table, head + names, "\t")
+
+
+def of_ros(names, columns):
+    rows = [",".join(map(str, row)) for row in zip(*columns, strict=True)]
+    return "\n".join([names, *rows]) + "\n"
+
+
+NS = [round(1e9 * time) + 1_700_000_000_000_000_000 for time in TIMES]
+XYZ = [[f"{value:.9f}" for value in column] for column in POSITIONS.T]
+LATE = [value + 5_000_000 for value in NS]
+PARTS = [[value // 10**9 for value in NS], [value % 10**9 for value in NS]]
+POSE = ",".join(f"pose.position.{k}" for k in "xyz")
+OF_ROS = {
+    "rostopic echo -p": of_ros(
+        "%time,field.header.seq,field.header.stamp,field.header.frame_id,"
+        + ",".join(f"field.pose.position.{k}" for k in "xyz"),
+        [LATE, range(20), NS, ["base"] * 20, *XYZ],
+    ),
+    "rostopic echo -p of odometry": of_ros(
+        "%time,field.header.stamp,field.header.frame_id,field.child_frame_id,"
+        + ",".join(f"field.pose.pose.position.{k}" for k in "xyz"),
+        [LATE, NS, ["odom"] * 20, ["base"] * 20, *XYZ],
+    ),
+    "bagpy": of_ros(
+        f"Time,header.seq,header.stamp.secs,header.stamp.nsecs,header.frame_id,{POSE}",
+        [[f"{1e-9 * v:.6f}" for v in LATE], range(20), *PARTS, ["base"] * 20, *XYZ],
+    ),
+    "sec and nanosec": of_ros(
+        f"header.stamp.sec,header.stamp.nanosec,header.frame_id,{POSE}",
+        [*PARTS, ["base"] * 20, *XYZ],
+    ),
+    "secs and nsecs alone": of_ros(f"secs,nsecs,{POSE}", [*PARTS, *XYZ]),
+    "ros2 topic echo --csv": of_ros(
+        f"{PARTS[0][0]},{PARTS[1][0]},base,{','.join(c[0] for c in XYZ)},0,0,0,1",
+        [[*of[1:]] for of in (*PARTS, ["base"] * 20, *XYZ, *[[0] * 20] * 3, [1] * 20)],
+    ),
+    "nanoseconds": of_ros("timestamp,x,y,z", [NS, *XYZ]),
+    "microseconds": of_ros("t,x,y,z", [[v // 1000 for v in NS], *XYZ]),
+    "milliseconds": of_ros("time,x,y,z", [[v // 10**6 for v in NS], *XYZ]),
+}
+
+
+@pytest.mark.parametrize("name", OF_ROS)
+def test_stamps_of_ros_are_seconds_since_1970(tmp_path, name):
+    log = read(tmp_path, OF_ROS[name])
+    assert log.times_s - 1.7e9 == pytest.approx(TIMES, abs=1e-6)
+    assert np.allclose(log.positions, POSITIONS)
+
+
+def test_stamps_of_whole_seconds_are_refused_even_with_keep_good(tmp_path):
+    text = of_ros(f"header.stamp.sec,{POSE}", [PARTS[0], *XYZ])
+    (tmp_path / "log.csv").write_text(text)
+    for keep_good in (False, True):  # the hint must not be one that leaves nearly all rows out
+        with pytest.raises(UserError, match="do not increase at 19 rows") as caught:
+            read_log(tmp_path / "log.csv", keep_good=keep_good)
+        assert "keep" not in str(caught.value)
+
+
+MOTION_CAPTURE = {
+    "Motive": motive(PLAIN),
+    "Motive with markers": motive(PLAIN, marker=True),
+    "Motive in millimetres": motive(PLAIN, unit="Millimeters", scale=1e3),
+    "Vicon": of_vicon(),
+    "Qualisys": of_qualisys(),
+    "lines of another logger": "Arm of the laboratory\nspeed,0.05,m/s\n\n"
+    + text_of(PLAIN * [1, 1e3, 1e3, 1e3], "t,x_mm,y_mm,z_mm"),
+    "units in a line of their own": text_of(PLAIN * [1e3, 1e3, 1e3, 1e3], "t,x,y,z\nms,mm,mm,mm"),
+}
+
+
+@pytest.mark.parametrize("name", MOTION_CAPTURE)
+def test_lines_before_the_names_are_understood(tmp_path, name):
+    log = read(tmp_path, MOTION_CAPTURE[name])
+    assert np.allclose(log.times_s, TIMES)
+    assert np.allclose(log.positions, POSITIONS)
+    if name.startswith(("Motive", "Vicon")):
+        assert np.allclose(log.rotations.as_matrix(), TURN.as_matrix(), atol=1e-6)
+
+
+def test_rows_that_motion_capture_lost_are_left_out(tmp_path):
+    lines = motive(PLAIN).splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("0,0.0"))
+    lines[at] = "0,0.000000,,,,,,,,"
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    with pytest.raises(UserError, match="1 of 20 rows hold NaN, first row 1; keep_good"):
+        read_log(tmp_path / "log.csv", keep_good=False)
+    log = read_log(tmp_path / "log.csv", keep_good=True)
+    assert np.allclose(log.positions, POSITIONS[1:])
+
+
+@pytest.mark.parametrize(
+    "text", [motive(PLAIN, bodies=("radar", "carton")), of_vicon(("radar", "carton"))]
+)
+def test_several_bodies_are_refused_by_name(tmp_path, text):
+    with pytest.raises(UserError, match=r"2 bodies: .*carton.*delete the columns of the others"):
+        read(tmp_path, text)
+
+
 w_first = TURN.as_quat()[[3, 0, 1, 2]]
 w_last = TURN.as_quat()
 ORIENTATION = ",".join(f"pose.orientation.{k}" for k in "xyzw")
