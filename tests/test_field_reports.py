@@ -129,6 +129,11 @@ def test_other_names_of_matlab_are_listed(reports, name, text):
         load_importer("mat").open(reports / "mat_other_names" / name, RadarManifest())
 
 
+def test_hdf5_of_python_is_read_as_it_stands(reports):
+    scan = load_importer("mat").open(reports / "hdf5_of_python" / "scan.h5", RadarManifest())
+    assert (scan.n_antennas, scan.manifest.waveform.n_samples) == ((256,), 64)
+
+
 def test_structs_of_matlab_are_opened(reports):
     radar = RadarManifest(
         start_frequency_hz=77e9, chirp_slope_hz_per_s=6e13, sample_rate_hz=1e6, path_bias_m=0.0
@@ -167,11 +172,28 @@ def test_compressed_gltf_is_refused_by_the_name_of_its_extension(reports):
     for name, extension in (
         ("draco", "KHR_draco_mesh_compression"),
         ("meshopt", "EXT_meshopt_compression"),
-        ("quantized", "KHR_mesh_quantization"),
     ):
         with pytest.raises(UserError, match=f"needs {extension}.* export it without compression"):
             read_mesh(reports / "gltf_compressed" / f"{name}.glb")
-    assert len(read_mesh(reports / "gltf_compressed" / "plain.glb").faces) == 432
+
+
+def test_quantised_gltf_has_the_size_of_the_plain_one(reports):
+    plain, quantised = (
+        read_mesh(reports / "gltf_compressed" / f"{name}.glb") for name in ("plain", "quantized")
+    )
+    assert len(plain.faces) == len(quantised.faces) == 432
+    for end in ("min", "max"):
+        ends = [getattr(mesh.vertices, end)(axis=0) for mesh in (plain, quantised)]
+        assert ends[0] == pytest.approx(ends[1], abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name", ["face_colours_as_a_list", "face_flags_not_in_header", "vertex_alpha_not_in_header"]
+)
+def test_rows_that_the_header_does_not_state_are_refused_by_line(reports, name):
+    with pytest.raises(UserError, match=r"line \d+ has \d+ words, the header states \d+"):
+        read_mesh(reports / "ply_rows_and_header_differ" / f"{name}.ply")
+    assert len(read_mesh(reports / "ply_rows_and_header_differ" / "right.ply").faces) == 12
 
 
 def test_the_outer_skin_of_a_hollow_carton_is_the_prior(reports, tmp_path):

@@ -1,5 +1,7 @@
 """Meshes as CAD programs and scanners write them."""
 
+import base64
+import json
 import struct
 
 import numpy as np
@@ -206,3 +208,84 @@ def test_a_ply_with_a_broken_header_is_refused(tmp_path, old, new):
     (tmp_path / "a.ply").write_bytes(ply("ascii", QUADS).replace(old.encode(), new.encode(), 1))
     with pytest.raises(UserError, match="cannot read the mesh"):
         read_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("0 0 0 7\n", "0 0 0 7 255\n", "line 12 has 5 words, the header states 4"),
+        ("4 0 ", "4 0 0 ", "line 20 has 6 words, the header states 5"),
+        ("", "1 2 3\n", "line 26 stands behind the last row"),
+    ],
+)
+def test_rows_that_differ_from_the_header_are_named(tmp_path, old, new, line):
+    text = ply("ascii", QUADS).decode()
+    (tmp_path / "a.ply").write_text(text.replace(old, new, 1) if old else text + new)
+    with pytest.raises(UserError, match=line):
+        read_mesh(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS[1:])
+def test_bytes_behind_the_last_row_are_refused(tmp_path, encoding):
+    (tmp_path / "a.ply").write_bytes(ply(encoding, QUADS) + b"\x01\x02\x03")
+    with pytest.raises(UserError, match="3 bytes stand behind the last row"):
+        read_mesh(tmp_path / "a.ply")
+
+
+# A box of 2 x 3 x 4 cm whose corners are integers from 0 or -n to n.
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2"])
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_normalised_integers_of_gltf_are_parts_of_one(tmp_path, kind, suffix):
+    top, signed = np.iinfo(kind).max, kind[0] == "i"
+    corners = np.array(V, dtype=float) / np.max(V, axis=0)  # 0 or 1
+    integers = np.rint((2 * corners - 1 if signed else corners) * top).astype(kind)
+    rows = np.zeros((8, 4), dtype=kind)  # rows are padded to four bytes
+    rows[:, :3] = integers
+    faces = np.array([[f[0], f[k], f[k + 1]] for f in QUADS for k in (1, 2)], dtype="<u2")
+    data = faces.tobytes() + rows.tobytes()
+    size = 0.01 * np.max(V, axis=0) / (2 if signed else 1)
+    content = {
+        "asset": {"version": "2.0"},
+        "extensionsRequired": ["KHR_mesh_quantization"],
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "scale": size.tolist()}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 1}, "indices": 0}]}],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5123, "count": 36, "type": "SCALAR"},
+            {
+                "bufferView": 1,
+                "componentType": {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123}[kind],
+                "normalized": True,
+                "count": 8,
+                "type": "VEC3",
+                "min": integers.min(axis=0).tolist(),
+                "max": integers.max(axis=0).tolist(),
+            },
+        ],
+        "bufferViews": [
+            {"buffer": 0, "byteLength": faces.nbytes},
+            {
+                "buffer": 0,
+                "byteOffset": faces.nbytes,
+                "byteLength": rows.nbytes,
+                "byteStride": rows.strides[0],
+            },
+        ],
+        "buffers": [{"byteLength": len(data)}],
+    }
+    path = tmp_path / f"a.{suffix}"
+    if suffix == "gltf":
+        content["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(
+            data
+        ).decode("ascii")
+        path.write_text(json.dumps(content))
+    else:
+        text = json.dumps(content).encode()
+        text += b" " * (-len(text) % 4)
+        data += b"\0" * (-len(data) % 4)
+        chunks = struct.pack("<I4s", len(text), b"JSON") + text
+        chunks += struct.pack("<I4s", len(data), b"BIN\0") + data
+        path.write_bytes(struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks)
+    mesh = read_mesh(path)
+    x, z, y = 0.01 * np.max(V, axis=0)  # +Y up in the file
+    assert np.ptp(mesh.vertices, axis=0) == pytest.approx([x, y, z], rel=0.01)

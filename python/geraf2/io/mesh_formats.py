@@ -6,6 +6,7 @@ ValueError states what is wrong with the bytes.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -69,12 +70,18 @@ def parse_ply(data: bytes) -> RawMesh:
     elements, order, at = _ply_header(data)
     rows: dict[str, dict[str, Any]] = {}
     words = [] if order else data[at:].split()
-    at = at if order else 0
+    if not order:
+        _require_rows(data[at:], data.count(b"\n", 0, at), elements)
+        at = 0
     for element in elements:
         if order:
             rows[element[0]], at = _binary_rows(data, order, at, element)
         else:
             rows[element[0]], at = _text_rows(words, at, element)
+    n_left = len(data[at:].strip()) if order else 0
+    if n_left:
+        msg = f"{n_left} bytes stand behind the last row that the header states"
+        raise ValueError(msg)
     vertex = rows.get("vertex", {})
     if not {"x", "y", "z"} <= set(vertex):
         msg = "it has no vertices x, y, z"
@@ -133,6 +140,31 @@ def _ply_header(data: bytes) -> tuple[list[_Element], str, int]:
 
 def _too_short(name: str, count: int, got: int) -> ValueError:
     return ValueError(f"the mesh lacks {name} rows, expected {count}, got {got}; it may be cut off")
+
+
+def _require_rows(text: bytes, n_before: int, elements: Sequence[_Element]) -> None:
+    """Raise ValueError for the first line that is no row as the header states it.
+
+    Without that check words are read on across line ends. Files with fewer lines than rows are cut
+    off, or have several rows in a line.
+    """
+    lines = enumerate(text.split(b"\n"), start=n_before + 1)
+    rows = [(number, words) for number, line in lines if (words := line.split())]
+    if len(rows) < sum(count for _, count, _ in elements):
+        return
+    row = iter(rows)
+    for _, count, properties in elements:
+        for number, words in islice(row, count):
+            n = 0
+            for *_, length in properties:
+                n += 1 if length is None or n >= len(words) else 1 + int(float(words[n]))
+            is_cut = n > len(words) and number == rows[-1][0]  # reported by the reader
+            if n != len(words) and not is_cut:
+                msg = f"line {number} has {len(words)} words, the header states {n}"
+                raise ValueError(msg)
+    for number, _ in row:
+        msg = f"line {number} stands behind the last row that the header states"
+        raise ValueError(msg)
 
 
 def _text_rows(words: list[bytes], at: int, element: _Element) -> tuple[dict[str, Any], int]:

@@ -1,5 +1,6 @@
 """Limits of meshes that are read: small files that unpack to any size are refused before."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,9 +16,12 @@ MAX_NODES = 10_000
 _BYTES_PER_BYTE = {".ply": 12.0, ".stl": 12.0, ".obj": 20.0}
 _COMPONENT_BYTES = {5120: 1, 5121: 1, 5122: 2, 5123: 2, 5125: 4, 5126: 4}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+# Largest value of normalised integers, which stands for 1.
+_LARGEST = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
 _JSON_CHUNK = b"JSON"
 _APPEARANCE = ("KHR_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_")
 """Beginnings of the names of glTF extensions that leave vertices as they are."""
+_QUANTIZED = "KHR_mesh_quantization"
 
 
 def require_mesh_size(source: Path) -> None:
@@ -26,29 +30,62 @@ def require_mesh_size(source: Path) -> None:
     require_memory(needed, "use a mesh of fewer triangles", where=source)
 
 
-def require_gltf_content(data: bytes, where: Path) -> None:
-    """Raise UserError for the bytes of a glTF or GLB that cannot be read rightly.
+def require_gltf_content(data: bytes, where: Path) -> bytes:
+    """Bytes of a glTF or GLB whose vertices are not normalised integers but in the node's units.
 
-    Those are files with compressed or quantised vertices, with objects that repeat, or without
-    the data that they state.
+    UserError for one that cannot be read rightly: with compressed vertices, with objects that
+    repeat, or without the data that it states.
     """
-    if where.suffix.lower() == ".glb":
-        end = 20 + int.from_bytes(data[12:16], "little")
-        data = data[20:end] if data[16:20] == _JSON_CHUNK else b""
+    is_glb = where.suffix.lower() == ".glb"
+    end = 20 + int.from_bytes(data[12:16], "little")
+    text = data[20:end] if data[16:20] == _JSON_CHUNK else b""
     try:
-        content = parse_json(data)
-        unread = [e for e in content.get("extensionsRequired", ()) if not e.startswith(_APPEARANCE)]
+        content = parse_json(text if is_glb else data)
+        names = content.get("extensionsRequired", ())
+        unread = [e for e in names if not e.startswith((*_APPEARANCE, _QUANTIZED))]
         what = "" if unread else _complaint(content)
+        scaled = not (unread or what) and _scale_normalised(content)
     except (ValueError, LookupError, TypeError, AttributeError):
-        return  # the reader states what is wrong
+        return data  # the reader states what is wrong
     if unread:
         raise UserError(
             what=f"needs {', '.join(unread)}, which is not read",
             where=where,
-            hint="export it without compression and quantization of vertices",
+            hint="export it without compression of vertices",
         )
     if what:
         raise UserError(what=what, where=where)
+    if not scaled:
+        return data
+    text = json.dumps(content).encode()
+    if not is_glb:
+        return text
+    text += b" " * (-len(text) % 4)
+    n_bytes = len(data) - (end - 20) + len(text)
+    sizes = [n.to_bytes(4, "little") for n in (n_bytes, len(text))]
+    return data[:8] + sizes[0] + sizes[1] + _JSON_CHUNK + text + data[end:]
+
+
+def _scale_normalised(content: dict[str, Any]) -> bool:
+    """Scale the nodes of meshes with normalised integers, which trimesh takes as they are stored.
+
+    UserError for a mesh of several types.
+    """
+    nodes = content.get("nodes", [])
+    found = False
+    for node in list(nodes):
+        primitives = content["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
+        used = [content["accessors"][one["attributes"]["POSITION"]] for one in primitives]
+        scales = {_LARGEST[a["componentType"]] if a.get("normalized") else 1 for a in used}
+        if scales <= {1}:
+            continue
+        if len(scales) > 1:
+            msg = "the primitives of a mesh have different types"
+            raise UserError(what=msg)
+        found = True
+        node["children"] = [*node.get("children", ()), len(nodes)]
+        nodes.append({"mesh": node.pop("mesh"), "scale": [1 / scales.pop()] * 3})
+    return found
 
 
 def _complaint(content: Mapping[str, Any]) -> str:
@@ -62,7 +99,8 @@ def _complaint(content: Mapping[str, Any]) -> str:
     views = content.get("bufferViews", [])
     for number, accessor in enumerate(content.get("accessors", [])):
         if "bufferView" not in accessor:
-            return f"accessor {number} has no data"
+            used = ", ".join(content.get("extensionsUsed", ()))
+            return f"accessor {number} has no data{f', and {used} is not read' if used else ''}"
         size = _COMPONENT_BYTES[accessor["componentType"]] * _COMPONENTS[accessor["type"]]
         if accessor["count"] * size > views[accessor["bufferView"]]["byteLength"]:
             return f"accessor {number} is longer than its data"

@@ -50,8 +50,7 @@ def parse_gltf(data: bytes, source: Path) -> RawMesh:
 
     source: its name, beside which the buffers lie.
     """
-    require_gltf_content(data, source)
-    raw = _load(data, source.suffix.lower()[1:], _Beside(source))
+    raw = _load(require_gltf_content(data, source), source.suffix.lower()[1:], _Beside(source))
     return RawMesh(vertices=raw.vertices @ FRAME_FROM_GLTF[:3, :3].T, faces=raw.faces)
 
 

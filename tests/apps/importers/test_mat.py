@@ -26,6 +26,18 @@ def save_hdf5(path, arrays):
                 pair["real"], pair["imag"] = array.real, array.imag
                 array = pair
             file[name] = array
+            file[name].attrs["MATLAB_class"] = np.bytes_("double")
+            if name.endswith("/value"):  # as Octave marks its groups
+                del file[name].attrs["MATLAB_class"]
+                file[name].parent.attrs["OCTAVE_NEW_FORMAT"] = np.uint8(1)
+    return path
+
+
+def save_python(path, arrays):
+    """As h5py does: axes as they are, complex numbers of its own, numbers without axes."""
+    with h5py.File(path, "w") as file:
+        for name, value in arrays.items():
+            file[name] = value
     return path
 
 
@@ -34,7 +46,7 @@ def save_version_5(path, arrays):
     return path
 
 
-SAVERS = {"5": save_version_5, "7.3": save_hdf5}
+SAVERS = {"5": save_version_5, "7.3": save_hdf5, "HDF5 of Python": save_python}
 
 
 @pytest.fixture(params=SAVERS)

@@ -1,5 +1,7 @@
 """Arrays of numbers in MATLAB files: version 4 to 7.2 by SciPy, version 7.3 (HDF5) by h5py.
 
+HDF5 of other programs is read as well; its axes stand as they are, while MATLAB reverses them.
+
 Shapes are known before any data are read. Nothing but numbers is used: no object, cell or function
 of the file, and no link to another one.
 """
@@ -214,7 +216,9 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
         if data.external or data.is_virtual:
             foreign.add(name)
         else:
-            known[name] = _hdf5_array(data)
+            octave = data.parent.attrs if name != location.replace("/", ".") else {}
+            is_matlab = "MATLAB_class" in data.attrs or "OCTAVE_NEW_FORMAT" in octave
+            known[name] = _hdf5_array(data, is_reversed=is_matlab)
 
     try:
         file = h5py.File(path, "r")
@@ -229,17 +233,17 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
     return known, []
 
 
-def _hdf5_array(data: Any) -> MatArray:
+def _hdf5_array(data: Any, *, is_reversed: bool) -> MatArray:
+    """Array of HDF5, whose axes MATLAB and Octave reverse; other programs store them as they are."""
     parts = data.dtype.names
     is_complex = parts is not None and set(parts) == {"real", "imag"}
     kind = "c" if is_complex else "O" if parts else data.dtype.kind
 
     def read(index: tuple[Any, ...]) -> Array:
-        # HDF5 holds MATLAB's arrays with the axes reversed.
-        stored = data[(..., *reversed(index))].T
+        stored = data[(..., *reversed(index))].T if is_reversed else data[index]
         return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
 
-    return MatArray(shape=tuple(reversed(data.shape)), kind=kind, read=read)
+    return MatArray(shape=data.shape[::-1] if is_reversed else data.shape, kind=kind, read=read)
 
 
 def _require_no_link(file: Any, name: str, path: Path) -> None:
