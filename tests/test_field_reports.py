@@ -83,6 +83,14 @@ def test_a_script_with_branches_is_refused_with_both_values(reports):
         recording(folder / "capture.bin", folder / "setup.lua")
 
 
+def test_settings_of_mmwave_studio_are_read(reports):
+    folder = reports / "studio_settings_xml"
+    config = recording(folder / "capture.bin", folder / "mmWaveConfig.xml").config
+    assert (config.ramp_start_hz, config.chirp_slope_hz_per_s) == (77e9, 60e12)
+    assert (config.n_samples, config.sample_rate_hz, config.frame_period_s) == (64, 5e6, 0.04)
+    assert config.transmitters.masks == (1,)
+
+
 def test_dialects_of_logs(reports):
     folder = reports / "log_dialects"
     for name in ("comma_at_end.csv", "quoted_names.csv"):

@@ -2,9 +2,12 @@
 
 import pytest
 
+from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._ti_config import read_ti_configs
 from geraf2.apps.importers._ti_values import Transmitters
 from geraf2.errors import UserError
+from geraf2.io.manifest import RawManifest
+from helpers.raw_capture import beat, opened, write_words
 
 # Made by hand: codes of 77 GHz, 60.012 MHz/us, 6 us, 5 ns steps of 50 ms.
 LOG = """25-Oct-2018 12:00:01: API:select_chip_version,AR1243,0,
@@ -126,3 +129,67 @@ PROFILE = "profileCfg 0 77 7 6 60 0 0 60 1 64 1000 0 0 30\n"
 def test_what_other_chips_and_files_hold_is_refused(tmp_path, name, text, reported):
     with pytest.raises(UserError, match=reported):
         read(tmp_path, text, name)
+
+
+def studio_xml(chirp=(0, 0), loop=(0, 0), first_tx=1, **changed):
+    """Settings as mmWave Studio saves them: in any order, decimal commas where Windows has them."""
+    masks = {f"tx{first_tx + k}Enable": int(k == 0) for k in range(3)}
+    sections = {
+        "channel": {"rx3En": 1, "rx0En": 1, "tx0En": 1, "rx1En": 1, "rx2En": 0, "cascadeMode": 0},
+        "lvdslane": {"lane4En": 0, "lane2En": 1, "lane3En": 0, "lane1En": 1, "laneFormat": 0},
+        "adc": {"formatVal": 2, "bitsVal": 2, "IQSwap": 0},
+        "profile": {
+            "digOutSampleRate": 9121, "startFreqConst": "77.0", "freqSlopeConst": "63,343",
+            "adcStartTimeConst": 6, "numAdcSamples": 512, "pprofileId": 0,
+        },
+        "chirp": {"chirpEndIdx": chirp[1], "chirpStartIdx": chirp[0], **masks},
+        "frame": {
+            "periodicity": 2, "loopCount": 16, "frameCount": 0,
+            "fchirpStartIdx": loop[0], "fchirpEndIdx": loop[1],
+        },
+    }  # fmt: skip
+    for name, values in changed.items():
+        sections[name] |= values
+    text = "".join(
+        f"<apiname_{name}_cfg>"
+        + "".join(f'<param name="{key}" value="{value}" />' for key, value in of.items())
+        + f"</apiname_{name}_cfg>"
+        for name, of in sections.items()
+    )
+    return f'<?xml version="1.0" encoding="utf-8" ?>\n<configuration>{text}</configuration>'
+
+
+@pytest.mark.parametrize("first_tx", [0, 1])
+def test_settings_of_mmwave_studio_are_read(tmp_path, first_tx):
+    (tmp_path / "a.xml").write_text(studio_xml(first_tx=first_tx))
+    found = read_ti_configs([tmp_path / "a.xml"])
+    assert (found.n_samples, found.n_rx, found.n_lanes, found.is_real) == (512, 3, 2, False)
+    assert found.first_sample_hz() == pytest.approx(77e9 + 6e-6 * 63.343e12)
+    assert (found.sample_rate_hz, found.frame_period_s) == (9.121e6, 2e-3)
+    assert (found.n_chirps_per_frame, found.n_frames) == (16, None)
+    assert found.transmitters.masks == (1,)
+
+
+def test_transmitters_that_the_settings_do_not_state_are_asked_for(tmp_path):
+    write_words(tmp_path / "a.bin", beat(n_chirps=48, n_rx=3), "2-lane-sequential")
+    (tmp_path / "a.xml").write_text(studio_xml((2, 2), (0, 2), profile={"numAdcSamples": 64}))
+    options = ImportOptions(config=(tmp_path / "a.xml",))
+    with pytest.raises(UserError, match="transmitters of the 3 chirps of a loop are not known"):
+        opened(tmp_path / "a.bin", options)
+    found = opened(tmp_path / "a.bin", options, raw=RawManifest(n_tx=3))
+    assert (found.n_tx, found.n_frames, found.n_loops) == (3, 1, 16)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("</configuration>", "", "is not valid XML"),
+        ("<configuration>", "<!DOCTYPE a [<!ENTITY b 'c'>]><configuration>", "declares entities"),
+        ('name="numAdcSamples"', 'name="n"', "parameter 'profile.numAdcSamples' is missing"),
+        ('value="9121"', 'value="many"', "'profile.digOutSampleRate' must be a number"),
+    ],
+)
+def test_broken_settings_are_refused(tmp_path, old, new, text):
+    (tmp_path / "a.xml").write_text(studio_xml().replace(old, new))
+    with pytest.raises(UserError, match=text):
+        read_ti_configs([tmp_path / "a.xml"])

@@ -234,7 +234,7 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
 
 
 def _hdf5_array(data: Any, *, is_reversed: bool) -> MatArray:
-    """Array of HDF5, whose axes MATLAB and Octave reverse; other programs store them as they are."""
+    """Array of HDF5; its axes are reversed where MATLAB or Octave wrote it."""
     parts = data.dtype.names
     is_complex = parts is not None and set(parts) == {"real", "imag"}
     kind = "c" if is_complex else "O" if parts else data.dtype.kind

@@ -368,6 +368,13 @@ def _check_lanes(evidence: LayoutEvidence, config: TiConfig, source: Path) -> No
 
 
 def _frame_structure(radar: RadarManifest, config: TiConfig) -> tuple[int, int]:
+    is_known = radar.raw.n_tx or config.transmitters
+    if not is_known and (config.n_chirps_per_loop or 1) > 1:
+        n = config.n_chirps_per_loop
+        raise UserError(
+            what=f"the transmitters of the {n} chirps of a loop are not known",
+            expected="n_tx under [raw] of --radar, or LogFile.txt of mmWave Studio",
+        )
     n_tx = radar.raw.n_tx or (config.transmitters.n_chirps if config.transmitters else 1)
     n_chirps = radar.raw.n_chirps_per_frame or config.n_chirps_per_frame or n_tx
     if n_chirps % n_tx:

@@ -3,6 +3,7 @@
     *.mmwave.json   mmWave Studio: mmWaveDevices[].rfConfig.rlProfiles[].rlProfileCfg_t ...
     cf.json         DCA1000 command line: DCA1000Config.lvdsMode ...
     *.cfg           mmWave SDK: lines 'profileCfg ...', 'chirpCfg ...', 'frameCfg ...'
+    *.xml           mmWave Studio: its settings, sections 'apiname_profile_cfg' ...
     *LogFile.txt    mmWave Studio: lines 'API:ProfileConfig,...', and its scripts (_ti_log)
 
 The names and units of the keys are those of TI's mmWave Studio and SDK user guides.
@@ -10,6 +11,7 @@ The names and units of the keys are those of TI's mmWave Studio and SDK user gui
 
 import math
 import re
+import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
 from fnmatch import fnmatch
 from pathlib import Path
@@ -37,6 +39,7 @@ from geraf2.io.text import parse_json, read_text
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
+_XML_MARK = "apiname_profile_cfg"
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
 
 
@@ -65,16 +68,18 @@ def find_ti_configs(source: Path) -> list[Path]:
         stem = re.sub(r"_Raw_\d+$", "", source.stem, flags=re.IGNORECASE)
         found = [source.with_name(f"{stem}_LogFile.txt")]
     else:
-        patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*logfile.txt")
+        patterns = ("*.mmwave.json", "*cf.json", "*.cfg", "*.xml", "*logfile.txt")
         # Logs come last, since their values are rounded; the first value is used.
         names = sorted(source.iterdir())
         found = [path for end in patterns for path in names if fnmatch(path.name.lower(), end)]
-    # Logs of sessions without a profile are ignored.
+    # Logs of sessions without a profile are ignored, and other XML.
+    needed = {".txt": b"ProfileConfig", ".xml": _XML_MARK.encode()}
     return [
         path
         for path in found
         if path.is_file()
-        and (path.suffix != ".txt" or b"ProfileConfig" in read_regular(path, TEXT_BYTES))
+        and (mark := needed.get(path.suffix.lower(), b""))
+        in (read_regular(path, TEXT_BYTES) if mark else b"")
     ]
 
 
@@ -82,6 +87,8 @@ def _read_one(path: Path) -> TiConfig:
     text = read_text(path)
     if path.suffix.lower() == ".cfg":
         return _from_profile(text, path)
+    if _XML_MARK in text:
+        return _from_xml(text, path)
     if has_calls(text) or path.suffix.lower() in (".txt", ".lua"):
         return read_log(text, path)
     values: Any = None
@@ -106,8 +113,8 @@ def _read_one(path: Path) -> TiConfig:
     raise UserError(
         what="is no configuration of a TI radar",
         where=path,
-        expected="mmWaveDevices (mmWave Studio), DCA1000Config, a .cfg profile, LogFile.txt, or a "
-        "script with its calls",
+        expected="mmWaveDevices or settings in XML (mmWave Studio), DCA1000Config, a .cfg profile, "
+        "LogFile.txt, or a script with its calls",
     )
 
 
@@ -199,6 +206,67 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
         expected = "1 (4 lanes) or 2 (2 lanes)"
         raise UserError(what="lvdsMode is not known", where=path, expected=expected)
     return TiConfig(n_lanes=lanes)
+
+
+def _from_xml(text: str, path: Path) -> TiConfig:
+    """Read settings of mmWave Studio: sections of parameters, units as in its windows.
+
+    It saves a single one of several chirps, so that the transmitters of a loop may be unknown.
+    """
+    try:
+        # Entities unpack to any size.
+        has_entities = "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
+        root = ET.fromstring("" if has_entities else text)
+    except ET.ParseError as error:
+        what = "declares entities" if has_entities else f"is not valid XML: {error}"
+        raise UserError(what=what, where=path) from None
+    values = {
+        f"{section.tag.removeprefix('apiname_').removesuffix('_cfg')}.{one.get('name')}": (
+            one.get("value", "").strip().replace(",", ".")
+        )
+        for section in root
+        for one in section
+    }
+
+    def number(name: str) -> float:
+        if name not in values:
+            raise UserError(what=f"parameter {name!r} is missing", where=path)
+        return to_number(values[name], name, path)
+
+    def mask(name: str, first: int, n: int) -> int | None:
+        """Bits whose names end with numbers from `first` on; None where there is none."""
+        named = [name.format(first + k) for k in range(n)]
+        bits = [bool(number(one)) if one in values else None for one in named]
+        return None if set(bits) == {None} else sum(1 << k for k, bit in enumerate(bits) if bit)
+
+    first, last = (int(number(f"frame.fchirp{end}Idx")) for end in ("Start", "End"))
+    start, stop = (int(number(f"chirp.chirp{end}Idx")) for end in ("Start", "End"))
+    tx_mask = mask("chirp.tx{}Enable", 0 if "chirp.tx0Enable" in values else 1, 3)
+    rx_mask, lanes = mask("channel.rx{}En", 0, 4), mask("lvdslane.lane{}En", 1, 4)
+    is_known = tx_mask is not None and start <= first and stop >= last
+    profile = [number(f"profile.{name}") for name in _XML_PROFILE]
+    return TiConfig(
+        **profile_values(profile, range(5), TYPED),
+        n_rx=None if rx_mask is None else count_ones(rx_mask),
+        transmitters=transmitters_of([(start, stop, tx_mask)], first, last, path)
+        if is_known and tx_mask is not None
+        else None,
+        n_chirps_per_loop=last - first + 1,
+        n_chirps_per_frame=(last - first + 1) * int(number("frame.loopCount")),
+        n_frames=int(number("frame.frameCount")) or None,
+        frame_period_s=1e-3 * number("frame.periodicity"),
+        n_lanes=count_ones(lanes) if lanes else None,
+        is_real=is_real_16(number("adc.bitsVal"), number("adc.formatVal"), path),
+    )
+
+
+_XML_PROFILE = (
+    "startFreqConst",
+    "adcStartTimeConst",
+    "freqSlopeConst",
+    "numAdcSamples",
+    "digOutSampleRate",
+)
 
 
 # Least and largest number of values in a line of a profile. A frameCfg of the AWR2944 has eight,

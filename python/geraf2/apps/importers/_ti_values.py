@@ -92,6 +92,8 @@ class TiConfig:
     n_rx: int | None = None
     transmitters: Transmitters | None = None
     """Transmitters of each chirp of a loop."""
+    n_chirps_per_loop: int | None = None
+    """Chirps that differ, where their transmitters may be unknown."""
     n_chirps_per_frame: int | None = None
     n_frames: int | None = None
     """Frames to record; None also for recordings of unlimited length."""
