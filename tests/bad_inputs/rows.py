@@ -104,7 +104,10 @@ COMMANDS = [
     *sweep(RUN + " {}", "fit.spacing-m|0\nfit.cap-lean|-9 -9|0.2\npreset|hybrid"),
     *sweep(RUN + " --preset paper {}", "paper.grid-n|0 25\npaper.mesh-n|0|100000"),
     *sweep("image scene out --every 4 {}", "pose|99\nsize-m|nan 1 1\nangles-deg|60 0"),
-    *sweep(PLAN + " {}", "aperture|0 0.1\nelevations-deg|90|10 10\nspacing|1e-12\narray|nix"),
+    *sweep(
+        PLAN + " {}",
+        "aperture|0 0.1\nelevations-deg|90|10 10\ncontent|0.1 0|0 0.3\nspacing|1e-12\narray|nix",
+    ),
     *sweep("plan --depth 0.3 {}", "aperture|11 1\nstandoff|1\nplanes|3\nfigure|a.png"),
     *sweep("render run {}", "echo.max-edge-m|1e-7\nspacing-m|5\nmax-memory|1e-6"),
     *sweep(f"calibrate scene {BOX} {{}}", "channels|1|0\ndelay-search|0.1 0"),

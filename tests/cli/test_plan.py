@@ -19,9 +19,26 @@ def test_a_plan_in_numbers_and_a_drawing(tmp_path, capsys):
     figure = tmp_path / "plan.png"
     assert main(["plan", *BOX, "--figure", str(figure)]) == 0
     shown = capsys.readouterr().out
-    for text in ("0.39 m from the axis", "140 x 250 mm", "3.30 mm", "36 around", "-18 to 18 deg"):
+    for text in ("0.39 m from the axis", "140 x 250 mm", "degrees of elevation, 1 above"):
         assert text in shown
+    # What a ring of as many planes misses is that of the rings which are asked for.
+    assert "in the same time sees 31 %: nothing that tilts by more than 18 degrees" in shown
     assert figure.read_bytes().startswith(b"\x89PNG")
+    assert main(["plan", *BOX, "--elevations-deg", "0"]) == 0
+    shown = capsys.readouterr().out
+    for text in ("3.30 mm", "36 around", "31 %: tilted by -18 to 18 degrees"):
+        assert text in shown
+
+
+def test_minutes_that_are_not_used_are_said_and_planes_look_at_the_content(tmp_path, capsys):
+    scan = tmp_path / "scan.json"
+    assert main(["plan", *BOX, "--minutes", "60", "--content", "0", "0.1", "--out", str(scan)]) == 0
+    assert "about 30 minutes of the 60 minutes: no plan sees more" in capsys.readouterr().out
+    planned = read_scan_file(scan)
+    middles = [np.mean(planned.antennas(plane)[0], axis=0) for plane in planned.planes]
+    assert min(m[2] for m in middles) == pytest.approx(0.05 - 0.11, abs=0.002)
+    looks = [m + np.asarray(p.axes[0]) * 0.39 for m, p in zip(middles, planned.planes, strict=True)]
+    assert np.asarray(looks) == pytest.approx(np.tile([0, 0, -0.06], (len(looks), 1)), abs=0.004)
 
 
 def test_a_radar_of_ones_own_and_what_is_wrong_with_the_plan(tmp_path, capsys):

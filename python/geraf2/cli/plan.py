@@ -8,6 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from geraf2._bounds import Arg
+from geraf2._types import Floats
 from geraf2.apps.planning.expected import BOX_M, ExpectedAccuracy
 from geraf2.apps.planning.planning import (
     ExplainedScan,
@@ -25,15 +26,20 @@ from geraf2.io.outputs import PICTURES, require_file
 from geraf2.io.scan_file import ScanFile, write_scan_file
 from geraf2.pipeline.estimates import fine_image
 from geraf2.scene import Waveform
+from geraf2.scene.aperture import Aperture
 from geraf2.scene.plan import PlanePlan, ScanPlan, nyquist_spacing_m, suggested_planes
+
+_MUCH_OF_TIME = 0.9
+"""A plan that takes a smaller share of the minutes says so."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Config(PlanOptions):
-    """Plan a turntable scan of a box: spacing, standoff, planes, elevations, time, and a drawing.
+    """Plan a scan of a box: planes, spacing, time, what will be seen, and a drawing.
 
-    With --depth in place of --box: a single plane at this distance from its object. With --minutes:
-    what is best in that time; --like explains a scan. What is not given is suggested.
+    The planes that see most in --minutes are chosen, raised ones and one above the box included;
+    with --planes or --elevations-deg, rings as stated. With --depth in place of --box: a single
+    plane at this distance from its object. --like explains a scan.
     """
 
     figure: Path | None = None
@@ -44,31 +50,32 @@ class Config(PlanOptions):
 
 def main(config: Config) -> int:
     """Run the command."""
-    if config.minutes is not None or config.like is not None:
-        return _show_lines(config)
-    if config.array is not None:
-        raise UserError(what="--array is swept by a plan of --minutes or --like: give one")
-    if config.out is not None:
-        raise UserError(what="--out writes what --minutes or --like planned: give one")
-    if config.depth is not None:
+    if config.figure is not None:
+        require_file(config.figure, PICTURES)
+    if config.depth is not None and config.minutes is None:
         if config.figure is not None:
             raise UserError(what="--depth plans a single plane, without --figure")
         return _show_plane(make_plane(config))
-    if config.figure is not None:
-        require_file(config.figure, PICTURES)
+    if config.minutes is not None or config.like is not None or not config.has_rings:
+        return _show_lines(config)
+    for name in ("array", "out"):
+        if getattr(config, name) is not None:
+            what = f"--{name} goes with planes that are chosen, or with --like"
+            raise UserError(what=what, hint="leave --planes and --elevations-deg out")
     plan = make_plan(config)
     wavelength = plan.waveform.center_wavelength_m
     limit = nyquist_spacing_m(plan.box_m, plan.standoff_m, wavelength)
     n_rows, n_columns = plan.rows_columns
     sizes = [n_rows * n_columns] * (plan.n_antennas // (n_rows * n_columns))
     width, height = plan.aperture_m
-    share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
-    tilt = np.rad2deg(np.arctan(0.5 * height / plan.standoff_m))
+    center = np.array([0.0, 0.0, plan.height_m])
+    share = seen_share(plan.apertures, center, np.asarray(plan.box_m))
+    tilt = _tilt_deg(height, plan.standoff_m)
     rings = ", ".join(f"{e - tilt:z.0f} to {e + tilt:z.0f}" for e in plan.elevations_deg)
     rows(
         [
             _band(plan.waveform),
-            ("standoff", f"{plan.standoff_m:.2f} m from the axis to the planes"),
+            ("standoff", _standoff(plan)),
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
                 "spacing",
@@ -87,30 +94,55 @@ def main(config: Config) -> int:
         ]
     )
     _warn(plan, limit)
-    if config.figure is not None:
-        from geraf2.report.plan import plan_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
-
-        plan_figure(plan, config.figure)
-        say(f"drawing  {config.figure}")
+    _draw(config.figure, plan.apertures, plan.box_m, center)
     return 0
+
+
+def _standoff(plan: ScanPlan) -> str:
+    height = f"; {1e3 * plan.height_m:+.0f} mm above its middle" if plan.height_m else ""
+    return f"{plan.standoff_m:.2f} m from the axis of the box to the planes{height}"
+
+
+def _tilt_deg(height_m: float, standoff_m: float) -> float:
+    """Largest tilt of a surface that a plane of this height sees from the side [degrees]."""
+    return float(np.rad2deg(np.arctan(0.5 * height_m / standoff_m)))
+
+
+def _draw(
+    figure: Path | None,
+    planes: list[Aperture],
+    box_m: tuple[float, float, float],
+    center_m: Floats,
+) -> None:
+    """Draw planes about the middle of what they look at, (3,) [m], if a figure is asked for."""
+    if figure is None:
+        return
+    from geraf2.report.plan import plan_figure  # noqa: PLC0415 - matplotlib takes 0.5 s
+
+    plan_figure(planes, box_m, center_m, figure)
+    say(f"drawing  {figure}")
 
 
 def _show_lines(config: Config) -> int:
     if config.out is not None:
         require_file(config.out, (".json", ".csv"))
-    if config.figure is not None:
-        raise UserError(what="--figure draws a plan of rings, without --minutes or --like")
     if config.minutes is not None and config.like is not None:
         raise UserError(what="give either --minutes or --like", got="both")
     if config.like is not None:
-        return _show_like(explain_scan(config.like, config.scanner), config.out)
+        return _show_like(explain_scan(config.like, config.scanner), config)
     return _show_timed(make_timed_plan(config), config)
 
 
 def _show_timed(plan: TimedPlan, config: Config) -> int:
     lines, (width, height) = plan.scan.planes[0].lines, plan.design.aperture_m
+    base = make_plan(config)
+    time = _duration(plan.seconds)
+    if config.minutes is not None and plan.seconds < _MUCH_OF_TIME * 60.0 * config.minutes:
+        time += f" of the {config.minutes:g} minutes: no plan sees more in the rest"
     rows(
         [
+            _band(base.waveform),
+            ("standoff", _standoff(base)),
             ("planes", f"{plan.design.n_planes}: {plan.design}"),
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
@@ -118,30 +150,44 @@ def _show_timed(plan: TimedPlan, config: Config) -> int:
                 f"{len(lines)} a plane, {lines[0].n_positions} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
-            *_accuracy_rows(plan.scan, plan.seconds, plan.seen_share, plan.expected, config.box),
+            *_accuracy_rows(plan.scan, time, plan.seen_share, plan.expected, config.box),
+            ("one ring", _of_one_ring(plan, _tilt_deg(height, base.standoff_m))),
             *_write_scan(plan.scan, config.out),
         ]
     )
+    _warn_range(base)
+    _draw(config.figure, plan.planes, base.box_m, np.array([0.0, 0.0, base.height_m]))
     return 0
 
 
-def _show_like(like: ExplainedScan, out: Path | None) -> int:
+def _of_one_ring(plan: TimedPlan, tilt_deg: float) -> str:
+    """Say what a ring around the box sees in the time of a plan, and what it misses."""
+    misses = f"nothing that tilts by more than {tilt_deg:.0f} degrees, such as a top"
+    if plan.design.n_around == plan.design.n_planes:
+        return f"this plan is one, and sees {misses}; --max-elevation-deg allows higher planes"
+    share = f"{100 * plan.ring_share:.0f} %"
+    return f"of {plan.design.n_planes} planes in the same time sees {share}: {misses}"
+
+
+def _show_like(like: ExplainedScan, config: Config) -> int:
     counts = Counter(round(e / 5.0) * 5 for e in like.elevations_deg)
     at = ", ".join(f"{n} at {e} degrees" for e, n in sorted(counts.items()))
+    time = _duration(like.seconds)
     rows(
         [
-            ("planes", f"{len(like.apertures)}: {at} of elevation"),
+            ("planes", f"{len(like.planes)}: {at} of elevation"),
             ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
-            *_accuracy_rows(like.scan, like.seconds, like.seen_share, like.expected),
-            *_write_scan(like.scan, out),
+            *_accuracy_rows(like.scan, time, like.seen_share, like.expected),
+            *_write_scan(like.scan, config.out),
         ]
     )
+    _draw(config.figure, like.planes, like.box_m, like.center_m)
     return 0
 
 
 def _accuracy_rows(
     scan: ScanFile,
-    seconds: float,
+    time: str,
     share: float,
     expected: ExpectedAccuracy | None,
     box_m: tuple[float, float, float] | None = None,
@@ -155,7 +201,7 @@ def _accuracy_rows(
     return [
         ("channels", f"{scan.array.n_channels} at once{one}"),
         ("antennas", f"{scan.n_antennas} positions of a channel"),
-        ("time", _duration(seconds)),
+        ("time", time),
         ("normals seen", f"{100 * share:.0f} %"),
         ("expected", reached),
     ]
@@ -216,11 +262,7 @@ def _show_plane(plan: PlanePlan) -> int:
 def _warn(plan: ScanPlan, limit: float) -> None:
     if plan.spacing_m > limit:
         warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
-    if plan.farthest_m > plan.waveform.unambiguous_range_m:
-        warn(
-            f"the far corner of the box lies at {plan.farthest_m:.2f} m, beyond the unambiguous "
-            f"range of {plan.waveform.unambiguous_range_m:.2f} m: take more samples"
-        )
+    _warn_range(plan)
     if min(plan.aperture_m) < 0.08:
         warn("a plane smaller than a sub-aperture (80 mm) blurs weak echoes together")
     needed = suggested_planes(plan.aperture_m, plan.standoff_m)
@@ -228,6 +270,14 @@ def _warn(plan: ScanPlan, limit: float) -> None:
         warn(
             f"between the planes lie normals that none sees: {-(-needed // 2)} planes close the "
             f"circle, {needed} see each normal twice"
+        )
+
+
+def _warn_range(plan: ScanPlan) -> None:
+    if plan.farthest_m > plan.waveform.unambiguous_range_m:
+        warn(
+            f"the far corner of the box lies at {plan.farthest_m:.2f} m, beyond the unambiguous "
+            f"range of {plan.waveform.unambiguous_range_m:.2f} m: take more samples"
         )
 
 

@@ -1,5 +1,6 @@
 """Drawing of a planned scan: from above, from the side, and its visible normals."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -9,7 +10,6 @@ from geraf2.freespace.specular import received_normals, seen_share
 from geraf2.report import canvas
 from geraf2.report.canvas import BLUE, BOX_COLOUR
 from geraf2.scene.aperture import Aperture
-from geraf2.scene.plan import ScanPlan
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -18,30 +18,31 @@ if TYPE_CHECKING:
 _N_AZIMUTHS, _N_HEIGHTS = 181, 91
 
 
-def plan_figure(plan: ScanPlan, path: AnyPath) -> None:
-    """Draw a plan."""
+def plan_figure(
+    planes: Sequence[Aperture], box_m: tuple[float, float, float], center_m: Floats, path: AnyPath
+) -> None:
+    """Draw planes around a box, and the normals that they see at a point, (3,) [m]."""
     figure = canvas.new_figure(13.0, 4.6)
     above, side, normals = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.35))
-    _draw_box(above, plan, (0, 1), "from above")
-    _draw_box(side, plan, (0, 2), "from the side")
-    for middle, axes in plan.planes():
-        half = 0.5e3 * np.asarray(plan.aperture_m)
-        ends = 1e3 * middle + np.outer([-half[0], half[0]], axes[1])
+    _draw_box(above, box_m, (0, 1), "from above")
+    _draw_box(side, box_m, (0, 2), "from the side, planes turned into the picture")
+    for plane in planes:
+        ends = 1e3 * plane.points_at(np.array([(-1.0, 0.0), (1.0, 0.0)]))
         above.plot(ends[:, 0], ends[:, 1], color=BLUE, linewidth=1.2)
-    for elevation in np.deg2rad(plan.elevations_deg):
-        for side_sign in (-1.0, 1.0):
-            outward = np.array([side_sign * np.cos(elevation), np.sin(elevation)])
-            across = np.array([-side_sign * np.sin(elevation), np.cos(elevation)])
-            half_height = 0.5e3 * plan.aperture_m[1]
-            ends = 1e3 * plan.standoff_m * outward + np.outer([-half_height, half_height], across)
-            side.plot(ends[:, 0], ends[:, 1], color=BLUE, linewidth=2.0)
-    share = seen_share(plan.apertures, np.zeros(3), np.asarray(plan.box_m))
-    draw_normals(figure, normals, plan.apertures, np.zeros(3), share)
+        ends = 1e3 * plane.points_at(np.array([(0.0, -1.0), (0.0, 1.0)]))
+        azimuth = np.arctan2(plane.axes[1][0], -plane.axes[1][1])
+        away = ends[:, :2] @ [np.cos(azimuth), np.sin(azimuth)]
+        for sign in (-1.0, 1.0):
+            side.plot(sign * away, ends[:, 2], color=BLUE, linewidth=2.0)
+    share = seen_share(planes, center_m, np.asarray(box_m))
+    draw_normals(figure, normals, planes, center_m, share)
     canvas.save(figure, path)
 
 
-def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) -> None:
-    half = [0.5e3 * plan.box_m[axis] for axis in axes]
+def _draw_box(
+    panel: "Axes", box_m: tuple[float, float, float], axes: tuple[int, int], title: str
+) -> None:
+    half = [0.5e3 * box_m[axis] for axis in axes]
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [-1, -1]]) * half
     panel.plot(corners[:, 0], corners[:, 1], color=BOX_COLOUR, linewidth=1.8)
     panel.set_aspect("equal")
@@ -49,7 +50,7 @@ def _draw_box(panel: "Axes", plan: ScanPlan, axes: tuple[int, int], title: str) 
 
 
 def draw_normals(
-    figure: "Figure", panel: "Axes", planes: list[Aperture], point: Floats, share: float
+    figure: "Figure", panel: "Axes", planes: Sequence[Aperture], point: Floats, share: float
 ) -> None:
     """Draw the visible normals of a surface, in an equal-area map.
 

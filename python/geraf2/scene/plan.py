@@ -63,6 +63,8 @@ class ScanPlan(Raster):
     """Of the planes' middles above the horizontal, one a ring [degrees]."""
     turn_s: float = 3.0
     """From one plane to the next [s]."""
+    height_m: float = 0.0
+    """What the planes look at, above the middle of the box [m]."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -97,25 +99,30 @@ class ScanPlan(Raster):
         across = float(np.hypot(self.standoff_m + corner, edge))
         return across + 0.5 * self.waveform.path_bias_m
 
-    def planes(self) -> list[tuple[Floats, Floats]]:
-        """Middle (3,) [m] and axes (rows looking, horizontal, vertical) of every plane."""
-        planes = []
-        for elevation in np.deg2rad(self.elevations_deg):
-            for azimuth in 2.0 * np.pi * np.arange(self.n_planes) / self.n_planes:
-                flat = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
-                up = np.array([0.0, 0.0, 1.0])
-                outward = np.cos(elevation) * flat + np.sin(elevation) * up
-                vertical = -np.sin(elevation) * flat + np.cos(elevation) * up
-                horizontal = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-                axes = np.stack([-outward, horizontal, vertical])
-                planes.append((self.standoff_m * outward, axes))
-        return planes
-
     @property
     def apertures(self) -> list[Aperture]:
         """Rectangles that the antennas of every plane cover."""
         half = 0.5 * np.asarray(self.aperture_m)
-        return [Aperture.from_rectangle(middle, axes, half) for middle, axes in self.planes()]
+        return [
+            plane_at(azimuth, elevation, self.standoff_m, half, self.height_m)
+            for elevation in np.deg2rad(self.elevations_deg)
+            for azimuth in 2.0 * np.pi * np.arange(self.n_planes) / self.n_planes
+        ]
+
+
+def plane_at(
+    azimuth: float, elevation: float, standoff_m: float, half_m: Floats, height_m: float = 0.0
+) -> Aperture:
+    """Plane that looks at a height on the z axis from a direction [rad].
+
+    half_m: half its width and height, (2,) [m].
+    """
+    flat, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
+    outward = np.cos(elevation) * flat + np.sin(elevation) * up
+    vertical = np.cos(elevation) * up - np.sin(elevation) * flat
+    horizontal = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])  # right-handed: a rotation
+    axes = np.stack([-outward, horizontal, vertical])
+    return Aperture.from_rectangle(standoff_m * outward + height_m * up, axes, half_m)
 
 
 @dataclass(frozen=True, kw_only=True)

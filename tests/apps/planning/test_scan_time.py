@@ -7,17 +7,13 @@ import numpy as np
 import pytest
 
 from geraf2.apps.planning.expected import expect_accuracy
-from geraf2.apps.planning.scan_time import (
-    Scanner,
-    find_best_plan,
-    plane_at,
-    require_speed,
-    swept_planes,
-)
+from geraf2.apps.planning.planning import PlanOptions, make_plan
+from geraf2.apps.planning.scan_time import Scanner, find_best_plan, require_speed, swept_planes
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.scene import Pose
 from geraf2.scene.aperture import Aperture
+from geraf2.scene.plan import plane_at
 
 BOX, STANDOFF_M, APERTURE_M, WAVELENGTH_M = (0.22, 0.22, 0.22), 0.4, (0.14, 0.25), 0.0038
 HALF = 0.5 * np.array(APERTURE_M)
@@ -26,9 +22,8 @@ EIGHT = Scanner(channels=8)
 
 @cache
 def best(minutes, scanner=EIGHT, **more):
-    return find_best_plan(
-        BOX, STANDOFF_M, APERTURE_M, scanner, 60 * minutes, wavelength_m=WAVELENGTH_M, **more
-    )
+    base = make_plan(PlanOptions(box=BOX, standoff=STANDOFF_M, aperture=APERTURE_M))
+    return find_best_plan(base, scanner, 60 * minutes, **more)
 
 
 def test_lines_of_a_plane_and_their_time():

@@ -8,6 +8,7 @@ import numpy as np
 from annotated_types import Interval, MinLen
 
 from geraf2._bounds import Arg, Bounded, Few, Seconds
+from geraf2._types import Floats
 from geraf2.apps.planning.expected import ExpectedAccuracy, expect_accuracy
 from geraf2.apps.planning.scan_time import (
     COARSEST,
@@ -55,6 +56,7 @@ _MAX_PLANES = 1000
 PlanM = Annotated[float, Interval(ge=1e-3, le=10.0)]
 PlanSides = tuple[PlanM, PlanM, PlanM]
 _StepM = Annotated[float, Interval(ge=1e-4, le=10.0)]
+_HeightM = Annotated[float, Interval(ge=0.0, le=10.0)]
 _Elevation = Annotated[float, Interval(gt=-90.0, lt=90.0)]
 
 
@@ -92,15 +94,19 @@ class PlanOptions(Bounded):
     spacing: _StepM | None = None
     """Distance of neighbouring antennas [m]."""
     planes: Few | None = None
-    """Planes around the box, for each elevation."""
-    elevations_deg: Annotated[tuple[_Elevation, ...], MinLen(1)] = (0.0,)
-    """Elevations of the planes' middles [degrees]."""
+    """Planes around the box, for each elevation; the planes that see most are chosen when neither
+    these nor elevations are given."""
+    elevations_deg: Annotated[tuple[_Elevation, ...], MinLen(1)] | None = None
+    """Elevations of the planes' middles; 0 when only --planes is given [degrees]."""
+    content: Annotated[tuple[_HeightM, PlanM] | None, Arg(metavar="LOW HIGH")] = None
+    """Heights above the floor of the box between which the content lies, where they are known:
+    planes look at its middle instead of that of the box [m]."""
     frame_period_s: Seconds = 3e-3
     """From one recording to the next [s]."""
     speed_m_per_s: PlanM = 0.2
     """Of the radar along a row [m/s]."""
     minutes: Annotated[float, Interval(gt=0.0, le=1e5)] | None = None
-    """What the scan may take: planes, lines and spacing are chosen [minutes]."""
+    """What the scan may take; as long as one ring around the box when not given [minutes]."""
     channels: Annotated[int, Interval(ge=1, le=64)] | None = None
     """Receivers at once, one above the other, as far apart as rows; 1 when no array is given."""
     array: str | None = None
@@ -123,13 +129,36 @@ class PlanOptions(Bounded):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        n_rings = len(self.elevations_deg)
-        if len(set(self.elevations_deg)) < n_rings:
+        elevations = self.elevations_deg or ()
+        n_rings = max(1, len(elevations))
+        if len(set(elevations)) < len(elevations):
             raise UserError(what="--elevations-deg names an elevation twice")
         if n_rings * (self.planes or 1) > _MAX_PLANES or n_rings > _MAX_RINGS:
             expected = f"at most {_MAX_RINGS} elevations and {_MAX_PLANES} planes in all"
             got = f"{n_rings} elevations"
             raise UserError(what="too many planes", where="--planes", expected=expected, got=got)
+        if self.content is not None:
+            low, high = self.content
+            top = np.inf if self.box is None else self.box[2]
+            if not low < high <= top:
+                raise UserError(
+                    what="the content does not lie in the box",
+                    where="--content",
+                    expected=f"0 <= LOW < HIGH <= {top:g} m above the floor",
+                    got=f"{low:g} {high:g}",
+                )
+
+    @property
+    def has_rings(self) -> bool:
+        """Whether planes or elevations are given, rather than chosen."""
+        return self.planes is not None or self.elevations_deg is not None
+
+    @property
+    def height_m(self) -> float:
+        """Middle of the content above that of the box [m]."""
+        if self.content is None or self.box is None:
+            return 0.0
+        return 0.5 * (sum(self.content) - self.box[2])
 
     @property
     def scanner(self) -> Scanner:
@@ -180,8 +209,8 @@ def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
     Returns
     -------
     ScanPlan | PlanePlan | TimedPlan
-        Rings of planes around the box; a single plane if `options.depth` is given; planes with the
-        lines of the arm if `options.minutes` is given.
+        The planes that see most in the time, with the lines of the arm; rings of planes if
+        `options.planes` or `options.elevations_deg` is given; a single plane if `options.depth` is.
 
     Raises
     ------
@@ -191,30 +220,39 @@ def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
 
     Examples
     --------
-    >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22)))
+    >>> best = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=10.0))
+    >>> best.seen_share > best.ring_share
+    True
+    >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22), elevations_deg=(0.0,)))
     >>> rings.n_planes, rings.spacing_m  # [m]
     (36, 0.0033)
     """
-    if options.minutes is not None:
-        return make_timed_plan(options)
-    return make_plan(options) if options.depth is None else make_plane(options)
+    if options.depth is not None and options.minutes is None:
+        return make_plane(options)
+    if options.has_rings and options.minutes is None:
+        return make_plan(options)
+    return make_timed_plan(options)
 
 
 def make_timed_plan(options: PlanOptions) -> TimedPlan:
-    """Find the plan that sees most within `options.minutes`; UserError where none fits."""
-    if options.planes is not None or options.elevations_deg != (0.0,):
+    """Find the plan that sees most in the time; UserError where none fits.
+
+    The time is `options.minutes`, or what the scanner takes for one ring around the box.
+    """
+    if options.has_rings:
         raise UserError(
-            what="a plan by minutes, as on a page, chooses planes and elevations itself",
-            hint="leave --planes and --elevations out; a picture as PNG draws a plan with them",
+            what="a plan by minutes chooses planes and elevations itself",
+            hint="leave --planes and --elevations-deg out, or --minutes",
         )
-    plan = make_plan(replace(options, planes=1))
+    plan, scanner = make_plan(options), options.scanner
+    if options.minutes is None:
+        _, seconds = swept_planes(plan.apertures, plan.spacing_m, scanner)
+    else:
+        seconds = 60.0 * options.minutes
     return find_best_plan(
-        plan.box_m,
-        plan.standoff_m,
-        plan.aperture_m,
-        options.scanner,
-        60.0 * (options.minutes or 0.0),
-        wavelength_m=plan.waveform.center_wavelength_m,
+        plan,
+        scanner,
+        seconds,
         max_elevation_deg=options.max_elevation_deg,
         spacing_m=options.spacing,
     )
@@ -224,7 +262,11 @@ def make_timed_plan(options: PlanOptions) -> TimedPlan:
 class ExplainedScan:
     """An existing scan as a plan."""
 
-    apertures: list[Aperture]
+    box_m: PlanSides
+    """Sides of the box; 0.2 m where none is recorded [m]."""
+    center_m: Floats
+    """Its middle, (3,) [m]."""
+    planes: list[Aperture]
     elevations_deg: tuple[float, ...]
     """Of the planes' middles, seen from the middle of the box [degrees]."""
     spacing_m: float
@@ -260,7 +302,9 @@ def explain_scan(scene: Path, scanner: Scanner) -> ExplainedScan:
     sides = (2.0 * half[0], 2.0 * half[1], 2.0 * half[2])
     coarsest = COARSEST * nyquist_spacing_m(sides, far, capture.waveform.center_wavelength_m)
     return ExplainedScan(
-        apertures=apertures,
+        box_m=sides,
+        center_m=center,
+        planes=apertures,
         elevations_deg=tuple(np.rad2deg([np.arcsin(w[2] / np.linalg.norm(w)) for w in outward])),
         spacing_m=spacing,
         scan=scan,
@@ -295,10 +339,11 @@ def make_plan(options: PlanOptions) -> ScanPlan:
         aperture_m=aperture,
         spacing_m=float(spacing),
         n_planes=options.planes or suggested_planes(aperture, standoff),
-        elevations_deg=options.elevations_deg,
+        elevations_deg=options.elevations_deg or (0.0,),
         frame_period_s=options.frame_period_s,
         speed_m_per_s=options.speed_m_per_s,
         turn_s=options.turn_s,
+        height_m=options.height_m,
     )
 
 
@@ -319,7 +364,7 @@ def _require_size(box_m: PlanSides, waveform: Waveform) -> None:
 
 def make_plane(options: PlanOptions) -> PlanePlan:
     """Single plane with everything that was left open filled in; as wide as it is far."""
-    for name in ("box", "standoff", "planes"):
+    for name in ("box", "standoff", "planes", "content"):
         if getattr(options, name) is not None:
             raise UserError(what=f"--depth plans a single plane, without --{name}")
     depth = options.depth or 0.0

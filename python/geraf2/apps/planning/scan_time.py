@@ -13,11 +13,11 @@ from geraf2._bounds import Bounded, Seconds
 from geraf2._types import Bools, Floats
 from geraf2.apps.planning.expected import ExpectedAccuracy, expect_accuracy
 from geraf2.errors import UserError
-from geraf2.freespace.specular import inner_points, received_normals, sphere_points
+from geraf2.freespace.specular import inner_points, received_normals, seen_share, sphere_points
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.arrays import column, find_array
-from geraf2.scene.plan import nyquist_spacing_m
+from geraf2.scene.plan import ScanPlan, nyquist_spacing_m, plane_at
 
 Order = Literal["tdm", "ddm"]
 
@@ -126,25 +126,15 @@ class Design:
             parts.append("1 above")
         return ", ".join(parts)
 
-    def planes(self, standoff_m: float) -> list[Aperture]:
-        """Rectangles of the antennas, about the frame's origin."""
+    def planes(self, standoff_m: float, height_m: float = 0.0) -> list[Aperture]:
+        """Rectangles of the antennas, which look at this height on the frame's z axis."""
         half, kinds = 0.5 * np.asarray(self.aperture_m), (0.0, self.raised_deg, 90.0)
         counts = (self.n_around, self.n_raised, int(self.above))
         return [
             plane
             for elevation_deg, n in zip(kinds, counts, strict=True)
-            for plane in ring_planes(elevation_deg, n, standoff_m, half)
+            for plane in ring_planes(elevation_deg, n, standoff_m, half, height_m)
         ]
-
-
-def plane_at(azimuth: float, elevation: float, standoff_m: float, half_m: Floats) -> Aperture:
-    """Plane that looks at the origin from a direction [rad]; half its width and height (2,) [m]."""
-    flat, up = np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), np.array([0.0, 0.0, 1.0])
-    outward = np.cos(elevation) * flat + np.sin(elevation) * up
-    vertical = np.cos(elevation) * up - np.sin(elevation) * flat
-    horizontal = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])  # right-handed: a rotation
-    axes = np.stack([-outward, horizontal, vertical])
-    return Aperture.from_rectangle(standoff_m * outward, axes, half_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,10 +145,14 @@ class TimedPlan:
     scan: ScanFile
     seconds: float
     """With the motion to the first position of each plane [s]."""
+    planes: list[Aperture]
+    """Rectangles that are swept."""
     seen_share: float
     """Of all normals, in which a surface is seen."""
     expected: ExpectedAccuracy | None
     """None where the spacing is too coarse."""
+    ring_share: float
+    """Of all normals, what one ring of as many planes around the box sees."""
 
 
 def swept_planes(
@@ -229,13 +223,10 @@ def _triple(vector: Floats) -> tuple[float, float, float]:
 
 
 def find_best_plan(
-    box_m: tuple[float, float, float],
-    standoff_m: float,
-    aperture_m: tuple[float, float],
+    base: ScanPlan,
     scanner: Scanner,
     seconds: float,
     *,
-    wavelength_m: float,
     max_elevation_deg: float = 90.0,
     spacing_m: float | None = None,
 ) -> TimedPlan:
@@ -243,11 +234,12 @@ def find_best_plan(
 
     Of plans alike the quicker one counts.
 
-    box_m: outer sides of the box. standoff_m: planes to its middle.
-    aperture_m: width and height of a plane.
+    base: box, standoff, height, and the sides of a plane.
     seconds: what the scan may take. max_elevation_deg: what the arm reaches.
     spacing_m: tried alone, instead of 2 to 8 mm.
     """
+    box_m, standoff_m, height_m = base.box_m, base.standoff_m, base.height_m
+    wavelength_m = base.waveform.center_wavelength_m
     fastest, best = np.inf, None
     coarsest_m = COARSEST * nyquist_spacing_m(box_m, standoff_m, wavelength_m)
     spacings = tuple(s for s in _SPACINGS_M if s <= coarsest_m) or _SPACINGS_M[:1]
@@ -260,7 +252,7 @@ def find_best_plan(
             if spacing == spacings[-1]:
                 raise
             continue
-        for sides, weight in _heights(aperture_m, spacing, scanner):
+        for sides, weight in _heights(base.aperture_m, spacing, scanner):
             sight = _sight(box_m, standoff_m, sides)
             first = plane_at(0.0, 0.0, standoff_m, 0.5 * np.asarray(sides))
             _, plane_s = swept_planes([first], spacing, scanner)
@@ -281,16 +273,19 @@ def find_best_plan(
             hint="more channels, a faster arm or a smaller --aperture",
         )
     _, total_s, design, share = best
-    planes = design.planes(standoff_m)
+    planes = design.planes(standoff_m, height_m)
     scan, _ = swept_planes(planes, design.spacing_m, scanner)
+    ring = ring_planes(0.0, design.n_planes, standoff_m, 0.5 * np.asarray(design.aperture_m))
     return TimedPlan(
         design=design,
         scan=scan,
         seconds=total_s,
+        planes=planes,
         seen_share=share,
-        expected=expect_accuracy(planes, np.zeros(3), share)
+        expected=expect_accuracy(planes, np.array([0.0, 0.0, height_m]), share)
         if design.spacing_m <= coarsest_m
         else None,
+        ring_share=seen_share(ring, np.zeros(3), np.asarray(box_m)),
     )
 
 
@@ -362,8 +357,11 @@ _sight = lru_cache(maxsize=128)(_Sight)
 """One for all spacings, times and channels with planes of the same sides."""
 
 
-def ring_planes(elevation_deg: float, n: int, standoff_m: float, half_m: Floats) -> list[Aperture]:
+def ring_planes(
+    elevation_deg: float, n: int, standoff_m: float, half_m: Floats, height_m: float = 0.0
+) -> list[Aperture]:
     """Planes at one elevation [degrees]; raised ones stand between those around the box."""
     first = 0.5 * (0.0 < elevation_deg < 90.0)
     azimuths = 2.0 * np.pi * (np.arange(n) + first) / max(1, n)
-    return [plane_at(a, np.deg2rad(elevation_deg), standoff_m, half_m) for a in azimuths]
+    elevation = np.deg2rad(elevation_deg)
+    return [plane_at(azimuth, elevation, standoff_m, half_m, height_m) for azimuth in azimuths]
