@@ -12,7 +12,7 @@ import argparse
 import numpy as np
 
 from geraf2.apps.importers._bag import frame_clock
-from geraf2.calibration.clock_offset import (
+from geraf2.apps.importers.clock_offset import (
     MAX_OFFSET_S,
     Sweep,
     find_clock_offset,

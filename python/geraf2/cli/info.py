@@ -12,7 +12,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
-from geraf2.calibration.phase_sign import EVIDENCE_KEY
+from geraf2.imaging.phase_sign import EVIDENCE_KEY
 from geraf2.cli._console import Threads, keep, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found, print_verdict

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from geraf2.calibration.phase_sign import find_phase_sign
+from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.errors import UserError
 from geraf2.scene import Capture
 

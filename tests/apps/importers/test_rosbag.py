@@ -8,7 +8,7 @@ from mcap.writer import CompressionType, IndexType
 
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._bag import frame_clock
-from geraf2.calibration.clock_offset import Sweep, find_clock_offset
+from geraf2.apps.importers.clock_offset import Sweep, find_clock_offset
 from geraf2.cli.main import main
 from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest

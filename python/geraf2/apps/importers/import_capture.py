@@ -9,7 +9,7 @@ from pathlib import Path
 
 from geraf2._types import Progress
 from geraf2.apps.importers import ImportOptions, Scan, load_importer
-from geraf2.calibration.phase_sign import PhaseSign, SignSample, find_phase_sign
+from geraf2.imaging.phase_sign import PhaseSign, SignSample, find_phase_sign
 from geraf2.io.container import SceneReader, require_scene_folder
 from geraf2.io.manifest import DELAY_KEY, RadarManifest
 from geraf2.io.samples import complex_pose, conjugate_samples

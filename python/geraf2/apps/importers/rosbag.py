@@ -3,7 +3,7 @@
 A message holds one frame in the order of a DCA1000, as an array of uint8, int16 or uint16. The
 poses come from transforms, PoseStamped or Odometry, linear in position and slerp in rotation.
 Stretches between which the board turns are planes. The offset between the clocks of radar and arm
-is estimated from lines that run in opposite directions (calibration.clock_offset).
+is estimated from lines that run in opposite directions (apps.importers.clock_offset).
 """
 
 from dataclasses import replace
@@ -17,7 +17,7 @@ from geraf2.apps.importers._recording import Recording, open_recording
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._tracks import divide_at_turns
 from geraf2.apps.importers.dca1000 import scan_of
-from geraf2.calibration.clock_offset import (
+from geraf2.apps.importers.clock_offset import (
     MAX_OFFSET_S,
     ClockOffset,
     Sweep,

@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from geraf2.calibration.phase_sign import PhaseSign, find_phase_sign
+from geraf2.imaging.phase_sign import PhaseSign, find_phase_sign
 from geraf2.scene import Pose, Waveform
 from helpers.planar_scan import LETTER
 from helpers.synthetic import WAVEFORM, point_capture, point_pose
