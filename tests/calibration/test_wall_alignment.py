@@ -9,8 +9,9 @@ from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallProblem,
 )
-from geraf2.calibration.wall_echoes import WallMiddles, find_wall_peak, loss_shift
+from geraf2.calibration.wall_echoes import find_wall_peak
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
+from geraf2.echoes.flashes import WallMiddles, loss_shift
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Wall
 from helpers.carton import PRIOR, aligned, bulged, carton_capture, with_bias

@@ -41,7 +41,7 @@ from geraf2.calibration.found_box import (
 from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
-from geraf2.calibration.wall_faces import N_MODES
+from geraf2.echoes.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet

@@ -13,7 +13,8 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.calibration.wall_echoes import OVERLAP, WallMiddles
+from geraf2.calibration.wall_echoes import OVERLAP
+from geraf2.echoes.flashes import WallMiddles
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import REACH_M, KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig

@@ -13,14 +13,12 @@ from geraf2.calibration.acceptance import Gain
 from geraf2.calibration.wall_echoes import (
     OVERLAP,
     OffsetPeak,
-    WallEchoes,
-    WallMiddles,
     find_wall_peak,
-    wall_echoes,
     wall_peaks,
 )
-from geraf2.calibration.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
+from geraf2.echoes.flashes import WallEchoes, WallMiddles, wall_echoes
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
+from geraf2.echoes.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
 from geraf2.scene import Capture, LosPrior, Pose

@@ -6,33 +6,20 @@ content have no such common offset (docs/math/calibration.md#delay-box-and-axis)
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
-from geraf2._types import Bools, Floats, Ints
-from geraf2.calibration.wall_faces import WallFaces
-from geraf2.echoes.wall_delay import (
-    LOSSES_DB,
-    MIN_WALL_ECHOES,
-    UNKNOWN_MIDDLES_M,
-    loss_shifts,
-    unknown_shift,
-)
+from geraf2._types import Floats
+from geraf2.echoes.flashes import OFFSET_SIGMA_M
+from geraf2.echoes.wall_delay import MIN_WALL_ECHOES
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
-from geraf2.scene import Capture, LosPrior, Wall, Waveform
-
-MIDDLE_SIGMA_M = 2e-4
-"""Standard deviation of the middle of a known wall, in addition to that of its loss [m]: defocused
-mirror images shift it."""
+from geraf2.scene import Capture, LosPrior
 
 # Level of a wall's echo relative to the strongest peak; content may be 20 dB stronger.
 _DYNAMIC_RANGE_DB = 26.0
 # Half as many sub-apertures as for glints: walls have hundreds of echoes.
 _STEP_M = 0.04
-# Width of the walls' offset peak, which allows for a prior that is 5 mm off.
-_OFFSET_SIGMA_M = 0.004
 # Share of the near walls' largest density that replaces hidden far walls. It is enough to find a
 # delay from near walls alone, and too small to interpret a far wall as a near one.
 _MISSING_FAR_SHARE = 0.1
@@ -68,101 +55,6 @@ def wall_peaks(
         )
     found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
     return found.select(found.levels_db >= -_DYNAMIC_RANGE_DB).thinned(_STEP_M)
-
-
-@dataclass(frozen=True, kw_only=True)
-class WallMiddles:
-    """Positions of the walls' echoes behind their outer faces [m].
-
-    Both faces of a wall lie in one range cell. With thickness t and index n, a near wall echoes
-    from n t / 2 behind its outer face. A far wall, seen through the near one, echoes from
-    3 n t / 2 - 2 t behind its own, within 0.5 mm of it for all cardboard. A loss weakens the second
-    face; if both nearly cancel, the peak moves by millimetres (`loss_shift`).
-    """
-
-    depths_m: tuple[float, float]
-    """Optical middles of near and of far walls."""
-    sigmas_m: tuple[float, float, float]
-    """Standard deviations of both, and of their common part."""
-    loss_shift_m: float = 0.0
-    """Part of both depths by which a loss moves the peak."""
-
-    @classmethod
-    def of(cls, walls: tuple[Wall, ...], waveform: Waveform) -> "WallMiddles":
-        """Middles of the outermost wall, with inner boxes; typical values if unknown."""
-        if not walls:
-            near, far = UNKNOWN_MIDDLES_M
-            return cls(depths_m=(near[0], far[0]), sigmas_m=(near[1], far[1], 0.0))
-        excess = [(float(np.sqrt(w.permittivity)) - 1.0) * w.thickness_m for w in walls]
-        near_m = 0.5 * (excess[0] + walls[0].thickness_m)
-        far_m = 1.5 * excess[0] - 0.5 * walls[0].thickness_m + 2.0 * sum(excess[1:])
-        shifts = [loss_shift(walls[0], waveform, loss_db) for loss_db in LOSSES_DB]
-        shift, spread = float(np.mean(shifts)), float(np.std(shifts))
-        return cls(
-            depths_m=(near_m + shift, far_m + shift),
-            sigmas_m=(MIDDLE_SIGMA_M, MIDDLE_SIGMA_M, spread),
-            loss_shift_m=shift,
-        )
-
-    def at(self, offset_m: float, sigma_m: float, waveform: Waveform) -> "WallMiddles":
-        """Middles of unknown walls whose peaks have this offset from the typical middles.
-
-        sigma_m: expected error of the delay, one-way [m].
-        """
-        shift, spread = unknown_shift(offset_m, sigma_m, waveform)
-        near, far = self.depths_m
-        return WallMiddles(
-            depths_m=(near + shift, far + shift),
-            sigmas_m=(*self.sigmas_m[:2], spread),
-            loss_shift_m=shift,
-        )
-
-
-@lru_cache(maxsize=64)
-def loss_shift(wall: Wall, waveform: Waveform, loss_db: float) -> float:
-    """Distance of a wall's peak behind the middle of its faces [m], as of `loss_shifts`."""
-    index = float(np.sqrt(wall.permittivity))
-    return float(loss_shifts(np.array([wall.thickness_m]), index, loss_db, waveform)[0])
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class WallEchoes:
-    """Pairs of a peak and a wall whose specular return it may be."""
-
-    index: Ints
-    """Index of the peak, (n,)."""
-    walls: Ints
-    """Index in `WallFaces`, (n,)."""
-    far: Ints
-    """1 for a far wall, seen from behind through the box, else 0, (n,)."""
-    offsets_m: Floats
-    """Range minus distance of the wall along the line of sight, (n,) [m]."""
-
-    @property
-    def side(self) -> Floats:
-        """1 for a near wall, -1 for a far one, (n,)."""
-        return np.where(self.far > 0, -1.0, 1.0)
-
-    def select(self, keep: Bools) -> "WallEchoes":
-        """Subset by mask."""
-        return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
-
-
-def wall_echoes(echoes: PeakSet, faces: WallFaces, max_angle_rad: float) -> WallEchoes:
-    """Peaks whose line of sight meets a wall along its normal, from the front or from behind."""
-    heights = echoes.centers @ faces.normals.T - (faces.centers * faces.normals).sum(axis=1)
-    cosines = -np.sign(heights) * (echoes.directions @ faces.normals.T)
-    index, walls = np.nonzero(cosines > np.cos(max_angle_rad))
-    distance = np.abs(heights)[index, walls] / cosines[index, walls]
-    met = echoes.centers[index] + distance[:, None] * echoes.directions[index]
-    inside = (np.abs(faces.coordinates(walls, met)) <= 1.0).all(axis=1)
-    found = WallEchoes(
-        index=index,
-        walls=walls,
-        far=(heights[index, walls] < 0.0).astype(np.int64),
-        offsets_m=echoes.ranges_m[index] - distance,
-    )
-    return found.select(np.asarray(inside))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -205,11 +97,11 @@ def find_wall_peak(
 
     Raises UserError if fewer agree, or only at the edge of the search.
     """
-    n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / _OFFSET_SIGMA_M) + 1)
+    n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / OFFSET_SIGMA_M) + 1)
     candidates = np.linspace(*search_m, n_steps)
 
     def density(offsets_m: Floats, magnitudes: Floats) -> Floats:
-        scaled = (candidates[:, None] - offsets_m[None]) / _OFFSET_SIGMA_M
+        scaled = (candidates[:, None] - offsets_m[None]) / OFFSET_SIGMA_M
         return np.asarray(np.exp(-0.5 * scaled**2) @ np.sqrt(magnitudes))
 
     of_near, of_far = density(*near), density(*far)

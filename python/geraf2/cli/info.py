@@ -12,12 +12,12 @@ from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
-from geraf2.imaging.phase_sign import EVIDENCE_KEY
 from geraf2.cli._console import Threads, keep, print_findings, progress_bar, rows, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.errors import UserError
 from geraf2.freespace.coverage import ScanCoverage, summary_coverage
+from geraf2.imaging.phase_sign import EVIDENCE_KEY
 from geraf2.io.container import LOS_NAME, SceneReader, is_scene
 from geraf2.io.manifest import CalibrationManifest, RadarManifest
 from geraf2.io.mesh import read_mesh

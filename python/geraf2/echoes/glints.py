@@ -12,12 +12,13 @@ import numpy as np
 
 from geraf2._bounds import Bounded, Decibels, Share, SignedDb, SignedM
 from geraf2._types import Floats, Ints, Progress
+from geraf2.echoes.flashes import learn_wall_delay
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Clutter, Label, LabelledPeaks, label_peaks
 from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
 from geraf2.echoes.reflectivity import MetalLevel, Windows, metal_level
-from geraf2.echoes.wall_delay import unknown_delay_m
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import DETECTION_DB, PeakSet, box_spans, collect_peaks
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -181,7 +182,7 @@ def find_echoes(
             prior,
             config.subaperture.size_m,
         ),
-        MeshScene(prior.vertices, prior.faces, num_threads=num_threads),
+        WallFaces.of(prior),
         prior.walls or capture.walls,
         capture.waveform,
     )
@@ -209,7 +210,7 @@ def candidates_around(
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     walls, correction_m = prior.walls or capture.walls, config.range_correction_m
     if correction_m is None and not walls:
-        correction_m = unknown_delay_m(near, scene, capture.waveform)
+        correction_m = learn_wall_delay(near, WallFaces.of(prior), capture.waveform)
     found = find_candidates(
         near,
         capture.poses,

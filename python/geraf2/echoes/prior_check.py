@@ -5,15 +5,16 @@ from in front of the box therefore show that it is too small or displaced. Echoe
 it show that it does not contain the scene.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
 
 from geraf2._types import Bools, Floats
+from geraf2.echoes.flashes import WallMiddles, find_flashes
 from geraf2.echoes.wall_delay import pair_distance_m
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.errors import UserError
-from geraf2.geometry.triangles import unit_normals
 from geraf2.imaging.peaks import PeakSet, grating_lobes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
@@ -28,8 +29,6 @@ _MARGIN_M = 0.015
 # of a wall whose faces cancel.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
-# Least cosine between the wall's normal and its specular return, for a bulged or tilted wall.
-_SQUARE = 0.966
 # Distances of the two echoes of such a wall over those without loss, and largest difference of
 # their directions [rad].
 _PAIR_SHARES, _SAME_RAD = (0.65, 1.1), 0.06
@@ -71,7 +70,7 @@ def locate_echoes(
     hit, _ = scene.closest_hit(strong.centers, strong.directions)
     before = np.flatnonzero(~near & (strong.ranges_m < hit) & np.isfinite(hit))
     half_m = _half_pairs_m(strong, pair_distance_m(capture.waveform))[before]
-    flashes = _maybe_flashes(capture, prior, strong.select(before), half_m, scene)
+    flashes = _maybe_flashes(capture, prior, strong.select(before), half_m)
     front = np.zeros(len(strong), dtype=bool)
     near[before], front[before] = flashes, ~flashes
     total = float(energy.sum())
@@ -99,14 +98,12 @@ def _half_pairs_m(peaks: PeakSet, pair_m: float) -> Floats:
     return half
 
 
-def _maybe_flashes(
-    capture: Capture, prior: LosPrior, peaks: PeakSet, half_m: Floats, scene: MeshScene
-) -> Bools:
+def _maybe_flashes(capture: Capture, prior: LosPrior, peaks: PeakSet, half_m: Floats) -> Bools:
     """Mask of peaks that may be a wall's specular return, or its grating lobe, (n,).
 
     half_m: distance by which each may be nearer than its wall, (n,) [m].
     """
-    normals = unit_normals(prior.vertices[prior.faces])
+    faces, middles = WallFaces.of(prior), WallMiddles.of(capture.walls, capture.waveform)
     found = np.zeros(len(peaks), dtype=bool)
     for number in np.unique(peaks.planes):
         own = np.flatnonzero(peaks.planes == number)
@@ -115,12 +112,10 @@ def _maybe_flashes(
         lobes = grating_lobes(of_plane.directions, capture.poses[number].axes, periods)
         for others in chain([of_plane.directions], lobes):
             known = np.asarray(np.isfinite(others).all(axis=1))
-            candidates, ahead = of_plane.select(known), others[known]
-            path, face = scene.closest_hit(candidates.centers, ahead)
-            square = np.abs(np.einsum("ij,ij->i", normals[face], ahead)) > _SQUARE
-            off = path - candidates.ranges_m
-            near = np.minimum(np.abs(off), np.abs(off - half_m[own[known]])) < _MARGIN_M
-            found[own[known]] |= square & near
+            maybe = replace(of_plane.select(known), directions=others[known])
+            for behind_m in (0.0, half_m[own[known]]):
+                seen = replace(maybe, ranges_m=maybe.ranges_m + behind_m)
+                found[own[known][find_flashes(seen, faces, middles).index]] = True
     return found
 
 

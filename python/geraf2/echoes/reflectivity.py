@@ -12,18 +12,14 @@ import numpy as np
 
 from geraf2._types import Array, Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.geometry.triangles import unit_normals
+from geraf2.echoes.flashes import WallMiddles, find_flashes
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.imaging.peaks import PeakSet
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior, Wall, Waveform
 from geraf2.scene.aperture import Aperture
 
 LARGEST_TILT_RAD = 0.35
 """Returns farther off a plane's boresight are left out: antennas radiate less there [rad]."""
-_WALL_COSINE = 0.99
-"""Least cosine of a wall's flash with the normal of the wall."""
-_WALL_REACH_M = 0.010
-"""Largest distance of the flash from the outer face of the wall [m]."""
 _WALL_ROOM_M = 0.025
 """Wall around the foot of a flash, for all of its first Fresnel zone [m]."""
 _MIN_FLASHES = 8
@@ -168,17 +164,18 @@ class MetalLevel:
 def metal_level(
     peaks: PeakSet,
     windows: Windows,
-    scene: MeshScene,
+    faces: WallFaces,
     walls: Sequence[Wall],
     waveform: Waveform,
 ) -> MetalLevel | None:
     """Strength of metal by the flashes of the near walls; None where too few or too faint.
 
-    peaks: all peaks. windows: their sub-apertures. scene: outside of the box.
+    peaks: all peaks. windows: their sub-apertures. faces: outside of the box.
     """
     if not walls or not len(peaks):
         return None
-    seen = squarely_seen_walls(peaks, windows, scene)
+    middles = WallMiddles.of(tuple(walls), waveform)
+    seen = squarely_seen_walls(peaks, windows, faces, middles)
     if int(seen.sum()) < _MIN_FLASHES:
         return None
     flat, wave_number = np.zeros((int(seen.sum()), 3, 3)), mid_wave_number(waveform)
@@ -202,21 +199,20 @@ def metal_level(
     )
 
 
-def squarely_seen_walls(peaks: PeakSet, windows: Windows, scene: MeshScene) -> Bools:
+def squarely_seen_walls(
+    peaks: PeakSet, windows: Windows, faces: WallFaces, middles: WallMiddles
+) -> Bools:
     """Whether each peak is the flash of a near wall with enough of the wall around it, (n,)."""
-    entry, face = scene.closest_hit(peaks.centers, peaks.directions)
-    normals = unit_normals(scene.vertices[scene.faces])[np.maximum(face, 0)]
-    seen = (face >= 0) & (np.abs(peaks.ranges_m - entry) < _WALL_REACH_M)
-    seen &= np.einsum("ij,ij->i", peaks.directions, normals) < -_WALL_COSINE
-    seen &= squarely(windows, peaks.directions)
-    at = np.flatnonzero(seen)
-    foot = peaks.centers[at] + entry[at, None] * peaks.directions[at]
-    for side in (windows.axes[at, 1], windows.axes[at, 2]):
-        for room in (_WALL_ROOM_M, -_WALL_ROOM_M):
-            there = foot + room * side - peaks.centers[at]
-            hit = scene.closest_hit(peaks.centers[at], there)[0]
-            seen[at] &= np.abs(hit - np.linalg.norm(there, axis=1)) < 0.5 * _WALL_REACH_M
-    return np.asarray(seen)
+    found = find_flashes(peaks, faces, middles)
+    feet = (
+        peaks.centers[found.index]
+        + peaks.ranges_m[found.index, None] * peaks.directions[found.index]
+    )
+    inner = 1.0 - np.abs(faces.coordinates(found.walls, feet))
+    room = inner / np.linalg.norm(faces.across[found.walls], axis=2) > _WALL_ROOM_M
+    seen = np.zeros(len(peaks), dtype=bool)
+    seen[found.index[(found.far == 0) & room.all(axis=1)]] = True
+    return np.asarray(seen & squarely(windows, peaks.directions))
 
 
 def squarely(windows: Windows, directions: Floats) -> Bools:

@@ -1,4 +1,4 @@
-"""Delay of the box's walls: excess one-way path of an echo from inside, and their own echoes."""
+"""Delay of the box's walls: excess path of an echo from inside, and the shifts of their peaks."""
 
 from functools import lru_cache
 
@@ -8,7 +8,6 @@ from geraf2._types import Floats
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.geometry.boxes import beyond_sides
 from geraf2.geometry.triangles import unit_normals
-from geraf2.imaging.peaks import PeakSet
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
 
@@ -22,11 +21,6 @@ LOSSES_DB = (0.0, 0.45, 0.9)
 _BOARDS_M, _BOARD_INDEX = np.linspace(0.002, 0.007, 201), 1.3
 # Step of the search for a wall's peak, two-way [m].
 _PATH_STEP_M = 1e-4
-# Largest offset of a wall's own echo from the prior's surface [m], by the wall's thickness and by
-# errors of the prior.
-_WALL_SEARCH_M = 0.010
-# Largest angle between the line of sight and the normal for a wall echo [rad].
-_WALL_ANGLE_RAD = 0.1
 MIN_WALL_ECHOES = 12
 """Least number of wall echoes of an estimate."""
 
@@ -123,55 +117,3 @@ def unknown_shift(offset_m: float, sigma_m: float, waveform: Waveform) -> tuple[
     shares = (np.cumsum(weights) - 0.5 * weights) / weights.sum()
     low, middle, high = np.interp((0.16, 0.5, 0.84), shares, shifts)
     return float(middle), 0.5 * float(high - low)
-
-
-def learn_wall_delay(echoes: PeakSet, scene: MeshScene) -> float:
-    """Range correction for echoes from inside, estimated from the walls' own echoes [m].
-
-    Walls have the thickness t and the index n = sqrt(eps), ranges a constant error b. The merged
-    echo of the near wall's two faces lies n t / 2 + b behind its outer face. The far wall, seen
-    through the near one, lies 3 n t / 2 - 2 t + b behind its outer face. Their mean is
-    (n - 1) t + b, the delay of an echo from inside (docs/math/echoes.md#wall-delay). Without far
-    wall, half of the near wall's offset is used, which is exact for n = 4/3. Without wall echoes
-    the result is 0.
-    """
-    if not len(echoes):
-        return 0.0
-    crossings = scene.entry_exit(echoes.centers, echoes.directions)
-    if crossings.t_entry.shape[1] == 0:
-        return 0.0
-    t_near, t_far = crossings.t_entry[:, 0], crossings.t_exit[:, 0]
-    near = _median_offset(echoes, scene, t_near)
-    far = _median_offset(echoes, scene, t_far)
-    if near is None:
-        return 0.0
-    if far is None:
-        return 0.5 * near
-    return 0.5 * (near + far)
-
-
-def unknown_delay_m(echoes: PeakSet, scene: MeshScene, waveform: Waveform) -> float:
-    """Range correction of `learn_wall_delay` without the shift of walls whose faces cancel [m]."""
-    learned = learn_wall_delay(echoes, scene)
-    (near, _), (far, _) = UNKNOWN_MIDDLES_M
-    shift, _ = unknown_shift(learned - 0.5 * (near + far), DELAY_SIGMA_M, waveform)
-    return learned - shift if learned else 0.0
-
-
-def _median_offset(echoes: PeakSet, scene: MeshScene, t_wall: Floats) -> float | None:
-    """Median of range minus wall distance, weighted by magnitude [m]; None without echoes."""
-    seen = np.isfinite(t_wall)
-    t_wall = np.where(seen, t_wall, 0.0)
-    offset = echoes.ranges_m - t_wall
-    seen &= np.abs(offset) < _WALL_SEARCH_M
-    points = echoes.centers + echoes.directions * t_wall[:, None]
-    # Cosine of incidence from the change of the distance over 1 mm along the line of sight.
-    step = 1e-3
-    before = scene.signed_distance(points - step * echoes.directions)
-    seen &= np.abs(np.abs(before) / step) > np.cos(_WALL_ANGLE_RAD)
-    if int(seen.sum()) < MIN_WALL_ECHOES:
-        return None
-    order = np.argsort(offset[seen])
-    weight = np.cumsum(echoes.magnitudes[seen][order])
-    middle = int(np.searchsorted(weight, 0.5 * weight[-1]))
-    return float(offset[seen][order][middle])

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.errors import UserError
+from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.scene import Capture
 
 

@@ -16,7 +16,6 @@ from geraf2.apps.importers._bag import Bag, read_bag
 from geraf2.apps.importers._recording import Recording, open_recording
 from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._tracks import divide_at_turns
-from geraf2.apps.importers.dca1000 import scan_of
 from geraf2.apps.importers.clock_offset import (
     MAX_OFFSET_S,
     ClockOffset,
@@ -24,6 +23,7 @@ from geraf2.apps.importers.clock_offset import (
     find_clock_offset,
     straight_lines,
 )
+from geraf2.apps.importers.dca1000 import scan_of
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest

@@ -12,8 +12,8 @@ import numpy as np
 from geraf2.apps.importers import ImportOptions, RecordingOptions, Scan, load_importer
 from geraf2.apps.importers.import_capture import scan_parts
 from geraf2.apps.live.sources import NewPlane, Source
-from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.errors import UserError
+from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.io.container import join_parts
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.ros import bag_files, is_finished_bag

@@ -19,8 +19,8 @@ from geraf2.apps.importers.geraf_sens import (
     read_capture_json,
     read_group,
 )
-from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.errors import UserError
+from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.io.container import RADAR_NAME, SceneReader, is_scene
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_pose

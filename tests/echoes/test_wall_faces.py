@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from geraf2.calibration.wall_faces import WallFaces
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.scene import LosPrior
 
 SIDES_M = (0.2, 0.3, 0.4)

@@ -14,7 +14,7 @@ from geraf2.geometry.triangles import face_areas, unit_normals
 from geraf2.scene import LosPrior
 
 _WAVES = np.array([(m, n) for m in (1, 2, 3) for n in (1, 2, 3)])
-MODE_SIGMAS_M = np.array([0.0007, 0.001, 0.001, *(0.003 / (_WAVES**2).sum(axis=1))])
+MODE_SIGMAS_M: Floats = np.array([0.0007, 0.001, 0.001, *(0.003 / (_WAVES**2).sum(axis=1))])
 """Standard deviation of each shape of a carton's wall [m]: position, two tilts, and the nine
 longest standing waves of a plate with a fixed rim."""
 N_MODES = len(MODE_SIGMAS_M)
