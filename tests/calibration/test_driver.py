@@ -128,15 +128,9 @@ def test_a_drift_of_a_fifth_of_a_millimetre_is_found(capture):
 def test_corrections_come_back_from_a_file(capture, tmp_path):
     rng = np.random.default_rng(0)
     sizes = [pose.n_antennas for pose in capture.poses]
-    leakage = Leakage(
-        method="reference",
-        reason="",
-        basis=rng.normal(size=(32, 2)).astype(np.complex64),
-        coefficients=tuple(rng.normal(size=(n, 2)).astype(np.complex64) for n in sizes),
-        phases_rad=tuple(rng.normal(size=n) for n in sizes),
-    )
+    basis, operator = (rng.normal(size=(32, 2)).astype(np.complex64) for _ in range(2))
     some = Corrections(
-        leakage=leakage,
+        leakage=Leakage(basis=basis, operator=operator),
         n_turns=4,
         channel_phases_rad=rng.normal(size=4),
         delay_m=0.002,

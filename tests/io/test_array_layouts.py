@@ -22,16 +22,8 @@ BOX = LosPrior.from_box((0.2, 0.2, 0.2), walls=(WALL,))
 
 
 def corrections():
-    ones = np.ones((5, 2), complex)
-    leakage = Leakage(
-        method="reference",
-        reason="",
-        basis=np.ones((32, 2), complex),
-        coefficients=(ones, ones),
-        phases_rad=(np.zeros(5), np.zeros(5)),
-    )
     return Corrections(
-        leakage=leakage,
+        leakage=Leakage(basis=np.ones((32, 2), "c8"), operator=np.ones((32, 2), "c8")),
         channel_phases_rad=np.zeros(4),
         axis_shift_m=np.zeros(2),
         angles_rad=np.zeros(2),
@@ -101,8 +93,7 @@ def test_an_array_that_geraf2_does_not_write_is_refused(name, change, tmp_path):
         ("truth", "faces", BOX.faces + 1),
         ("prior", "faces", BOX.faces[:0]),
         ("prior", "walls", np.full((1, 8), -1.0)),
-        ("calibration", "leakage_antennas", np.array([11, -1])),
-        ("calibration", "leakage_antennas", np.array([5, 6])),
+        ("calibration", "leakage_operator", np.zeros((0, 0), np.complex64)),
         ("image", "spacing_m", np.array(-0.01)),
         ("image", "volume", np.ones((0, 4, 5))),
         ("sdf", "spacing_m", np.array(0.0)),

@@ -164,8 +164,8 @@ def _find(
     tries, leakage_db = seen.boxes(like)
     if leakage_db > _LEAKAGE_DB:
         first = next(tries)
-        leakage = find_leakage(capture, first[0].prior, peaks)
-        if leakage.method == "none":
+        leakage = find_leakage(capture, first[0].prior)
+        if leakage.basis is None:
             tries = chain([first], tries)
         else:
             capture = without_leakage(capture, leakage)

@@ -1,6 +1,5 @@
 """Corrections of a capture as numbers that can be stored and applied again."""
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -16,9 +15,7 @@ from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
-from geraf2.scene import Capture, LosPrior, Pose
-
-_LEAKAGE = ("leakage_basis", "leakage_coefficients", "leakage_phases_rad", "leakage_antennas")
+from geraf2.scene import Capture, LosPrior
 
 _LAYOUTS = {
     "reversed_turn": "int",
@@ -30,9 +27,7 @@ _LAYOUTS = {
     "drift_coefficients_m": "float? p k",
     "prior_to_capture": "float? 4 4",
     "leakage_basis": "complex? s r",
-    "leakage_coefficients": "complex? a r",
-    "leakage_phases_rad": "float? a",
-    "leakage_antennas": "int? p",
+    "leakage_operator": "complex? s r",
 }
 
 
@@ -93,33 +88,20 @@ class Corrections:
         def ordered(values: Floats | None) -> Floats | None:
             return None if values is None else values[order]
 
-        leakage = self.leakage
-        if leakage is not None:
-            parts: dict[str, Any] = {
-                name: tuple(getattr(leakage, name)[number] for number in order)
-                for name in ("coefficients", "phases_rad")
-                if getattr(leakage, name)
-            }
-            leakage = replace(leakage, **parts)
         return replace(
             self,
-            leakage=leakage,
             angles_rad=ordered(self.angles_rad),
             drift_coefficients_m=ordered(self.drift_coefficients_m),
         )
 
-    def of_more(self, poses: Sequence[Pose], wavelength_m: float) -> "Corrections | None":
-        """Corrections of a capture with further, last poses; None if they need an estimate.
-
-        poses: all of them. wavelength_m: at the middle of the chirp [m].
-        """
-        leakage = self.leakage and self.leakage.of_more(poses, wavelength_m)
-        if self.drift_coefficients_m is not None or (leakage is None) != (self.leakage is None):
+    def of_more(self, n_poses: int) -> "Corrections | None":
+        """Corrections of a capture with further, last poses; None if they need an estimate."""
+        if self.drift_coefficients_m is not None:
             return None
         angles = self.angles_rad
         if angles is not None:
-            angles = np.pad(angles, (0, len(poses) - len(angles)))
-        return replace(self, leakage=leakage, angles_rad=angles)
+            angles = np.pad(angles, (0, n_poses - len(angles)))
+        return replace(self, angles_rad=angles)
 
     def _arrays(self) -> dict[str, Array]:
         """All values by name; unchanged ones are empty."""
@@ -129,16 +111,10 @@ class Corrections:
         arrays: dict[str, Array] = {
             k: nothing if v is None else np.asarray(v) for k, v in values.items()
         }
-        own = self.leakage
-        if own is None or own.method == "none":
-            return arrays | dict.fromkeys(_LEAKAGE, nothing)
-        phases = own.phases_rad
-        return arrays | {
-            "leakage_basis": nothing if own.basis is None else own.basis,
-            "leakage_coefficients": np.concatenate(own.coefficients),
-            "leakage_phases_rad": np.concatenate(phases) if phases else nothing,
-            "leakage_antennas": np.array([len(part) for part in own.coefficients]),
-        }
+        own = self.leakage or Leakage()
+        arrays["leakage_basis"] = nothing if own.basis is None else own.basis
+        arrays["leakage_operator"] = nothing if own.operator is None else own.operator
+        return arrays
 
     def save(self, path: AnyPath) -> None:
         """Write `calibration.npz`."""
@@ -150,26 +126,13 @@ class Corrections:
         arrays = read_arrays(path, _LAYOUTS)
         names = (entry.name for entry in fields(cls) if entry.name != "leakage")
         values: dict[str, Any] = {k: arrays[k] if arrays[k].size else None for k in names}
-        antennas = arrays["leakage_antennas"]
-        if (antennas < 0).any() or antennas.sum() != len(arrays["leakage_coefficients"]):
-            raise UserError(what="leakage_antennas do not match the coefficients", where=path)
         values |= {"n_turns": int(arrays["n_turns"]), "delay_m": float(arrays["delay_m"])}
         values |= {"reversed_turn": int(arrays["reversed_turn"])}
-        return cls(leakage=_read_leakage(arrays), **values)
-
-
-def _read_leakage(arrays: Mapping[str, Array]) -> Leakage | None:
-    basis, coefficients, phases, antennas = (arrays[name] for name in _LEAKAGE)
-    if basis.size == 0:
-        return None
-    ends = np.cumsum(antennas)[:-1]
-    return Leakage(
-        method="reference" if phases.size else "projected",
-        reason="kept with the run",
-        basis=basis,
-        coefficients=tuple(np.split(coefficients, ends)),
-        phases_rad=tuple(np.split(phases, ends)) if phases.size else (),
-    )
+        basis, operator = arrays["leakage_basis"], arrays["leakage_operator"]
+        if basis.shape != operator.shape:
+            raise UserError(what="leakage_basis and leakage_operator differ in shape", where=path)
+        leakage = Leakage(basis=basis, operator=operator) if basis.size else None
+        return cls(leakage=leakage, **values)
 
 
 def with_delay(capture: Capture, change_m: float) -> Capture:

@@ -45,7 +45,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 12
+CALIBRATION_VERSION = 13
 """Increase when the same capture gives other corrections."""
 
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
@@ -205,8 +205,8 @@ class _Run:
         """Estimate leakage, whose delays are shorter than those of the box."""
         if not self.config.leakage:
             return {}
-        found = find_leakage(self.capture, self.prior, self.peaks)
-        applied = found.method != "none"
+        found = find_leakage(self.capture, self.prior)
+        applied = found.basis is not None
         self.judgements.append(
             Judgement(name="leakage", applied=applied, text=str(found), numbers=found.numbers)
         )

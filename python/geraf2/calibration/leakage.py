@@ -2,29 +2,23 @@
 
 Leakage is the direct path, objects right in front of the antennas, and a constant of the converter.
 Its delays are shorter than those of the box, and it may be much stronger. Sinusoids of short delays
-are fitted to each antenna's samples and subtracted. Steady leakage also gives the phase of each
-antenna's samples (docs/math/calibration.md#leakage).
+are fitted to each antenna's samples and subtracted, with their copies at other delays, by ripple of
+the chirp (docs/math/calibration.md#leakage).
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._types import Floats
-from geraf2.calibration.channel_phase import phase_gain, with_phases
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
-from geraf2.echoes.echo_phases import collect_phases
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, unit_normals
-from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior, Pose, Waveform
 
 _Complex = NDArray[np.complex64]
-LeakageMethod = Literal["none", "projected", "reference"]
-"""Unchanged; short delays subtracted; the leakage's phase also removed from each antenna."""
 
 # Two-way path beyond the direct one within which an echo is not content: 4 cm in front [m].
 _NEAR_M = 0.08
@@ -53,82 +47,44 @@ _MIN_TAIL_DB = -8.0
 # A wall is parallel to a plane within ten degrees: otherwise it averages out over 14 cm. Flat parts
 # below this area are ignored.
 _FACING, _FACING_AREA_M2 = float(np.cos(np.deg2rad(10.0))), 0.0025
-_N_POSES = 3
 # Largest share of clipped samples at which steady leakage can still be subtracted.
 _MAX_CLIPPED = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Leakage:
-    """Leakage of a capture, and the values to subtract it."""
+    """Leakage of a capture, and the projection that subtracts it."""
 
-    method: LeakageMethod
-    reason: str
-    """Reason for this method, with values."""
+    reason: str = ""
+    """Reason for leaving the signal unchanged, with values."""
     level_db: float = -np.inf
     """Energy of the leakage relative to that of everything else but noise [dB]."""
     delays_m: tuple[float, float] = (0.0, 0.0)
-    """Shortest and longest two-way path subtracted, without instrument delay [m]. Both are 0 for a
-    background of any delays that all antennas share."""
+    """Shortest and longest two-way path subtracted, without instrument delay [m]."""
     steadiness: float = 0.0
     """Share of the leakage that is the same for all antennas up to a factor."""
     tail_db: float = -np.inf
     """Energy of its part at the delays of the box, relative to its own [dB]."""
-    phase_rms_deg: float = 0.0
-    """RMS of the removed phases about each pose's mean [degrees]."""
     basis: _Complex | None = None
-    """Waveforms of the leakage, (n_samples, rank)."""
-    coefficients: tuple[_Complex, ...] = ()
-    """Coefficients of the basis of each pose, (n_antennas, rank)."""
-    phases_rad: tuple[Floats, ...] = ()
-    """Phase removed from each antenna of each pose, (n_antennas,) [rad]; empty: none."""
+    """Waveforms of the leakage, (n_samples, rank); None without leakage."""
     operator: _Complex | None = None
-    """Matrix that gives the coefficients from samples, (n_samples, rank); None where all antennas
-    have the same ones, and for stored leakage."""
-
-    def of_more(self, poses: Sequence[Pose], wavelength_m: float) -> "Leakage | None":
-        """Leakage of a capture with further poses, which come last; None if that needs an estimate.
-
-        poses: all of them. wavelength_m: at the middle of the chirp [m].
-        """
-        if self.method == "none":
-            return self
-        more, same = list(self.coefficients), self.coefficients[0][:1]
-        has_phase = self.method == "reference"
-        if self.operator is None and (has_phase or any((own != same).any() for own in more)):
-            return None
-        new = poses[len(more) :]
-        for pose in new:
-            if self.operator is None:
-                more.append(np.repeat(same, pose.n_antennas, axis=0))
-            else:
-                more.append(np.asarray(pose.signal @ self.operator))
-        phases = list(self.phases_rad)
-        if has_phase:
-            main = _strongest_waveform(self.coefficients).conj()
-            own = [coefficient @ main for coefficient in more[len(phases) :]]
-            phases += _phases(new, own, wavelength_m)
-        return replace(self, coefficients=tuple(more), phases_rad=tuple(phases))
+    """Matrix that gives their coefficients from samples, (n_samples, rank)."""
 
     @property
     def numbers(self) -> dict[str, float]:
-        """Level [dB], steadiness and RMS of the phases [rad], if finite."""
+        """Level [dB] and steadiness, if finite."""
         numbers = {"level_db": self.level_db, "steadiness": self.steadiness}
-        if self.method == "reference":
-            numbers["phase_rms_rad"] = float(np.deg2rad(self.phase_rms_deg))
         return {name: value for name, value in numbers.items() if np.isfinite(value)}
 
     def __str__(self) -> str:
-        if self.method == "none":
+        if self.basis is None:
             return f"unchanged: {self.reason}"
         low, high = (1e3 * length for length in self.delays_m)
-        where = f"at {low:.0f} to {high:.0f} mm of path" if high else "the same at all antennas"
-        what = "subtracted" if self.method == "projected" else "subtracted, its phase removed"
-        return f"{self.level_db:.1f} dB over the echoes, {where}, {what}: {self.reason}"
+        return f"{self.level_db:.1f} dB over the echoes, at {low:.0f} to {high:.0f} mm of path"
 
 
-def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = None) -> Leakage:
-    """Estimate the signal with shorter delays than the box, and whether its phase helps.
+def find_leakage(capture: Capture, prior: LosPrior) -> Leakage:
+    """Estimate the signal with shorter delays than the box.
 
     capture: the scan; its instrument delay must be right to 15 cm of path.
     prior: outside of the box; any other delay may be that of an echo.
@@ -138,29 +94,27 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
     waveform = capture.waveform
     poses = [pose for pose in capture.poses if pose.n_antennas]
     if not poses:
-        return Leakage(method="none", reason="there are no antennas")
+        return Leakage(reason="there are no antennas")
     near, box = _paths(poses, waveform, prior)
     fit = leakage_operator(waveform, near, box)
     if fit is None:
-        return Leakage(
-            method="none", reason="delays are too coarse to separate leakage from the box"
-        )
-    basis, taken = fit
-    coefficients = tuple(pose.signal @ taken for pose in capture.poses)
-    in_noise = float((np.abs(taken) ** 2).sum())
+        return Leakage(reason="delays are too coarse to separate leakage from the box")
+    basis, operator = fit
+    coefficients = [pose.signal @ operator for pose in capture.poses]
+    in_noise = float((np.abs(operator) ** 2).sum())
     level_db, over_noise = _level(capture, coefficients, basis, in_noise)
-    references, steadiness = _references(coefficients)
-    nothing = Leakage(
-        method="none",
-        reason="no signal in front of the box",
-        level_db=level_db,
-        steadiness=steadiness,
-    )
+    main = _strongest_waveform(coefficients).conj()
+    references = [np.asarray(coefficient @ main, np.complex64) for coefficient in coefficients]
+    size = np.abs(np.concatenate(references)).astype(np.float64)
+    steadiness = float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
+    reason = ""
     if level_db < _MIN_LEVEL_DB or over_noise < _MIN_OVER_NOISE:
-        return _background(capture, prior, nothing)
-    if steadiness < _MIN_STEADINESS:
+        reason = "no signal in front of the box"
+    elif steadiness < _MIN_STEADINESS:
         reason = f"the signal in front of the box is not steady ({steadiness:.2f})"
-        return _background(capture, prior, replace(nothing, reason=reason))
+    nothing = Leakage(reason=reason, level_db=level_db, steadiness=steadiness)
+    if reason:
+        return nothing
     clipped = clipped_share(capture)
     if clipped > _MAX_CLIPPED:
         raise UserError(
@@ -169,30 +123,35 @@ def find_leakage(capture: Capture, prior: LosPrior, peaks: KeptPeaks | None = No
             got=f"{100 * clipped:.0f} %, leakage {level_db:.0f} dB over the echoes",
             hint="lower the receiver gain",
         )
-    found = Leakage(
-        method="projected",
-        reason="",
-        level_db=level_db,
-        delays_m=near,
-        steadiness=steadiness,
-        basis=basis,
-        coefficients=coefficients,
-        operator=taken,
+    found = replace(nothing, delays_m=near, basis=basis, operator=operator)
+    tail = _common_signal(without_leakage(capture, found), prior, references)
+    if tail is None:
+        return found
+    with_tail = basis + np.outer(tail, main).astype(np.complex64)
+    tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
+    below_db, _ = _level(capture, coefficients, with_tail, in_noise)
+    if below_db + tail_db < _MIN_TAIL_DB:
+        return found
+    own, whole = (
+        sum(float(np.linalg.norm(c @ waveforms.T) ** 2) for c in coefficients)
+        for waveforms in (basis, with_tail)
     )
-    found = _with_tail(capture, prior, found, references, in_noise)
-    return _test_phase(capture, found, references, peaks or KeptPeaks(prior))
+    level_db = below_db + 10.0 * float(np.log10(whole / own))
+    return replace(found, basis=with_tail, level_db=level_db, tail_db=tail_db)
 
 
 def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
     """Capture with the leakage subtracted; the same object if there is none."""
-    if leakage.method == "none" or leakage.basis is None:
+    basis, operator = leakage.basis, leakage.operator
+    if basis is None or operator is None:
         return capture
-    poses = [
-        replace(pose, signal=pose.signal - coefficient @ leakage.basis.T)
-        for pose, coefficient in zip(capture.poses, leakage.coefficients, strict=True)
-    ]
-    found = replace(capture, poses=tuple(poses))
-    return with_phases(found, [-p for p in leakage.phases_rad]) if leakage.phases_rad else found
+    poses = (
+        replace(
+            pose, signal=np.asarray(pose.signal - pose.signal @ operator @ basis.T, np.complex64)
+        )
+        for pose in capture.poses
+    )
+    return replace(capture, poses=tuple(poses))
 
 
 def clipped_share(capture: Capture) -> float:
@@ -275,7 +234,7 @@ def leakage_operator(
 
 
 def _level(
-    capture: Capture, coefficients: tuple[_Complex, ...], basis: _Complex, in_noise: float
+    capture: Capture, coefficients: Sequence[_Complex], basis: _Complex, in_noise: float
 ) -> tuple[float, float]:
     """Energy of leakage relative to the echoes [dB], and relative to noise in the fit.
 
@@ -298,63 +257,6 @@ def _level(
         return -np.inf, 0.0
     level_db = 10.0 * float(np.log10(leakage / max(rest, 1e-12 * leakage)))
     return level_db, leakage / max(in_fit, 1e-300)
-
-
-def _references(coefficients: tuple[_Complex, ...]) -> tuple[list[_Complex], float]:
-    """Leakage of each antenna as one number, and the steadiness of its amplitude."""
-    main = _strongest_waveform(coefficients).conj()
-    found = [np.asarray(coefficient @ main) for coefficient in coefficients]
-    size = np.abs(np.concatenate(found)).astype(np.float64)
-    return found, float(size.mean() ** 2 / max((size**2).mean(), 1e-300))
-
-
-def _with_tail(
-    capture: Capture,
-    prior: LosPrior,
-    found: Leakage,
-    references: list[_Complex],
-    in_noise: float,
-) -> Leakage:
-    """Add the leakage at other delays: ripple of the chirp or of the receiver."""
-    assert found.basis is not None  # the caller has found leakage
-    tail = _common_signal(without_leakage(capture, found), prior, references)
-    if tail is None:
-        return found
-    basis = found.basis + np.outer(tail, _strongest_waveform(found.coefficients).conj()).astype(
-        np.complex64
-    )
-    level_db, _ = _level(capture, found.coefficients, basis, in_noise)
-    tail_db = 10.0 * float(np.log10(max(float((np.abs(tail) ** 2).sum()), 1e-30)))
-    if level_db + tail_db < _MIN_TAIL_DB:
-        return found
-    own, whole = (
-        sum(float(np.linalg.norm(c @ waveforms.T) ** 2) for c in found.coefficients)
-        for waveforms in (found.basis, basis)
-    )
-    level_db += 10.0 * float(np.log10(whole / own))
-    return replace(found, basis=basis, level_db=level_db, tail_db=tail_db)
-
-
-def _background(capture: Capture, prior: LosPrior, nothing: Leakage) -> Leakage:
-    """Leakage that all antennas share, if there is none at shorter delays than the box."""
-    ones = [np.ones(pose.n_antennas, np.complex64) for pose in capture.poses]
-    common = _common_signal(capture, prior, ones)
-    size = 0.0 if common is None else float(np.linalg.norm(common))
-    if common is None or size == 0.0:
-        return nothing
-    basis = (common / size).astype(np.complex64)[:, None]
-    coefficients = tuple(np.float32(size) * one[:, None] for one in ones)
-    level_db, _ = _level(capture, coefficients, basis, 0.0)
-    if level_db < _MIN_TAIL_DB:
-        return nothing
-    return replace(
-        nothing,
-        method="projected",
-        reason="echoes of the box differ between antennas",
-        level_db=level_db,
-        basis=basis,
-        coefficients=coefficients,
-    )
 
 
 def _common_signal(
@@ -398,51 +300,7 @@ def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:
     return pose.n_antennas == 0 or float(areas[cosine > _FACING].sum()) > _FACING_AREA_M2
 
 
-def _strongest_waveform(coefficients: tuple[_Complex, ...]) -> _Complex:
+def _strongest_waveform(coefficients: Sequence[_Complex]) -> _Complex:
     """Coefficients of the strongest waveform, normalised, (rank,)."""
     covariance = sum(c.T @ c.conj() for c in coefficients)
     return np.asarray(np.linalg.eigh(covariance)[1][:, -1])
-
-
-def _test_phase(
-    capture: Capture, found: Leakage, references: list[_Complex], peaks: KeptPeaks
-) -> Leakage:
-    """Test with the echoes of some poses whether to remove the leakage's phase from the antennas.
-
-    The phases come from the leakage alone, so all echoes are held out.
-    """
-    filled = [number for number, pose in enumerate(capture.poses) if pose.n_antennas]
-    chosen = [filled[i] for i in np.unique(np.linspace(0, len(filled) - 1, _N_POSES).astype(int))]
-    clean = without_leakage(capture, found)
-    clean = replace(clean, poses=tuple(clean.poses[number] for number in chosen))
-    phases = _phases(capture.poses, references, capture.waveform.center_wavelength_m)
-    chosen_phases = [phases[number] for number in chosen]
-    gain, _, _ = phase_gain(clean, chosen_phases, lambda c: collect_phases(c, peaks.of(c)))
-    reason = f"with its phase removed, {gain}"
-    if not gain.is_sure:
-        return replace(found, reason=reason)
-    return replace(
-        found,
-        method="reference",
-        reason=reason,
-        phase_rms_deg=float(np.rad2deg(_phase_rms(phases))),
-        phases_rad=tuple(phases),
-    )
-
-
-def _phases(
-    poses: Sequence[Pose], references: Sequence[_Complex], wavelength_m: float
-) -> list[Floats]:
-    """Phase of the leakage at each antenna, without that of the direct path."""
-    k = 2.0 * np.pi / wavelength_m
-    found = []
-    for pose, reference in zip(poses, references, strict=True):
-        separation = np.linalg.norm(pose.tx_positions - pose.rx_positions, axis=1)
-        found.append(np.angle(reference * np.exp(1j * k * separation)))
-    return found
-
-
-def _phase_rms(phases: list[Floats]) -> float:
-    """RMS of phases about the mean of their pose [rad]."""
-    units = [np.exp(1j * phase) for phase in phases if len(phase)]
-    return float(np.sqrt(np.mean(np.concatenate([np.angle(u / u.mean()) ** 2 for u in units]))))

@@ -379,8 +379,7 @@ class Session:
     def _update(self) -> None:
         estimate, more = self._estimate, None
         if estimate is not None and len(self) < _GROWTH * estimate.n_planes:
-            wavelength_m = self._about.waveform.center_wavelength_m
-            more = estimate.corrections.of_more(self._poses, wavelength_m)
+            more = estimate.corrections.of_more(len(self))
         self._run.scene_digest = self._scene_digest()
         self._estimate = None  # until the surface is there
         if estimate is None or more is None:
