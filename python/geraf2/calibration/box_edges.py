@@ -10,6 +10,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.flashes import WallMiddles, find_flashes
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.imaging.peaks import PeakSet
 
 SQUARE_COSINE = float(np.cos(0.2))
@@ -23,8 +25,6 @@ _MIN_SLOPE, _SQUARE_TO_EDGE = 0.08, 0.06
 _MIN_SUBAPERTURES = 4
 # Distance of an edge's echo inside of the edge, and its standard deviation [m].
 _EDGE_INSIDE_M, _EDGE_SIGMA_M = 0.0025, 0.004
-# Least cosine between a flash and its wall's normal.
-_FLASH_COSINE = float(np.cos(0.05))
 # Distance of content from the walls [m], and its share of the energy; the rest are grating lobes.
 _CLEARANCE_M, _CONTENT_SHARE = 0.01, 0.9
 # Least density of an edge's echoes, relative to the densest; grating lobes have less.
@@ -37,22 +37,23 @@ Face = tuple[int, int]
 
 
 def flash_reach(
-    peaks: PeakSet, normals: Floats, offsets_m: Floats, seen: Bools, face: Face
+    peaks: PeakSet,
+    normals: Floats,
+    offsets_m: Floats,
+    seen: Bools,
+    face: Face,
+    middles: WallMiddles,
 ) -> float:
     """Lower bound of an unseen face's offset: the farthest feet of flashes of the seen walls [m].
 
     normals, offsets_m, seen: of all faces, (3, 2, 3) and (3, 2).
     """
     k, side = face
-    outward = peaks.points @ normals[k, side]
-    feet = np.zeros(_MIN_SUBAPERTURES)
-    for j, other in zip(*np.nonzero(seen), strict=True):
-        if j != k:
-            normal = normals[j, other]
-            flash = np.abs(peaks.points @ normal - offsets_m[j, other]) < _ON_WALL_M
-            flash &= np.abs(peaks.directions @ normal) > _FLASH_COSINE
-            feet = np.sort(np.concatenate([feet, outward[flash]]))[-_MIN_SUBAPERTURES:]
-    return float(feet[0])
+    beside = seen & (np.arange(3) != k)[:, None]
+    walls = WallFaces.of_planes(normals[beside], offsets_m[beside])
+    found = find_flashes(peaks, walls, middles)
+    feet = np.sort(peaks.points[np.unique(found.index)] @ normals[k, side])
+    return max(float(feet[-_MIN_SUBAPERTURES]), 0.0) if len(feet) >= _MIN_SUBAPERTURES else 0.0
 
 
 def content_reach(

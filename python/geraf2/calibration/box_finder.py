@@ -41,6 +41,7 @@ from geraf2.calibration.found_box import (
 from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
+from geraf2.echoes.flashes import WallMiddles
 from geraf2.echoes.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
@@ -220,6 +221,7 @@ class _SeenWalls:
     index: Ints
     """Peak of each direction."""
     flashes: Flashes
+    middles: WallMiddles
     search: BoxSearch
     leakage_db: float
     """Level of leakage relative to the strongest peak [dB]."""
@@ -244,6 +246,7 @@ class _SeenWalls:
             lobes=lobes,
             index=index,
             flashes=flashes,
+            middles=WallMiddles.of(capture.walls, capture.waveform),
             search=BoxSearch(flashes, upward(capture), reach_m, capture.waveform),
             leakage_db=20.0 * float(np.log10(max(leakage, 1e-300) / top)),
         )
@@ -260,13 +263,13 @@ class _SeenWalls:
         def tries() -> Iterator[tuple[FoundBox, PeakSet]]:
             for rough in chain([first], found_faces):
                 if not np.isnan(rough.offsets_m).all():
-                    corrected = explained(self.kept, self.lobes, self.index, self.flashes, rough)
-                    yield _initial_box(rough, corrected), corrected
+                    corrected = explained(self.kept, self.lobes, self.index, rough, self.middles)
+                    yield _initial_box(rough, corrected, self.middles), corrected
 
         return tries(), self.leakage_db - first.level_db
 
 
-def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
+def _initial_box(rough: RoughFaces, peaks: PeakSet, middles: WallMiddles) -> FoundBox:
     """Box whose unseen faces get the mean offset of the seen ones, until they are bounded.
 
     The seen walls extend to all apertures that see their flashes.
@@ -280,7 +283,7 @@ def _initial_box(rough: RoughFaces, peaks: PeakSet) -> FoundBox:
         elif unseen[k].any():
             offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
     for k, side in np.argwhere(unseen):
-        foot = flash_reach(peaks, rough.normals, rough.offsets_m, ~unseen, (k, side))
+        foot = flash_reach(peaks, rough.normals, rough.offsets_m, ~unseen, (k, side), middles)
         offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
     return FoundBox(
         axes=rough.axes,
@@ -376,7 +379,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
     """Box whose unseen faces lie at their edges, or with a margin around everything seen."""
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
-    normals = box.normals
+    normals, middles = box.normals, WallMiddles.of(capture.walls, capture.waveform)
     bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
     for _, k, side in face_names():
         face = (k, side)
@@ -384,7 +387,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
             continue
         known = (seen != Seen.NOT).all(axis=1)
         usual = 0.5 * float(offsets[known].sum(axis=1).max(initial=box.size_m.min())) + SLACK_M
-        least = flash_reach(peaks, normals, box.offsets_m, square, face)
+        least = flash_reach(peaks, normals, box.offsets_m, square, face, middles)
         content = content_reach(peaks, normals, box.offsets_m, square, face)
         edge = find_edge(peaks, normals, box.offsets_m, square, face, max(least, content))
         if edge is None:

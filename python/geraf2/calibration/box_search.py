@@ -14,7 +14,8 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import OVERLAP
-from geraf2.echoes.flashes import WallMiddles
+from geraf2.echoes.flashes import WallMiddles, find_flashes
+from geraf2.echoes.wall_faces import WallFaces
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import REACH_M, KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -290,7 +291,7 @@ class RoughFaces:
 
 
 def explained(
-    peaks: PeakSet, lobes: PeakSet, index: Ints, flashes: Flashes, rough: RoughFaces
+    peaks: PeakSet, lobes: PeakSet, index: Ints, rough: RoughFaces, middles: WallMiddles
 ) -> PeakSet:
     """Peaks with the walls' flashes in their true direction and at the wall's range.
 
@@ -299,26 +300,21 @@ def explained(
 
     lobes, index: from `with_lobes`.
     """
-    deviation = np.full(len(flashes.offsets_m), np.inf)
-    outward = np.zeros(len(deviation))
-    shift = np.where(flashes.far, rough.shift_m, -rough.shift_m)
-    for k, side in np.ndindex(3, 2):
-        along = flashes.normals @ rough.normals[k, side] > np.cos(MAX_ANGLE_RAD)
-        beyond = flashes.offsets_m - shift - rough.offsets_m[k, side]
-        for pair in {-rough.pair_m, rough.pair_m}:
-            closer = along & (np.abs(beyond - pair) < np.minimum(deviation, 3.0 * OFFSET_SIGMA_M))
-            deviation[closer] = np.abs(beyond - pair)[closer]
-            outward[closer] = pair
-    n, rows = len(lobes), np.arange(len(lobes))
-    kind = deviation.reshape(2, n).argmin(axis=0)  # each lobe as a near and as a far wall
-    deviation, outward = deviation.reshape(2, n)[kind, rows], outward.reshape(2, n)[kind, rows]
+    seen = ~np.isnan(rough.offsets_m)
+    faces = WallFaces.of_planes(rough.normals[seen], rough.offsets_m[seen])
+    deviation, longer = np.full(len(lobes), np.inf), np.zeros(len(lobes))
+    for pair_m in {-rough.pair_m, rough.pair_m}:
+        moved = replace(lobes, ranges_m=lobes.ranges_m - rough.shift_m + pair_m)
+        flashes = find_flashes(moved, faces, middles)
+        own = np.full(len(lobes), np.inf)
+        np.minimum.at(own, flashes.index, flashes.deviations(middles))
+        longer[own < deviation] = pair_m
+        deviation = np.minimum(deviation, own)
     order = np.lexsort((deviation, index))
     first = order[np.unique(index[order], return_index=True)[1]]
-    is_flash = np.isfinite(deviation[first])
-    best = np.where(is_flash, first, np.arange(len(peaks)))
-    longer = np.where(kind[best] == 0, outward[best], -outward[best]) * is_flash
+    best = np.where(np.isfinite(deviation[first]), first, np.arange(len(peaks)))
     return replace(
         peaks,
         directions=lobes.directions[best],
-        ranges_m=peaks.ranges_m + longer - rough.shift_m,
+        ranges_m=peaks.ranges_m + longer[best] - rough.shift_m,
     )

@@ -107,6 +107,11 @@ class WallEchoes:
         """1 for a near wall, -1 for a far one, (n,)."""
         return np.where(self.far > 0, -1.0, 1.0)
 
+    def deviations(self, middles: WallMiddles) -> Floats:
+        """Distance of each from a flash of its wall, in standard deviations, (n,)."""
+        off_m = self.offsets_m - np.array(middles.depths_m)[self.far]
+        return np.hypot(off_m / OFFSET_SIGMA_M, self.angles_rad / ANGLE_SIGMA_RAD)
+
     def select(self, keep: Bools) -> "WallEchoes":
         """Subset by mask."""
         return WallEchoes(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
@@ -136,9 +141,7 @@ def find_flashes(peaks: PeakSet, faces: WallFaces, middles: WallMiddles) -> Wall
     peaks: with corrected delay. middles: of the walls; typical ones do where they are unknown.
     """
     maybe = wall_echoes(peaks, faces, _N_SIGMAS * ANGLE_SIGMA_RAD)
-    off_m = maybe.offsets_m - np.array(middles.depths_m)[maybe.far]
-    square = (off_m / OFFSET_SIGMA_M) ** 2 + (maybe.angles_rad / ANGLE_SIGMA_RAD) ** 2
-    return maybe.select(square < _N_SIGMAS**2)
+    return maybe.select(maybe.deviations(middles) < _N_SIGMAS)
 
 
 def learn_wall_delay(peaks: PeakSet, faces: WallFaces, waveform: Waveform) -> float:

@@ -65,6 +65,12 @@ class WallFaces:
             across=np.asarray(across).reshape(-1, 2, 3),
         )
 
+    @classmethod
+    def of_planes(cls, normals: Floats, offsets_m: Floats) -> "WallFaces":
+        """Planes without a rim. normals: outward, (n, 3). offsets_m: from the origin, (n,) [m]."""
+        none = np.zeros((len(normals), 2, 3))
+        return cls(centers=offsets_m[:, None] * normals, normals=normals, across=none)
+
     def coordinates(self, walls: Ints, points: Floats) -> Floats:
         """Coordinates along walls of points in front or behind, (n,), (n, 3) [m] -> (n, 2)."""
         return np.asarray(np.einsum("nki,ni->nk", self.across[walls], points - self.centers[walls]))
