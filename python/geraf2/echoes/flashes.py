@@ -110,7 +110,7 @@ class WallEchoes:
     def deviations(self, middles: WallMiddles) -> Floats:
         """Distance of each from a flash of its wall, in standard deviations, (n,)."""
         off_m = self.offsets_m - np.array(middles.depths_m)[self.far]
-        return np.hypot(off_m / OFFSET_SIGMA_M, self.angles_rad / ANGLE_SIGMA_RAD)
+        return np.asarray(np.hypot(off_m / OFFSET_SIGMA_M, self.angles_rad / ANGLE_SIGMA_RAD))
 
     def select(self, keep: Bools) -> "WallEchoes":
         """Subset by mask."""
