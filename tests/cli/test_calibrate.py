@@ -42,7 +42,6 @@ def test_nothing_is_written_unasked(carton, capsys):
     assert "nothing was written: give OUT, or --write" in shown
 
 
-@pytest.mark.usefixtures("drawn")
 def test_a_corrected_scene_records_its_corrections(carton, tmp_path, capsys):
     out = tmp_path / "corrected"
     assert main(["calibrate", str(carton), str(out), "--channels", "37"]) == 0
@@ -60,7 +59,6 @@ def test_a_corrected_scene_records_its_corrections(carton, tmp_path, capsys):
     assert len(capture.calibration) == 1
     assert capture.calibration[0].path_bias_sigma_m == table["path_bias_sigma_m"]
     assert (out / "truth.ply").is_file()
-    assert (out / "calibration.png").read_bytes().startswith(b"\x89PNG")
     assert "->" in capsys.readouterr().out
     assert main(["info", str(out)]) == 0
     assert "calibrated" in capsys.readouterr().out

@@ -12,8 +12,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
 from geraf2.calibration.wall_echoes import (
     OVERLAP,
-    OffsetPeak,
-    find_wall_peak,
+    find_wall_offset,
     wall_peaks,
 )
 from geraf2.echoes.flashes import WallEchoes, WallMiddles, wall_echoes
@@ -120,7 +119,6 @@ class WallAlignment:
     """Change of each pose's angle, (n_poses,) [rad]."""
     shapes_m: Floats
     """Displacement of each wall from the prior, by mode of `wall_faces`, (n_walls, n_modes) [m]."""
-    peak: OffsetPeak
     offsets_before_m: Floats
     """Distance of each echo from its wall, minus the median, before calibration [m]."""
     offsets_after_m: Floats
@@ -237,15 +235,15 @@ class WallProblem:
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
-        self.peak = find_wall_peak(kinds[0], kinds[1], (low, high), config.min_echoes)
+        self.offset_m = find_wall_offset(kinds[0], kinds[1], (low, high), config.min_echoes)
         # Twice the limit, since the box may be rotated or shifted.
-        self.maybe = maybe.select(np.abs(offset - self.peak.offset_m) < 2.0 * _MAX_OFFSET_M[0])
+        self.maybe = maybe.select(np.abs(offset - self.offset_m) < 2.0 * _MAX_OFFSET_M[0])
         # Without a recorded delay, all searched delays are equally likely.
         is_known = config.keep_delay or config.is_recorded(capture)
         delay = 0.5 * config.delay_sigma_m if is_known else high - low
         if is_moved:
-            self.middles = self.middles.at(self.peak.offset_m, delay, waveform)
-            self.peak = self.peak.less(self.middles.loss_shift_m)
+            self.middles = self.middles.at(self.offset_m, delay, waveform)
+            self.offset_m -= self.middles.loss_shift_m
         parts = self._priors(config, delay)
         self.sigmas = np.concatenate(list(parts.values()))
         ends = np.cumsum([len(part) for part in parts.values()])[:-1]
@@ -279,7 +277,7 @@ class WallProblem:
             if group not in groups:
                 free[np.concatenate([self.parts[name] for name in _PARTS[group]])] = False
         values = np.zeros(len(self.sigmas))
-        values[0] = self.peak.offset_m if free[0] else 0.0
+        values[0] = self.offset_m if free[0] else 0.0
         for number in range(_N_ROUNDS):
             walls = self.walls_of(values, number / (_N_ROUNDS - 1), use)
             matrix, vector = self.normal_equations(values, walls, free)
@@ -329,7 +327,7 @@ class WallProblem:
         _, number = np.unique(self.echoes.subapertures, return_inverse=True)
         odd = number.ravel() % 2 == 1
         start = np.zeros(len(self.sigmas))
-        start[0] = self.peak.offset_m
+        start[0] = self.offset_m
         nats, prior = list[Floats](), 0.0
         for train, test in ((odd, ~odd), (~odd, odd)):
             before, after = (self.fit(subset, train).values for subset in (groups, [*groups, more]))
@@ -441,7 +439,6 @@ class WallProblem:
             axis_shift_sigma_m=sigma["axis"],
             angles_rad=value["angles"],
             shapes_m=value["shapes"].reshape(-1, N_MODES),
-            peak=self.peak,
             offsets_before_m=raw - (np.median(raw) if len(raw) else 0.0),
             offsets_after_m=after,
         )

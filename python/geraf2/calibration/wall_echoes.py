@@ -5,7 +5,7 @@ range minus the distance to the prior's wall is common to all near and far walls
 content have no such common offset (docs/math/calibration.md#delay-box-and-axis).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -57,33 +57,12 @@ def wall_peaks(
     return found.select(found.levels_db >= -_DYNAMIC_RANGE_DB).thinned(_STEP_M)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OffsetPeak:
-    """Common offset of the walls' echoes."""
-
-    offset_m: float
-    n_near: int
-    """Number of near walls' echoes within 1 cm of it."""
-    n_far: int
-    """Number of far walls' echoes."""
-    candidates_m: Floats
-    """Offsets of the search, (n,) [m]."""
-    density: Floats
-    """Combined density of near and far walls at each, 1 at the best, (n,)."""
-
-    def less(self, shift_m: float) -> "OffsetPeak":
-        """Return the same with all offsets less by `shift_m` [m]."""
-        return replace(
-            self, offset_m=self.offset_m - shift_m, candidates_m=self.candidates_m - shift_m
-        )
-
-
-def find_wall_peak(
+def find_wall_offset(
     near: tuple[Floats, Floats],
     far: tuple[Floats, Floats],
     search_m: tuple[float, float],
     least: int = MIN_WALL_ECHOES,
-) -> OffsetPeak:
+) -> float:
     """Offset at which echoes of near and of far walls are densest together.
 
     The weight of an echo is the square root of its magnitude. In a count, many weak echoes would
@@ -107,24 +86,18 @@ def find_wall_peak(
     of_near, of_far = density(*near), density(*far)
     score = np.sqrt(of_near * (of_far + _MISSING_FAR_SHARE * of_near.max(initial=0.0)))
 
-    def counts(best: int) -> list[int]:
-        return [int((np.abs(kind[0] - candidates[best]) < 0.01).sum()) for kind in (near, far)]
+    def count(kind: tuple[Floats, Floats], best: int) -> int:
+        return int((np.abs(kind[0] - candidates[best]) < 0.01).sum())
 
     best = int(score.argmax())
-    if counts(best)[1] < least:  # content, which may be as dense, is farther away
+    if count(far, best) < least:  # content, which may be as dense, is farther away
         rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
         peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
         best = int(peaks[0]) if len(peaks) else best
-    offset, (n_near, n_far) = float(candidates[best]), counts(best)
+    n_near = count(near, best)
     if n_near < least or best in (0, n_steps - 1):  # a maximum at the edge is no peak
         raise walls_not_seen(n_near, search_m, least)
-    return OffsetPeak(
-        offset_m=offset,
-        n_near=n_near,
-        n_far=n_far,
-        candidates_m=candidates,
-        density=score / max(float(score.max()), 1e-300),
-    )
+    return float(candidates[best])
 
 
 def walls_not_seen(

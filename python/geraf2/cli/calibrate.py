@@ -12,7 +12,7 @@ from geraf2.cli._fields import Positional, part_of
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
 from geraf2.pipeline.box_check import STATED
-from geraf2.pipeline.commands.calibrate import CALIBRATION_FIGURE_NAME, calibrate, require_room
+from geraf2.pipeline.commands.calibrate import calibrate, require_room
 from geraf2.pipeline.prior import PriorSource
 
 _MAX_SEARCH_M = 20.0
@@ -30,7 +30,7 @@ class Config(PriorSource):
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder."""
     out: Positional[Annotated[Path | None, Arg(metavar="[OUT]")]] = None
-    """Corrected scene to make, with the box as los.ply and a picture."""
+    """Corrected scene to make, with the box as los.ply."""
     write: bool = False
     """Correct SCENE itself instead."""
     overwrite: bool = False
@@ -86,7 +86,6 @@ def main(config: Config) -> int:
         [
             ("scene", str(target)),
             ("box", str(target / LOS_NAME)),
-            ("picture", str(target / CALIBRATION_FIGURE_NAME)),
             ("next", f"geraf2 reconstruct {target} RUN --los {target / LOS_NAME}"),
         ]
     )

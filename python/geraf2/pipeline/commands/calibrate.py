@@ -29,8 +29,6 @@ from geraf2.scene import Capture, LosPrior, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
 from geraf2.scene.summary import summarize_capture
 
-CALIBRATION_FIGURE_NAME = "calibration.png"
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibratedScene:
@@ -61,20 +59,18 @@ class CalibratedScene:
     def save(
         self, out: Path | str, *, overwrite: bool = False, listener: Listener | None = None
     ) -> None:
-        """Write the corrected scene, whole or not at all, with los.ply and calibration.png.
+        """Write the corrected scene, whole or not at all, with los.ply.
 
         All other files of the scene go with it. `out` may be the scene itself, with `overwrite`.
         Raises UserError where `out` holds something else.
         """
-        from geraf2.report.calibration import calibration_figure  # noqa: PLC0415 - matplotlib: 0.5 s
-
         listener = listener or Listener()
         capture = self.found.capture
 
         def write_extras(folder: Path) -> None:
             made = {MANIFEST_NAME, RADAR_NAME, LOS_NAME, LOS_NAME + ".json"}
             for entry in sorted(self.scene.iterdir()):
-                if entry.name in (*made, CALIBRATION_FIGURE_NAME) or entry.is_symlink():
+                if entry.name in made or entry.is_symlink():
                     continue
                 copy = shutil.copytree if entry.is_dir() else shutil.copy2
                 copy(entry, folder / entry.name)
@@ -85,7 +81,6 @@ class CalibratedScene:
                 frame=capture.frame,
                 made_from={**made_from, "command": "geraf2 calibrate"},
             )
-            calibration_figure(self.found, folder / CALIBRATION_FIGURE_NAME)
 
         if capture.walls and self.table.prior_to_capture is not None:
             listener.warning("walls in scene.toml keep their position; the moved box is in los.ply")
