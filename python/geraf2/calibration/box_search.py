@@ -14,7 +14,12 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.wall_echoes import OVERLAP
-from geraf2.echoes.flashes import WallMiddles, find_flashes
+from geraf2.echoes.flashes import (
+    ANGLE_SIGMA_RAD,
+    OFFSET_SIGMA_M,
+    WallMiddles,
+    find_flashes,
+)
 from geraf2.echoes.wall_faces import WallFaces
 from geraf2.geometry.transforms import triple
 from geraf2.imaging.peaks import REACH_M, KeptPeaks, PeakSet, grating_lobes
@@ -25,10 +30,10 @@ from geraf2.scene import Capture, LosPrior
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
-# Largest angle between a flash and its wall's normal, by noise and the slopes of a bulge [rad].
-MAX_ANGLE_RAD = 0.06
-# Grid of a wall's offset, and standard deviation of its flashes: walls bulge by 1 to 3 mm.
-OFFSET_STEP_M, OFFSET_SIGMA_M = 0.002, 0.003
+MAX_ANGLE_RAD = 2.0 * ANGLE_SIGMA_RAD
+"""Largest angle between a flash and its wall's normal [rad]."""
+OFFSET_STEP_M = 0.002
+"""Grid of a wall's offset [m]."""
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].
 LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
