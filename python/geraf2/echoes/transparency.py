@@ -11,14 +11,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.back_faces import BEHIND_M, seen_first, seen_through_share
+from geraf2.echoes.back_faces import BEHIND_M, odds_of_metal, seen_first, seen_through_share
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.io.text import interval_text
 from geraf2.ops.visibility import MeshScene
 
-_MIN_SHARE = 0.1
-"""Least share of the strength behind other glints; metal has up to 0.02, plastic 0.24 and more."""
 _ROUNDS = 2
 """Fits of a surface that covers the glints behind it."""
 _AHEAD_M = 0.4
@@ -102,15 +100,16 @@ def first_surfaces(
 ) -> tuple[Bools, SeenThrough | None]:
     """Mask of the glints of first surfaces, (n_glints,), and the body; all and None for metal.
 
-    The share of the strength behind other glints shows whether the content is a dielectric. If so,
-    glints behind others on their own line of sight are dropped. Then, twice, a surface is fitted
-    through the remainder, and glints behind it are dropped: it closes front faces without glints.
+    The share of the strength from behind surfaces that face away shows whether the content is a
+    dielectric. If so, glints behind others on their own line of sight are dropped. Then, twice, a
+    surface is fitted through the remainder, and glints behind it are dropped: it closes front faces
+    without glints.
 
     surface_through: vertices [m] and faces of a closed surface through glints, which blocks lines
         of sight; raises UserError where they enclose nothing.
     num_threads: all when None.
     """
-    if seen_through_share(glints) < _MIN_SHARE:
+    if odds_of_metal(seen_through_share(glints)) > 0.0:
         return np.ones(len(glints), dtype=bool), None
     first, possibly = seen_first(glints)
     keep = first

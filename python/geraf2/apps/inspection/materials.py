@@ -17,7 +17,7 @@ from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
 from geraf2.apps.inspection.material import CERTAIN, Kind, Material, Measured
 from geraf2.echoes import Glints
-from geraf2.echoes.back_faces import BEHIND_M, find_crossings
+from geraf2.echoes.back_faces import BEHIND_M, find_crossings, odds_of_metal
 from geraf2.echoes.labels import Label
 from geraf2.echoes.reflectivity import (
     Windows,
@@ -43,12 +43,6 @@ _METAL_DB, _METAL_SIGMA_DB = -2.5, 2.8
 _PLASTIC_DB, _PLASTIC_SIGMA_DB = -6.9, 4.1
 """Means and standard deviations of that level [dB]. Rough patches and antenna patterns lower it, a
 surface that bridges bodies raises it."""
-_METAL_SHARE = 0.015
-"""Mean share of the returns of metal that seem to have passed through it, of those with a surface
-on the other side; it is exponentially distributed, that of plastic uniform: means .014 of 26 parts,
-.77 of 19 (`bench/python/materials.py`, seeds 0 to 9 and 10000 to 10007)."""
-_OUTLIERS = 0.01
-"""Share of parts that are not as their population."""
 _LIKELY = 0.15
 """Least probability of a return that may have passed through a part."""
 _MIN_GLINTS = 20
@@ -241,10 +235,7 @@ def log_odds_of_metal(level: Measured | None, passed_share: float) -> float:
     own. The share of returns that passed is exponential of metal, uniform of plastic. NaN adds
     nothing.
     """
-    odds = 0.0
-    if np.isfinite(passed_share):
-        metal = np.exp(-passed_share / _METAL_SHARE) / _METAL_SHARE
-        odds = float(np.log((1.0 - _OUTLIERS) * metal + _OUTLIERS))
+    odds = odds_of_metal(passed_share) if np.isfinite(passed_share) else 0.0
     if level is None or level.sigma is None:
         return odds
     metal_sigma, plastic_sigma = np.hypot([_METAL_SIGMA_DB, _PLASTIC_SIGMA_DB], level.sigma)
