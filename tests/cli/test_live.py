@@ -40,7 +40,7 @@ def test_each_plane_is_a_line_and_the_end_a_run(source, tmp_path, capsys, monkey
         flags=re.MULTILINE,
     )
     assert [line[0] for line in lines] == ["1", "2", "3"]
-    assert "3 planes: all 3 announced planes came" in shown.out
+    assert "3 planes: all 3 planes of the scan came" in shown.out
     assert shown.err.count("Nyquist") == 1
     assert (out / "report.html").is_file()
     assert main(["info", str(out)]) == 0

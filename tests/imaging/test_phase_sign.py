@@ -27,9 +27,8 @@ def test_both_signs_are_found_with_the_same_evidence(snr_db):
     wrong = find_phase_sign([conjugated(pose) for pose in poses], WAVEFORM)
     assert (right.sign, wrong.sign) == (-1, 1)
     assert right.is_clear
-    assert right.peak_ratio > 5
-    assert wrong.peak_ratio == pytest.approx(right.peak_ratio, rel=1e-3)
-    assert wrong.sharpness_ratio == pytest.approx(right.sharpness_ratio, rel=1e-3)
+    assert right.evidence > 5
+    assert wrong.evidence == pytest.approx(right.evidence, rel=1e-3)
     assert "conjugated on import" in str(wrong)
 
 
@@ -105,11 +104,10 @@ def test_irregular_antennas_are_focused_as_finely():
     ],
 )
 def test_only_a_large_ratio_overrides_the_format(stated, forced, ratio, is_positive, doubt):
-    for depth, ratios in ((None, (ratio, 1.0)), (0.2, (1.0, ratio))):
+    for depth in (None, 0.2):
         sign = PhaseSign(
             sign=1,
-            peak_ratio=ratios[0],
-            sharpness_ratio=ratios[1],
+            evidence=ratio,
             n_poses=1,
             depth_m=depth,
             stated=stated,

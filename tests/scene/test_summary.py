@@ -43,7 +43,7 @@ def test_a_capture_in_parts_has_the_same_numbers(size):
         assert one.rms == pytest.approx(other.rms)
         assert one.profile == pytest.approx(other.profile, rel=1e-5)
         assert one.center == pytest.approx(other.center)
-        assert one.spacing_m == pytest.approx(other.spacing_m)
+        assert one.spacings_m == pytest.approx(other.spacings_m)
         assert one.largest == other.largest
 
 
@@ -57,10 +57,28 @@ def test_several_receivers_at_one_transmitter_count_as_positions_of_their_own():
     )
     summary = summarize_pose(twice)
     assert summary.n_repeated_positions == 0
-    assert summary.spacing_m < 0.003
+    assert summary.spacings_m[0] < 0.003
     assert summarize_pose(pose).n_repeated_positions == 0
     repeated = replace(twice, rx_positions=np.concatenate([pose.rx_positions, pose.rx_positions]))
     assert summarize_pose(repeated).n_repeated_positions == 36
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0])
+def test_rows_far_apart_count_and_not_the_antennas_in_them(degrees):
+    capture, turn = point_capture(2), np.deg2rad(degrees)
+    random = np.random.default_rng(0)
+    y, z = np.meshgrid(0.00095 * np.arange(120), 0.006 * np.arange(12))
+    raster = np.stack([y.ravel(), z.ravel()], axis=1) + 2e-5 * random.normal(size=(1440, 2))
+    raster = raster @ [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    poses = []
+    for pose in capture.poses:
+        antennas = pose.phase_centers.mean(axis=0) + raster @ pose.axes[1:]
+        signal = np.ones((1440, 32), dtype=np.complex64)
+        poses.append(replace(pose, signal=signal, tx_positions=antennas, rx_positions=antennas))
+    summary = summarize_capture(replace(capture, poses=tuple(poses)))
+    assert summary.spacings_m == pytest.approx([0.00095, 0.006], rel=0.05)
+    assert summary.spacing_m == summary.spacings_m[1]
+    assert summary.is_coarse
 
 
 def test_values_that_are_not_finite_are_counted_and_left_out():

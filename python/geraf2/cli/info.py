@@ -245,7 +245,8 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
     per_pose = (
         f"{counts[0]} to {counts[-1]}" if len(counts) > 1 else f"{counts[0] if counts else 0}"
     )
-    verdict = "finer" if summary.spacing_m <= summary.nyquist_spacing_m else "coarser"
+    verdict = "coarser than" if summary.is_coarse else "within"
+    steps = sorted({round(1e3 * step, 2) for step in summary.spacings_m if np.isfinite(step)})
     wide = summary.scene_width_m
     scene = f"a scene {wide:g} m wide" if wide else "any scene"
     return [
@@ -267,7 +268,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
         ("aperture", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
         (
             "antenna spacing",
-            f"{1e3 * summary.spacing_m:.2f} mm, {verdict} than the Nyquist spacing "
+            f"{' x '.join(f'{step:.2f}' for step in steps)} mm, {verdict} the Nyquist spacing "
             f"{1e3 * summary.nyquist_spacing_m:.2f} mm of {scene}",
         ),
         *_describe_directions(summary),

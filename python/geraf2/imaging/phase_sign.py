@@ -50,23 +50,17 @@ class PhaseSign:
 
     sign: int
     """-1 if the capture follows exp(-j 2 pi f d / c), +1 if it must be conjugated."""
-    peak_ratio: float
-    """Largest focused power with this sign over that with the other sign."""
-    sharpness_ratio: float
-    """Same ratio of sum(power^2) / sum(power)^2, which no gain changes."""
+    evidence: float
+    """Largest focused power with this sign over that with the other sign; of a single plane that is
+    searched in depth its largest sharpness, sum(power^2) / sum(power)^2, which no gain changes."""
     n_poses: int
     """Number of poses used."""
     depth_m: float | None = None
-    """Depth at which a single plane is sharpest [m]; then sharpness decides, not power."""
+    """Depth at which a single plane is sharpest [m]; None where power decides."""
     stated: int | None = None
     """Sign by the format or the spectrum; only a large ratio overrides it."""
     is_forced: bool = False
     """Whether `stated` is used for any evidence."""
-
-    @property
-    def evidence(self) -> float:
-        """Ratio that decides."""
-        return self.peak_ratio if self.depth_m is None else self.sharpness_ratio
 
     @property
     def is_clear(self) -> bool:
@@ -118,11 +112,11 @@ class PhaseSign:
         if self.depth_m is not None:
             return (
                 f"phase sign {name}: the image {self.depth_m:.3g} m before the plane is "
-                f"{self.sharpness_ratio:.3g} times as sharp as any with the other sign{doubt}"
+                f"{self.evidence:.3g} times as sharp as any with the other sign{doubt}"
             )
         return (
-            f"phase sign {name}: focuses {self.peak_ratio:.3g} times the power of the other sign, "
-            f"sharpness {self.sharpness_ratio:.3g} times ({self.n_poses} planes){doubt}"
+            f"phase sign {name}: focuses {self.evidence:.3g} times the power of the other sign "
+            f"({self.n_poses} planes){doubt}"
         )
 
 
@@ -179,7 +173,7 @@ def find_phase_sign(
     beginnings = [replace(pose, signal=pose.signal[:, :n_quick]) for pose in chosen]
     shorter = replace(waveform, n_samples=n_quick)
     quick = _focus_with_both(beginnings, shorter, _QUICK_ANTENNAS, _QUICK_STEP, num_threads)
-    if quick.peak_ratio >= _DECIDED_RATIO:
+    if quick.evidence >= _DECIDED_RATIO:
         return replace(quick, stated=stated)
     found = _focus_with_both(chosen, waveform, _MAX_ANTENNAS, _STEP, num_threads)
     return replace(found, stated=stated)
@@ -196,8 +190,7 @@ def _sharpest_of_both(pose: Pose, waveform: Waveform) -> PhaseSign:
     ratio, sharper = _mean_ratio(both), right if right.max() >= other.max() else other
     return PhaseSign(
         sign=-1 if ratio >= 1.0 else 1,
-        peak_ratio=1.0,
-        sharpness_ratio=max(ratio, 1.0 / ratio),
+        evidence=max(ratio, 1.0 / ratio),
         n_poses=1,
         depth_m=float(depths[sharper.argmax()]),
     )
@@ -210,7 +203,7 @@ def _focus_with_both(
     step_cells: float,
     num_threads: int | None,
 ) -> PhaseSign:
-    peaks, sharpness = np.zeros((2, len(poses))), np.zeros((2, len(poses)))
+    peaks = np.zeros((2, len(poses)))
     for number, pose in enumerate(poses):
         antennas = np.sort(np.random.default_rng(number).permutation(pose.n_antennas)[:n_antennas])
         signal = pose.signal[antennas]
@@ -218,20 +211,10 @@ def _focus_with_both(
         tx, rx = pose.tx_positions[antennas], pose.rx_positions[antennas]
         for index, candidate in enumerate((signal, np.conj(signal))):
             image = matched_filter(candidate, tx, rx, points, waveform, num_threads=num_threads)
-            power = np.abs(image).astype(np.float64) ** 2
-            peaks[index, number] = power.max()
-            total = power.sum()
-            sharpness[index, number] = (power**2).sum() / total**2 if total > 0 else 0.0
-    # Geometric means, so that no single strong pose decides.
-    peak_ratio = _mean_ratio(peaks)
-    sharpness_ratio = _mean_ratio(sharpness)
-    sign = -1 if peak_ratio >= 1.0 else 1
-    return PhaseSign(
-        sign=sign,
-        peak_ratio=peak_ratio if sign < 0 else 1.0 / peak_ratio,
-        sharpness_ratio=sharpness_ratio if sign < 0 else 1.0 / sharpness_ratio,
-        n_poses=len(poses),
-    )
+            peaks[index, number] = float(np.abs(image).max()) ** 2
+    ratio = _mean_ratio(peaks)  # geometric, so that no single strong pose decides
+    sign = -1 if ratio >= 1.0 else 1
+    return PhaseSign(sign=sign, evidence=ratio**-sign, n_poses=len(poses))
 
 
 def _mean_ratio(values: Floats) -> float:

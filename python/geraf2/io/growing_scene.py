@@ -83,8 +83,8 @@ class GrowingScene:
         group = self._group
         attributes = _metadata(group)["attributes"]
         self._names = [str(name) for name in attributes["pose_names"]]
-        signal, counts = _metadata(group / "signal"), _metadata(group / "antenna_count")
-        if counts["chunk_grid"]["configuration"]["chunk_shape"] != [_N_COUNTED]:
+        signal = _metadata(group / "signal")
+        if not may_grow(self.path):
             raise UserError(what="is a finished scene", where=self.path, expected="a growing one")
         self._n_chunk = int(signal["chunk_grid"]["configuration"]["chunk_shape"][1])
         self._shape = (len(self._names), int(signal["shape"][1]), self._shape[2])
@@ -143,6 +143,12 @@ class GrowingScene:
         whole = np.full(array.chunks, array.fill, dtype=array.dtype)
         (whole if whole.ndim == 1 else whole[0])[: len(values)] = values
         write_bytes_atomic(array.chunk(self._group, index), whole.tobytes())
+
+
+def may_grow(scene: Path) -> bool:
+    """Whether planes may still be appended to a scene: it was not written whole."""
+    counts = _metadata(scene / RADAR_NAME / "antenna_count")
+    return bool(counts["chunk_grid"]["configuration"]["chunk_shape"] == [_N_COUNTED])
 
 
 def _metadata(folder: Path) -> Any:

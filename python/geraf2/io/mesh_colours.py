@@ -5,7 +5,7 @@ import numpy as np
 from geraf2._types import Array, Bytes, Floats
 
 WORST_SHOWN_M = 0.005
-"""Expected error at the dark end of the colours, which begin at 0 [m]; half as large for most."""
+"""Expected error at the dark end of the colours of files, which begin at 0 [m]."""
 
 ERROR_COLOURS = (
     "#a9ccd9",
@@ -21,6 +21,14 @@ ERROR_COLOURS = (
 more). Equal steps of 20 in CIELAB; lightness falls for all kinds of colour vision."""
 _CHANNELS = np.array([list(bytes.fromhex(c[1:])) for c in ERROR_COLOURS], dtype=np.float64)
 _PLAIN_COLOUR = (190, 190, 190)
+
+
+def worst_shown_m(expected_error_m: Floats) -> float:
+    """Expected error at the dark end of a page's colours [m]: 95 % of the surface lies below.
+
+    Whole millimetres, and not less than `WORST_SHOWN_M`, so that good scans look alike.
+    """
+    return max(WORST_SHOWN_M, 1e-3 * float(np.ceil(1e3 * np.quantile(expected_error_m, 0.95))))
 
 
 def error_colours(expected_error_m: Floats | None, n: int) -> Bytes:

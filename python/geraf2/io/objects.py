@@ -39,8 +39,10 @@ def is_remote(path: Path | str) -> bool:
 
 
 def absolute_path(path: Path) -> Path:
-    """Absolute path without links; an address stays as it is."""
-    return path if is_remote(path) else path.resolve()
+    """Absolute path in a folder without links, its own name kept; an address stays as it is."""
+    if is_remote(path):
+        return path
+    return path.parent.resolve() / path.name if path.name.strip(".") else path.resolve()
 
 
 def read_bytes(path: Path, most: int | None = None) -> bytes:

@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M
+from geraf2.io.mesh_colours import ERROR_COLOURS, worst_shown_m
 from geraf2.report import canvas
 from geraf2.report.canvas import AXIS_NAMES, BLUE, BOX_COLOUR, GLINT_COLOUR, RED, TRUTH_COLOUR
 from geraf2.report.render import MeshPainter, View
@@ -349,7 +349,7 @@ def _expected_row(painter: MeshPainter) -> _Row:
     expected_m = painter.mesh.expected_error_m
     if expected_m is None:
         return "reconstruction", painter, np.tile(np.array(_GREY), (n_vertices, 1)), None
-    colours, mappable = _colour_errors(1e3 * expected_m, 1e3 * WORST_SHOWN_M)
+    colours, mappable = _colour_errors(1e3 * expected_m, 1e3 * worst_shown_m(expected_m))
     return "reconstruction", painter, colours, (mappable, "expected error [mm]")
 
 

@@ -14,7 +14,7 @@ from geraf2.echoes.glint_set import Glints
 from geraf2.geometry.components import face_labels
 from geraf2.geometry.triangles import closed_edges, face_areas
 from geraf2.io.mesh import Evidence, TriangleMesh
-from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M
+from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M, worst_shown_m
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
 from geraf2.report.view_layers import BoxFace, Volume, coarsen
@@ -85,7 +85,7 @@ def content_attributes(
     """
     found: list[Attribute] = []
     if content.expected_error_m is not None:
-        found.append(_expected(1e3 * content.expected_error_m))
+        found.append(expected_error(content.expected_error_m))
     if distances_m is not None:
         found.append(_error(1e3 * np.asarray(distances_m)))
     seen = seen_vertices(content, glints)
@@ -121,12 +121,13 @@ def content_attributes(
     return [*found, *parts]
 
 
-def _expected(error_mm: Floats) -> Attribute:
+def expected_error(error_m: Floats) -> Attribute:
+    """Attribute of the expected error of vertices, (n_vertices,) [m]."""
     return Attribute(
         label="expected error",
-        values=error_mm,
+        values=1e3 * error_m,
         unit="mm",
-        limits=(0.0, 1e3 * WORST_SHOWN_M),
+        limits=(0.0, 1e3 * worst_shown_m(error_m)),
         colours=ERROR_COLOURS,
         note="One standard deviation of the distance to the true surface.",
     )

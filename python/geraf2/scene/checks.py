@@ -409,10 +409,8 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
 
 def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
     spacing, limit = summary.spacing_m, summary.nyquist_spacing_m
-    # 5 % over the limit moves the alias by 5 % of the scene's width: no warning.
-    coarse = spacing > 1.05 * limit and summary.walls
     sane = spacing <= _MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
-    if coarse and sane:
+    if summary.walls and summary.is_coarse and sane:
         yield warning(
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "
             f"{1e3 * limit:.2f} mm: expect grating lobes at the edges of the scene",

@@ -32,6 +32,11 @@ _NOISY = 10.0
 _SATURATION_SAMPLES = 1 << 14
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
+# Nearest antennas among which one across from the nearest is sought: rows of a raster may lie 30
+# times as far apart as the antennas in them.
+_N_NEIGHBOURS = 64
+# 5 % over the limit moves the alias by 5 % of the scene's width.
+_COARSE = 1.05
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,8 +51,9 @@ class PoseSummary:
     """Rows looking, horizontal, vertical, (3, 3)."""
     bounds_m: Floats
     """Smallest and largest coordinate of the phase centres along the three axes, (2, 3) [m]."""
-    spacing_m: float
-    """Median distance of an antenna's phase centre to the nearest other one [m]."""
+    spacings_m: Floats
+    """Median distance of an antenna's phase centre to the nearest other one, and to the nearest
+    across from that: of a raster its steps, the finer first. NaN where there is none [m]."""
     n_repeated_positions: int
     """Antennas at the positions of another antenna."""
     n_bad_positions: int
@@ -128,10 +134,19 @@ class CaptureSummary:
         return float(horizontal), float(vertical)
 
     @property
+    def spacings_m(self) -> Floats:
+        """Median spacings of the antennas along and across, (2,) [m], as of :class:`PoseSummary`."""
+        return _medians([pose.spacings_m for pose in self.usable_poses])
+
+    @property
     def spacing_m(self) -> float:
-        """Median antenna spacing [m]; NaN where no pose has two antennas."""
-        spacings = [pose.spacing_m for pose in self.usable_poses if np.isfinite(pose.spacing_m)]
-        return float(np.median(spacings)) if spacings else float("nan")
+        """The coarser of these, which decides on grating lobes; NaN without two antennas [m]."""
+        return float(np.fmax(*self.spacings_m))
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether the antennas are so far apart that grating lobes lie on the scene."""
+        return self.spacing_m > _COARSE * self.nyquist_spacing_m
 
     @property
     def focus(self) -> Floats | None:
@@ -292,7 +307,6 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseS
     weights = np.array([part.n_antennas for part in looked_at], dtype=np.float64)
     largest = max(part.largest for part in looked_at)
     on_largest = [part.saturated_fraction * (part.largest == largest) for part in looked_at]
-    spacings = [part.spacing_m for part in looked_at if np.isfinite(part.spacing_m)]
     digests = "".join(part.digest for part in looked_at)
     n_antennas = sum(part.n_antennas for part in placed)
     n_constant = sum(part.n_constant for part in looked_at)
@@ -306,7 +320,7 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseS
         bounds_m=np.stack([bounds[:, 0].min(axis=0), bounds[:, 1].max(axis=0)])
         if usable
         else np.full((2, 3), np.nan),
-        spacing_m=float(np.median(spacings)) if spacings else float("nan"),
+        spacings_m=_medians([part.spacings_m for part in looked_at]),
         n_repeated_positions=sum(part.n_repeated_positions for part in looked_at),
         n_bad_positions=sum(part.n_bad_positions for part in looked_at),
         farthest_m=max(part.farthest_m for part in looked_at),
@@ -342,7 +356,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
         bounds_m=np.stack([along.min(axis=0), along.max(axis=0)])
         if len(along)
         else np.full((2, 3), np.nan),
-        spacing_m=_median_spacing(centers),
+        spacings_m=_median_spacings(centers),
         n_repeated_positions=int(good.sum()) - len(_distinct_positions(positions[good])),
         n_bad_positions=int((~np.isfinite(positions)).sum()),
         farthest_m=float(np.abs(positions[good]).max(initial=0.0)),
@@ -433,14 +447,27 @@ def _range_power(signal: NDArray[np.complex64]) -> Floats:
     return np.asarray(np.abs(np.fft.ifft(weighted, axis=1)) ** 2)
 
 
-def _median_spacing(centers: Floats) -> float:
+def _median_spacings(centers: Floats) -> Floats:
+    """Median distance of the nearest neighbour, and of the nearest at 45 degrees or more to it."""
     first = _distinct_positions(centers)
     if len(first) < 2:
-        return float("nan")
+        return np.full(2, np.nan)
     # Neighbours of a thousand positions: the search takes a third of the time of reading a capture.
     asked = centers[first][:: len(first) // 1000 + 1]
-    distances, _ = KDTree(centers[first]).query(asked, k=2)
-    return float(np.median(distances[:, 1]))
+    found = KDTree(centers[first]).query(asked, k=range(2, min(_N_NEIGHBOURS, len(first)) + 1))
+    distances, offsets = found[0], centers[first][found[1]] - asked[:, None]
+    along = np.einsum("ijk,ik->ij", offsets, offsets[:, 0])
+    is_across = np.abs(along) < np.sqrt(0.5) * distances * distances[:, :1]
+    across = np.where(is_across, distances, np.inf).min(axis=1)
+    across[np.isinf(across)] = np.nan  # a line has none
+    return _medians(np.stack([distances[:, 0], across], axis=1))
+
+
+def _medians(pairs: Sequence[Floats] | Floats) -> Floats:
+    """Median of each column without its NaN, (2,); NaN where it has nothing else."""
+    columns = np.array(pairs, dtype=np.float64).reshape(-1, 2).T
+    good = [column[np.isfinite(column)] for column in columns]
+    return np.array([np.median(column) if len(column) else np.nan for column in good])
 
 
 def _distinct_positions(positions: Floats) -> Ints:

@@ -117,6 +117,16 @@ def _calls(out):
     return Counter(line.split()[0] for line in (out / "calls.txt").read_text().splitlines())
 
 
+def test_links_of_one_name_are_scenes_of_their_own(tmp_path):
+    for day in ("monday", "tuesday"):
+        (tmp_path / day / "scene").mkdir(parents=True)
+        (tmp_path / day / "scene" / "scene.toml").write_text(day)
+        (tmp_path / f"{day}-scan").symlink_to(tmp_path / day / "scene")
+    jobs = read_jobs([tmp_path / "*-scan"], box=BOX)
+    assert sorted(job.scene.name for job in jobs) == ["monday-scan", "tuesday-scan"]
+    assert len({job.key for job in jobs}) == 2
+
+
 def test_faults_of_one_job_are_its_own(client, named, tmp_path):
     """Lost files and killed workers are tried again, bad input never; the others continue."""
     jobs = named("good-1", "killer", "bad", "lost", "once", "raises", "good-2")

@@ -70,6 +70,13 @@ class Heard(geraf2.Listener):
         self.texts += [str(finding) for finding in findings]
 
 
+def test_a_scene_that_was_written_whole_ends_with_its_last_plane(capture, tmp_path):
+    geraf2.save_capture(replace(capture, poses=capture.poses[:3]), tmp_path / "scan")
+    ending = replace(QUICK, idle_s=600.0)
+    outcome, _ = _followed(tmp_path / "scan", tmp_path / "out", ending)
+    assert outcome.reason == "all 3 planes of the scan came"
+
+
 def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path, monkeypatch):
     """It is written at a speed of its own, from before there is a folder."""
     monkeypatch.setattr(RunFolder, "verdict", property(lambda _: VERDICTS[Trust.RELIABLE]))
@@ -89,7 +96,7 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path,
     outcome, reports = _followed(tmp_path / "scene", tmp_path / "out", ending, heard)
     player.join()
     assert len([text for text in heard.texts if "Nyquist" in text]) == 1  # of all updates
-    assert outcome.reason == "all 6 announced planes came"
+    assert outcome.reason == "all 6 planes of the scan came"
     assert [report.plane for report in reports] == [1, 2, 3, 4, 5, 6]
     assert all(report.n_peaks > 0 and report.seconds > 0 for report in reports)
     assert reports[-1].expected_error_mm < reports[0].expected_error_mm

@@ -21,6 +21,7 @@ from geraf2.report.view3d import (
     Around,
     Attribute,
     Other,
+    expected_error,
     rgb,
     scene_json,
     thin_mesh,
@@ -217,12 +218,4 @@ def _attributes(body: Body, values_m: Floats | None, tolerance_m: float) -> list
                 note="Only where an echo came from. Blue lies inside the model, red outside.",
             )
         )
-    high = max(1.0, float(np.ceil(1e3 * np.quantile(body.sigma_m, 0.98))))
-    error = Attribute(
-        label="expected error",
-        values=1e3 * body.sigma_m,
-        unit="mm",
-        limits=(0.0, high),
-        colour_map="cividis",
-    )
-    return [*found, error]
+    return [*found, expected_error(body.sigma_m)]

@@ -263,7 +263,7 @@ def failures_of(
     found: list[str] = []
     if expect is not None and len(parts) != expect:
         here = "1 part was" if len(parts) == 1 else f"{len(parts)} parts were"
-        found.append(f"{here} found, {expect} were expected")
+        found.append(f"{here} found, {expect} {'was' if expect == 1 else 'were'} expected")
     names, swaps = [report.model.name for report in models], _find_exchanged(models)
     found += [f"'{names[a]}' and '{names[b]}' are swapped" for a, b in swaps]
     exchanged = {n for pair in swaps for n in pair}

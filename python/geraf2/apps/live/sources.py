@@ -22,6 +22,7 @@ from geraf2.apps.importers.geraf_sens import (
 from geraf2.errors import UserError
 from geraf2.imaging.phase_sign import find_phase_sign
 from geraf2.io.container import RADAR_NAME, SceneReader, is_scene
+from geraf2.io.growing_scene import may_grow
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.samples import complex_pose
 from geraf2.records import Pose
@@ -92,7 +93,7 @@ class FolderSource(Source):
         """Whether all planes came that were announced."""
         if self.n_planes is None or len(self._done) < self.n_planes:
             return ""
-        return f"all {self.n_planes} announced planes came"
+        return f"all {self.n_planes} planes of the scan came"
 
     def poll(self, *, is_last: bool = False) -> Iterator[NewPlane]:
         """Planes that came; one that cannot be read, and that nobody writes to, is named once.
@@ -134,7 +135,10 @@ class SceneSource(FolderSource):
         if self.about is None:
             self.about = capture_without_poses(self._reader.manifest)
             announced = self.about.provenance.get(N_PLANES_KEY, "")
-            self.n_planes = int(announced) if announced.isdecimal() else None
+            if announced.isdecimal():
+                self.n_planes = int(announced)
+            elif not may_grow(self.path):
+                self.n_planes = self._reader.n_poses
         folder = self.path / RADAR_NAME
         return [(str(number), folder) for number in range(self._reader.n_poses)]
 
