@@ -52,7 +52,7 @@ def main(config: Config) -> int:
         [
             ("parts", f"{found.n_parts[0]}, before " + ", ".join(map(str, found.n_parts[1:]))),
             ("registered", f"moved by ({shift}) mm, turned by {found.turn_deg:.2f} degrees"),
-            ("compared", f"{100 * found.compared_fraction:.0f} % of the glints"),
+            ("compared", f"{100 * found.compared_fraction:.0f} % of the glints: in view of both"),
         ]
     )
     for change in found.changes:

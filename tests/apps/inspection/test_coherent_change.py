@@ -1,5 +1,7 @@
 """Coherent change of two scans: formulas against loops, and scans of points that are made up."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -45,6 +47,12 @@ def scan(points, amplitudes, seed):
     return Signals(Capture(waveform=WAVEFORM, poses=tuple(poses)), plane_middles, None)
 
 
+def amplified(scan, gain):
+    """Scan by a radar with another gain."""
+    poses = tuple(replace(p, signal=gain * p.signal) for p in scan.capture.poses)
+    return scan._replace(capture=replace(scan.capture, poses=poses))
+
+
 @pytest.fixture(scope="module")
 def scans():
     """Points, a scan, one of all of them put down elsewhere, and one without the first."""
@@ -67,9 +75,11 @@ def test_the_turn_is_found_by_the_phases_and_unchanged_echoes_are_no_change(scan
     with Workers(1) as workers:
         pose = refine_turn(start, here, again, peaks, workers)
         spots = compare_echoes(pose, here, again, peaks, workers)
+        louder = compare_echoes(pose, here, amplified(again, 1.7), peaks, workers)
     error = Rotation.from_matrix(pose[:3, :3] @ PUT_DOWN[:3, :3].T).magnitude()
     assert np.rad2deg(error) < 0.15
     assert spots.log_ratios.max() < 2.0
+    assert louder.log_ratios == pytest.approx(spots.log_ratios, abs=0.2)
 
 
 def test_an_echo_that_one_scan_lacks_is_found_where_it_was(scans):

@@ -180,7 +180,7 @@ def test_exit_codes_and_json(packed, robbed, capsys):
 
 
 AXES = np.array([[0.0, 0, -1], [1, 0, 0], [0, -1, 0]])
-AWAY = Aperture.from_rectangle(np.array([0.5, 0, 3.0]), AXES, np.array([0.05, 0.05]))
+AWAY = Aperture.from_rectangle(np.array([2.0, 2.0, 3.0]), AXES, np.array([0.05, 0.05]))
 
 
 @pytest.mark.parametrize(

@@ -172,6 +172,15 @@ def compare_echoes(
     walls = np.zeros((0, 3)) if here.box is None else here.box[0]
     most = _MAX_TURN * _two_way_wavenumber(here)
 
+    def gains_of(planes: tuple[int, int]) -> list[float]:
+        view = _view(here, there, planes, at)
+        if view is None or not len(few):
+            return []
+        return [gain_of(view.here.image(points[few]), view.there.image(at.points_there[few]))]
+
+    found = np.concatenate(workers.each(gains_of, _pairs(here, there, pose)))
+    level = float(np.median(found)) if len(found) else 1.0
+
     def changes(planes: tuple[int, int]) -> tuple[Floats, Floats]:
         view = _view(here, there, planes, at)
         if view is None or not len(points):
@@ -181,7 +190,7 @@ def compare_echoes(
         _, phasors, _ = fit_phases(one[:, few], other, lateral[few], most)
         other = view.there.remove_phases(phasors).image(at.points_there)
         slopes, phasors, _ = fit_phases(one[:, few], other[:, few], lateral[few], most)
-        other = other * np.conj(phasors)[:, None] * np.exp(-1j * (lateral @ slopes))
+        other = level * other * np.conj(phasors)[:, None] * np.exp(-1j * (lateral @ slopes))
         paths = view.middles[:, None] - points
         paths /= np.linalg.norm(paths, axis=2, keepdims=True)
         faces_wall = np.any(np.abs(paths @ walls.T) > _WALL_COSINE, axis=2)
@@ -217,6 +226,19 @@ def fit_phases(
     size = np.abs(sums)
     share = float(size.sum() / max(float(np.abs(product).sum()), 1e-30))
     return slopes, sums / np.maximum(size, 1e-30), share
+
+
+def gain_of(one: Array, other: Array) -> float:
+    """Amplitude of one image over that of another: receivers of two scans may have other gains.
+
+    one, other: (n_blocks, n_points). The median ratio, weighted by both amplitudes: echoes that only
+    one of them has count little.
+    """
+    sizes = np.abs(one).ravel(), np.abs(other).ravel()
+    ratios = sizes[0] / np.maximum(sizes[1], 1e-30)
+    order = np.argsort(ratios)
+    weights = np.cumsum((sizes[0] * sizes[1])[order])
+    return float(ratios[order[np.searchsorted(weights, 0.5 * weights[-1])]])
 
 
 def change_of(one: Array, other: Array, faces_wall: Bools) -> tuple[Floats, Floats]:
