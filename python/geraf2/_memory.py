@@ -1,7 +1,7 @@
 """Memory: what is free, what a user allows, and whether work fits in before it begins."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -9,29 +9,6 @@ from pathlib import Path
 from geraf2.errors import UserError
 
 _LIMIT_BYTES: ContextVar[float] = ContextVar("memory limit", default=math.inf)
-
-_FLAG = "--max-memory"
-
-
-def without_memory_flag(arguments: Sequence[str]) -> tuple[list[str], float]:
-    """Arguments without --max-memory, and how many bytes it allows."""
-    rest, allowed = list[str](), math.inf
-    words = iter(arguments)
-    for word in words:
-        name, equals, value = word.partition("=")
-        if name != _FLAG:
-            rest.append(word)
-            continue
-        text = value if equals else next(words, "")
-        try:
-            allowed = 2.0**30 * float(text)
-        except ValueError:
-            allowed = math.nan
-        if not allowed > 0.0:
-            raise UserError(
-                what="must be a positive number of GiB", where=_FLAG, got=text or "nothing"
-            )
-    return rest, allowed
 
 
 @contextmanager

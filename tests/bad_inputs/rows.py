@@ -96,7 +96,7 @@ COMMANDS = [
             plan --box 0.2 0.2 0.2 --minutes 0.01|no plan can be reached in the time
             plan --box 0.2 0.2 0.2 --minutes 5 --out scan.txt|ending in .json or .csv
             benchmark out --only nothing --list|nothing
-            demo out --spec spec.toml --max-memory 1e-6|--max-memory
+            demo out --max-memory 1e-6|--max-memory
         """)
     ),
     bad("info " + "x" * 200_000, text="xxx"),

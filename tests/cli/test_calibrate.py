@@ -1,3 +1,4 @@
+import json
 import shutil
 import tomllib
 
@@ -39,7 +40,16 @@ def test_nothing_is_written_unasked(carton, capsys):
     assert contents(carton) == before
     shown = capsys.readouterr().out
     assert "instrument delay  0.0000 -> 0.1" in shown
-    assert "nothing was written: give OUT, or --write" in shown
+    assert "nothing was written: give OUT, or SCENE twice" in shown
+
+
+def test_a_box_that_nobody_states_is_found_by_radar(carton, capsys):
+    (carton / "los.ply").unlink()
+    assert main(["calibrate", str(carton), *PLAIN, "--no-frame", "--json"]) == 0
+    shown = capsys.readouterr()
+    found = json.loads(shown.out)
+    assert found["prior"] == "the box by radar"
+    assert found["path_bias_m"] == pytest.approx(0.15, abs=2e-3)
 
 
 def test_a_corrected_scene_records_its_corrections(carton, tmp_path, capsys):
@@ -83,14 +93,14 @@ def test_a_turned_box_is_moved_to_the_walls(carton, tmp_path):
 
 
 def test_write_corrects_the_scene_itself(carton):
-    assert main(["calibrate", str(carton), "--write", *PLAIN, "--no-frame"]) == 0
+    assert main(["calibrate", str(carton), str(carton), "--overwrite", *PLAIN, "--no-frame"]) == 0
     capture = load_capture(carton)
     assert capture.waveform.path_bias_m == pytest.approx(0.15, abs=1e-3)
     assert read_mesh(carton / "los.ply").vertices == pytest.approx(PRIOR.vertices, abs=1e-6)
     assert capture.calibration[0].prior_to_capture is None
     assert (carton / "truth.ply").is_file()
     # a second one is added to the record of the first
-    again = ["calibrate", str(carton), "--write", *PLAIN, "--no-delay"]
+    again = ["calibrate", str(carton), str(carton), "--overwrite", *PLAIN, "--no-delay"]
     assert main(again) == 0
     first, second = load_capture(carton).calibration
     assert first == capture.calibration[0]

@@ -4,6 +4,7 @@ import json
 import subprocess
 import webbrowser
 
+import numpy as np
 import pytest
 
 from geraf2.cli._console import CONSOLE
@@ -16,8 +17,11 @@ def test_json_is_one_object_on_stdout_and_the_rest_goes_to_stderr(told_run, scen
     assert told_run.out.count("\n") == 1
     assert (found["command"], found["exit_code"]) == ("reconstruct", 0)
     assert found["n_pieces"] >= 1
-    assert len(found["extents_mm"]) == 3
-    assert found["expected_error_median_mm"] > 0
+    extents = json.loads((told_run.path / "run.json").read_text())["stages"]["mesh"]["numbers"]
+    assert found["extents_m"] == pytest.approx(1e-3 * np.array(extents["extents_mm"]))
+    assert found["box"]["size_m"] == pytest.approx([0.2, 0.2, 0.2], abs=0.003)
+    assert 0.0 < found["expected_error_median_m"] < 0.05
+    assert any("Nyquist" in text for text in found["warnings"])
     assert found["report"] == str(told_run.path / "report.html")
     assert "typical error" in told_run.err
     assert "samples" in told_run.err
@@ -40,9 +44,7 @@ def test_a_command_without_results_of_its_own_gives_its_rows(capsys):
     assert json.loads(capsys.readouterr().out)["rows"]["threads"]
 
 
-def test_a_quiet_run_ends_with_what_it_found_and_the_page_to_open(
-    scene, tmp_path, capsys, monkeypatch
-):
+def test_a_quiet_run_prints_warnings_alone_and_opens_its_page(scene, tmp_path, capsys, monkeypatch):
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or True)
     monkeypatch.chdir(tmp_path)
@@ -50,11 +52,22 @@ def test_a_quiet_run_ends_with_what_it_found_and_the_page_to_open(
     assert main([*arguments, "--no-report"]) == 2
     assert main(arguments) == 0
     printed = capsys.readouterr()
-    assert "..." not in printed.err
-    names = [line.partition("  ")[0] for line in printed.out.splitlines()]
-    assert names[0] == "found"
-    assert {"typical error", "not seen", "report"} <= set(names)
+    assert printed.out == ""
+    assert all(line.startswith("warning: ") for line in printed.err.splitlines()[1:])
     assert opened == [(tmp_path / "out" / "report.html").as_uri()]  # the folder that is the default
+
+
+@pytest.mark.parametrize("words", [["--threads", "2"], ["--threads=2"]])
+def test_all_commands_take_threads(words, scene, tmp_path, monkeypatch, capsys):
+    asked = []
+    monkeypatch.setattr(
+        "geraf2.cli.image.image_scene",
+        lambda *_, num_threads, **__: asked.append(num_threads) or 1 / 0,
+    )
+    assert main([*words, "image", str(scene), str(tmp_path / "out")]) == 1
+    assert main(["image", str(scene), str(tmp_path / "out"), "--threads", "many"]) == 2
+    assert "--threads: must be a whole number" in capsys.readouterr().err
+    assert asked == [2]
 
 
 def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):

@@ -163,9 +163,9 @@ def test_what_the_scan_cannot_see_is_named_and_in_the_json(tmp_path, capsys):
     shown = capsys.readouterr()
     assert "content between z = -216 and -69 mm lies below all antennas" in shown.err
     found = json.loads(shown.out)
-    assert found["rows"]["vertical faces"].startswith("are seen at z = -69 to 69 mm")
-    assert found["coverage"]["heights_out_of_sight_mm"] == [[-216.0, -69.0], [69.0, 216.0]]
-    assert found["findings"][-1]["action"].startswith("scan 147 mm more at the top")
+    assert found["walls"][0]["size_m"] == [0.22, 0.22, 0.44]
+    assert found["coverage"]["heights_out_of_sight_m"] == [[-0.216, -0.069], [0.069, 0.216]]
+    assert "scan 147 mm more at the top" in found["warnings"][-1]
 
 
 def test_a_run_prints_what_it_found_and_the_next_command(finished_run, capsys):

@@ -51,8 +51,8 @@ def test_a_run_ends_with_its_verdict(finished_run, capsys, trust):
     assert error.endswith(", if the scan is right (40 % likely wrong)") == (trust is Trust.DOUBTFUL)
     assert main(["info", str(finished_run), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["verdict"] == VERDICTS[trust].numbers()
-    assert (found["expected_error_median_mm"] is None) == withdrawn
+    assert found["verdict"]["verdict"] == str(trust)
+    assert (found["expected_error_median_m"] is None) == withdrawn
     assert found.get("not_determined") == (CAUSE.text if withdrawn else None)
     assert (found["stated_f1_5mm"] is None) == withdrawn
     numbers = geraf2.load_run(finished_run).numbers

@@ -36,6 +36,14 @@ ROUNDING = 1.01
 few = settings(max_examples=30, deadline=None, derandomize=True)
 
 
+@pytest.fixture(autouse=True, scope="module")
+def _any_unit():
+    """Positions that look like millimetres reach the kernels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("geraf2.ops._geometry.MAX_SPACING_WAVELENGTHS", np.inf)
+        yield
+
+
 @st.composite
 def antennas_and_points(draw, counts=(0, 1, 2, 70)):
     n_antennas = draw(st.sampled_from((1, 2, 17)))

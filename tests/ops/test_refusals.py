@@ -47,7 +47,7 @@ OF_GEOMETRY = (
     ({"tx": np.zeros((0, 3)), "rx": np.zeros((0, 3))}, ValueError, "one antenna"),
     ({"points": np.full((2, 3), np.nan)}, ValueError, "finite.*row 0"),
     ({"points": np.full((2, 3), 1e7)}, ValueError, "within 1e"),
-    ({"points": np.zeros(3)}, ValueError, "points must have shape"),
+    ({"points": np.zeros((2, 4))}, ValueError, "points must have shape"),
     ({"waveform": 77e9}, TypeError, "waveform must be a geraf2.scene.Waveform"),
     ({"rtol": 0.0}, ValueError, "rtol must lie between 0 and 1"),
     ({"rtol": np.nan}, ValueError, "rtol must lie between 0 and 1"),

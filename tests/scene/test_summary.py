@@ -97,3 +97,12 @@ def test_a_plane_with_depth_is_mentioned():
     swapped = tuple(replace(pose, axes=np.roll(pose.axes, 1, axis=0)) for pose in capture.poses)
     messages = [str(f) for f in check_capture(summarize_capture(replace(capture, poses=swapped)))]
     assert any("along their looking axis" in message for message in messages)
+
+
+def test_samples_of_double_precision_have_the_same_numbers():
+    pose = point_pose(0.0)
+    single = summarize_pose(pose)
+    double = summarize_pose(replace(pose, signal=pose.signal.astype(np.complex128)))
+    assert double.largest == pytest.approx(single.largest)
+    assert double.saturated_fraction == pytest.approx(single.saturated_fraction)
+    assert double.rms == pytest.approx(single.rms)

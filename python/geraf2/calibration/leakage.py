@@ -156,7 +156,7 @@ def without_leakage(capture: Capture, leakage: Leakage) -> Capture:
 
 def clipped_share(capture: Capture) -> float:
     """Share of real and imaginary parts with the largest or the smallest value of all."""
-    parts = [pose.signal.view(np.float32) for pose in capture.poses if pose.signal.size]
+    parts = [pose.signal.view(pose.signal.real.dtype) for pose in capture.poses if pose.signal.size]
     high, low = max(part.max() for part in parts), min(part.min() for part in parts)
     full = sum(int(((part == high) | (part == low)).sum()) for part in parts)
     return full / sum(part.size for part in parts)

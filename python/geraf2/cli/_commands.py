@@ -1,6 +1,10 @@
 """The subcommands, and the flags that all of them take."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from geraf2.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -72,4 +76,45 @@ COMMANDS = {
 ESTIMATED = ("demo", "simulate", "image", "reconstruct", "render")
 """Commands that estimate their memory before they begin: the others take no --max-memory."""
 
+VALUE_FLAGS = ("--threads", "--max-memory")
+"""Flags of all commands with a value."""
+
 GLOBAL_FLAGS = ("--debug", "--version", "--json", "--quiet", "--verbose")
+
+
+def take_values(arguments: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Arguments without the flags of all commands that have a value, and those values."""
+    rest, values, words = list[str](), dict[str, str](), iter(arguments)
+    for word in words:
+        name, equals, value = word.partition("=")
+        if name in VALUE_FLAGS:
+            values[name] = value if equals else next(words, "")
+        else:
+            rest.append(word)
+    return rest, values
+
+
+def memory_bytes(text: str | None) -> float:
+    """Memory that --max-memory allows; infinite without it."""
+    if text is None:
+        return math.inf
+    try:
+        allowed = 2.0**30 * float(text)
+    except ValueError:
+        allowed = math.nan
+    if not allowed > 0.0:
+        what = "must be a positive number of GiB"
+        raise UserError(what=what, where="--max-memory", got=text or "nothing")
+    return allowed
+
+
+def thread_count(text: str | None) -> int | None:
+    """Threads of --threads; None without it."""
+    if text is None:
+        return None
+    from geraf2._bounds import MAX_THREADS  # noqa: PLC0415 - `--help` does without
+
+    if not text.isdecimal() or len(text) > 9 or not 1 <= int(text) <= MAX_THREADS:
+        what = f"must be a whole number from 1 to {MAX_THREADS}"
+        raise UserError(what=what, where="--threads", got=text or "nothing")
+    return int(text)

@@ -2,12 +2,13 @@
 
 import json
 import logging
+import math
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from datetime import timedelta
-from typing import Annotated, Any
+from typing import Any
 
 from rich.console import Console
 from rich.progress import (
@@ -19,13 +20,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from geraf2._bounds import Arg, ThreadCount
 from geraf2._types import Progress as Report
 from geraf2.errors import printable
 from geraf2.pipeline.events import Listener
 from geraf2.scene.checks import Finding
-
-Threads = Annotated[ThreadCount | None, Arg(metavar="N")]
 
 # Nothing is wrapped or highlighted: lines stay lines for grep, and paths stay copyable.
 out = Console(highlight=False, soft_wrap=True, markup=False)
@@ -41,11 +39,51 @@ class _Output:
     """What the flags of all commands ask for, and what the command found."""
 
     quiet: bool = False
-    """No progress and no notes."""
+    """Warnings and errors alone."""
+    threads: int | None = None
+    """Most threads; all when None."""
     found: dict[str, Any] = field(default_factory=dict)
     """Results by name, for --json."""
     rows: dict[str, str] = field(default_factory=dict)
     """Rows by name, for a command that keeps no results."""
+    warnings: list[str] = field(default_factory=list)
+    """Warnings, for --json."""
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what was found and warned of, in SI units, but for degrees and decibels."""
+        found = self.found or ({"rows": self.rows} if self.rows else {})
+        return {**_in_si(found), "warnings": self.warnings}
+
+
+_TO_SI = {
+    "_mm": ("_m", 1e-3),
+    "_cm3": ("_m3", 1e-6),
+    "_1e3_m2": ("_m2", 1e-3),
+    "_percent": ("_share", 1e-2),
+    "_mib": ("_bytes", 2.0**20),
+}
+"""Endings of names of values in other units: the ending in SI units, and the unit in them."""
+
+
+def _in_si(value: Any, scale: float = 1.0) -> Any:
+    """Values by names in SI units; None for what is not finite.
+
+    >>> _in_si({"center_mm": [1.5, 2.0], "name": "ball"})
+    {'center_m': [0.0015, 0.002], 'name': 'ball'}
+    """
+    if isinstance(value, Mapping):
+        found = {}
+        for name, inner in value.items():
+            end = next((end for end in _TO_SI if str(name).endswith(end)), None)
+            to, factor = _TO_SI[end] if end else ("", 1.0)
+            found[f"{str(name).removesuffix(end or '')}{to}"] = _in_si(inner, scale * factor)
+        return found
+    if isinstance(value, list | tuple):
+        return [_in_si(inner, scale) for inner in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    return float(f"{scale * value:.9g}") if is_number and scale != 1.0 else value
 
 
 _output = _Output()
@@ -53,15 +91,21 @@ _output = _Output()
 
 @contextmanager
 def show_output(
-    command: str, *, as_json: bool = False, quiet: bool = False, verbose: bool = False
+    command: str,
+    *,
+    as_json: bool = False,
+    quiet: bool = False,
+    verbose: bool = False,
+    n_threads: int | None = None,
 ) -> Iterator[dict[str, Any]]:
-    """Print as the flags of all commands ask for: `--json`, `--quiet`, `--verbose`.
+    """Print, and use threads, as the flags of all commands ask for.
 
     With `as_json` everything goes to stderr, and stdout gets one JSON object at the end: what the
-    block puts into the dictionary it gets, and what the command kept.
+    block puts into the dictionary it gets, what the command kept, and all warnings.
     """
     result: dict[str, Any] = {"command": command}
-    _output.quiet, _output.found, _output.rows = quiet, {}, {}
+    _output.quiet, _output.threads = quiet, n_threads
+    _output.found, _output.rows, _output.warnings = {}, {}, []
     out.stderr = as_json
     handler = _LogHandler(logging.INFO if verbose else logging.WARNING)
     loggers = [logging.getLogger(name) for name in ("geraf2", "py.warnings")]
@@ -74,14 +118,18 @@ def show_output(
     try:
         yield result
         if as_json:
-            found = _output.found or ({"rows": _output.rows} if _output.rows else {})
-            print(json.dumps(result | found, default=str))
+            print(json.dumps(result | _output.as_json(), default=str))
     finally:
         _output.quiet, out.stderr = False, False
         for logger, level in zip(loggers, levels, strict=True):
             logger.propagate = True
             logger.setLevel(level)
             logger.removeHandler(handler)
+
+
+def threads() -> int | None:
+    """Most threads, of `--threads`; None for all."""
+    return _output.threads
 
 
 def keep(found: Mapping[str, Any]) -> None:
@@ -93,16 +141,20 @@ class _LogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         text = printable(" ".join(record.getMessage().split()))
         style = "yellow" if record.levelno >= logging.WARNING else None
+        if style:
+            _output.warnings.append(text)
         err.print(f"{record.levelname.lower()}: {text}", style=style)
 
 
 def say(text: str = "", style: str | None = None) -> None:
-    """Print one line of results."""
-    out.print(printable(text), style=style)
+    """Print one line of results, unless only warnings are asked for."""
+    if not _output.quiet:
+        out.print(printable(text), style=style)
 
 
 def warn(text: str) -> None:
-    """Print a warning."""
+    """Print a warning, and keep it for `--json`."""
+    _output.warnings.append(text)
     err.print(f"warning: {printable(text)}", style="yellow")
 
 
@@ -110,6 +162,7 @@ def print_findings(findings: Iterable[Finding]) -> None:
     """Print findings, errors in red."""
     for finding in findings:
         style = "red" if finding.severity == "error" else "yellow"
+        _output.warnings.append(str(finding))
         err.print(f"{finding.severity}: {printable(str(finding))}", style=style)
 
 

@@ -1,18 +1,19 @@
 """What a run found and how far it can be trusted, in a few lines and as numbers."""
 
 from collections.abc import Mapping
+from shlex import quote
 from typing import Any
 
 from geraf2.cli._console import keep, rows
-from geraf2.io.run_folder import CONTENT_NAME
+from geraf2.io.run_folder import CONTENT_NAME, PRIOR_NAME
 from geraf2.io.verdict import WITHDRAWN, Trust, Verdict, confidence, not_determined
 from geraf2.pipeline.reconstruction import Reconstruction
 from geraf2.surfaces.pieces import ghost_texts
 from geraf2.surfaces.samples import size_lines
 from geraf2.surfaces.stated_score import score_text
 
-EXIT_UNTRUSTED = 3
-"""Of `--strict`, for a result that is not to be trusted."""
+EXIT_NO = 3
+"""The answer is no: failed, changed, or, with `--strict`, not to be trusted."""
 _KEPT = (
     "n_pieces",
     "extents_mm",
@@ -37,18 +38,36 @@ def print_found(result: Reconstruction) -> None:
         keep({"not_determined": verdict.reason})
     keep({"out": str(result.path), "content": str(result.path / CONTENT_NAME)})
     keep({"report": None if result.report is None else str(result.report)})
+    if (result.path / PRIOR_NAME).is_file():
+        prior = result.prior
+        size_m = prior.size_m if prior.cuboid is None else prior.cuboid[1].tolist()
+        by_radar = result.numbers.get("box")
+        keep({"box": {"size_m": size_m, "center_m": prior.center_m, "by_radar": by_radar}})
+
+
+def print_next(result: Reconstruction) -> None:
+    """Print where the surface and the report of a run are, and the command to go on with.
+
+    A result that is not to be trusted has the next step in its verdict.
+    """
+    found = [("content", str(result.path / CONTENT_NAME))]
+    if result.report is not None:
+        found.append(("report", str(result.report)))
+    if not not_determined(result.verdict):
+        found.append(("next", f"geraf2 view {quote(str(result.path))}"))
+    rows(found)
 
 
 def print_verdict(verdict: Verdict | None, *, strict: bool = False) -> int:
     """Print the verdict, which ends the output of a command, and keep it for `--json`.
 
-    Returns the exit code: EXIT_UNTRUSTED for a result that is not to be trusted, if `strict`.
+    Returns the exit code: EXIT_NO for a result that is not to be trusted, if `strict`.
     """
     if verdict is None:
         return 0
     rows(list(verdict.lines), style=None if verdict.trust is Trust.RELIABLE else "yellow")
     keep({"verdict": verdict.numbers()})
-    return EXIT_UNTRUSTED if strict and not_determined(verdict) else 0
+    return EXIT_NO if strict and not_determined(verdict) else 0
 
 
 def found_lines(mesh: Mapping[str, Any], verdict: Verdict | None) -> list[tuple[str, str]]:

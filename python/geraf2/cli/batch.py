@@ -1,15 +1,15 @@
 """`geraf2 batch`: many scenes on many processes."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, Sides
 from geraf2.apps.batch import BatchOptions, read_jobs, run
 from geraf2.apps.batch.folder import DONE
-from geraf2.cli._console import err, rows
+from geraf2.cli._console import CONSOLE, keep, rows, threads
 from geraf2.cli._fields import Positional
-from geraf2.cli._outcome import EXIT_UNTRUSTED
+from geraf2.cli._outcome import EXIT_NO
 from geraf2.cli.reconstruct import defaults
 from geraf2.io.verdict import Trust
 from geraf2.pipeline.presets import BestPreset, PresetConfig
@@ -51,12 +51,21 @@ def main(config: Config) -> int:
     jobs = read_jobs(
         config.scenes, los=config.los, box=config.box, config=config.settings, options=options
     )
-    results = run(jobs, config.out, on_result=lambda result: err.print(result.line), options=config)
+    results = run(
+        jobs,
+        config.out,
+        on_result=lambda result: CONSOLE.note(result.line),
+        options=replace(config, threads=threads()),
+    )
     n_failed = sum(result.state != DONE for result in results)
     totals = f"{len(results)} scenes, {len(results) - n_failed} done, {n_failed} failed"
     counts = {trust: sum(result.verdict == trust for result in results) for trust in Trust}
     verdicts = ", ".join(f"{count} {trust}" for trust, count in counts.items())
     judged = [("verdicts", verdicts)] if any(counts.values()) else []
+    keep({"done": len(results) - n_failed, "failed": n_failed, "verdicts": counts})
+    keep(
+        {"results": [asdict(result) for result in results], "page": str(config.out / "batch.html")}
+    )
     rows([("all", totals), *judged, ("page", str(config.out / "batch.html"))])
     is_strict = config.strict and counts[Trust.NOT_TO_BE_TRUSTED] > 0
-    return 2 if n_failed else EXIT_UNTRUSTED if is_strict else 0
+    return 2 if n_failed else EXIT_NO if is_strict else 0

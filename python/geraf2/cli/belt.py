@@ -1,13 +1,13 @@
 """`geraf2 belt`: parcels on a belt, one after the other."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
 from geraf2.apps.belt.running import STEM, BeltOptions, run_belt
-from geraf2.cli._console import keep, rows, say
+from geraf2.cli._console import keep, rows, say, threads
 from geraf2.cli._fields import Positional
 
 
@@ -28,7 +28,8 @@ class Config(BeltOptions):
 
 def main(config: Config) -> int:
     """Run the command; exit code 2 if a parcel failed."""
-    found = run_belt(config.stream, config.out, config.preset, options=config, on_line=say)
+    options = replace(config, threads=threads())
+    found = run_belt(config.stream, config.out, config.preset, options=options, on_line=say)
     keep({"done": found.n_done, "failed": found.n_failed, "cpu_seconds": found.cpu_seconds})
     keep({"per_hour": found.per_hour, "cores_for_6000_per_hour": found.cores})
     rows(

@@ -19,7 +19,7 @@ from geraf2.apps.benchmark import (
     write_pages,
 )
 from geraf2.apps.benchmark.pages import MARKDOWN_NAME
-from geraf2.cli._console import CONSOLE, Threads, progress_bar, rows, say, warn
+from geraf2.cli._console import CONSOLE, progress_bar, rows, say, threads, warn
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -74,8 +74,6 @@ class Config:
     given."""
     seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Of scenes, reconstructions and samples."""
-    threads: Threads = None
-    """Threads of each row; all when not given and --jobs is 1."""
 
 
 def main(config: Config) -> int:
@@ -87,7 +85,7 @@ def main(config: Config) -> int:
     choice = {"scene": config.scenes, "case": config.cases, "method": config.methods}
     todo = rows_of(suite, config.only, choice)
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
-    runner = Runner(out=config.out, seed=config.seed, num_threads=config.threads or share)
+    runner = Runner(out=config.out, seed=config.seed, num_threads=threads() or share)
     everything = rows_of(suite, tuple(suite.experiments))
     is_chosen = bool(config.only) or any(choice.values())
     if config.list:
@@ -160,7 +158,7 @@ def _by_seed(config: Config) -> int:
     if population.is_reserved(seeds):
         warn(f"seeds from {population.RESERVED_SEED} on are reserved for claims")
     share = max(1, n_threads() // config.jobs) if config.jobs > 1 else None
-    runner = Runner(out=config.out, num_threads=config.threads or share, cache=config.cache)
+    runner = Runner(out=config.out, num_threads=threads() or share, cache=config.cache)
     task = population.Population(runner=runner, presets=presets, scenes=scenes)
     total, done = len(seeds) * len(presets), count(1)
     with progress_bar(scenes.name) as progress:

@@ -7,11 +7,10 @@ from typing import Annotated
 from geraf2._bounds import Arg, ChannelCount, SignedM
 from geraf2.calibration.driver import CalibrationConfig
 from geraf2.calibration.wall_alignment import AlignmentConfig
-from geraf2.cli._console import CONSOLE, Threads, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional, part_of
 from geraf2.errors import UserError
 from geraf2.io.container import LOS_NAME, read_scene_manifest
-from geraf2.pipeline.box_check import STATED
 from geraf2.pipeline.commands.calibrate import calibrate, require_room
 from geraf2.pipeline.prior import PriorSource
 
@@ -24,17 +23,16 @@ class Config(PriorSource):
 
     It searches for leakage, the instrument delay, phases of channels, the position of the box, the
     turntable axis, and slow errors of the antennas' positions. A correction that held-out echoes do
-    not confirm is not applied. Nothing is written without OUT or --write.
+    not confirm is not applied. Nothing is written without OUT, which may be SCENE itself, with
+    --overwrite.
     """
 
     scene: Positional[Annotated[Path, Arg(metavar="SCENE")]]
     """Scene folder."""
     out: Positional[Annotated[Path | None, Arg(metavar="[OUT]")]] = None
     """Corrected scene to make, with the box as los.ply."""
-    write: bool = False
-    """Correct SCENE itself instead."""
     overwrite: bool = False
-    """Replace another scene in OUT."""
+    """Replace another scene in OUT, or SCENE itself."""
     los: Annotated[Path | None, Arg(metavar="MESH")] = None
     """Closed mesh of the outside of the box, metres; los.ply of the scene, or the box that it
     states, when not given."""
@@ -52,36 +50,30 @@ class Config(PriorSource):
     """Leave the phases of channels."""
     no_positions: bool = False
     """Leave the antennas' positions."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
     """Run the command."""
     settings = _settings(config)
-    if config.write and config.out is not None:
-        raise UserError(what="give either OUT or --write", got="both")
     read_scene_manifest(config.scene)  # a missing scene is reported before a missing prior
-    target = config.scene if config.write else config.out
-    require_room(config.scene, target, overwrite=config.write or config.overwrite)
+    target = config.out
+    require_room(config.scene, target, overwrite=config.overwrite)
     los = config.los
     if los is None and config.box is None and (config.scene / LOS_NAME).is_file():
         los = config.scene / LOS_NAME
-    source = replace(part_of(config, PriorSource), los=los)
-    prior, name = source.load() if source.is_given else (None, STATED)
     calibrated = calibrate(
         config.scene,
-        prior,
+        replace(part_of(config, PriorSource), los=los),
         settings,
-        prior_name=str(name) if los is None else los.name,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     rows(calibrated.rows())
+    keep({"scene": None if target is None else str(target), **calibrated.table.model_dump()})
     if target is None:
-        say("nothing was written: give OUT, or --write to correct the scene itself")
+        say("nothing was written: give OUT, or SCENE twice and --overwrite to correct it")
         return 0
-    calibrated.save(target, overwrite=config.write or config.overwrite, listener=CONSOLE)
+    calibrated.save(target, overwrite=config.overwrite, listener=CONSOLE)
     rows(
         [
             ("scene", str(target)),

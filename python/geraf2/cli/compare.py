@@ -8,19 +8,17 @@ from annotated_types import Interval
 
 from geraf2._bounds import Arg
 from geraf2.apps.inspection.compare_runs import compare
-from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional
-from geraf2.cli._outcome import print_verdict
+from geraf2.cli._outcome import EXIT_NO, print_verdict
 from geraf2.io.run_folder import COMPARISON_NAME
-
-EXIT_CHANGED = 1
 
 
 @dataclass(frozen=True, kw_only=True)
 class Config:
     """What appeared, vanished or moved since reference runs.
 
-    Exit code 1: something changed; 2: an input cannot be used; 3: a run is not to be trusted.
+    Exit code 2: an input cannot be used; 3: something changed, or a run is not to be trusted.
 
     Example: geraf2 compare today packed
     """
@@ -32,9 +30,8 @@ class Config:
     tolerance_mm: Annotated[float, Interval(gt=0.0, le=1000.0)] = 0.5
     """Largest shift of a part that is no change [mm]."""
     out: Path | None = None
-    """Folder for comparison.json, comparison.html (3D) and comparison.glb; none when not given."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
+    """Folder for comparison.json, comparison.html (3D) and comparison.glb; the run folder when not
+    given."""
 
 
 def main(config: Config) -> int:
@@ -44,7 +41,7 @@ def main(config: Config) -> int:
         config.references,
         tolerance_mm=config.tolerance_mm,
         out=config.out,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     shift = ", ".join(f"{1e3 * x:.1f}" for x in found.shift_m)
@@ -59,7 +56,6 @@ def main(config: Config) -> int:
         say(f"changed  {change}")
     say(f"result   {found.answer}")
     keep(found.to_dict())
-    if config.out is not None:
-        say(f"page     {config.out / f'{COMPARISON_NAME}.html'}")
+    say(f"page     {(config.out or config.run) / f'{COMPARISON_NAME}.html'}")
     untrusted = print_verdict(found.verdict, strict=True)
-    return EXIT_CHANGED if found.changed else untrusted
+    return EXIT_NO if found.changed else untrusted

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from geraf2._bounds import Arg
 from geraf2.apps.importers import importer_names
-from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS
+from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS, VALUE_FLAGS
 from geraf2.cli._fields import Flag, Positional, walk
 from geraf2.pipeline.presets import PRESETS
 
@@ -71,14 +71,14 @@ def _bash() -> str:
     for command in COMMANDS:
         found = list(_flags(command))
         names = [flag.name for flag, _ in found if not flag.in_place]
-        flags.append(f'    {command}) words="{" ".join([*names, *GLOBAL_FLAGS])}";;')
+        flags.append(f'    {command}) words="{" ".join([*names, *GLOBAL_FLAGS, *VALUE_FLAGS])}";;')
         for flag, words in found:
             before = command if flag.in_place else flag.name
             if words:
                 choices.append(f'    "{command} {before}") words="{" ".join(words)}";;')
     return _BASH.format(
         commands="|".join(COMMANDS),
-        all_commands=" ".join([*COMMANDS, *GLOBAL_FLAGS]),
+        all_commands=" ".join([*COMMANDS, *GLOBAL_FLAGS, *VALUE_FLAGS]),
         flags="\n".join(flags),
         choices="\n".join(choices),
     )
@@ -97,4 +97,5 @@ def _fish() -> str:
             elif words:
                 lines.append(f"complete -c geraf2 {when} {what}")
     lines += [f"complete -c geraf2 -l {flag[2:]}" for flag in GLOBAL_FLAGS]
+    lines += [f"complete -c geraf2 -l {flag[2:]} -r" for flag in VALUE_FLAGS]
     return "\n".join(lines) + "\n"

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, SampleCount, Seed
-from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
@@ -33,8 +33,6 @@ class Config:
     """Draw the report again, with the truth in it; done anyway if it has scores already."""
     seed: Annotated[Seed | None, Arg(hidden=True)] = None
     """Seed of these points; the run's own when not given."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -45,7 +43,7 @@ def main(config: Config) -> int:
         n_samples=config.n_samples,
         seed=config.seed,
         report=config.report or (config.out / METRICS_NAME).is_file(),
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     print_metrics(metrics)

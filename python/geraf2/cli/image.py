@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
-from geraf2.cli._console import CONSOLE, Threads, say
+from geraf2.cli._console import CONSOLE, keep, say, threads
 from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import IMAGE_NAME
 from geraf2.pipeline.commands.image import (
@@ -40,8 +40,6 @@ class Config:
     """What is imaged, and where."""
     overwrite: bool = False
     """Replace an image of other options, or the run of another scene."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -51,9 +49,12 @@ def main(config: Config) -> int:
         config.out,
         config.options,
         overwrite=config.overwrite,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
+    keep({"method": made.method, "strongest_m": made.strongest_m, "searched_m": made.searched_m})
+    keep({"depths_m": made.depths_m.tolist(), "sharpness": made.sharpness.tolist()})
+    keep({"files": [str(made.path / name) for name in made.files]})
     say(f"{'method':<14} {made.method}")
     say(f"largest at     ({', '.join(f'{x:z.3f}' for x in made.strongest_m)}) m")
     if made.searched_m is not None:

@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers.import_capture import import_capture
-from geraf2.cli._console import CONSOLE, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.manifest import RadarManifest, RasterManifest
@@ -45,9 +46,13 @@ def main(config: Config) -> int:
         radar=_radar(config),
         options=config,
         overwrite=config.overwrite,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     summary = imported.summary
+    keep({"scene": str(config.scene), "unchanged": imported.unchanged, **summary.numbers()})
+    keep({"facts": dict(imported.facts), "phase_sign": 1 if imported.sign.is_positive else -1})
+    keep({"phase_sign_evidence": imported.sign.evidence})
     rows(
         [
             *imported.facts,
@@ -61,7 +66,8 @@ def main(config: Config) -> int:
     if imported.unchanged:
         say(f"{config.scene} already holds this scene, nothing changed")
     else:
-        say(f"wrote {config.scene}; see 'geraf2 info {config.scene}'")
+        say(f"wrote {config.scene}")
+    rows([("next", f"geraf2 info {quote(str(config.scene))}")])
     return 0
 
 

@@ -12,7 +12,7 @@ from geraf2._bounds import Arg
 from geraf2.apps.importers import ImportOptions
 from geraf2.apps.importers._bag import list_bag
 from geraf2.apps.importers._recording import open_recording
-from geraf2.cli._console import Threads, keep, print_findings, progress_bar, rows, say, warn
+from geraf2.cli._console import keep, print_findings, progress_bar, rows, say, threads, warn
 from geraf2.cli._fields import Positional
 from geraf2.cli._outcome import print_found, print_verdict
 from geraf2.errors import UserError
@@ -55,8 +55,6 @@ class Config:
     """The folder holds one recording a position."""
     figure: Annotated[Path | None, Arg(metavar="PNG")] = None
     """Draw antennas, box and heat map, ranges over time, sampling, and what cannot be seen."""
-    threads: Threads = None
-    """Threads for the heat map; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -77,7 +75,7 @@ def main(config: Config) -> int:
     poses = (reader.read_pose(index) for index in range(reader.n_poses))
     summary = summarize_poses(poses, base.waveform, base.walls, delay_given=is_delay_given(base))
     command = "image" if summary.is_plane else "reconstruct"
-    takes = "" if summary.is_plane else str(reconstruct_estimate(summary))
+    takes = None if summary.is_plane else reconstruct_estimate(summary)
     los = reader.path / LOS_NAME
     coverage = summary_coverage(summary, read_mesh(los).vertices if los.is_file() else None)
     facts = [
@@ -87,19 +85,21 @@ def main(config: Config) -> int:
         *(_calibration_row(found) for found in reader.manifest.calibration),
         *describe(summary),
         *(_coverage_rows(coverage) if coverage else []),
-        *([("reconstruct takes about", takes)] if takes else []),
+        *([("reconstruct takes about", str(takes))] if takes else []),
         ("image takes about", str(image_estimate(summary))),
         ("a fine image", _fine_image(summary)),
         ("next", f"geraf2 {command} {quote(str(config.scene))} out"),
     ]
     rows(facts)
     findings = (*check_capture(summary), *(coverage.findings() if coverage else ()))
-    keep({"rows": dict(facts), "coverage": coverage.numbers() if coverage else None})
-    keep({"findings": [asdict(found) for found in findings]})
+    keep({"scene": str(config.scene), "frame": reader.manifest.frame, **summary.numbers()})
+    keep({"provenance": dict(reader.manifest.provenance)})
+    keep({"coverage": coverage.numbers() if coverage else None})
+    keep({"reconstruct": takes and asdict(takes), "image": asdict(image_estimate(summary))})
     print_findings(found for found in findings if found.severity != "error")
     require_no_errors(findings, config.scene)
     if config.figure is not None:
-        _draw(config.figure, reader, summary, config.threads)
+        _draw(config.figure, reader, summary, threads())
         say(f"picture  {config.figure}")
     return 0
 

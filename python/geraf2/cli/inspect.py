@@ -9,15 +9,12 @@ from geraf2.apps.inspection.bodies import BodyReport
 from geraf2.apps.inspection.inspect_run import InspectOptions, inspect
 from geraf2.apps.inspection.material import material_text
 from geraf2.apps.inspection.result import FAIL, NOT_JUDGED, ModelReport, rotation_vector_deg
-from geraf2.cli._console import CONSOLE, Threads, keep, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional
-from geraf2.cli._outcome import print_verdict
+from geraf2.cli._outcome import EXIT_NO, print_verdict
 from geraf2.echoes.ruled_out import describe_ruled_out
 from geraf2.io.run_folder import INSPECTION_NAME
 from geraf2.io.text import NOT_DETERMINED
-
-EXIT_FAILED = 3
-"""Of a result; 1 is a defect of geraf2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +38,6 @@ class Config:
     given."""
     strict: bool = False
     """Exit with code 3 if the scan is not to be trusted."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
     options: Annotated[InspectOptions, Arg(name="")] = field(default_factory=InspectOptions)
     """Options of the inspection."""
 
@@ -56,7 +51,7 @@ def main(config: Config) -> int:
         expect=int(wanted) if wanted is not None and wanted.isdecimal() else wanted,
         options=config.options,
         out=config.out,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     say(f"{len(found.parts)} in the box  ({found.intervals})")
@@ -78,7 +73,7 @@ def main(config: Config) -> int:
     keep(found.to_dict())
     say(f"page     {(config.out or config.run) / f'{INSPECTION_NAME}.html'}")
     untrusted = print_verdict(found.verdict, strict=config.strict)
-    return EXIT_FAILED if found.result in (FAIL, NOT_DETERMINED) else untrusted
+    return EXIT_NO if found.result in (FAIL, NOT_DETERMINED) else untrusted
 
 
 def _part(part: BodyReport) -> list[tuple[str, str]]:

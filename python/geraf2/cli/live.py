@@ -12,11 +12,10 @@ from geraf2.apps.importers import RecordingOptions
 from geraf2.apps.live.follow import LiveOptions, PlaneReport, follow
 from geraf2.apps.live.target import Target
 from geraf2.apps.viewing.server import LiveView
-from geraf2.cli._console import CONSOLE, Threads, rows, say, warn
+from geraf2.cli._console import CONSOLE, say, threads, warn
 from geraf2.cli._fields import Positional, part_of
-from geraf2.cli._outcome import print_found, print_verdict
+from geraf2.cli._outcome import print_found, print_next, print_verdict
 from geraf2.io.manifest import RadarManifest
-from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.prior import PriorSource
 
@@ -50,8 +49,6 @@ class Config(PriorSource, RecordingOptions):
     """Leave out the report."""
     strict: bool = False
     """Exit with code 3 if the result is not to be trusted."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -78,14 +75,12 @@ def main(config: Config) -> int:
             ending=ending,
             listener=CONSOLE,
             on_plane=_show,
-            num_threads=config.threads,
+            num_threads=threads(),
         )
     say(f"{found.n_planes} planes: {found.reason}")
     print_found(found.result)
-    result = found.result
-    report = [("report", str(result.report))] if result.report is not None else []
-    rows([("content", str(result.path / CONTENT_NAME)), *report])
-    return print_verdict(result.verdict, strict=config.strict)
+    print_next(found.result)
+    return print_verdict(found.result.verdict, strict=config.strict)
 
 
 def _show(report: PlaneReport) -> None:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from geraf2._bounds import Arg, Triple
 from geraf2.apps.photos.los import FIELD_NAME, MESH_NAME, VIEWS_NAME, make_los
-from geraf2.cli._console import CONSOLE, Threads, rows
+from geraf2.cli._console import CONSOLE, keep, rows, threads
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.pipeline.los_options import LosOptions
@@ -26,8 +26,6 @@ class Config:
     """Where the middle of a box of given sides lies [m]."""
     overwrite: bool = False
     """Replace a finished prior of something else in OUT."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
     options: Annotated[LosOptions, Arg(name="")] = field(default_factory=LosOptions)
     """Options of the source; --unit, --to-radar and --bounds are for meshes, too."""
 
@@ -43,7 +41,7 @@ def main(config: Config) -> int:
         config.options,
         box_center_m=config.box_center,
         overwrite=config.overwrite,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     prior = made.prior
@@ -59,6 +57,8 @@ def main(config: Config) -> int:
         ("mesh", str(made.path / MESH_NAME)),
         ("distance", str(made.path / FIELD_NAME)),
     ]
+    keep({"out": str(made.path), "size_m": prior.size_m, "center_m": prior.center_m})
+    keep(made.record.numbers)
     if VIEWS_NAME in made.files:
         pairs.append(("pictures", str(made.path / VIEWS_NAME)))
     rows([*pairs, ("next", f"geraf2 reconstruct SCENE RUN --los {made.path}")])

@@ -16,8 +16,16 @@ from inspect import cleandoc
 from types import FrameType
 from typing import Any, Protocol, cast
 
-from geraf2._memory import memory_limit, without_memory_flag
-from geraf2.cli._commands import COMMANDS, ESTIMATED, GLOBAL_FLAGS, Command
+from geraf2._memory import memory_limit
+from geraf2.cli._commands import (
+    COMMANDS,
+    ESTIMATED,
+    GLOBAL_FLAGS,
+    Command,
+    memory_bytes,
+    take_values,
+    thread_count,
+)
 from geraf2.errors import UserError, printable, shortened, speaking_of_flags
 
 EXIT_OK = 0
@@ -120,7 +128,8 @@ def _main(arguments: Sequence[str], *, debug: bool) -> int:
             print(f"geraf2 {__version__}")
             return EXIT_OK
         _require_environment()
-        rest, allowed = without_memory_flag(rest)
+        rest, values = take_values(rest)
+        allowed = memory_bytes(values.get("--max-memory"))
         name = _command_of(rest)
         if allowed < math.inf and name is not None and name not in ESTIMATED:
             raise UserError(
@@ -128,7 +137,8 @@ def _main(arguments: Sequence[str], *, debug: bool) -> int:
                 expected=f"--max-memory with {', '.join(ESTIMATED)}",
             )
         with memory_limit(allowed):
-            return _dispatch(rest, {flag for flag in GLOBAL_FLAGS if flag in arguments})
+            asked = {flag for flag in GLOBAL_FLAGS if flag in arguments}
+            return _dispatch(rest, asked, thread_count(values.get("--threads")))
     except SystemExit as stop:  # after --help
         return stop.code if isinstance(stop.code, int) else EXIT_BAD_INPUT
     except BrokenPipeError:
@@ -237,7 +247,8 @@ def help_text() -> str:
         "  geraf2 COMMAND --help   flags of a command, in any order",
         "  geraf2 --version        version",
         "  --json                  one JSON object on stdout, all else on stderr",
-        "  --quiet, --verbose      no progress and notes, or the log of every module",
+        "  --quiet, --verbose      warnings and errors alone, or the log of every module",
+        "  --threads N             use at most N threads; all when not given",
         "  --debug                 full traceback on errors",
         "  --max-memory GIB        refuse work that is estimated to take more memory; of",
         f"                          {', '.join(ESTIMATED)}",
@@ -245,7 +256,7 @@ def help_text() -> str:
     return "\n".join(lines)
 
 
-def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
+def _dispatch(arguments: list[str], asked: AbstractSet[str], n_threads: int | None) -> int:
     index = next((i for i, a in enumerate(arguments) if a in COMMANDS), None)
     words = [argument for argument in arguments if not argument.startswith("-")]
     if index is None and not words:
@@ -268,7 +279,11 @@ def _dispatch(arguments: list[str], asked: AbstractSet[str]) -> int:
     from geraf2.cli._console import show_output  # noqa: PLC0415 - the module has loaded it
 
     with show_output(
-        name, as_json="--json" in asked, quiet="--quiet" in asked, verbose="--verbose" in asked
+        name,
+        as_json="--json" in asked,
+        quiet="--quiet" in asked,
+        verbose="--verbose" in asked,
+        n_threads=n_threads,
     ) as result:
         result["exit_code"] = module.main(config)
     return int(result["exit_code"])

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from geraf2._bounds import Arg
-from geraf2.cli._console import CONSOLE, Threads, keep, rows, warn
+from geraf2.cli._console import CONSOLE, keep, threads, warn
 from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
-from geraf2.cli._outcome import print_found, print_verdict
+from geraf2.cli._outcome import print_found, print_next, print_verdict
 from geraf2.errors import UserError
 from geraf2.io.objects import is_remote
-from geraf2.io.run_folder import BOX_NAME, CONTENT_NAME, LOG_NAME, MESH_NAME, SAMPLES_NAME
 from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type, step_names
@@ -52,8 +51,6 @@ class Config(RunOptions, PriorSource):
     """Exit with code 3 if the result is not to be trusted."""
     open: bool = False
     """Open the report in a browser at the end."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
     settings: Annotated[PresetConfig, Arg(name="", hidden=True)] = field(default_factory=BestPreset)
     """Constants of the preset."""
 
@@ -99,7 +96,7 @@ def main(config: Config) -> int:
             resume=config.resume,
             overwrite=config.overwrite,
             report=not config.no_report,
-            num_threads=config.threads,
+            num_threads=threads(),
             listener=CONSOLE,
         )
     _print_outcome(result)
@@ -134,12 +131,6 @@ def _steps(config: Config) -> dict[str, tuple[str, float]]:
 
 
 def _print_outcome(result: Reconstruction) -> None:
-    seconds = {name: record.seconds for name, record in result.run.stages.items()}
-    report = [("report", str(result.report))] if "report" in seconds else []
     print_found(result)
-    keep({"seconds": seconds})
-    names = [("content", CONTENT_NAME), ("box", BOX_NAME), ("both", MESH_NAME)]
-    if "samples" in seconds:
-        names.append(("samples", SAMPLES_NAME))
-    paths = [(label, str(result.path / name)) for label, name in names]
-    rows([*paths, *report, ("log", str(result.path / LOG_NAME))])
+    keep({"seconds": {name: record.seconds for name, record in result.run.stages.items()}})
+    print_next(result)

@@ -1,13 +1,13 @@
 """`geraf2 render`: heat maps of any plane of antennas from a run, beside the measured."""
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from geraf2._bounds import Arg
-from geraf2.cli._console import CONSOLE, Threads, rows, say
+from geraf2.cli._console import CONSOLE, keep, rows, say, threads
 from geraf2.cli._fields import Positional
 from geraf2.io.run_folder import VIEWS_FOLDER
 from geraf2.pipeline.commands.render import RenderOptions, render
@@ -25,8 +25,6 @@ class Config:
     first two gets its reflectivity here, from the planes that the run did not leave out."""
     scene: Annotated[Path | None, Arg(metavar="SCENE")] = None
     """Scene folder, if it was moved after the run."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
     options: Annotated[RenderOptions, Arg(name="")] = field(default_factory=RenderOptions)
     """Which planes are rendered, and how finely."""
 
@@ -34,7 +32,7 @@ class Config:
 def main(config: Config) -> int:
     """Run the command."""
     planes = render(
-        config.out, config.options, scene=config.scene, num_threads=config.threads, listener=CONSOLE
+        config.out, config.options, scene=config.scene, num_threads=threads(), listener=CONSOLE
     )
     table = [
         (
@@ -43,7 +41,10 @@ def main(config: Config) -> int:
         )
         for plane in planes
     ]
-    rows([*table, ("mean", f"{np.mean([plane.psnr_db for plane in planes]):.2f} dB")])
+    mean = np.mean([plane.psnr_db for plane in planes])
+    keep({"planes": [asdict(plane) for plane in planes], "mean_psnr_db": float(mean)})
+    keep({"views": str(config.out / VIEWS_FOLDER)})
+    rows([*table, ("mean", f"{mean:.2f} dB")])
     say("PSNR: 10 log10(max(m)^2 / mean((r - m)^2)) of magnitudes over the box, nothing scaled")
     say(f"views    {config.out / VIEWS_FOLDER}")
     return 0

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Annotated
 
 from geraf2._bounds import Arg, Seed
-from geraf2.cli._console import CONSOLE, Threads, rows
+from geraf2.cli._console import CONSOLE, keep, rows, threads
 from geraf2.cli._fields import Positional
 from geraf2.io.container import LOS_NAME, TRUTH_NAME
 from geraf2.pipeline.commands.simulate import simulate_scene
@@ -27,8 +28,6 @@ class Config:
     """Seed of noise, jitter, and scatterers."""
     overwrite: bool = False
     """Replace another scene in this folder."""
-    threads: Threads = None
-    """Threads to use; all when not given."""
 
 
 def main(config: Config) -> int:
@@ -41,11 +40,13 @@ def main(config: Config) -> int:
         config.out,
         seed=config.seed,
         overwrite=config.overwrite,
-        num_threads=config.threads,
+        num_threads=threads(),
         listener=CONSOLE,
     )
     written = [("scene", config.out), ("truth", config.out / TRUTH_NAME)]
     if spec.walls:
         written.append(("box", config.out / LOS_NAME))
-    rows([(name, str(path)) for name, path in written])
+    keep({name: str(path) for name, path in written})
+    next_command = f"geraf2 reconstruct {quote(str(config.out))} out"
+    rows([*((name, str(path)) for name, path in written), ("next", next_command)])
     return 0

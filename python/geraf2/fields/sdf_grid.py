@@ -12,6 +12,7 @@ from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.ops import sdf_grid
+from geraf2.ops._geometry import rows_of
 from geraf2.scene import Grid
 
 _LAYOUTS = {"values": "float x y z", "origin_m": "float 3", "spacing_m": "float"}
@@ -30,14 +31,14 @@ class SdfGrid(Short):
         require_shape("values", self.values, self.grid.shape)
 
     def sample(self, points: NDArray[np.floating]) -> Floats:
-        """Trilinear signed distance at points (n, 3) [m] -> (n,) [m].
+        """Trilinear signed distance at points (..., 3) [m] -> (...) [m].
 
         Outside the grid the value of the nearest face is used. Not differentiable, unlike
         geraf2.ops.sdf_grid.
         """
-        require_shape("points", points, (None, 3))
-        positions = np.asarray(points, dtype=np.float64)
-        return np.asarray(sdf_grid(self.values, self.grid, positions).value, dtype=np.float64)
+        rows, shape = rows_of("points", np.asarray(points, dtype=np.float64))
+        found = sdf_grid(self.values, self.grid, rows).value.reshape(shape)
+        return np.asarray(found, dtype=np.float64)
 
     def save(self, path: AnyPath) -> None:
         """Write `sdf.npz`: values [m], origin_m and spacing_m of the grid [m]."""

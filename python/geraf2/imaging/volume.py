@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2._types import Floats, Progress
+from geraf2._types import Array, Floats, Progress
 from geraf2.geometry.transforms import triple
 from geraf2.ops import matched_filter
 from geraf2.scene import Capture, Grid, Pose, Waveform
@@ -22,7 +22,7 @@ def image_volume(
     poses: Sequence[int] | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
-) -> NDArray[np.float32]:
+) -> Array:
     """Sum over poses of the magnitude of each pose's full-aperture image, grid.shape.
 
     V(x) = sum_p |P_p(x)|, P_p(x) = 1/N_p sum_i sum_t s_i(t) exp(+j 2 pi (nu + k t) d_i(x) / c).
@@ -43,7 +43,7 @@ def image_volume(
 
     Returns
     -------
-    ndarray of float32
+    ndarray of float32, or of float64 where the samples are complex128
         Array of grid.shape. matched_filter chooses the method, see
         :func:`geraf2.ops.explain_method`.
 
@@ -58,8 +58,9 @@ def image_volume(
     >>> geraf2.image_volume(geraf2.examples.small_capture()[0], grid, poses=[0]).shape
     (21, 21, 21)
     """
-    volume = np.zeros(grid.shape, dtype=np.float32)
     chosen = range(len(capture.poses)) if poses is None else poses
+    is_double = len(chosen) > 0 and capture.poses[chosen[0]].signal.dtype == np.complex128
+    volume = np.zeros(grid.shape, dtype=np.float64 if is_double else np.float32)
     parts = list(slabs_of(grid))
     for number, index in enumerate(chosen):
         pose = capture.poses[index]  # read the signal once for all slabs

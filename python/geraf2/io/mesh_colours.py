@@ -24,9 +24,10 @@ _PLAIN_COLOUR = (190, 190, 190)
 
 
 def worst_shown_m(expected_error_m: Floats) -> float:
-    """Expected error at the dark end of a page's colours [m]: 95 % of the surface lies below.
+    """Find the expected error at the dark end of a page's colours [m].
 
-    Whole millimetres, and not less than `WORST_SHOWN_M`, so that good scans look alike.
+    95 % of the surface lies below. Whole millimetres, and at least `WORST_SHOWN_M`: good scans look
+    alike.
     """
     return max(WORST_SHOWN_M, 1e-3 * float(np.ceil(1e3 * np.quantile(expected_error_m, 0.95))))
 

@@ -86,6 +86,7 @@ REPORT_FILES = (REPORT_NAME, PROVENANCE_NAME, f"{FIGURES_FOLDER}/*.png", TRUTH_C
 _OF_MESH = (
     METRICS_NAME,
     f"{INSPECTION_NAME}.*",
+    f"{COMPARISON_NAME}.*",
     *REPORT_FILES,
     ECHO_NAME,
     f"{VIEWS_FOLDER}/{PSNR_NAME}",
@@ -422,6 +423,11 @@ class RunFolder:
             },
         )
         self._known = file_digest(self.path / RUN_NAME)
+
+
+def place_of(folder: Path) -> str:
+    """Name of a folder with that of the folder that holds it, for titles: `monday/run`."""
+    return "/".join(folder.resolve().parts[-2:]).lstrip("/")
 
 
 def link_file(source: Path, target: Path) -> None:

@@ -5,10 +5,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Array
 from geraf2._validation import require_positive, require_shape
+from geraf2.constants import MAX_SPACING_WAVELENGTHS
 from geraf2.records import Waveform
 from geraf2.scene.grid import Grid
 
@@ -87,6 +89,37 @@ def require_positions(name: str, values: NDArray[Any]) -> NDArray[np.float64]:
         )
         raise ValueError(msg)
     return rows
+
+
+def rows_of(name: str, points: Any) -> tuple[Any, tuple[int, ...]]:
+    """Points (..., 3) as rows (n, 3), and the shape before the coordinates."""
+    array = points if any_tensor(points) else np.asarray(points)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        msg = f"{name} must have shape (..., 3), got {tuple(array.shape)}"
+        raise ValueError(msg)
+    return array.reshape(-1, 3), tuple(array.shape[:-1])
+
+
+def require_metres(
+    tx: NDArray[np.float64], points: NDArray[np.float64], waveform: Waveform
+) -> None:
+    """Raise ValueError for positions in millimetres: no scan is as sparse and as far away."""
+    if not len(points):
+        return
+    low, high, limit = tx.min(axis=0), tx.max(axis=0), waveform.unambiguous_range_m
+    gaps = np.maximum(low - points.max(axis=0), points.min(axis=0) - high)
+    away = float(np.linalg.norm(np.maximum(gaps, 0.0)))
+    if len(tx) < 2 or not away > limit > 0.0:
+        return
+    nearest = KDTree(tx).query(tx[:: len(tx) // 100 + 1], k=2)[0][:, 1]
+    spacing = float(np.median(nearest))
+    if spacing > MAX_SPACING_WAVELENGTHS * waveform.center_wavelength_m:
+        msg = (
+            f"tx and points do not look like metres: antennas are {spacing:.3g} m apart and "
+            f"{away:.3g} m from the points, but the unambiguous range is {limit:.3g} m; if they "
+            "are in millimetres, convert them to metres"
+        )
+        raise ValueError(msg)
 
 
 def require_samples(sdf: Array, cos: Array, step: Array, inv_s: float) -> None:

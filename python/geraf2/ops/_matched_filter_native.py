@@ -14,8 +14,10 @@ from geraf2.ops._geometry import (
     native_grid,
     native_waveform,
     require_antennas,
+    require_metres,
     require_positions,
     require_rtol,
+    rows_of,
 )
 from geraf2.ops._threads import resolve_num_threads
 from geraf2.scene.grid import Grid
@@ -140,9 +142,12 @@ def make_problem(tx: Any, rx: Any, points: Any, waveform: Any, settings: Setting
     tx_rows, rx_rows = require_antennas(tx, rx)
     if isinstance(points, Grid):
         positions, shape = native_grid(points), tuple(points.shape)
+        ends = np.array([[axis[0], axis[-1]] for axis in points.axes_m]).T
+        require_metres(tx_rows, ends, waveform)
     else:
-        positions = require_positions("points", points)
-        shape = (positions.shape[0],)
+        rows, shape = rows_of("points", points)
+        positions = require_positions("points", rows)
+        require_metres(tx_rows, positions, waveform)
     return Problem(
         tx=tx_rows,
         rx=rx_rows,

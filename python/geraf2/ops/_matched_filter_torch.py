@@ -51,7 +51,7 @@ class _MatchedFilter(torch.autograd.Function):
         progress: Progress | None,
     ) -> torch.Tensor:
         ctx.problem = problem
-        ctx.dtypes = tuple(None if t is None else t.dtype for t in (tx, rx, points))
+        ctx.likes = tuple(None if t is None else (t.dtype, t.shape) for t in (tx, rx, points))
         # The signal is needed only for gradients to positions.
         ctx.save_for_backward(signal if any(ctx.needs_input_grad[1:4]) else None)
         return torch.from_numpy(problem.image(to_numpy(signal), progress))
@@ -71,8 +71,8 @@ class _MatchedFilter(torch.autograd.Function):
                 grad, to_numpy(signal), antennas=wanted[0] or wanted[1], points=wanted[2]
             )
             positions = [
-                torch.from_numpy(g).to(dtype) if want else None
-                for g, dtype, want in zip(gradients, ctx.dtypes, wanted, strict=True)
+                torch.from_numpy(g).to(like[0]).reshape(like[1]) if want else None
+                for g, like, want in zip(gradients, ctx.likes, wanted, strict=True)
             ]
         tx_grad, rx_grad, points_grad = positions
         return signal_grad, tx_grad, rx_grad, points_grad, None, None  # problem, progress

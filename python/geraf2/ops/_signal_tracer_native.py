@@ -8,7 +8,13 @@ import numpy as np
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Array, Floats
 from geraf2._validation import require_shape
-from geraf2.ops._geometry import native_waveform, require_antennas, require_positions, require_rtol
+from geraf2.ops._geometry import (
+    native_waveform,
+    require_antennas,
+    require_metres,
+    require_positions,
+    require_rtol,
+)
 from geraf2.ops._threads import resolve_num_threads
 
 AMPLITUDE_DTYPES = (np.float32, np.float64, np.complex64, np.complex128)
@@ -66,8 +72,10 @@ def make_tracer_problem(
     native = native_waveform(waveform)
     require_rtol(rtol)
     tx_rows, rx_rows = require_antennas(tx, rx)
+    positions = require_positions("points", points)
+    require_metres(tx_rows, positions, waveform)
     return TracerProblem(
-        points=require_positions("points", points),
+        points=positions,
         tx=tx_rows,
         rx=rx_rows,
         waveform=native,

@@ -58,7 +58,7 @@ def matched_filter(
     rx
         Receiver of each antenna, (n_antennas, 3) [m].
     points
-        (n_points, 3) [m], or a Grid.
+        Positions in an array of any shape (..., 3) [m], or a Grid.
     waveform
         The chirp; `path_bias_m` is part of every path.
     method
@@ -84,14 +84,15 @@ def matched_filter(
     Returns
     -------
     complex array or tensor
-        (n_points,), or the grid's shape; a tensor if any argument is a tensor, else an array.
+        (...), or the grid's shape; a tensor if any argument is a tensor, else an array.
 
     Raises
     ------
     TypeError
         For another dtype.
     ValueError
-        If shapes do not go together, or if the work cannot be done within `max_memory`.
+        If shapes do not go together, positions are in millimetres, or the work cannot be done
+        within `max_memory`.
 
     Notes
     -----
@@ -134,7 +135,7 @@ class MatchedFilterPlan:
     Parameters
     ----------
     tx, rx, points, waveform, method, rtol, num_threads
-        As for :func:`matched_filter`; positions (n_antennas, 3) and (n_points, 3) [m] are copied.
+        As for :func:`matched_filter`; positions (n_antennas, 3) and (..., 3) [m] are copied.
     dtype
         Of signals and images, complex64 or complex128.
 
@@ -181,7 +182,7 @@ class MatchedFilterPlan:
 
     @property
     def image_shape(self) -> tuple[int, ...]:
-        """Shape of an image, (n_points,) or the grid's."""
+        """Shape of an image, (...) or the grid's."""
         return self._problem.shape
 
     def execute(self, signal: Array, *, progress: Progress | None = None) -> Array:

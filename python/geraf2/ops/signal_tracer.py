@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 
 from geraf2._types import Array
-from geraf2.ops._geometry import any_tensor
+from geraf2.ops._geometry import any_tensor, rows_of
 from geraf2.ops._signal_tracer_native import make_tracer_problem, require_reflectors
 from geraf2.records import Waveform
 
@@ -41,11 +41,11 @@ def signal_tracer(
     Parameters
     ----------
     amplitude
-        float32, float64, complex64 or complex128; (n_points,), or (n_antennas, n_points) where it
-        depends on the antenna. Its precision is that of the signal; positions are read in double
+        float32, float64, complex64 or complex128; (...), or (n_antennas, ...) where it depends on
+        the antenna. Its precision is that of the signal; positions are read in double
         precision always.
     points
-        (n_points, 3) [m].
+        Positions in an array of any shape (..., 3) [m].
     tx
         Transmitter of each antenna, (n_antennas, 3) [m].
     rx
@@ -53,7 +53,7 @@ def signal_tracer(
     waveform
         The chirp; `path_bias_m` is part of every path.
     normals
-        (n_points, 3), or None. Used as they are: of unit length for the formula to mean a mirror. n
+        (..., 3), or None. Used as they are: of unit length for the formula to mean a mirror. n
         and -n give the same.
     rtol
         Largest error of any single phasor exp(-j 2 pi f d / c) where points are dense enough to be
@@ -73,7 +73,7 @@ def signal_tracer(
     TypeError
         For another dtype.
     ValueError
-        If shapes do not go together.
+        If shapes do not go together, or positions are in millimetres.
 
     Notes
     -----
@@ -95,16 +95,43 @@ def signal_tracer(
     ...                      waveform).shape
     (441, 32)
     """
-    if any_tensor(amplitude, points, tx, rx, normals):
+    rows: Any
+    directions: Any = None
+    rows, shape = rows_of("points", points)
+    if normals is not None:
+        directions, own = rows_of("normals", normals)
+        _require_same(own, shape)
+    strengths: Any = _as_rows(amplitude, shape)
+    if any_tensor(strengths, rows, tx, rx, directions):
         from geraf2.ops._signal_tracer_torch import signal_tracer_tensor  # noqa: PLC0415 - torch
 
         signal: Any = signal_tracer_tensor(
-            amplitude, points, tx, rx, waveform, normals=normals, rtol=rtol, num_threads=num_threads
+            strengths,
+            rows,
+            tx,
+            rx,
+            waveform,
+            normals=directions,
+            rtol=rtol,
+            num_threads=num_threads,
         )
     else:
-        problem = make_tracer_problem(points, tx, rx, waveform, rtol=rtol, num_threads=num_threads)
-        strengths = np.asarray(amplitude)
-        directions = None if normals is None else np.asarray(normals)
+        problem = make_tracer_problem(rows, tx, rx, waveform, rtol=rtol, num_threads=num_threads)
         require_reflectors(strengths, directions, problem)
         signal = problem.signal(strengths, directions)
     return cast("_Array", signal)
+
+
+def _require_same(own: tuple[int, ...], shape: tuple[int, ...]) -> None:
+    if own != shape:
+        msg = f"normals must have shape {(*shape, 3)}, got {(*own, 3)}"
+        raise ValueError(msg)
+
+
+def _as_rows(amplitude: Any, shape: tuple[int, ...]) -> Any:
+    """Amplitudes of points of this shape as (n_points,) or (n_antennas, n_points)."""
+    array = amplitude if any_tensor(amplitude) else np.asarray(amplitude)
+    n_before = array.ndim - len(shape)
+    if n_before not in (0, 1) or tuple(array.shape[n_before:]) != shape:
+        return array  # which is refused where antennas are known
+    return array.reshape(*array.shape[:n_before], -1)

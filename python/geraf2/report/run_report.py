@@ -138,7 +138,7 @@ def write_report(
     """Draw the pictures of a run and write `report.html`, one file with everything it shows.
 
     run_dir: run folder; its files are used where they exist.
-    name: of the folder in the title; its own when None.
+    name: of the folder in the title; by its path when None.
     truth: true surface, drawn beside the reconstruction. Without it, earlier pictures with the
         truth of `metrics.json` are kept.
     heatmap: matched-filter volume and its grid; by default an existing `figures/projections.png` is
@@ -180,7 +180,7 @@ def write_report(
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}
     page = html.render_template(
         "run.html",
-        title=f"geraf2: {name or folder.resolve().name}",
+        title=f"What is in the box: {name or run_folder.place_of(folder)}",
         verdict=run.verdict,
         meta=run_sections.meta(run.scene[0], run.config_text, log),
         sections=sections,
@@ -201,7 +201,7 @@ def run_view(run_dir: AnyPath) -> str | None:
     scene = _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
     return html.render_template(
         "view_page.html",
-        title=f"geraf2: {folder.resolve().name}",
+        title=run_folder.place_of(folder),
         views=[("", scene_json(scene), run.verdict)],
         fallback=_NO_VIEW.split(";", maxsplit=1)[0] + ".",
         is_tall=False,

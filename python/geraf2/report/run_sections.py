@@ -84,11 +84,11 @@ def read_log(folder: Path) -> list[dict[str, Any]]:
 
 
 def meta(scene: str, config_text: str | None, log: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Line below the title: scene, preset, date."""
+    """Line below the title: scan, preset, date."""
     preset = _config(config_text).get("preset")
     started = _last(log, "start")
     date = str(started.get("time", "")).replace("T", " ").replace("Z", " UTC")
-    items = [f"scene {scene}" if scene else "", f"preset {preset}" if preset else "", date]
+    items = [f"scan '{scene}'" if scene else "", f"preset {preset}" if preset else "", date]
     return [item for item in items if item]
 
 

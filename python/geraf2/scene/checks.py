@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Floats
+from geraf2.constants import MAX_SPACING_WAVELENGTHS
 from geraf2.errors import UserError
 from geraf2.scene.summary import CaptureSummary, PoseSummary
 
-# A raster of a quarter wavelength to a few; 25 is beyond any use, and 3 mm read as 3 m is 790.
-_MAX_SPACING_WAVELENGTHS = 25.0
 # Turntable scans face one point within a few degrees.
 _MAX_OFF_AXIS_RAD = np.deg2rad(30.0)
 # A plane is flat: its depth is jitter, far below its width.
@@ -241,7 +240,7 @@ def _check_unit(summary: CaptureSummary) -> Iterator[Finding]:
     if spacing <= wavelength:  # sampled as a radar is; few frequencies make a short range
         return
     clues = []
-    if spacing > _MAX_SPACING_WAVELENGTHS * wavelength:
+    if spacing > MAX_SPACING_WAVELENGTHS * wavelength:
         clues.append(f"antennas are {spacing:.3g} m ({spacing / wavelength:.0f} wavelengths) apart")
     if aperture > limit:
         clues.append(f"a plane is {aperture:.3g} m wide")
@@ -409,7 +408,7 @@ def _check_repeats(summary: CaptureSummary) -> Iterator[Finding]:
 
 def _check_sampling(summary: CaptureSummary) -> Iterator[Finding]:
     spacing, limit = summary.spacing_m, summary.nyquist_spacing_m
-    sane = spacing <= _MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
+    sane = spacing <= MAX_SPACING_WAVELENGTHS * summary.waveform.center_wavelength_m
     if summary.walls and summary.is_coarse and sane:
         yield warning(
             f"antenna spacing {1e3 * spacing:.2f} mm is above the scene's Nyquist spacing "

@@ -1,7 +1,7 @@
 """Numbers that describe a capture, for `info` and for the plausibility checks."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,7 @@ _NOISY = 10.0
 _SATURATION_SAMPLES = 1 << 14
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
-# Nearest antennas among which one across from the nearest is sought: rows of a raster may lie 30
-# times as far apart as the antennas in them.
+# Nearest antennas among which one across is sought: rows may lie 30 times as far apart as antennas.
 _N_NEIGHBOURS = 64
 # 5 % over the limit moves the alias by 5 % of the scene's width.
 _COARSE = 1.05
@@ -135,7 +134,7 @@ class CaptureSummary:
 
     @property
     def spacings_m(self) -> Floats:
-        """Median spacings of the antennas along and across, (2,) [m], as of :class:`PoseSummary`."""
+        """Median spacings along and across, (2,) [m], as of :class:`PoseSummary`."""
         return _medians([pose.spacings_m for pose in self.usable_poses])
 
     @property
@@ -200,6 +199,27 @@ class CaptureSummary:
         if not self.walls or not np.isfinite(self.standoff_m):
             return wavelength / 4
         return nyquist_spacing_m(self.walls[0].size_m, self.standoff_m, wavelength)
+
+    def numbers(self) -> dict[str, object]:
+        """Properties by name, for `--json`: SI units, NaN where one is unknown."""
+        waveform, focus = self.waveform, self.focus
+        return {
+            "n_planes": len(self.poses),
+            "n_antennas": self.n_antennas,
+            "n_samples": waveform.n_samples,
+            "start_frequency_hz": waveform.start_frequency_hz,
+            "bandwidth_hz": waveform.bandwidth_hz,
+            "wavelength_m": waveform.center_wavelength_m,
+            "range_cell_m": waveform.range_cell_m,
+            "unambiguous_range_m": waveform.unambiguous_range_m,
+            "path_bias_m": waveform.path_bias_m,
+            "aperture_m": self.aperture_m,
+            "spacings_m": self.spacings_m.tolist(),
+            "nyquist_spacing_m": self.nyquist_spacing_m,
+            "focus_m": None if focus is None else focus.tolist(),
+            "standoff_m": self.standoff_m,
+            "walls": [asdict(wall) for wall in self.walls],
+        }
 
     def echo_range_m(self, pose: PoseSummary) -> float:
         """One-way range of the strongest mean echo of a pose, instrument delay subtracted [m]."""
@@ -345,7 +365,7 @@ def summarize_pose(pose: Pose) -> PoseSummary:
     along = centers @ pose.axes.T
     finite = np.isfinite(pose.signal)
     signal = np.where(finite, pose.signal, 0)
-    parts = np.abs(signal.view(np.float32)) if signal.size else np.zeros(1, dtype=np.float32)
+    parts = np.abs(signal.view(signal.real.dtype)) if signal.size else np.zeros(1)
     largest = float(parts.max())
     constant, power = constant_antennas(signal), _range_power(signal)
     return PoseSummary(
@@ -402,7 +422,7 @@ def _some_antennas(signal: NDArray[np.complex64]) -> NDArray[np.complex64]:
 
 def _on_largest(signal: NDArray[np.complex64]) -> float:
     """Share of I and Q that have the largest finite magnitude of either."""
-    parts = np.abs(signal.view(np.float32))
+    parts = np.abs(signal.view(signal.real.dtype))
     largest = float(np.max(parts, where=np.isfinite(parts), initial=0.0))
     return float((parts == largest).mean()) if largest > 0.0 else 0.0
 

@@ -16,7 +16,7 @@ class BatchOptions(Bounded):
     scheduler: str | None = None
     """Address of a running dask scheduler instead, tcp://HOST:PORT, whose workers have the same
     files and the same geraf2."""
-    threads: ThreadCount | None = None
+    threads: Annotated[ThreadCount | None, Arg(hidden=True)] = None
     """Threads of each job; the cores' share on this machine, 1 on a scheduler's workers."""
     retries: Annotated[Rounds, Arg(hidden=True)] = 2
     """Number of repetitions of a job after lost files, lack of memory or a killed process."""

@@ -78,7 +78,7 @@ class ImportOptions(RecordingOptions):
     """The radar stood still: all frames are averaged."""
     keep_good: bool = False
     """Leave out what is broken (a last frame cut short, rows with NaN, ...), with a note."""
-    num_threads: Annotated[ThreadCount | None, Arg(metavar="N", name="threads")] = None
+    num_threads: Annotated[ThreadCount | None, Arg(hidden=True)] = None
     """Threads to use; all when not given."""
 
 

@@ -229,10 +229,10 @@ def fit_phases(
 
 
 def gain_of(one: Array, other: Array) -> float:
-    """Amplitude of one image over that of another: receivers of two scans may have other gains.
+    """Amplitude of one image over that of another, as receivers may have other gains.
 
-    one, other: (n_blocks, n_points). The median ratio, weighted by both amplitudes: echoes that only
-    one of them has count little.
+    one, other: (n_blocks, n_points). The median ratio, weighted by both amplitudes: echoes that
+    only one of them has count little.
     """
     sizes = np.abs(one).ravel(), np.abs(other).ravel()
     ratios = sizes[0] / np.maximum(sizes[1], 1e-30)

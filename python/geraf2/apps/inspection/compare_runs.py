@@ -1,6 +1,7 @@
 """Comparison of a run with reference runs of the same packed box."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,14 @@ from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 from geraf2.io.mesh import read_mesh
 from geraf2.io.planes import load_planes
 from geraf2.io.points import read_cloud
-from geraf2.io.run_folder import BOX_NAME, PEAKS_NAME, PLANES_NAME, PRIOR_NAME
+from geraf2.io.run_folder import (
+    BOX_NAME,
+    COMPARISON_NAME,
+    PEAKS_NAME,
+    PLANES_NAME,
+    PRIOR_NAME,
+    place_of,
+)
 from geraf2.io.verdict import Verdict
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, load_run
@@ -50,6 +58,7 @@ def compare(
     *,
     tolerance_mm: float = 0.5,
     out: Path | str | None = None,
+    write: bool = True,
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> Comparison:
@@ -67,7 +76,9 @@ def compare(
     tolerance_mm
         Largest shift of a part that is no change [mm].
     out
-        Folder for `comparison.json`, `.html` and `.glb`; none is written when None.
+        Folder for `comparison.json`, `.html` and `.glb`; the run folder when None.
+    write
+        Whether to write these files.
     num_threads
         Threads of the kernels; all when None.
     listener
@@ -133,21 +144,30 @@ def compare(
         tolerance_m=1e-3 * tolerance_mm,
         verdict=Verdict.joined({str(r.path): r.verdict for r in (here, *others) if r.verdict}),
     ).weighed()
-    if out is not None:
+    if write:
         with listener.step("drawing the page"):
             back = inverse_rigid(poses[0][:3, :3], poses[0][:3, 3])
-            _write(comparison, scanned, before[0].move(back), here, Path(out))
+            _write(comparison, scanned, before[0].move(back), here, others[0], out)
     return comparison
 
 
 def _write(
-    found: Comparison, here: Scanned, before: Scanned, run: Reconstruction, out: Path
+    found: Comparison,
+    here: Scanned,
+    before: Scanned,
+    run: Reconstruction,
+    reference: Reconstruction,
+    out: Path | str | None,
 ) -> None:
     # takes 0.5 s
     from geraf2.apps.inspection.comparison_page import write_comparison  # noqa: PLC0415
 
     box = run.run.find_file(BOX_NAME)
-    write_comparison(found, here, before, read_mesh(box) if box else None, out)
+    title = f"What changed: {place_of(run.path)} against {place_of(reference.path)}"
+    mesh = read_mesh(box) if box else None
+    rewriting = run.run.rewrite(f"{COMPARISON_NAME}.*") if out is None else nullcontext()
+    with rewriting:
+        write_comparison(found, here, before, mesh, Path(out or run.path), title)
 
 
 def _read_scan(result: Reconstruction) -> Scanned:

@@ -40,7 +40,12 @@ _NEAR_M = 0.006
 
 
 def write_comparison(
-    found: Comparison, here: Scanned, before: Scanned, box: TriangleMesh | None, out: Path
+    found: Comparison,
+    here: Scanned,
+    before: Scanned,
+    box: TriangleMesh | None,
+    out: Path,
+    title: str,
 ) -> None:
     """Write `comparison.json`, `.html` and `.glb` into a folder.
 
@@ -74,7 +79,7 @@ def write_comparison(
     )
     page = html.render_template(
         "comparison.html",
-        title=f"geraf2: {out.resolve().name}, compared",
+        title=title,
         found=found,
         view=scene_json(scene),
         fallback=NO_WEBGL,

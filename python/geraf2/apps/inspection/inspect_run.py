@@ -45,7 +45,7 @@ from geraf2.errors import UserError
 from geraf2.io.atomic import write_bytes_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.planes import ScannedPlanes, load_planes
-from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME
+from geraf2.io.run_folder import BOX_NAME, INSPECTION_NAME, PLANES_NAME, place_of
 from geraf2.io.verdict import confidence
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.planes import keep_planes
@@ -416,7 +416,7 @@ def _write(
             _put_on_content(tree, known, np.full(n, np.nan)) if known else None,
             numbers,
             box=read_mesh(box) if box else None,
-            title=f"geraf2: {result.path.resolve().name}, inspected",
+            title=f"Parts in {place_of(result.path)}",
         )
 
     def write(folder: Path) -> None:

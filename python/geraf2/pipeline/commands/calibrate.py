@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from geraf2 import __version__
+from geraf2._bounds import Triple
 from geraf2.calibration.box_finder import find_box
 from geraf2.calibration.corrections import with_delay
 from geraf2.calibration.cuboid_search import DelayUnknownError
 from geraf2.calibration.driver import Calibration, CalibrationConfig
 from geraf2.calibration.driver import calibrate as calibrate_capture
 from geraf2.calibration.found_box import NoBoxError
+from geraf2.errors import UserError
 from geraf2.io.container import (
     LOS_NAME,
     MANIFEST_NAME,
@@ -21,13 +23,13 @@ from geraf2.io.container import (
 from geraf2.io.manifest import CalibrationManifest
 from geraf2.io.mesh import write_mesh
 from geraf2.ops._threads import limit_blas_threads
-from geraf2.pipeline.box_check import stated_box
+from geraf2.pipeline.box_check import box_from_radar, stated_box
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.prior import PriorSource, add_walls
 from geraf2.pipeline.sign_check import explain_sign_errors
 from geraf2.scene import Capture, LosPrior, load_capture, save_capture
 from geraf2.scene.checks import require_plausible
-from geraf2.scene.summary import summarize_capture
+from geraf2.scene.summary import CaptureSummary, summarize_capture
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,10 +93,9 @@ class CalibratedScene:
 @limit_blas_threads
 def calibrate(
     scene: Path | str,
-    prior: LosPrior | None = None,
+    prior: LosPrior | PriorSource | Path | str | Triple | None = None,
     config: CalibrationConfig | None = None,
     *,
-    prior_name: str = "given",
     num_threads: int | None = None,
     listener: Listener | None = None,
 ) -> CalibratedScene:
@@ -105,12 +106,11 @@ def calibrate(
     scene
         Folder of the scene, which does not change.
     prior
-        Outside of the box, roughly in the capture frame [m]; without walls, it takes the scene's.
-        The box that the scene states when None.
+        Outside of the box, roughly in the capture frame: a prior, a mesh file, a folder of
+        `geraf2 los`, or the three outer side lengths [m]. When None, the box that the scene states,
+        else the one that its radar sees.
     config
         Corrections that are searched.
-    prior_name
-        Name of the prior in the scene's record.
     num_threads
         Threads of the kernels; all when None.
     listener
@@ -124,8 +124,8 @@ def calibrate(
     Raises
     ------
     UserError
-        If the scene is not plausible, no box is given or stated, or the echoes of walls are too
-        weak.
+        If the scene is not plausible, no box is given, stated or seen, or the echoes of walls are
+        too weak.
 
     Examples
     --------
@@ -133,24 +133,31 @@ def calibrate(
     >>> geraf2.save_capture(geraf2.examples.small_capture()[0], "recorded")
     True
     >>> only_delay = CalibrationConfig(frame=False, channels=False, positions=False)
-    >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
-    >>> found = geraf2.calibrate("recorded", prior, only_delay)
+    >>> found = geraf2.calibrate("recorded", geraf2.examples.BOX_M, only_delay)
     >>> round(found.table.path_bias_m, 2)  # [m]
     0.15
     """
     listener, config = listener or Listener(), config or CalibrationConfig()
     capture = load_capture(scene)
-    listener.findings(require_plausible(summarize_capture(capture), scene))
-    prior = prior or (stated_box(capture) or PriorSource().load())[0]  # the last says how
-    prior = prior if prior.walls else add_walls(prior, capture.walls, listener)
+    summary = summarize_capture(capture)
+    listener.findings(require_plausible(summary, scene))
+    source = PriorSource.from_argument(prior)
+    if isinstance(prior, LosPrior):
+        outside, name = prior, "given"
+    elif source.is_given:
+        outside, name = source.load(listener=listener)
+        name = name if source.los is None else source.los.name
+    else:
+        outside, name = stated_box(capture) or _seen_box(capture, summary, listener, num_threads)
+    outside = outside if outside.walls else add_walls(outside, capture.walls, listener)
     placed, alignment = capture, config.alignment
     if config.delay_from == "walls" and alignment.delay_search_m is None:
-        placed, change_m = _at_delay_of_box(capture, prior, listener, num_threads)
+        placed, change_m = _at_delay_of_box(capture, outside, listener, num_threads)
         alignment = alignment.after(change_m)
     with listener.step("calibrating") as report:
         found = calibrate_capture(
             placed,
-            prior,
+            outside,
             replace(config, alignment=alignment),
             num_threads=num_threads,
             progress=report,
@@ -161,13 +168,27 @@ def calibrate(
                 raise one.error
     values = {
         "scene": Path(scene).resolve().name,
-        "prior": prior_name,
+        "prior": name,
         "software": f"geraf2 {__version__}",
         **_values(capture, found, config),
     }
     table = CalibrationManifest.model_validate(values)
     corrected = replace(found.capture, calibration=(*capture.calibration, table))
     return CalibratedScene(scene=Path(scene), found=replace(found, capture=corrected), table=table)
+
+
+def _seen_box(
+    capture: Capture, summary: CaptureSummary, listener: Listener, num_threads: int | None
+) -> tuple[LosPrior, str]:
+    """Box by radar, as `reconstruct` finds it, and its name; UserError where no walls are seen."""
+    box = box_from_radar(capture, summary, listener, num_threads)
+    if box.found is None:
+        raise UserError(
+            what="no walls of a box are seen, whose echoes calibration needs",
+            hint="give the outside of the box by --box X Y Z or --los MESH",
+        )
+    listener.note(box.text)
+    return box.prior, box.name
 
 
 def _at_delay_of_box(

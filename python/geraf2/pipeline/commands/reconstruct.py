@@ -30,6 +30,7 @@ from geraf2.io.run_folder import (
     SAMPLES_NAME,
     RunFolder,
     StageRecord,
+    place_of,
     stage_key,
 )
 from geraf2.io.toml import to_table
@@ -474,7 +475,7 @@ def make_surface(
             is_made = PRIOR_STAGE in run.stages
             write_report(
                 run.path,
-                name=run.place.resolve().name,
+                name=place_of(run.place),
                 heatmap=heat_map(job.capture, job.prior, threads) if is_made else None,
                 provenance=job.capture.provenance,
                 num_threads=threads,
