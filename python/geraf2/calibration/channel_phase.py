@@ -43,8 +43,6 @@ class ChannelPhases:
     """Phases of mean zero, since a common phase has no effect, (n_channels,) [rad]."""
     sigma_rad: Floats
     """Standard deviation, (n_channels,) [rad]."""
-    n_samples: Ints
-    """Number of pairs of an echo and an antenna of each channel, (n_channels,)."""
 
 
 def interleaved_channels(pose: Pose, n_channels: int) -> Ints:
@@ -154,7 +152,6 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
     return ChannelPhases(
         phases_rad=phases,
         sigma_rad=_sigma(parts, phases),
-        n_samples=n_samples,
     )
 
 

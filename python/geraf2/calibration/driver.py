@@ -9,7 +9,7 @@ from collections import ChainMap
 from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -45,7 +45,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 13
+CALIBRATION_VERSION = 14
 """Increase when the same capture gives other corrections."""
 
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
@@ -54,7 +54,6 @@ _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 # Planes whose elevations round to the same multiple are one ring of the scan [degrees].
 _RING_DEG = 15.0
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
-DelaySource = Literal["walls", "kept"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,11 +75,6 @@ class CalibrationConfig(Bounded):
     """Correct slow errors of the antennas' positions."""
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     autofocus: AutofocusConfig = field(default_factory=AutofocusConfig)
-
-    @property
-    def delay_from(self) -> DelaySource:
-        """Source of the instrument delay; "kept" does not change it."""
-        return "walls" if self.delay else "kept"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

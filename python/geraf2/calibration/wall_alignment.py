@@ -15,7 +15,14 @@ from geraf2.calibration.wall_echoes import (
     find_wall_offset,
     wall_peaks,
 )
-from geraf2.echoes.flashes import WallEchoes, WallMiddles, wall_echoes
+from geraf2.echoes.flashes import (
+    ANGLE_SIGMA_RAD,
+    N_SIGMAS,
+    OFFSET_SIGMA_M,
+    WallEchoes,
+    WallMiddles,
+    wall_echoes,
+)
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.echoes.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.geometry.transforms import rigid
@@ -28,8 +35,9 @@ from geraf2.scene.summary import is_delay_given
 _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01, 0.015])
 _DEGREES_OF_FREEDOM = 4.0  # of an echo's Student-t: content and clutter are far outliers
 _N_ROUNDS = 6
-# Largest angle to the wall's normal and distance of an echo, in the first and the last round.
-_MAX_ANGLE_RAD, _MAX_OFFSET_M = (0.2, 0.08), (0.02, 0.004)
+# Largest deviation of an echo from its wall in the first round, since the box may be turned or
+# moved; in the last it is that of a flash.
+_FIRST_SIGMAS = 2.0 * N_SIGMAS
 # Searched changes of the two-way path with a recorded delay, and without [m].
 _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
@@ -222,7 +230,7 @@ class WallProblem:
         self.middles = WallMiddles.of(walls, waveform)
         low, high = (0.5 * edge for edge in config.search_m(capture))
         if config.keep_delay:
-            low, high = -_MAX_OFFSET_M[0], _MAX_OFFSET_M[0]
+            low, high = -_FIRST_SIGMAS * OFFSET_SIGMA_M, _FIRST_SIGMAS * OFFSET_SIGMA_M
         is_moved = not walls and not at_middles
         low -= max_shift_m(waveform) if is_moved else 0.0
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
@@ -231,13 +239,14 @@ class WallProblem:
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
         self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
-        maybe = wall_echoes(self.echoes, self.faces, _MAX_ANGLE_RAD[0])
+        maybe = wall_echoes(self.echoes, self.faces, _FIRST_SIGMAS * ANGLE_SIGMA_RAD)
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
         self.offset_m = find_wall_offset(kinds[0], kinds[1], (low, high), config.min_echoes)
         # Twice the limit, since the box may be rotated or shifted.
-        self.maybe = maybe.select(np.abs(offset - self.offset_m) < 2.0 * _MAX_OFFSET_M[0])
+        reach_m = 2.0 * _FIRST_SIGMAS * OFFSET_SIGMA_M
+        self.maybe = maybe.select(np.abs(offset - self.offset_m) < reach_m)
         # Without a recorded delay, all searched delays are equally likely.
         is_known = config.keep_delay or config.is_recorded(capture)
         delay = 0.5 * config.delay_sigma_m if is_known else high - low
@@ -356,16 +365,17 @@ class WallProblem:
     def walls_of(self, values: Floats, share: float, use: Bools | None = None) -> WallEchoes:
         """Select echoes of walls; share: progress from the first limits to the last, 0 to 1."""
         maybe = self.maybe if use is None else self.maybe.select(use[self.maybe.index])
-        (a, b), (c, d) = _MAX_ANGLE_RAD, _MAX_OFFSET_M
         centers, directions = self.corrected(values, maybe.index)
         normals = self.faces.normals[maybe.walls]
         cosine = -maybe.side * np.einsum("ij,ij->i", directions, normals)
         height = np.einsum("ij,ij->i", centers - self.faces.centers[maybe.walls], normals)
-        middle = np.array(self.middles.depths_m)[maybe.far]
-        offset = (
-            self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - middle - values[0]
+        moved = replace(
+            maybe,
+            offsets_m=self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - values[0],
+            angles_rad=np.arccos(np.clip(cosine, -1.0, 1.0)),
         )
-        keep = (cosine > np.cos(a + share * (b - a))) & (np.abs(offset) < c + share * (d - c))
+        limit = _FIRST_SIGMAS + share * (N_SIGMAS - _FIRST_SIGMAS)
+        keep = moved.deviations(self.middles) < limit
         axes = self.axes[self.echoes.planes[maybe.index]]
         # An aperture that extends beyond the rim may shift ranges by less than their error.
         keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _RANGE_SIGMAS_M[0]

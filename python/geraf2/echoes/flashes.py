@@ -26,7 +26,8 @@ from geraf2.scene import Wall, Waveform
 OFFSET_SIGMA_M, ANGLE_SIGMA_RAD = 0.004, 0.03
 """Standard deviations of a flash about a wall: of its range, since walls bulge by 1 to 3 mm and a
 prior is off by 5 mm at most, and of its angle to the normal, by the slope of the bulge."""
-_N_SIGMAS = 3.0
+N_SIGMAS = 3.0
+"""Largest deviation of a flash from its wall, in standard deviations."""
 MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a known wall, in addition to that of its loss [m]: defocused
 mirror images shift it."""
@@ -140,8 +141,8 @@ def find_flashes(peaks: PeakSet, faces: WallFaces, middles: WallMiddles) -> Wall
 
     peaks: with corrected delay. middles: of the walls; typical ones do where they are unknown.
     """
-    maybe = wall_echoes(peaks, faces, _N_SIGMAS * ANGLE_SIGMA_RAD)
-    return maybe.select(maybe.deviations(middles) < _N_SIGMAS)
+    maybe = wall_echoes(peaks, faces, N_SIGMAS * ANGLE_SIGMA_RAD)
+    return maybe.select(maybe.deviations(middles) < N_SIGMAS)
 
 
 def learn_wall_delay(peaks: PeakSet, faces: WallFaces, waveform: Waveform) -> float:

@@ -33,7 +33,7 @@ _NORMAL_SIGMA_RAD = 0.03
 _POSITION_SIGMA_M = 2e-4
 
 
-GLINTS_VERSION = 22
+GLINTS_VERSION = 23
 """Increase when the same capture and settings give other glints."""
 
 

@@ -151,7 +151,7 @@ def calibrate(
         outside, name = stated_box(capture) or _seen_box(capture, summary, listener, num_threads)
     outside = outside if outside.walls else add_walls(outside, capture.walls, listener)
     placed, alignment = capture, config.alignment
-    if config.delay_from == "walls" and alignment.delay_search_m is None:
+    if config.delay and alignment.delay_search_m is None:
         placed, change_m = _at_delay_of_box(capture, outside, listener, num_threads)
         alignment = alignment.after(change_m)
     with listener.step("calibrating") as report:
@@ -230,7 +230,7 @@ def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> d
     """Rows of the table with the corrections that were searched."""
     walls, channels, drift = found.walls, found.channels, found.drift
     values: dict[str, object] = {
-        "delay_from": config.delay_from,
+        "delay_from": "walls" if config.delay else "kept",
         "path_bias_before_m": before.waveform.path_bias_m,
         "path_bias_m": found.capture.waveform.path_bias_m,
     }
