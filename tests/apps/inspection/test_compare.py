@@ -24,7 +24,7 @@ from geraf2.cli.main import main
 from geraf2.geometry.transforms import apply_rigid, rigid
 from geraf2.io.planes import ScannedPlanes, save_planes
 from geraf2.io.points import read_cloud
-from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME
+from geraf2.io.run_folder import PEAKS_NAME, PLANES_NAME, RunFolder
 from geraf2.ops import signal_tracer
 from geraf2.scene.aperture import Aperture
 from helpers.inspected import CUBES, block, glints_of, measured_body, planes_around, run_of, wedge
@@ -176,6 +176,7 @@ def test_exit_codes_and_json(packed, robbed, capsys):
     assert found["changed"] is True
     assert found["n_parts"] == [2, 3]
     assert [change["what"] for change in found["changes"]] == ["vanished"]
+    assert "comparison.html" in RunFolder.read(robbed).files
     assert geraf2.compare(robbed, [packed, robbed], write=False).changes == ()
 
 
