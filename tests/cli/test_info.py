@@ -164,7 +164,8 @@ def test_what_the_scan_cannot_see_is_named_and_in_the_json(tmp_path, capsys):
     assert "content between z = -216 and -69 mm lies below all antennas" in shown.err
     found = json.loads(shown.out)
     assert found["walls"][0]["size_m"] == [0.22, 0.22, 0.44]
-    assert found["coverage"]["heights_out_of_sight_m"] == [[-0.216, -0.069], [0.069, 0.216]]
+    hidden = np.array(found["coverage"]["heights_out_of_sight_m"])
+    assert hidden == pytest.approx(np.array([[-0.216, -0.069], [0.069, 0.216]]), abs=1e-4)
     assert "scan 147 mm more at the top" in found["warnings"][-1]
 
 

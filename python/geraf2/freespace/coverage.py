@@ -125,11 +125,11 @@ class ScanCoverage:
     def numbers(self) -> dict[str, object]:
         """For `--json`."""
         return {
-            "region_center_mm": _mm(self.center_m),
-            "region_size_mm": None if self.size_m is None else _mm(self.size_m),
+            "region_center_m": self.center_m,
+            "region_size_m": self.size_m,
             "n_planes": self.n_planes,
-            "heights_of_antennas_mm": [_mm(one) for one in self.heights_m],
-            "heights_out_of_sight_mm": [_mm((one.low_m, one.high_m)) for one in self.blind],
+            "heights_of_antennas_m": self.heights_m,
+            "heights_out_of_sight_m": [(one.low_m, one.high_m) for one in self.blind],
             "normals_seen_share": round(self.seen_share, 4),
             "tilts_seen_deg": [round(tilt, 1) for tilt in self.tilts_deg],
             "azimuth_gaps_deg": [[round(end, 1) for end in gap] for gap in self.gaps_deg],
@@ -251,7 +251,3 @@ def _gaps_deg(planes: Sequence[Aperture], point: Floats) -> tuple[tuple[float, f
     first = min(low for low, _ in spans)
     gaps = list(_rest(_union(turned), first, first + 360.0))
     return tuple(sorted(gaps, key=lambda gap: gap[0] - gap[1]))
-
-
-def _mm(values_m: Iterable[float]) -> list[float]:
-    return [round(1e3 * value, 1) for value in values_m]
