@@ -1,15 +1,11 @@
-import json
 import os
-import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from geraf2 import examples, load_capture, save_capture
-from geraf2.cli.main import main
 from geraf2.io.mesh import read_mesh
 
 
@@ -56,23 +52,3 @@ def test_a_scan_becomes_a_mesh_in_four_lines(project_root, tmp_path):
     out = _run(script, "scene", *map(str, examples.BOX_M), folder=tmp_path)
     assert "content.ply" in out
     assert len(read_mesh(tmp_path / "content.ply").faces) > 500
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_ti_tutorial_run_on_its_recording(project_root, tmp_path, monkeypatch):
-    _run(project_root / "examples" / "ti_recording.py", "ti", folder=tmp_path)
-    page = (project_root / "docs" / "tutorials" / "ti-board.md").read_text(encoding="utf-8")
-    lines = re.findall(r"^    geraf2 (?!plan)(.*)$", page, re.MULTILINE)
-    assert [line.split()[0] for line in lines] == [
-        *("info", "import", "info", "calibrate", "reconstruct", "evaluate")
-    ]
-    monkeypatch.chdir(tmp_path / "ti")
-    described = re.search(r"```toml\n(.*?)```", page, re.DOTALL)[1]
-    assert tomllib.loads(described) == tomllib.loads(Path("radar.toml").read_text())
-    coarse = ["--preset", "fast", "--fit.spacing-m", "0.006", "--no-report"]
-    for line in lines:
-        more = coarse if line.startswith("reconstruct") else []
-        assert main([*line.split(), *more]) == 0, line
-    assert len(load_capture("scene").poses) == 6
-    scores = json.loads(Path("out", "metrics.json").read_text())["scores"]
-    assert next(s["f1"] for s in scores if s["threshold_m"] == 0.005) > 0.8

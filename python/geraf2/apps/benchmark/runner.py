@@ -200,6 +200,7 @@ def send_answer(connection: Connection, function: Callable[..., Any], *arguments
         answer = error.args[0]
     except Exception as error:
         answer = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # it is ended once the answer has arrived
     connection.send(answer)
 
 
