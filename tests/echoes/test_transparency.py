@@ -1,9 +1,10 @@
-"""A dielectric ball with a back face of known apparent position, and metal, that stays as it is."""
+"""Dielectric balls with back faces of known apparent position, and metal, that stays as it is."""
 
 import numpy as np
 import pytest
 import trimesh
 
+from geraf2.echoes.chords import place_fronts
 from geraf2.echoes.glints import GlintConfig, find_glints
 from geraf2.echoes.transparency import describe, face_pairs, first_surfaces
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -39,13 +40,12 @@ def through_of(capture):
 
 def test_a_dielectric_ball_keeps_its_front_and_gives_its_permittivity(plastic):
     capture, glints = plastic
-    first, seen = first_surfaces(glints, through_of(capture))
-    kept = glints.select(first)
+    kept, behind, seen = first_surfaces(glints, through_of(capture))
     outside = np.linalg.norm(glints.positions, axis=1) > 1.5 * RADIUS_M
     assert outside.sum() > 100  # at the depth 2 n a they lie 2.2 radii from the middle
     assert np.abs(np.linalg.norm(kept.positions, axis=1) - RADIUS_M).max() < 2e-3
     assert len(kept) > 0.9 * (~outside).sum()
-    assert seen.n_dropped == len(glints) - len(kept)
+    assert seen.n_dropped == behind.sum() == len(glints) - len(kept)
     assert seen.permittivity == pytest.approx(INDEX**2, rel=0.05)
     assert abs(seen.permittivity - INDEX**2) < 2.0 * seen.permittivity_sigma
     assert seen.thickness_m[0] == pytest.approx(2.0 * RADIUS_M, rel=0.05)
@@ -55,9 +55,27 @@ def test_a_dielectric_ball_keeps_its_front_and_gives_its_permittivity(plastic):
 def test_metal_stays_as_it_is():
     capture = sphere_capture(CENTER, [RADIUS_M])
     glints = find_glints(capture, BOX, NARROW)
-    first, seen = first_surfaces(glints, through_of(capture))
-    assert first.all()
+    first, behind, seen = first_surfaces(glints, through_of(capture))
+    assert first is glints
+    assert not behind.any()
     assert seen is None
+
+
+@pytest.mark.parametrize("index", [1.55, 1.67, 1.8])
+def test_back_faces_alone_show_their_front_by_opposite_planes(index):
+    legs, radius_m = fibonacci_sphere(800), 0.015
+    back = glints_at((1.0 - 2.0 * index) * radius_m * legs, legs)
+    kept, behind, _ = first_surfaces(back, pytest.fail)
+    assert behind.all()
+    assert len(kept) > 0.9 * len(back)
+    # S n / (2 n - 1) of opposite back faces errs by 0.02 S, and S is 2.5 times the diameter.
+    off = np.linalg.norm(kept.positions, axis=1) - radius_m
+    assert np.abs(off).max() < 0.03 * (2.0 * index - 1.0) * 2.0 * radius_m + 1e-3  # 1 mm of grid
+
+
+def test_fronts_of_metal_are_no_back_faces():
+    legs = fibonacci_sphere(800)
+    assert place_fronts(glints_at(RADIUS_M * legs, legs)) is None
 
 
 def test_pairs_of_faces_of_a_ball_have_its_optical_thickness():

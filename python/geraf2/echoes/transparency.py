@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.back_faces import BEHIND_M, odds_of_metal, seen_first, seen_through_share
+from geraf2.echoes.chords import place_fronts
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.io.text import interval_text
@@ -57,6 +58,12 @@ class SeenThrough:
     thickness_m: tuple[float, float] | None = None
     """Thickness of the body at such pairs, 10 % and 90 % quantile [m]."""
 
+    @classmethod
+    def of(cls, glints: Glints, dropped: Bools) -> "SeenThrough":
+        """Body without permittivity. dropped: (n_glints,)."""
+        share = glints.strengths[dropped].sum() / glints.strengths.sum()
+        return cls(n_dropped=int(dropped.sum()), strength_share=float(share))
+
     def numbers(self) -> dict[str, Any]:
         """Entry of run.json."""
         found: dict[str, Any] = {
@@ -97,38 +104,44 @@ def first_surfaces(
     surface_through: Callable[[Glints], tuple[Floats, Ints]],
     *,
     num_threads: int | None = None,
-) -> tuple[Bools, SeenThrough | None]:
-    """Mask of the glints of first surfaces, (n_glints,), and the body; all and None for metal.
+) -> tuple[Glints, Bools, SeenThrough | None]:
+    """Glints of first surfaces, mask of those seen through, (n_glints,), and the body.
+
+    Of metal these are all, none, and None.
 
     The share of the strength from behind surfaces that face away shows whether the content is a
-    dielectric. If so, glints behind others on their own line of sight are dropped. Then, twice, a
-    surface is fitted through the remainder, and glints behind it are dropped: it closes front faces
-    without glints.
+    dielectric. If so, and if opposite planes show the fronts of back faces, all glints are moved
+    there. Else glints behind others on their own line of sight are dropped. Then, twice, a surface
+    is fitted through the remainder, and glints behind it are dropped: it closes front faces without
+    glints.
 
     surface_through: vertices [m] and faces of a closed surface through glints, which blocks lines
         of sight; raises UserError where they enclose nothing.
     num_threads: all when None.
     """
+    nothing = np.zeros(len(glints), dtype=bool)
     if odds_of_metal(seen_through_share(glints)) > 0.0:
-        return np.ones(len(glints), dtype=bool), None
-    first, possibly = seen_first(glints)
-    keep = first
+        return glints, nothing, None
+    placed = place_fronts(glints)
+    if placed is not None:
+        moved, known = placed
+        return moved.select(known), ~nothing, SeenThrough.of(glints, ~known)
+    keep, possibly = seen_first(glints)
     scene: MeshScene | None = None
     for _ in range(_ROUNDS):
         if not keep.any():
-            return np.ones(len(glints), dtype=bool), None
+            return glints, nothing, None
         try:
             vertices, faces = surface_through(glints.select(keep))
         except UserError:  # too few glints to enclose a volume
-            return np.ones(len(glints), dtype=bool), None
+            return glints, nothing, None
         scene = MeshScene(vertices, faces, num_threads=num_threads)
         keep = possibly & (_behind(glints, scene) < BEHIND_M)
     if not keep.any():
-        return np.ones(len(glints), dtype=bool), None
+        return glints, nothing, None
     assert scene is not None
-    kept, dropped = glints.select(keep), glints.select(~keep)
-    lost = float(dropped.strengths.sum() / glints.strengths.sum())
-    return keep, _material(len(dropped), lost, face_pairs(dropped, kept, scene))
+    kept, seen = glints.select(keep), SeenThrough.of(glints, ~keep)
+    return kept, ~keep, _material(seen, face_pairs(glints.select(~keep), kept, scene))
 
 
 def _behind(glints: Glints, scene: MeshScene) -> Floats:
@@ -175,9 +188,8 @@ def face_pairs(back: Glints, front: Glints, scene: MeshScene) -> FacePairs:
     return FacePairs(entries=entries[good], thickness_m=thickness[good], optical_m=optical[good])
 
 
-def _material(n_dropped: int, strength_share: float, pairs: FacePairs) -> SeenThrough:
+def _material(seen: SeenThrough, pairs: FacePairs) -> SeenThrough:
     """Permittivity from the pairs, if the cells of the surface agree."""
-    seen = SeenThrough(n_dropped=n_dropped, strength_share=strength_share)
     ratio = pairs.optical_m / pairs.thickness_m
     cells = np.unique(np.floor(pairs.entries / _CELL_M), axis=0, return_inverse=True)[1].ravel()
     n_pairs = np.bincount(cells)

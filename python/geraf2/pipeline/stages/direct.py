@@ -87,11 +87,11 @@ def find_glints(job: Job) -> Glints:
             num_threads=threads,
             note=job.listener.note,
         )
-        first, body = first_surfaces(glints, surface_through, num_threads=threads)
-        labelled = labelled.relabelled(index[~first], Label.SEEN_THROUGH)
-        if not first.all():  # seen through a dielectric
-            glints.select(~first).save(folder / BACK_NAME)
-            glints = glints.select(first)
+        first, behind, body = first_surfaces(glints, surface_through, num_threads=threads)
+        labelled = labelled.relabelled(index[behind], Label.SEEN_THROUGH)
+        if behind.any():  # seen through a dielectric
+            glints.select(behind).save(folder / BACK_NAME)
+        glints = first
         glints.save(folder / GLINTS_NAME)
         write_bytes_atomic(folder / PEAKS_NAME, labelled.cloud_bytes())
         step.numbers |= {"n_glints": len(glints), "labels": labelled.counts()}
