@@ -1,1 +1,1 @@
-"""Free space and unseen surfaces: silhouettes, their tangent points, caps."""
+"""Free space and unseen surfaces: silhouettes, their tangent points."""

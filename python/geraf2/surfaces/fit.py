@@ -2,19 +2,16 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Interval
-from scipy.spatial import KDTree
 from skimage.measure import marching_cubes
 
 from geraf2._bounds import (
     Bounded,
     CellM,
-    Cosine,
     LengthM,
-    MarginM,
     NotNegative,
     Positive,
     Rounds,
@@ -25,11 +22,9 @@ from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
-from geraf2.freespace.caps import cap_retreat
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.nearest import nearest_distance
-from geraf2.geometry.triangles import vertex_normals
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.surfaces.fit_memory import fit_bytes
@@ -44,7 +39,7 @@ _FINE, _ROUGH = 1e-5, 1e-4
 
 UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
 """Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
-FIT_VERSION = 24
+FIT_VERSION = 25
 """Increase when the same glints and settings give another field, also for the preset best."""
 
 
@@ -73,13 +68,6 @@ class FitConfig(Bounded):
     """Weight of this distance term."""
     distance_band_m: LengthM = 0.02
     """Half width of the band around the zero level in which the distance term acts [m]."""
-    cap_slope: NotNegative = 1.0
-    """Inward displacement of unseen flat caps per distance of a glint beyond cap_start_m."""
-    cap_start_m: MarginM = 0.0225
-    """Distance from the nearest glint at which the displacement begins [m]."""
-    cap_lean: tuple[Cosine, Cosine] = (0.2, 0.4)
-    """Cosine between a cap's normal and those around it. Below the first the cap is flat and moves
-    fully, above the second it is round and does not move."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +75,7 @@ class Evidence:
     """Data of a surface fit."""
 
     glints: Glints
-    """Glints of whole sub-apertures, at least 10. They alone decide about caps."""
+    """Glints of whole sub-apertures, at least 10."""
     rim: Glints | None = None
     """Glints of the smaller rim sub-apertures."""
     rim_weight: float = 1.0
@@ -162,12 +150,11 @@ def fit_sdf(
     report = progress or (lambda _: None)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
-    first = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
-    sdf = first.sdf
+    system, sdf = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
     for number in range(n_rounds):
-        target = _distance_target(sdf, evidence.glints, first.known, config, num_threads)
+        target = _distance_target(sdf, config, num_threads)
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
-        sdf = first.system.solve(target, start=sdf, tolerance=tolerance)
+        sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
@@ -175,18 +162,13 @@ def fit_sdf(
     return cut_to_outlines(sdf, outlines, evidence.seen, clearance_m, num_threads=num_threads)
 
 
-class _FirstFit(NamedTuple):
-    """Field whose gradient is not yet of length 1."""
-
-    system: LinearSdf
-    sdf: SdfGrid
-    known: Floats  # positions of glints and of outlines' tangent points, (n, 3) [m]
-
-
 def _first_solves(
     evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
-) -> _FirstFit:
-    """Fit the oriented points on a coarse grid, a fine one, and with the tangent points."""
+) -> tuple[LinearSdf, SdfGrid]:
+    """Fit the oriented points on a coarse grid, a fine one, and with the tangent points.
+
+    Returns the last system, and its field, whose gradient is not yet of length 1.
+    """
     terms, points = _terms(config), _weigh(evidence, config)
     grid = _domain(evidence.glints.positions, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
@@ -196,13 +178,12 @@ def _first_solves(
     system = LinearSdf(start, points, terms, num_threads=num_threads)
     tolerance = _ROUGH if config.distance_rounds else _FINE
     sdf = system.solve(tolerance=tolerance)
-    touched, known = _touched(evidence, sdf, num_threads), evidence.glints.positions
+    touched = _touched(evidence, sdf, num_threads)
     if touched is not None:
-        known = np.concatenate([known, touched.positions])
         system = LinearSdf(sdf, _weigh(evidence, config, touched), terms, num_threads=num_threads)
         sdf = system.solve(tolerance=tolerance)
     report(2)
-    return _FirstFit(system, sdf, known)
+    return system, sdf
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
@@ -271,13 +252,8 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
-def _distance_target(
-    sdf: SdfGrid, glints: Glints, known: Floats, config: FitConfig, num_threads: int | None
-) -> DistanceTarget:
-    """Distance of voxels in the band to the zero level after its caps are moved inwards.
-
-    known: positions of seen and tangent points of the surface, (n, 3) [m].
-    """
+def _distance_target(sdf: SdfGrid, config: FitConfig, num_threads: int | None) -> DistanceTarget:
+    """Distance of voxels in the band to the zero level."""
     vertices, faces = zero_level(sdf)
     points, band_m = sdf.grid.points(), config.distance_band_m
     scene = MeshScene(vertices, faces, num_threads=num_threads)
@@ -286,21 +262,6 @@ def _distance_target(
     voxels = np.nonzero(weights)[0]
     # The sign is that of the field: an open zero level has no reliable sign.
     values = np.copysign(distance[voxels], sdf.values.ravel()[voxels].astype(np.float64))
-    retreat = cap_retreat(
-        vertices,
-        vertex_normals(vertices, faces),
-        glints,
-        slope=config.cap_slope,
-        start_m=config.cap_start_m,
-        known=known,
-        lean=config.cap_lean,
-    )
-    if retreat.any():
-        # Most voxels are far from every moved vertex: exclude them first, which is fast.
-        moving = KDTree(vertices[retreat != 0.0])
-        reach_m = band_m + 2.0 * sdf.grid.spacing_m
-        close = np.isfinite(moving.query(points[voxels], distance_upper_bound=reach_m)[0])
-        values[close] += retreat[KDTree(vertices).query(points[voxels[close]])[1]]
     weights *= config.distance_weight / weights.sum()
     return DistanceTarget(values=values, voxels=voxels, weights=weights[voxels])
 
