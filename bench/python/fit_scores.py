@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 import geraf2
 from geraf2.apps.benchmark.population import parse_seeds
 from geraf2.echoes.glint_set import Glints
-from geraf2.echoes.merging import tangent_deviation
+from geraf2.echoes.noise import ECHO_NOISE, tangent_deviation
 from geraf2.evaluation.mesh_metrics import sample_surface, threshold_score
 from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh
@@ -111,8 +111,8 @@ def scene_of_object(name: str, kind: str, truth: TriangleMesh, scan: ScanSpec, s
         positions=positions,
         normals=normals,
         strengths=np.append(strengths, np.full(len(false), np.quantile(strengths, 0.3))),
-        position_sigma_m=np.hypot(2e-4, 1.1 * tangent_deviation(positions, normals)),
-        normal_sigma_rad=np.full(len(positions), 0.04),
+        position_sigma_m=ECHO_NOISE.of_glints(tangent_deviation(positions, normals), 1.0)[0],
+        normal_sigma_rad=np.full(len(positions), NORMAL_RAD),
         poses=np.append(poses, seen_from).astype(np.int64),
         probability=np.repeat([0.95, 0.7], [n, len(false)]),
     )

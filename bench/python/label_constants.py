@@ -1,4 +1,4 @@
-"""Likelihood of the true labels of peaks, and the constants of `echoes/labels.py` that raise it.
+"""Likelihood of the true labels of peaks, and the constants of `labels` and `noise` that raise it.
 
     python bench/python/label_constants.py RUN=SCENE... [--fit] [--steps N]
 
@@ -12,7 +12,8 @@ elsewhere. One within 3 mm with another normal is false and counts 0.3; others d
 """
 
 import argparse
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from unittest.mock import patch
 
@@ -33,11 +34,9 @@ from geraf2.pipeline.run_record import RunRecord
 from geraf2.pipeline.stages.calibration import correct_capture
 from geraf2.scene import load_capture
 
+NOISE = ("peak_m", "bend_per_m2", "peak_normal_rad", "curvature_per_m")
+"""Of `EchoNoise`."""
 CONSTANTS = (
-    "_OFFSET_SIGMA_M",
-    "_BEND_PER_M2",
-    "_NORMAL_SIGMA_RAD",
-    "_CURVATURE_PER_M",
     "_SPREAD_M",
     "_ALONE",
     "_OTHER_SCALE",
@@ -110,19 +109,31 @@ def scan_of(run: Path, scene: Path) -> Scan:
     )
 
 
+def now() -> dict[str, float]:
+    """Constants as they are."""
+    noise = {name: getattr(labels.ECHO_NOISE, name) for name in NOISE}
+    return noise | {name: getattr(labels, name) for name in CONSTANTS}
+
+
+def instead(values: dict[str, float]) -> AbstractContextManager[object]:
+    """Labels with other constants."""
+    noise = replace(labels.ECHO_NOISE, **{name: values[name] for name in NOISE})
+    rest = {name: values[name] for name in CONSTANTS}
+    return patch.multiple(labels, ECHO_NOISE=noise, **rest)
+
+
 def fitted(scans: list[Scan], n_steps: int) -> dict[str, float]:
     """Constants with the least mean loss; each scene has the same weight."""
-    start = np.array([getattr(labels, name) for name in CONSTANTS])
+    start = np.array(list(now().values()))
 
     def cost(changes: np.ndarray) -> float:
-        values = dict(zip(CONSTANTS, start * np.exp(changes), strict=True))
-        with patch.multiple(labels, **values):
+        with instead(dict(zip(NOISE + CONSTANTS, start * np.exp(changes), strict=True))):
             return float(np.mean([scan.loss() for scan in scans]))
 
     found = minimize(
         cost, np.zeros(len(start)), method="L-BFGS-B", options={"maxiter": n_steps, "eps": 1e-3}
     )
-    return dict(zip(CONSTANTS, (start * np.exp(found.x)).tolist(), strict=True))
+    return dict(zip(NOISE + CONSTANTS, (start * np.exp(found.x)).tolist(), strict=True))
 
 
 def report(scans: list[Scan], title: str) -> None:
@@ -146,8 +157,8 @@ def main() -> None:
     if options.fit:
         found = fitted(scans, options.steps)
         for name, value in found.items():
-            print(f"{name} = {value:.4g}  (was {getattr(labels, name):.4g})")
-        with patch.multiple(labels, **found):
+            print(f"{name} = {value:.4g}  (was {now()[name]:.4g})")
+        with instead(found):
             report(scans, "fitted")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from geraf2.echoes.merging import tangent_deviation
+from geraf2.echoes.noise import ECHO_NOISE, tangent_deviation
 from helpers.specular import fibonacci_sphere
 
 
@@ -44,3 +44,13 @@ def test_a_point_without_neighbours_has_the_usual_deviation():
     far = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     deviation = tangent_deviation(far, np.array([[0.0, 0.0, 1.0]] * 2))
     assert deviation[0] == deviation[1] > 0.0
+
+
+def test_merged_and_weak_echoes_err_more():
+    deviation, strength = np.array([0.0, 0.002, 0.0]), np.array([1.0, 1.0, 0.1])
+    position_m, normal_rad = ECHO_NOISE.of_glints(deviation, strength)
+    assert position_m[1] > position_m[0] == position_m[2] > 0.0
+    assert normal_rad.argmin() == 0 < normal_rad[0]
+    near, far = np.array([0.0]), np.array([0.02])
+    assert ECHO_NOISE.offset_variance(far) > ECHO_NOISE.offset_variance(near)
+    assert ECHO_NOISE.turn_variance(far) > ECHO_NOISE.turn_variance(near)

@@ -16,7 +16,7 @@ from geraf2.echoes.flashes import learn_wall_delay
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.hypotheses import Candidates, find_candidates
 from geraf2.echoes.labels import Clutter, Label, LabelledPeaks, label_peaks
-from geraf2.echoes.merging import BIAS_SHARE, SIGMA_SHARE, tangent_deviation
+from geraf2.echoes.noise import ECHO_NOISE, tangent_deviation
 from geraf2.echoes.reflectivity import MetalLevel, Windows, metal_level
 from geraf2.echoes.wall_faces import WallFaces
 from geraf2.errors import UserError
@@ -26,14 +26,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-# Standard deviation of a strong glint's normal; weak ones are less accurate. A property of the
-# simulated population of objects.
-_NORMAL_SIGMA_RAD = 0.03
-# Standard deviation of the range of a single echo, by antenna positions and walls' delay [m].
-_POSITION_SIGMA_M = 2e-4
-
-
-GLINTS_VERSION = 23
+GLINTS_VERSION = 24
 """Increase when the same capture and settings give other glints."""
 
 
@@ -235,13 +228,14 @@ def as_glints(
     others = None if known is None else (known.positions, known.normals)
     deviation = tangent_deviation(found.positions, found.normals, others)
     relative = relative_strengths(raw.magnitudes, None if known is None else known.strengths)
-    noise = raw.noise / raw.magnitudes
+    position_sigma_m, normal_sigma_rad = ECHO_NOISE.of_glints(deviation, relative)
+    bias_m = ECHO_NOISE.bias_per_deviation * deviation
     return Glints(
-        positions=found.positions - (BIAS_SHARE * deviation)[:, None] * found.normals,
+        positions=found.positions - bias_m[:, None] * found.normals,
         normals=found.normals,
         strengths=raw.magnitudes,
-        position_sigma_m=np.hypot(_POSITION_SIGMA_M, SIGMA_SHARE * deviation),
-        normal_sigma_rad=_NORMAL_SIGMA_RAD * np.sqrt(1.0 + (0.3 / relative) ** 2 + noise**2),
+        position_sigma_m=position_sigma_m,
+        normal_sigma_rad=normal_sigma_rad,
         poses=raw.planes,
         probability=probability,
     )

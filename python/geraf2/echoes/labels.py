@@ -17,20 +17,13 @@ from scipy.spatial import KDTree
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.hypotheses import Candidates
+from geraf2.echoes.noise import ECHO_NOISE
 from geraf2.imaging.peaks import PeakSet
 from geraf2.io.points import cloud_bytes
 
-_OFFSET_SIGMA_M = 1.4e-3
-"""Standard deviation of a point along its normal [m]. This and the following constants are maximum
-likelihood values of the simulated population of objects."""
-_BEND_PER_M2 = 60.0
-"""Offset of two points of a smooth surface over the cube of their distance [1/m^2]."""
-_NORMAL_SIGMA_RAD = 0.25
-"""Standard deviation of each component of a normal [rad]."""
-_CURVATURE_PER_M = 8.0
-"""Change of the normal per distance [rad/m]."""
 _SPREAD_M = 0.011
-"""Standard deviation of the distance along the surface at which points predict each other [m]."""
+"""Standard deviation of the distance along the surface at which points predict each other [m]; this
+and what follows are maximum likelihood values of the simulated population of objects."""
 _REACH_M = 0.02
 """Largest distance of a pair [m]."""
 _ALIKE = 0.5
@@ -244,8 +237,8 @@ class _Update:
 
 def _peak_density() -> float:
     """Value of `pair_density` at the same position [1 / (m^3 sr)]."""
-    spread = _OFFSET_SIGMA_M * 2.0 * _NORMAL_SIGMA_RAD**2 * _SPREAD_M**2
-    return float(1.0 / ((2.0 * np.pi) ** 2.5 * np.sqrt(2.0) * spread))
+    here = np.zeros(1)
+    return float(pair_density(here, here, here, here)[0])
 
 
 def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
@@ -257,8 +250,7 @@ def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m
         and of the curvature.
     along_m: distance perpendicular to the mean normal. distance_m: between both points.
     """
-    offset2 = 2.0 * _OFFSET_SIGMA_M**2 + (_BEND_PER_M2 * distance_m**3) ** 2
-    turn2 = 2.0 * _NORMAL_SIGMA_RAD**2 + (_CURVATURE_PER_M * distance_m) ** 2
+    offset2, turn2 = ECHO_NOISE.offset_variance(distance_m), ECHO_NOISE.turn_variance(distance_m)
     exponent = offset_m**2 / offset2 + turn_rad**2 / turn2 + (along_m / _SPREAD_M) ** 2
     scale = np.sqrt(2.0 * np.pi * offset2) * (2.0 * np.pi * turn2) * 2.0 * np.pi * _SPREAD_M**2
     return np.asarray(np.exp(-0.5 * exponent) / scale)

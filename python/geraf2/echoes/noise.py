@@ -1,21 +1,79 @@
-"""Bias and standard deviation of peaks in which several echoes merge.
+"""What echoes err by: one description for labels, glints, posterior and tests of the geometry.
 
-Echoes of two parts of a concave surface that a sub-aperture does not resolve give one peak between
-both parts, outside of the surface. Such peaks deviate from the tangent planes of their neighbours,
-and the deviation predicts both errors (docs/math/echoes.md#merged-echoes).
+A peak has the errors of the window that shows it. Its neighbours tell more: echoes of two parts of
+a concave surface that a sub-aperture does not resolve give one peak between both parts, outside of
+the surface. Such a peak deviates from the tangent planes of its neighbours, and the deviation
+predicts its bias and its errors (docs/math/echoes.md#errors-of-an-echo).
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats
+from geraf2._validation import require_each, require_positive
 
 # Neighbours of a peak: most of those that a sub-aperture of 8 cm sees of the same surface.
 _REACH_M, _N_NEIGHBORS = 0.010, 64
-# Bias and standard deviation over the deviation; a property of the simulated population of objects.
-BIAS_SHARE, SIGMA_SHARE = 0.5, 1.1
 # Deviation of a peak without neighbours: the population's median [m].
 _ALONE_M = 0.001
+
+
+@dataclass(frozen=True, kw_only=True)
+class EchoNoise:
+    """Standard deviations of echoes; maximum likelihood values of simulated scans with a truth."""
+
+    peak_m: float = 1.4e-3
+    """Of a peak along its normal, whatever its neighbours are [m]."""
+    peak_normal_rad: float = 0.25
+    """Of each component of a peak's normal [rad]."""
+    bend_per_m2: float = 60.0
+    """Offset of two points of a smooth surface over the cube of their distance [1/m^2]."""
+    curvature_per_m: float = 8.0
+    """Change of the normal over the distance [rad/m]."""
+    range_m: float = 2e-4
+    """Of the range of a single echo, by antenna positions and the walls' delay [m]."""
+    bias_per_deviation: float = 0.5
+    """Bias of a glint outwards over its deviation."""
+    sigma_per_deviation: float = 1.1
+    """Of a glint along its normal over its deviation."""
+    turn_per_m: float = 63.0
+    """Of each component of a glint's normal over its deviation [rad/m]: a merged echo leans by its
+    deviation over a cell of the window, 1.6 cm."""
+    weak_rad: float = 0.015
+    """Of each component of the normal of a strong glint by other echoes of its sub-aperture [rad];
+    for others it grows with one over the strength."""
+    plane_m: float = 5e-4
+    """Of the range offset that the glints of one plane share [m]."""
+    face_m: float = 3e-4
+    """Of the range offset that the glints behind one wall share, of its thickness [m]."""
+
+    def __post_init__(self) -> None:
+        require_each(require_positive, self, *self.__dataclass_fields__)
+
+    def offset_variance(self, distance_m: Floats) -> Floats:
+        """Variance of the offset of two peaks of a smooth surface along their normal, (n,) [m^2].
+
+        distance_m: between them, (n,) [m].
+        """
+        return np.asarray(2.0 * self.peak_m**2 + (self.bend_per_m2 * distance_m**3) ** 2)
+
+    def turn_variance(self, distance_m: Floats) -> Floats:
+        """Variance of the angle between their normals, along each of two axes, (n,) [rad^2]."""
+        return np.asarray(2.0 * self.peak_normal_rad**2 + (self.curvature_per_m * distance_m) ** 2)
+
+    def of_glints(self, deviation_m: Floats, relative: Floats) -> tuple[Floats, Floats]:
+        """Return the standard deviations of glints, (n,) each [m] and [rad].
+
+        deviation_m: of :func:`tangent_deviation`. relative: strengths relative to a strong glint.
+        """
+        position = np.hypot(self.range_m, self.sigma_per_deviation * deviation_m)
+        return position, np.hypot(self.turn_per_m * deviation_m, self.weak_rad / relative)
+
+
+ECHO_NOISE = EchoNoise()
+"""The values of the package."""
 
 
 def tangent_deviation(
@@ -31,7 +89,7 @@ def tangent_deviation(
     others: positions and normals of further points, which are only neighbours.
 
     >>> import numpy as np
-    >>> from geraf2.echoes.merging import tangent_deviation
+    >>> from geraf2.echoes.noise import tangent_deviation
     >>> points = np.array([[0.0, 0.0, 0.0], [0.005, 0.0, 0.001]])
     >>> tangent_deviation(points, np.array([[0.0, 0.0, 1.0]] * 2))
     array([0.001, 0.001])

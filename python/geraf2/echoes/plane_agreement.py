@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
+from geraf2.echoes.noise import ECHO_NOISE
 from geraf2.imaging.peaks import PeakSet
 from geraf2.scene import Pose
 
@@ -22,10 +23,6 @@ _REACH_M = 0.035
 """Largest distance of a pair [m]: specular points of planes 15 degrees apart on a body of 25 cm."""
 _ALIKE = 0.76
 """Least cosine between the normals of a pair."""
-_OFFSET_SIGMA_M = 1.5e-3
-"""Standard deviation of a point along its normal, before calibration [m]."""
-_BEND_PER_M2 = 60.0
-"""Offset of two points of a smooth surface over the cube of their distance [1/m^2]."""
 _STRONG_DB = -15.0
 """Least level of an echo relative to the strongest of its image: side lobes lie below [dB]."""
 _MAX_ECHOES = 3000
@@ -77,7 +74,7 @@ def _pairs(echoes: PeakSet) -> tuple[Ints, Ints, Floats]:
     step = points[j] - points[i]
     distance = np.sqrt(np.einsum("ij,ij->i", step, step))
     offset = np.einsum("ij,ij->i", step, normals[i] + normals[j]) / np.sqrt(2.0 + 2.0 * cosine)
-    sigma = np.sqrt(2.0 * _OFFSET_SIGMA_M**2 + (_BEND_PER_M2 * distance**3) ** 2)
+    sigma = np.sqrt(ECHO_NOISE.offset_variance(distance))
     density = np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return planes[i], planes[j], density * 2.0 * np.maximum(distance, sigma)
 

@@ -16,6 +16,7 @@ from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints
 from geraf2._validation import require_each, require_positive
 from geraf2.echoes.glint_set import Glints
+from geraf2.echoes.noise import ECHO_NOISE
 from geraf2.fields import SdfGrid
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
@@ -53,20 +54,14 @@ _BYTES_PER_DISPLACEMENT = 44.0
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseModel:
-    """Standard deviations of the fit's data, for glints of the simulated population of objects."""
+    """Errors of the fit's data and prior beside those of single echoes."""
 
     common_sigma_m: float = UNKNOWN_OFFSET_M
     """Range offset that all glints share, of the radar's delay and the turntable's radius [m]."""
-    plane_sigma_m: float = 0.0005
-    """Range offset that the glints of one plane share [m]."""
-    face_sigma_m: float = 0.0003
-    """Range offset that the glints behind one wall of the box share, of its thickness [m]."""
-    point_sigma_m: float = 0.0009
-    """Position of one glint in addition to its own sigma, of merged echoes [m]."""
-    normal_sigma_rad: float = 0.17
-    """Normal of one glint in addition to its own sigma, of curvature in a sub-aperture [rad]."""
     outline_sigma_m: float = 0.002
     """Position of an outline's tangent point [m]."""
+    outline_normal_rad: float = 0.17
+    """Each component of its normal [rad]."""
     bend_density_m: float = 0.0035
     """Spectral density of the second derivatives of the objects' signed distance [m]."""
     misfit_cap_m: float = 0.005
@@ -109,7 +104,7 @@ def point_noise(
 ) -> PointNoise:
     """Errors of the points of a fit: glints first, then tangent points of outlines.
 
-    sigma_i^2 = position_sigma_i^2 + point^2 + m_i^2. m_i is the root mean square of f at nearby
+    sigma_i^2 = position_sigma_i^2 + m_i^2. m_i is the root mean square of f at nearby
     glints, weighted as in docs/math/expected-error.md.
 
     glints: all that the surface was fitted to, rim glints too.
@@ -119,16 +114,17 @@ def point_noise(
     """
     model = model or NoiseModel()
     misfit = local_misfit(glints, sdf, model)
-    position = np.sqrt(glints.position_sigma_m**2 + model.point_sigma_m**2 + misfit**2)
-    normal = np.hypot(glints.normal_sigma_rad, model.normal_sigma_rad)
+    position = np.hypot(glints.position_sigma_m, misfit)
     planes = np.unique(glints.poses, return_inverse=True)[1]
     n_planes = int(planes.max()) + 1 if len(planes) else 0
     groups = np.stack([planes, n_planes + faces_met(glints, prior)], axis=1)
     none = np.full((n_outline, 2), -1, dtype=np.int64)
     return PointNoise(
         position_sigma_m=np.append(position, np.full(n_outline, model.outline_sigma_m)),
-        normal_sigma_rad=np.append(normal, np.full(n_outline, model.normal_sigma_rad)),
-        shared_sigma_m=np.repeat([model.plane_sigma_m, model.face_sigma_m], [n_planes, 6]),
+        normal_sigma_rad=np.append(
+            glints.normal_sigma_rad, np.full(n_outline, model.outline_normal_rad)
+        ),
+        shared_sigma_m=np.repeat([ECHO_NOISE.plane_m, ECHO_NOISE.face_m], [n_planes, 6]),
         groups=np.concatenate([groups, none]),
     )
 
