@@ -76,7 +76,7 @@ def scene_of_run(pair: str, kind: str) -> Scene:
     """Evidence and settings of a finished run, RUN=TRUTH."""
     run, path = map(Path, pair.split("=", 1))
     result, prior, truth = geraf2.load_run(run), read_prior(run / PRIOR_NAME), read_mesh(path)
-    evidence, fit, _ = evidence_of_run(result.run, result.record.config)
+    evidence, fit = evidence_of_run(result.run, result.record.config)
     return Scene(name=run.name, kind=kind, evidence=evidence, fit=fit, prior=prior, truth=truth)
 
 

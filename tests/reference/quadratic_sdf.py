@@ -68,27 +68,3 @@ def minimise(shape, spacing, points, normals, weights, terms, pulls):
     right.extend([np.sqrt(terms.outside / n_faces) * distance] * n_faces)
     right.extend(np.sqrt(pulls[1]) * pulls[2])
     return np.linalg.lstsq(matrix, np.array(right), rcond=None)[0].reshape(shape)
-
-
-def covariance(shape, spacing, points, weights, terms, sigmas, bend_density):
-    """Covariance of the minimum, (n_voxels, n_voxels) [cm^2], when data and bend are random.
-
-    sigmas: of each point's position [cm], and of each component of its normal. bend_density: of
-    white second derivatives [cm]. Of the outside term nothing is random. Dense, tiny grids only.
-    """
-    pulls = (np.zeros(0, dtype=int), np.zeros(0))
-    matrix = np.stack(
-        [_residuals(f, spacing, points, weights, terms, pulls) for f in _basis(shape)], axis=1
-    )
-    noise = []
-    for w_p, w_n, s_p, s_n in zip(*weights, *sigmas, strict=True):
-        noise.append(np.sqrt(terms.position * w_p) * s_p)
-        noise.extend([np.sqrt(terms.normal * w_n) * s_n] * 3)
-    n_faces = np.prod(shape) - np.prod(np.array(shape) - 2)
-    # A row is sqrt(b / N) of a derivative whose variance is that of a mean over volume / N.
-    volume = np.prod(np.array(shape) - 1) * spacing**3
-    bent = np.sqrt(terms.bending * bend_density / volume)
-    noise.extend([bent] * (len(matrix) - len(noise) - n_faces))
-    noise.extend([0.0] * n_faces)
-    response = np.linalg.inv(matrix.T @ matrix) @ (matrix.T * np.array(noise))
-    return response @ response.T

@@ -1,13 +1,12 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import trimesh
 
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.surfaces.expected_error import (
-    bounded_factor,
     nearness,
+    own_errors_m,
     quality_numbers,
     seen_vertices,
     typical_error_m,
@@ -25,15 +24,17 @@ def plane():
     return TriangleMesh(vertices=np.array(sheet.vertices), faces=np.array(sheet.faces))
 
 
-def test_a_direct_return_nearby_bounds_the_error():
-    """The factor is that of draws, of which a share p is redrawn until it is within the bound."""
-    rng = np.random.default_rng(0)
-    for spread_m, bound_m, p in ((3e-3, 2e-3, 1.0), (8e-3, 2e-3, 0.7), (1e-3, 4e-3, 0.9)):
-        drawn = spread_m * rng.standard_normal(400_000)
-        within = drawn[np.abs(drawn) <= bound_m]
-        variance = p * np.mean(within**2) + (1.0 - p) * spread_m**2
-        factor = bounded_factor(np.array([spread_m]), np.array([bound_m]), np.array([p]))[0]
-        assert factor * spread_m == pytest.approx(np.sqrt(variance), rel=0.01)
+def test_the_error_grows_with_the_distance_from_what_was_seen():
+    mesh = plane()
+    seen = glints_at([mesh.vertices[7]], [[0.0, 0.0, 1.0]])
+    glints = replace(seen, position_sigma_m=np.array([1e-3]))
+    kinds = np.full(len(mesh.vertices), Evidence.NOT_SEEN, dtype=np.uint8)
+    error_m = own_errors_m(nearness(mesh, glints), kinds)
+    away_m = np.linalg.norm(mesh.vertices - mesh.vertices[7], axis=1)
+    np.testing.assert_allclose(error_m / error_m[7], np.hypot(away_m, 1e-3) / 1e-3)
+    beside = own_errors_m(nearness(mesh, glints), np.full_like(kinds, Evidence.OUTLINE))
+    assert beside.max() < error_m.max()
+    assert (beside <= error_m).all()
 
 
 def test_seen_requires_a_similar_normal():
@@ -50,11 +51,10 @@ def test_seen_requires_a_similar_normal():
 def test_no_glints_and_no_mesh_are_not_errors():
     mesh = plane()
     none = nearness(mesh, glints_at(np.zeros((0, 3)), np.zeros((0, 3))))
-    assert not none.support.any()
     assert not none.seen.any()
     assert np.isinf(none.distance_m).all()
     empty = TriangleMesh(vertices=np.zeros((0, 3)), faces=np.zeros((0, 3), dtype=np.int64))
-    assert nearness(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).support.shape == (0,)
+    assert nearness(empty, glints_at([[0, 0, 0]], [[0, 0, 1]])).seen.shape == (0,)
     assert quality_numbers(empty) == {}
 
 

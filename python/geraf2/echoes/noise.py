@@ -44,10 +44,6 @@ class EchoNoise:
     weak_rad: float = 0.015
     """Of each component of the normal of a strong glint by other echoes of its sub-aperture [rad];
     for others it grows with one over the strength."""
-    plane_m: float = 5e-4
-    """Of the range offset that the glints of one plane share [m]."""
-    face_m: float = 3e-4
-    """Of the range offset that the glints behind one wall share, of its thickness [m]."""
 
     def __post_init__(self) -> None:
         require_each(require_positive, self, *self.__dataclass_fields__)

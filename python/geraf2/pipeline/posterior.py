@@ -5,15 +5,13 @@ from pathlib import Path
 
 from geraf2.echoes import Glints
 from geraf2.errors import UserError
-from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import FIT_NAME, GLINTS_NAME, RIM_NAME, SILHOUETTES_NAME, RunFolder
+from geraf2.io.run_folder import GLINTS_NAME, RIM_NAME, SILHOUETTES_NAME, RunFolder
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
 from geraf2.pipeline.stages.calibration import common_sigma_m
-from geraf2.scene import LosPrior
+from geraf2.surfaces.error_field import sample_surface
 from geraf2.surfaces.fit import Evidence, FitConfig
-from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.refinement import SelectedGlints, evidence_of
 from geraf2.surfaces.samples import SurfaceSamples
 
@@ -32,39 +30,28 @@ def require_posterior(config: PresetConfig, n_samples: int) -> None:
 def samples_of_run(
     run: RunFolder,
     mesh: TriangleMesh,
-    prior: LosPrior,
     config: PresetConfig,
     *,
     n_samples: int,
     seed: int = 0,
-    num_threads: int | None = None,
 ) -> SurfaceSamples:
     """Draw surfaces from the posterior of a finished run.
 
-    mesh: its content. prior: its box. config: constants of its preset.
+    mesh: its content. config: constants of its preset.
 
     Raises UserError if the run has no posterior.
     """
     require_posterior(config, n_samples)
-    evidence, fit, field = evidence_of_run(run, config)
-    samples = sample_surface(
-        mesh,
-        SdfGrid.load(_file(run, field)),
-        evidence,
-        prior,
-        fit,
-        n_samples=n_samples,
-        seed=seed,
-        num_threads=num_threads,
-    )
+    evidence, _ = evidence_of_run(run, config)
+    samples = sample_surface(mesh, evidence, n_samples=n_samples, seed=seed)
     return replace(samples, mesh=mesh)  # keeps the expected error that the run wrote
 
 
-def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig, str]:
-    """Load the data of a run's fit, its settings, and the name of its field."""
+def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, FitConfig]:
+    """Load the data of a run's fit, and its settings."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
-        return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit, FIT_NAME
+        return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit
     assert isinstance(config, BestPreset)  # see require_posterior
     shadows = run.find_file(SILHOUETTES_NAME)
     selected = SelectedGlints(
@@ -73,7 +60,7 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
         Silhouettes.load(shadows) if shadows is not None else None,
     )
     evidence = evidence_of(selected, config.refine, common_sigma_m(run))
-    return evidence, config.refine.fit, FIT_NAME
+    return evidence, config.refine.fit
 
 
 def _file(run: RunFolder, name: str) -> Path:

@@ -145,13 +145,7 @@ class Reconstruction:
         from geraf2.pipeline.posterior import samples_of_run  # noqa: PLC0415 - imports the fits
 
         return samples_of_run(
-            self.run,
-            self.content_mesh,
-            self.prior,
-            self.record.config,
-            n_samples=n,
-            seed=seed,
-            num_threads=num_threads,
+            self.run, self.content_mesh, self.record.config, n_samples=n, seed=seed
         )
 
     @property

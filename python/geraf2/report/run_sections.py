@@ -19,7 +19,7 @@ from geraf2.io.text import parse_json
 from geraf2.io.text import read_object as read_json
 from geraf2.io.toml import parse_toml
 from geraf2.report import html
-from geraf2.surfaces.expected_error import SupportModel
+from geraf2.surfaces.expected_error import SEEN_ANGLE_RAD, SEEN_REACH_M
 from geraf2.surfaces.isosurface import surface_report
 
 _FILES = {
@@ -250,14 +250,14 @@ def definitions(
     stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
 ) -> list[Section]:
     """Section with definitions of the terms in this report."""
-    model, found = SupportModel(), content is not None
+    found = content is not None
     expected = content is not None and content.expected_error_m is not None
     glints = "glints" in stages
     more = metrics.get("definitions", {})
     if not (glints or expected or more):
         return []
-    seen_mm = 1e3 * model.seen_reach_m if found and glints else None
-    seen_deg = np.rad2deg(model.seen_angle_rad)
+    seen_mm = 1e3 * SEEN_REACH_M if found and glints else None
+    seen_deg = np.rad2deg(SEEN_ANGLE_RAD)
     terms = html.part("terms", glints, expected, seen_mm, seen_deg, more)
     note, folded = "Meaning of the words and numbers of this page.", "What the numbers mean"
     return [Section("definitions", "Definitions", note=note, parts=(terms,), folded=folded)]

@@ -18,7 +18,7 @@ from geraf2.io.mesh_colours import ERROR_COLOURS, WORST_SHOWN_M, worst_shown_m
 from geraf2.report.canvas import BLUE, GLINT_COLOUR, RED, SKY, TRUTH_COLOUR, load_matplotlib
 from geraf2.report.render import MeshPainter
 from geraf2.report.view_layers import BoxFace, Volume, coarsen
-from geraf2.surfaces.expected_error import SupportModel, seen_vertices
+from geraf2.surfaces.expected_error import SEEN_ANGLE_RAD, SEEN_REACH_M, seen_vertices
 from geraf2.surfaces.isosurface import signed_distances
 
 # With these limits a page stays below 3 MB: 60,000 triangles take 0.8 MB with four attributes.
@@ -432,7 +432,6 @@ def _volume(volume: Volume) -> dict[str, Any]:
 
 
 def _glints(glints: Glints) -> dict[str, Any]:
-    model = SupportModel()
     strongest = np.argsort(-glints.strengths, kind="stable")[:_MAX_GLINTS]
     shown = glints.select(strongest)
     relative = shown.strengths / max(float(shown.strengths[0]), 1e-300)
@@ -447,8 +446,8 @@ def _glints(glints: Glints) -> dict[str, Any]:
         "normals": quantise(shown.normals, "<u1"),
         "values": quantise(np.maximum(decibels, -_GLINT_RANGE_DB), "<u1"),
         "poses": encode_integers(np.clip(shown.poses, 0, 65_535).astype("<u2")),
-        "reach": 1e3 * model.seen_reach_m,
-        "cosine": float(np.cos(model.seen_angle_rad)),
+        "reach": 1e3 * SEEN_REACH_M,
+        "cosine": float(np.cos(SEEN_ANGLE_RAD)),
         "range": [-_GLINT_RANGE_DB, 0.0],
         "colours": _scale_colours("viridis"),
         "note": f"Shown are the {len(shown):,} strongest of {len(glints):,} glints."

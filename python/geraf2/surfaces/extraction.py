@@ -12,6 +12,7 @@ from geraf2.fields import SdfGrid
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
+from geraf2.surfaces.error_field import sample_surface
 from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.isosurface import (
     drop_components,
@@ -20,10 +21,9 @@ from geraf2.surfaces.isosurface import (
     signed_distances,
 )
 from geraf2.surfaces.pieces import separate_pieces
-from geraf2.surfaces.posterior import sample_surface
 from geraf2.surfaces.samples import SurfaceSamples
 
-MESH_VERSION = 9
+MESH_VERSION = 10
 """Increase when the same field gives another mesh or another expected error."""
 
 
@@ -56,14 +56,14 @@ def extract_meshes(
 
     The content is the zero level of `sdf` inside the prior's innermost known face, without voids
     and fragments (:func:`content_surface`). Each vertex has its expected error
-    (:func:`geraf2.surfaces.posterior.sample_surface`). The box comes from the prior. `mesh` holds
+    (:func:`geraf2.surfaces.error_field.sample_surface`). The box comes from the prior. `mesh` holds
     both: f < 0 in the wall and in the content, f > 0 in the air between them.
     """
     if isinstance(evidence, Glints):
         evidence = Evidence(glints=evidence)
     surface = content_surface(sdf, prior, num_threads=num_threads)
     content, ghosts = separate_pieces(surface, evidence.seen)
-    samples = sample_surface(content, sdf, evidence, prior, fit, num_threads=num_threads)
+    samples = sample_surface(content, evidence)
     samples = replace(samples, mesh=replace(samples.mesh, confidence=content.confidence))
     box = box_surface(prior)
     return ExtractedMeshes(

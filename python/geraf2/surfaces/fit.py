@@ -195,16 +195,6 @@ def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tange
     return tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
 
 
-def fitted_points(
-    evidence: Evidence, sdf: SdfGrid, config: FitConfig, *, num_threads: int | None = None
-) -> tuple[OrientedPoints, SdfTerms]:
-    """Points and terms of the last solve of :func:`fit_sdf`: glints, then tangent points.
-
-    sdf: result of the fit, on whose zero level the outlines' tangent points lie.
-    """
-    return _weigh(evidence, config, _touched(evidence, sdf, num_threads)), _terms(config)
-
-
 def _terms(config: FitConfig) -> SdfTerms:
     return SdfTerms(
         position=config.position_weight,

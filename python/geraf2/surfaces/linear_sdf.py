@@ -142,27 +142,6 @@ class LinearSdf:
         values = (solution / CM).reshape(self._grid.shape).astype(np.float32)
         return SdfGrid(grid=self._grid, values=values)
 
-    def responder(self, *, tolerance: float) -> Callable[[Floats], Floats]:
-        """Return a function that solves A x = right, (n_voxels,) each, without a distance term.
-
-        x is the change of the minimum, in centimetres, when `right` is added to the right side of
-        the normal equations. The multigrid levels are prepared once.
-        """
-        energy = self._energy(0, _face_pull(self._grid.shape, self._terms), np.float64)
-        precondition = self._preconditioner(np.zeros(self._grid.n_voxels))
-
-        def respond(right: Floats) -> Floats:
-            return conjugate_gradients(
-                energy,
-                precondition,
-                right,
-                np.zeros_like(right),
-                tolerance=tolerance,
-                max_iterations=_MAX_ITERATIONS,
-            )
-
-        return respond
-
     def _energy(
         self, level: int, diagonal: Floats, dtype: type[np.float32] | type[np.float64]
     ) -> GridEnergy:
