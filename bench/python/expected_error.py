@@ -9,8 +9,8 @@ maximum likelihood under Student's t distribution of four degrees of freedom, wh
 rule, then scaled so that the shares of the area within one and two standard deviations differ least
 (sum of squares) from those of a normal distribution. Every run has the same weight, every vertex
 that of its area. Correlation length and common share of the errors are fitted to the correlation of
-errors over distance, weighted by the expected errors. `--sizes` also compares volume and extents with the truth: how many 95 % intervals
-hold, and their median half width over the size.
+errors over distance, weighted by the expected errors. `--sizes` also compares volume and
+extents with the truth: how many 95 % intervals hold, and their median half width over the size.
 """
 
 import argparse
@@ -24,7 +24,7 @@ import geraf2
 from geraf2.evaluation.forecast import rank_correlation
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_areas
 from geraf2.io.mesh import TriangleMesh, read_mesh
-from geraf2.pipeline.posterior import evidence_of_run
+from geraf2.pipeline.surface_samples import evidence_of_run
 from geraf2.surfaces.error_field import sample_surface
 from geraf2.surfaces.expected_error import SLOPE, nearness
 from geraf2.surfaces.isosurface import signed_distances

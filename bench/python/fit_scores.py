@@ -33,8 +33,8 @@ from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import PRIOR_NAME
 from geraf2.ops.visibility import MeshScene
-from geraf2.pipeline.posterior import evidence_of_run
 from geraf2.pipeline.prior import read_prior
+from geraf2.pipeline.surface_samples import evidence_of_run
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation.figures import FIGURES, build_figure

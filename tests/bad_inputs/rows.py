@@ -89,7 +89,7 @@ COMMANDS = [
             reconstruct scene out --box 0.16 0.16 0.16 --hold-out 17|no plane at 17 degrees
             reconstruct scene out --box 0.16 0.16 0.16 --resume|got best
             reconstruct scene out --box 0.16 0.16 0.16 --resume --preset matched-filter|paper
-            reconstruct scene out --preset matched-filter --samples 4|has no posterior
+            reconstruct scene out --preset matched-filter --samples 4|states no errors
             plan --box 0.001 0.2 0.2|at least 0.042 m
             plan --box 0.001 0.2 0.2 --minutes 5|--box: the box is too small
             plan --box 0.001 0.2 0.2 --figure plan.html|.png

@@ -1,4 +1,4 @@
-"""What echoes err by: one description for labels, glints, posterior and tests of the geometry.
+"""What echoes err by: one description for labels, glints and tests of the geometry.
 
 A peak has the errors of the window that shows it. Its neighbours tell more: echoes of two parts of
 a concave surface that a sub-aperture does not resolve give one peak between both parts, outside of

@@ -111,7 +111,7 @@ class Reconstruction:
     def samples(
         self, n: int = 24, *, seed: int = 0, num_threads: int | None = None
     ) -> "SurfaceSamples":
-        """Draw surfaces from the posterior, all with the triangles of `content_mesh`.
+        """Draw surfaces that the scan allows, all with the triangles of `content_mesh`.
 
         The samples include offsets that echoes share: of the scan, of a plane, of a face of the
         box. The uncertainty of any quantity of the mesh is its spread over the samples.
@@ -142,7 +142,7 @@ class Reconstruction:
         >>> samples.displacements_m.shape[0], bool(low < high)
         (8, True)
         """
-        from geraf2.pipeline.posterior import samples_of_run  # noqa: PLC0415 - imports the fits
+        from geraf2.pipeline.surface_samples import samples_of_run  # noqa: PLC0415 - imports the fits
 
         return samples_of_run(
             self.run, self.content_mesh, self.record.config, n_samples=n, seed=seed

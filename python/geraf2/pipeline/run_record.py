@@ -42,7 +42,7 @@ class RunOptions(Bounded):
     seed: Seed = 0
     """Seed of the samples of `evaluate`, and of training."""
     samples: Annotated[CountOrZero, Arg(metavar="N")] = 0
-    """Also write N posterior samples of the surface to samples.npz."""
+    """Also write N samples of the surface to samples.npz."""
     photos: Annotated[LosOptions, Arg(see="geraf2 los")] = field(default_factory=LosOptions)
     """Options of the photos of --los."""
 

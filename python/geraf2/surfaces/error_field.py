@@ -61,13 +61,22 @@ def sample_surface(
         return SurfaceSamples(known, np.zeros((n_samples, 0)), common_m)
     rng = np.random.default_rng(seed)
     shared = _spread_draws(n_samples, rng)[:, None]
-    field = np.sqrt(COMMON_SHARE) * rng.standard_normal((n_samples, 1))
-    field = field + np.sqrt(1.0 - COMMON_SHARE) * smooth_noise(mesh.vertices, n_samples, rng)
+    field = unit_errors(mesh.vertices, n_samples, rng)
     if n_samples > 1:  # remove the chance correlation of few draws, which all vertices would share
         field -= shared * (shared[:, 0] @ field / n_samples)
     field /= np.sqrt(np.mean(field**2, axis=0))
     moved_m = own_m * field + common_m * shared
     return SurfaceSamples(known, moved_m.astype(np.float32), common_m)
+
+
+def unit_errors(points: Floats, n_samples: int, rng: np.random.Generator) -> Floats:
+    """Draw errors at points of a surface, in standard deviations, (n_samples, n).
+
+    points: (n, 3) [m].
+    """
+    common = rng.standard_normal((n_samples, 1))
+    single = smooth_noise(points, n_samples, rng)
+    return np.sqrt(COMMON_SHARE) * common + np.sqrt(1.0 - COMMON_SHARE) * single
 
 
 def smooth_noise(points: Floats, n_samples: int, rng: np.random.Generator) -> Floats:

@@ -37,7 +37,7 @@ class ExtractedMeshes(NamedTuple):
     mesh_content: TriangleMesh
     """The content, with expected error, evidence and confidence of each vertex."""
     samples: SurfaceSamples | None = None
-    """Posterior samples of the content's surface; None for a field without glints."""
+    """Samples of the content's surface; None for a field without glints."""
     ghosts: TriangleMesh | None = None
     """Pieces that likely do not exist; None for a field without glints."""
 

@@ -1,4 +1,4 @@
-"""Posterior samples of a reconstructed surface, and intervals of quantities derived from it."""
+"""Samples of a reconstructed surface, and intervals of quantities derived from it."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace

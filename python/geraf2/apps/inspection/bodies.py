@@ -26,16 +26,12 @@ from geraf2.geometry.triangles import (
 from geraf2.io.mesh import Evidence, TriangleMesh
 from geraf2.io.text import interval_text
 from geraf2.pipeline.reconstruction import Reconstruction
+from geraf2.surfaces.error_field import N_SAMPLES, unit_errors
 from geraf2.surfaces.expected_error import nearness
 
 PATCH_M = 0.010
 """Distance beyond which errors of the surface are independent [m]: about the footprint of a
 sub-aperture of 8 cm at 0.4 m."""
-_COMMON_SHARE = 0.3
-"""Share of the variance of the errors that is common to a whole part, where the run has no
-posterior to draw from."""
-_N_SAMPLES = 24
-"""Surfaces that intervals of sizes rest on: a spread to 14 %."""
 _MIN_PART_SHARE = 0.02
 """Least area of a part relative to the largest, as in the reconstruction."""
 _MIN_GLINTS = 3
@@ -56,7 +52,7 @@ class Body:
     seen: Bools
     """Whether echoes support the vertex, (n_vertices,)."""
     moved_m: Floats
-    """How far samples of the posterior move each vertex outwards, (n_samples, n_vertices) [m]."""
+    """How far samples of the surface move each vertex outwards, (n_samples, n_vertices) [m]."""
     probability: float = 1.0
     """That it exists."""
 
@@ -138,7 +134,7 @@ def body_of(
     """Body of a mesh, with its own errors and evidence, or estimates from glints.
 
     mesh: content of a run. glints: oriented points of the same run.
-    moved_m: samples of its posterior, (n_samples, n_vertices) [m]; drawn from its errors when None.
+    moved_m: samples of its surface, (n_samples, n_vertices) [m]; drawn from its errors when None.
     """
     errors, evidence = mesh.expected_error_m, mesh.evidence
     n = len(mesh.vertices)
@@ -148,25 +144,15 @@ def body_of(
     if errors is None:
         errors = np.where(seen, _SEEN_ERROR_M, _GUESSED_ERROR_M)
     sigma_m = np.asarray(errors, dtype=np.float64)
-    moved = _draw_displacements(mesh.vertices, sigma_m) if moved_m is None else moved_m
-    return Body(mesh=mesh, sigma_m=sigma_m, seen=seen, moved_m=moved)
-
-
-def _draw_displacements(vertices: Floats, sigma_m: Floats) -> Floats:
-    """Displacements that are in part common to all, and else independent between patches."""
-    rng = np.random.default_rng(0)
-    _, patch = np.unique(np.floor(vertices / PATCH_M), axis=0, return_inverse=True)
-    patch = patch.reshape(-1)
-    common = rng.normal(size=(_N_SAMPLES, 1))
-    single = rng.normal(size=(_N_SAMPLES, patch.max(initial=0) + 1))[:, patch]
-    share = np.sqrt(_COMMON_SHARE), np.sqrt(1.0 - _COMMON_SHARE)
-    return np.asarray(sigma_m * (share[0] * common + share[1] * single))
+    if moved_m is None:
+        moved_m = sigma_m * unit_errors(mesh.vertices, N_SAMPLES, np.random.default_rng(0))
+    return Body(mesh=mesh, sigma_m=sigma_m, seen=seen, moved_m=moved_m)
 
 
 def content_of(result: Reconstruction, *, has_samples: bool = True) -> tuple[Body, list[Body]]:
     """All of the content of a run, and its parts; UserError where there is none.
 
-    has_samples: whether to draw from the posterior of the run, which takes a second.
+    has_samples: whether to draw samples of the run's surface, which takes a second.
     """
     content = result.content_mesh
     if not len(content.faces):
@@ -175,7 +161,7 @@ def content_of(result: Reconstruction, *, has_samples: bool = True) -> tuple[Bod
         )
     try:
         moved = result.samples().displacements_m if has_samples else None
-    except UserError:  # a preset without a posterior, or a run without its files
+    except UserError:  # a preset that states no errors, or a run without its files
         moved = None
     whole = body_of(content, result.glints, moved)
     return whole, split_bodies(whole)

@@ -48,7 +48,6 @@ from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.plane_check import is_turn_reversed
 from geraf2.pipeline.planes import keep_planes, planes_at
-from geraf2.pipeline.posterior import require_posterior
 from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
 from geraf2.pipeline.prior import PriorSource, add_walls, save_prior
 from geraf2.pipeline.prior_stage import PRIOR_STAGE, PriorJob, find_prior_job, heat_map, make_prior
@@ -58,6 +57,7 @@ from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import explain_sign_errors, require_sign
 from geraf2.pipeline.stages.calibration import calibrate_job
 from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
+from geraf2.pipeline.surface_samples import require_samples
 from geraf2.pipeline.verdict import judge
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.aperture import Aperture
@@ -99,7 +99,7 @@ def reconstruct(
         Result folder, which is written whole or not at all. When None it is a temporary one, which
         is removed together with the result.
     options
-        Planes left out, calibration, seed, posterior samples, interpretation of photos.
+        Planes left out, calibration, seed, samples of the surface, interpretation of photos.
     resume
         Continue the training that a stopped run of this preset left in `out`.
     overwrite
@@ -136,7 +136,7 @@ def reconstruct(
     options = options or RunOptions()
     config = preset_type(preset)() if isinstance(preset, str) else preset
     if options.samples:
-        require_posterior(config, options.samples)
+        require_samples(config, options.samples)
     if resume and not is_trained(config):
         raise UserError(
             what="--resume continues a training, and this preset trains nothing",

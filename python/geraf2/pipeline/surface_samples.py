@@ -1,4 +1,4 @@
-"""Posterior samples of the surface of a finished run."""
+"""Samples of the surface of a finished run."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -16,13 +16,13 @@ from geraf2.surfaces.refinement import SelectedGlints, evidence_of
 from geraf2.surfaces.samples import SurfaceSamples
 
 
-def require_posterior(config: PresetConfig, n_samples: int) -> None:
-    """Raise UserError for a single sample, or for a preset without posterior."""
+def require_samples(config: PresetConfig, n_samples: int) -> None:
+    """Raise UserError for a single sample, or for a preset that states no errors."""
     if n_samples < 2:
         raise UserError(what="samples must be at least 2", got=n_samples)
     if not isinstance(config, FastPreset | BestPreset):
         raise UserError(
-            what=f"preset {config.preset!r} has no posterior to draw samples from",
+            what=f"preset {config.preset!r} states no errors to draw samples from",
             expected="best or fast",
         )
 
@@ -35,13 +35,13 @@ def samples_of_run(
     n_samples: int,
     seed: int = 0,
 ) -> SurfaceSamples:
-    """Draw surfaces from the posterior of a finished run.
+    """Draw surfaces that the scan of a finished run allows.
 
     mesh: its content. config: constants of its preset.
 
-    Raises UserError if the run has no posterior.
+    Raises UserError if the run states no errors.
     """
-    require_posterior(config, n_samples)
+    require_samples(config, n_samples)
     evidence, _ = evidence_of_run(run, config)
     samples = sample_surface(mesh, evidence, n_samples=n_samples, seed=seed)
     return replace(samples, mesh=mesh)  # keeps the expected error that the run wrote
@@ -52,7 +52,7 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
         return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit
-    assert isinstance(config, BestPreset)  # see require_posterior
+    assert isinstance(config, BestPreset)  # see require_samples
     shadows = run.find_file(SILHOUETTES_NAME)
     selected = SelectedGlints(
         Glints.load(_file(run, GLINTS_NAME)),
