@@ -76,7 +76,7 @@ def unit_errors(points: Floats, n_samples: int, rng: np.random.Generator) -> Flo
     """
     common = rng.standard_normal((n_samples, 1))
     single = smooth_noise(points, n_samples, rng)
-    return np.sqrt(COMMON_SHARE) * common + np.sqrt(1.0 - COMMON_SHARE) * single
+    return np.asarray(np.sqrt(COMMON_SHARE) * common + np.sqrt(1.0 - COMMON_SHARE) * single)
 
 
 def smooth_noise(points: Floats, n_samples: int, rng: np.random.Generator) -> Floats:

@@ -108,7 +108,7 @@ def test_the_page_gives_the_reason_of_a_failure(listed, tmp_path, capsys):
     assert main(["inspect", str(listed / "run"), *flags]) == 3
     assert "fails: 'wedge' is turned against its nominal pose" in capsys.readouterr().out
     page = (tmp_path / "inspection.html").read_text()
-    assert "Fail:     assert "Fail: 2 parts, 0 of 1 models present, but &#39;wedge&#39;" in page#39;wedge    assert "Fail: 2 parts, 0 of 1 models present, but &#39;wedge&#39;" in page#39; is turned against its nominal pose" in page
+    assert "Fail: &#39;wedge&#39; is turned against its nominal pose" in page
 
 
 def item(name, more=""):
