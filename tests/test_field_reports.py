@@ -13,6 +13,7 @@ from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.manifest import RadarManifest
 from geraf2.io.mesh import read_mesh
+from geraf2.io.samples import complex_samples
 from geraf2.io.toml import read_toml
 from geraf2.pipeline.los_options import LosOptions
 
@@ -89,6 +90,78 @@ def test_settings_of_mmwave_studio_are_read(reports):
     assert (config.ramp_start_hz, config.chirp_slope_hz_per_s) == (77e9, 60e12)
     assert (config.n_samples, config.sample_rate_hz, config.frame_period_s) == (64, 5e6, 0.04)
     assert config.transmitters.masks == (1,)
+
+
+def test_pairs_receiver_after_receiver_are_those_of_the_lanes(reports):
+    folder = reports / "iq_pairs_receiver_after_receiver"
+    radar = read_toml(folder / "radar.toml", RadarManifest)
+    signals = [
+        open_recording(folder / name, radar).read_frames(0, 64)
+        for name in ("capture.bin", "same_as_lanes.bin")
+    ]
+    np.testing.assert_array_equal(*signals)
+    assert any("give it under [raw]" in note for note in recording(folder / "capture.bin").notes)
+
+
+@pytest.mark.parametrize("name", ["complex64.bin", "float32_iq.bin"])
+def test_floats_are_named(reports, name):
+    with pytest.raises(UserError, match="floating-point numbers of 32 bits, not words of 16"):
+        recording(reports / "floats_in_a_bin" / name)
+
+
+def test_the_chips_of_a_cascade_are_named(reports):
+    with pytest.raises(UserError, match=r"cascade of 4 chips.*master, slave1, slave2, slave3"):
+        recording(reports / "cascade_of_four_chips")
+
+
+@pytest.mark.parametrize(
+    "given", [("profile.cfg", "radar.toml"), (None, "radar_with_n_samples.toml")]
+)
+def test_real_and_imaginary_arrays_of_a_bag_are_joined(reports, given):
+    folder = reports / "bag_real_and_imaginary_arrays"
+    config, radar = given
+    options = ImportOptions(config=() if config is None else (folder / config,))
+    radar = read_toml(folder / radar, RadarManifest)
+    scan = load_importer("rosbag").open(folder / "scan.mcap", radar, options)
+    assert scan.manifest.waveform.n_samples == 64
+    assert dict(scan.facts)["frames from"].startswith("real_data and imag_data of /radar/adc")
+
+
+def scan_of_planes(folder, name, *, radar="radar.toml"):
+    options = ImportOptions(positions=folder / "scan.json", config=(folder / "profile.cfg",))
+    scan = load_importer("dca1000").open(
+        folder / name, read_toml(folder / radar, RadarManifest), options
+    )
+    return scan, np.concatenate([complex_samples(part.signal) for part in scan.poses()])
+
+
+@pytest.mark.parametrize("radar", ["radar.toml", "radar_with_layout.toml"])
+def test_receivers_that_are_turned_are_turned_back(reports, radar):
+    folder = reports / "receivers_turned_round"
+    scan, signal = scan_of_planes(folder, "adc_data.bin", radar=radar)
+    assert "range bias 0.075 m" in dict(scan.facts)["compensation"]
+    plain = open_recording(folder / "not_turned.bin", RadarManifest(n_samples=32))
+    right = plain.read_frames(0, plain.n_frames).reshape(signal.shape)
+    np.testing.assert_allclose(signal, right)
+
+
+def test_a_packet_that_is_missing_early_is_put_back_as_zeros(reports):
+    folder = reports / "one_packet_missing_early"
+    whole = open_recording(reports / "receivers_turned_round" / "not_turned.bin", RadarManifest())
+    for configs in ((), (folder / "profile.cfg",)):
+        found = recording(folder / "adc_data.bin", *configs)
+        assert found.n_frames == whole.n_frames == 3906
+        assert any("1 packet of 1456 bytes lost after 853 whole frames" in n for n in found.notes)
+    scan, _ = scan_of_planes(folder, "adc_data.bin")
+    assert sum(scan.n_antennas) == 4 * 3906
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_missing_packets_are_no_chirps(reports, given):
+    folder = reports / "every_second_packet_missing"
+    with pytest.raises(UserError, match="jumps every 1456 bytes, the payload") as caught:
+        recording(folder / "adc_data.bin", *([folder / "profile.cfg"] if given else []))
+    assert "n_samples" not in str(caught.value)
 
 
 def test_dialects_of_logs(reports):

@@ -63,6 +63,8 @@ def words_of(signal, layout="4-lane", *, offset_binary=False, swap_iq=False):
     _, n_chirps, n_rx, n_samples = words.shape
     if layout == "2-lane-sequential":
         words = words.reshape(2, n_chirps, n_rx, -1, 2).transpose(1, 2, 3, 0, 4)
+    elif layout == "iq-sequential":
+        words = words.transpose(1, 2, 3, 0)
     else:
         n_together = {"4-lane": n_rx, "2-lane-pairs": 2, "iq": 1}[layout]
         words = words.reshape(2, n_chirps, -1, n_together, n_samples).transpose(1, 4, 2, 0, 3)

@@ -96,7 +96,7 @@ class SceneManifest(_Strict):
     provenance: dict[str, str] = {}
 
 
-ComplexLayout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq"]
+ComplexLayout = Literal["4-lane", "2-lane-pairs", "2-lane-sequential", "iq", "iq-sequential"]
 RealLayout = Literal["real-sequential", "real-alternating"]
 """Orders of the 16-bit words of complex and of real samples."""
 

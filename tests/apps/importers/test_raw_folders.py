@@ -16,6 +16,7 @@ from helpers.raw_capture import (
     scan_signal,
     whole_pose,
     words_of,
+    write_words,
 )
 
 BOARD = {**RADAR, "antennas": {"rx_offsets_m": BOARD_RX.tolist()}}
@@ -160,3 +161,20 @@ def test_a_real_recording_cut_into_positions_is_the_same(tmp_path, shared_data, 
     assert np.array_equal(tx, expected_tx)
     with pytest.raises(UserError, match="holds more than one recording"):
         open_recording(folder, RadarManifest())
+
+
+@pytest.mark.parametrize("chips", [("master", "slave1"), ("master", "slave1", "slave2", "slave3")])
+@pytest.mark.parametrize("per_position", [False, True])
+def test_the_chips_of_a_cascade_are_no_positions(tmp_path, chips, per_position):
+    for chip in chips:
+        write_words(tmp_path / f"{chip}_0000_data.bin", beat(), "iq")
+        (tmp_path / f"{chip}_0000_idx.bin").write_bytes(bytes(24))
+    options = ImportOptions(file_per_position=per_position)
+    with pytest.raises(UserError, match=f"cascade of {len(chips)} chips.*name one file") as caught:
+        open_recording(tmp_path, RadarManifest(), options)
+    assert "file-per-position" not in str(caught.value)
+    # The hint is obeyed: one file, or the folder of one chip, whose index is left aside.
+    assert open_recording(tmp_path / "master_0000_data.bin", RadarManifest()).n_frames == 40
+    for chip in chips[1:]:
+        (tmp_path / f"{chip}_0000_data.bin").unlink()
+    assert open_recording(tmp_path, RadarManifest()).n_frames == 40

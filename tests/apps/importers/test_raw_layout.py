@@ -48,13 +48,13 @@ def test_a_first_capture_that_is_weak_hides_no_chirps(tmp_path, layout):
 
 
 @pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential"])
-def test_chirps_that_shift_are_noticed_at_the_end(tmp_path, layout):
+def test_chirps_that_shift_are_noticed(tmp_path, layout):
     words = words_of(beat(n_chirps=120), layout)
     path = tmp_path / "a.bin"
     path.write_bytes(np.delete(words, slice(43000, 43000 + 8 * 13)).tobytes() + bytes(8 * 26))
     (note,) = opened(path).notes if layout == "4-lane" else opened(path).notes[1:]
     late = 64 - 13 if layout == "4-lane" else 64 - 52
-    assert f"at the end, chirps begin {late} samples late" in note
+    assert f"chirps begin {late} samples late" in note
 
 
 def test_a_layout_that_another_beats_is_doubted(tmp_path):
@@ -79,3 +79,90 @@ def test_dead_receivers_are_named(tmp_path, share):
     assert dict(recording.facts)["dead receivers"].startswith("2 (")
     (note,) = (note for note in recording.notes if "receiver 2 is dead" in note)
     assert reason in note
+
+
+@pytest.mark.parametrize("n_rx", [2, 4])
+@pytest.mark.parametrize("n_samples", [64, 256])
+@pytest.mark.parametrize("layout", ["iq", "iq-sequential"])
+@pytest.mark.parametrize("in_phase", [False, True])
+def test_pairs_of_receivers_alternate_or_follow_each_other(
+    tmp_path, n_rx, n_samples, layout, in_phase
+):
+    """Receivers nearly in phase that alternate are nearly a signal when read in sequence."""
+    rng = np.random.default_rng(9)
+    signal = beat(n_chirps=512 // n_rx, n_rx=n_rx, n_samples=n_samples, noise=0.0)
+    if in_phase:
+        turns = np.exp(1j * rng.normal(0, 0.3, (1, n_rx, 1)))
+        signal = signal[:, :1] * turns
+    signal = quantised(signal + 20 * rng.normal(size=(*signal.shape, 2)) @ [1, 1j])
+    recording = opened(write_words(tmp_path / "a.bin", signal, layout), raw=RawManifest(n_rx=n_rx))
+    assert (recording.evidence.order.layout, recording.evidence.n_samples) == (layout, n_samples)
+    assert np.array_equal(samples(recording), signal)
+
+
+def test_one_receiver_is_said_to_be_assumed(tmp_path):
+    path = write_words(tmp_path / "a.bin", beat(), "iq-sequential")
+    recording = opened(path)
+    assert recording.evidence.order.n_rx == 1
+    assert any("n_rx (receivers) is not known" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize("kind", ["<f4", "<f8", "<c8", "<c16"])
+@pytest.mark.parametrize("scale", [1e-4, 3e4])
+def test_floating_point_numbers_are_no_words(tmp_path, kind, scale):
+    signal = beat().reshape(-1) * scale / 32768
+    values = signal if "c" in kind else np.stack([signal.real, signal.imag], axis=-1)
+    values.astype(kind).tofile(tmp_path / "a.bin")
+    bits = 32 if kind in ("<f4", "<c8") else 64
+    with pytest.raises(UserError, match=f"floating-point numbers of {bits} bits"):
+        opened(tmp_path / "a.bin")
+
+
+@pytest.mark.parametrize("amplitude", [3, 300, 30000])
+@pytest.mark.parametrize("offset", [False, True])
+def test_words_of_any_amplitude_are_no_floating_point_numbers(tmp_path, amplitude, offset):
+    signal = beat()
+    signal = np.round(signal * amplitude / np.abs(signal).max())
+    path = write_words(tmp_path / "a.bin", signal, "2-lane-sequential", offset_binary=offset)
+    assert opened(path).evidence.order.layout == "2-lane-sequential"
+
+
+def packets_without(data, lost):
+    """Bytes of a recording without some of its packets."""
+    parts = [data[k : k + 1456] for k in range(0, len(data), 1456)]
+    return b"".join(part for k, part in enumerate(parts) if k not in lost)
+
+
+@pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential", "iq"])
+@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize("lost", [{60}, {190}, {350}, {100, 101, 102}, {40, 200, 320}])
+def test_lost_packets_are_put_back_as_zeros(tmp_path, layout, given, lost):
+    signal = beat(n_chirps=600, noise=0.0)
+    path = tmp_path / "a.bin"
+    path.write_bytes(packets_without(words_of(signal, layout).tobytes(), lost))
+    recording = opened(path, raw=RawManifest(n_rx=4), **({"n_samples": 64} if given else {}))
+    assert recording.n_frames == 600
+    first = min(lost) * 1456 // 1024
+    assert any(f"lost after {first} whole frames" in note for note in recording.notes)
+    wrong = (samples(recording) != signal).any(axis=(1, 2))
+    # Chirps that a lost packet meets, 1.4 each.
+    assert 0 < wrong.sum() <= 3 * len(lost)
+
+
+@pytest.mark.parametrize("kept", [lambda k: k % 2 == 0, lambda k: k % 3 < 2, lambda k: k % 5 < 3])
+@pytest.mark.parametrize("given", [False, True])
+def test_packets_that_are_missing_throughout_are_no_chirps(tmp_path, kept, given):
+    data = words_of(beat(n_chirps=1200), "2-lane-sequential").tobytes()
+    lost = {k for k in range(len(data) // 1456 + 1) if not kept(k)}
+    (tmp_path / "a.bin").write_bytes(packets_without(data, lost))
+    with pytest.raises(UserError, match="packets are missing at many places") as caught:
+        opened(tmp_path / "a.bin", **({"n_samples": 64} if given else {}))
+    assert "n_samples" not in str(caught.value)
+
+
+@pytest.mark.parametrize("n_samples", [364, 182, 104, 52])
+def test_chirps_as_long_as_packets_are_read(tmp_path, n_samples):
+    signal = beat(n_chirps=200, n_samples=n_samples)
+    recording = opened(write_words(tmp_path / "a.bin", signal, "2-lane-sequential"))
+    assert recording.evidence.n_samples == n_samples
+    assert np.array_equal(samples(recording), signal)

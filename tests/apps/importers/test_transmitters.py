@@ -106,3 +106,45 @@ def test_what_cannot_be_separated_is_refused_and_named(tmp_path, capsys, write, 
 def test_a_chirp_without_transmitter_is_refused(tmp_path):
     with pytest.raises(UserError, match="chirp 1 has no transmitter"):
         read_ti_configs([profile(tmp_path, [1, 0], {})])
+
+
+@pytest.mark.parametrize("n_tx", [1, 2])
+@pytest.mark.parametrize("bias", [0.0, 0.075])
+def test_factors_of_the_profile_correct_the_channels(tmp_path, n_tx, bias):
+    """Receivers that are mounted turned by 180 degrees, and any other phase."""
+    rng = np.random.default_rng(4)
+    gains = np.where(rng.random(12) < 0.5, -1, 1) * np.exp(1j * np.repeat([0, 0.4, 0.9], 4))
+    masks = [1, 2][:n_tx]
+    recorded(tmp_path, masks, {}, list(range(n_tx)))
+    used = gains[: 4 * n_tx].reshape(n_tx, 4)
+    plain = profile(tmp_path, masks, {})
+    reference, *_ = whole_pose(scan(tmp_path, plain, n_tx))
+    pairs = " ".join(f"{g.real:.6f} {g.imag:.6f}" for g in gains)
+    plain.write_text(f"{plain.read_text()}\ncompRangeBiasAndRxChanPhase {bias} {pairs}\n")
+    found = scan(tmp_path, plain, n_tx)
+    signal, *_ = whole_pose(found)
+    expected = reference.reshape(n_tx, 4, -1) * used[..., None]
+    assert np.abs(signal.reshape(expected.shape) - expected).max() < 0.01
+    assert "compensation" in dict(found.facts)
+    assert found.manifest.waveform.path_bias_m == RADAR["path_bias_m"]  # what is given goes first
+    assert (read_ti_configs([plain]).path_bias_m or 0.0) == 2 * bias
+
+
+@pytest.mark.parametrize("line", ["0.0 1 0 1 0 1 0 1 0", "0 " + "1 0 " * 12])
+def test_factors_of_one_change_nothing(tmp_path, line):
+    recorded(tmp_path, [1], {}, [0])
+    plain = profile(tmp_path, [1], {})
+    plain.write_text(f"{plain.read_text()}\ncompRangeBiasAndRxChanPhase {line}\n")
+    found = scan(tmp_path, plain, 1)
+    assert "compensation" not in dict(found.facts)
+    assert read_ti_configs([plain]).path_bias_m is None
+
+
+@pytest.mark.parametrize("line", ["0.0 1 0 1 0", "0.0 1 0 1 0 1 0 0 0", "0.0 1 0 1"])
+def test_factors_that_are_missing_are_named(tmp_path, line):
+    recorded(tmp_path, [1], {}, [0])
+    plain = profile(tmp_path, [1], {})
+    line = line.replace("1 0", "0 1", 1)
+    plain.write_text(f"{plain.read_text()}\ncompRangeBiasAndRxChanPhase {line}\n")
+    with pytest.raises(UserError, match="compRangeBiasAndRxChanPhase"):
+        scan(tmp_path, plain, 1)

@@ -1,9 +1,10 @@
 """Frames and poses of a ROS 2 bag: words of the radar, and positions of its antennas."""
 
 import os
+import re
 import weakref
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -30,6 +31,9 @@ _NO_SAMPLES = ("sensor_msgs", "nav_msgs", "visualization_msgs", "rcl_interfaces"
 _WORDS = {"uint8": "u1", "int8": "i1", "int16": "<i2", "uint16": "<u2"}
 _ARRAY, _SEQUENCE, _NAME = 3, 4, 2  # kinds of fields in rosbags
 _MAX_DEPTH = 3
+# Names of arrays that hold the real or the imaginary parts of samples.
+_REAL = re.compile(r"(?:.*_)?(?:re|real|i|in_?phase)(?:_.*)?", re.IGNORECASE)
+_IMAGINARY = re.compile(r"(?:.*_)?(?:im|imag|imaginary|q|quad|quadrature)(?:_.*)?", re.IGNORECASE)
 
 
 class FrameFile(ByteStream):
@@ -95,7 +99,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
     with open_bag(source, is_cut=options.keep_good) as reader, TemporaryFile() as file:
         topics = _topics(reader)
         samples = _samples_topic(reader, topics, options, source)
-        table, frame_id = _copy_frames(reader, samples, file, source)
+        table, frame_id, field = _copy_frames(reader, samples, file, source)
         log, origin = _read_log(reader, topics, options, frame_id, int(table[0, 0]), source)
         frame_bytes = int(np.median(table[:, 1]))
         notes, good = _usable_messages(table, frame_bytes, samples, options, source)
@@ -123,7 +127,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
         period_s=period_s,
         log=log,
         facts=(
-            ("frames from", f"{samples} ({topics[samples]}), {len(times)} messages"),
+            ("frames from", f"{field} of {samples} ({topics[samples]}), {len(times)} messages"),
             ("positions from", origin),
         ),
         notes=tuple(notes),
@@ -251,20 +255,44 @@ def _stamp(message: Any) -> int:
     return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)
 
 
-def _copy_frames(reader: Any, topic: str, file: Any, where: Path) -> tuple[Ints, str]:
-    """Stamp [ns], size and offset in the file of each message, and the radar's frame."""
-    rows, frame_id, path, word = [], "", None, ""
+def _copy_frames(reader: Any, topic: str, file: Any, where: Path) -> tuple[Ints, str, str]:
+    """Stamp [ns], size and offset in the file of each message, the radar's frame, and the field."""
+    rows, frame_id, field = [], "", ""
+    used: list[tuple[tuple[str, ...], str]] = []
     arrays = _arrays_of(reader.typestore.fielddefs, reader.topics[topic].msgtype)
     for stamp, message in _messages(reader, topic):
-        if path is None:  # others hold shapes and settings
-            path, word = max(arrays, key=lambda array: len(_value(message, array[0])))
+        if not used:
+            used = _used_arrays(message, arrays, topic, where)
+            field = " and ".join(".".join(path) for path, _ in used)
             frame_id = str(getattr(getattr(message, "header", None), "frame_id", ""))
-        data = np.ascontiguousarray(_value(message, path)).astype(word).tobytes()
+        parts = [np.asarray(_value(message, path)).astype(word) for path, word in used]
+        if len({part.size for part in parts}) > 1:
+            raise UserError(what=f"{field} of a message of {topic} differ in length", where=where)
+        data = np.stack(parts, axis=-1).tobytes()  # I and Q of each sample
         rows.append((stamp, len(data), file.tell()))
         file.write(data)
     if not rows:
         raise UserError(what=f"{topic} holds no message", where=where)
-    return np.array(rows, dtype=np.int64), frame_id
+    return np.array(rows, dtype=np.int64), frame_id, field
+
+
+def _used_arrays(
+    message: Any, arrays: Sequence[tuple[tuple[str, ...], str]], topic: str, where: Path
+) -> list[tuple[tuple[str, ...], str]]:
+    """Array of samples in a message, the longest: others hold shapes and settings; or I and Q."""
+    sizes = [len(_value(message, path)) for path, _ in arrays]
+    longest = [array for array, n in zip(arrays, sizes, strict=True) if n == max(sizes)]
+    if len(longest) == 1:
+        return longest
+    parts = [[a for a in longest if name.fullmatch(a[0][-1])] for name in (_REAL, _IMAGINARY)]
+    if len(longest) == 2 and all(len(part) == 1 for part in parts):
+        return [part[0] for part in parts]
+    names = ", ".join(".".join(path) for path, _ in longest)
+    raise UserError(
+        what=f"a message of {topic} has {len(longest)} arrays of {max(sizes)} values: {names}",
+        where=where,
+        expected="one array of samples, or two whose names say real and imaginary part",
+    )
 
 
 def _value(message: Any, path: tuple[str, ...]) -> Any:

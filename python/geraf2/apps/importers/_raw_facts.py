@@ -94,5 +94,5 @@ def describe_peak(
     if slope and rate:
         rate /= evidence.order.per_complex
         path = strongest * SPEED_OF_LIGHT_M_PER_S * rate / (n * slope)
-        text += f", {0.5 * (path - (radar.path_bias_m or 0.0)):.3f} m"
+        text += f", {0.5 * (path - (radar.path_bias_m or config.path_bias_m or 0.0)):.3f} m"
     return "strongest echo", text

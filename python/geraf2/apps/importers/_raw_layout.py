@@ -5,6 +5,7 @@ spectrum. Words in the wrong order mirror it: the ratio of the energies of the t
 to 5 for a wrong layout, and 25 to 4000 for the right one on captures of real boards.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -12,6 +13,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from geraf2.apps.importers._lost_packets import jumps_with_packets, packets_are_missing
 from geraf2.apps.importers._real_samples import is_predicted_as_real, real_advantage
 from geraf2.apps.importers._word_order import (
     LAYOUTS,
@@ -40,9 +42,13 @@ _FASTER_SHARE = 0.1
 # estimated, and alternating real samples of a single receiver are sequential.
 _UNKNOWN_N_RX: dict[Layout, tuple[int, ...]] = {
     **dict.fromkeys(LAYOUTS, (1, 2, 4)),
-    **dict.fromkeys(("2-lane-sequential", "real-sequential"), (4,)),
+    **dict.fromkeys(("2-lane-sequential", "iq-sequential", "real-sequential"), (4,)),
     "real-alternating": (2, 4),
 }
+# Least ratio of pairs in sequence over that of the same ones read as alternating receivers; above 1
+# but for long chirps, where both are one line, and below .2 where receivers alternate.
+_IN_TURN_SHARE = 0.5
+_PAIRS: tuple[Layout, ...] = ("iq-sequential", "iq")
 # Segments that need not begin with a chirp: short against it, long against the beat. Strong
 # coupling near DC leaks over their whole spectrum: on a real capture they give the right order
 # 1.9 : 1, whole chirps 24 : 1. So where segments decide nothing, whole chirps do.
@@ -57,6 +63,10 @@ _LAYOUT_WORDS = 1 << 17
 _REAL_ADVANTAGE = 0.1
 # That at which a configuration is not believed.
 _CONTRADICTING_ADVANTAGE = 0.2
+# Samples as floating-point numbers lie between the inverse of this and it, but for a few.
+_LARGEST_FLOAT, _FLOAT_SHARE = 2.0**30, 0.99
+# Parts of the words whose chirps are looked for by themselves.
+_N_PARTS = 8
 # Fewest words and samples from which a spectrum is estimated.
 _MIN_WORDS, _MIN_SAMPLES = 1024, 8
 
@@ -133,7 +143,9 @@ def _orders(
         for n in _UNKNOWN_N_RX[layout] if n_rx is None else (n_rx,):
             if layout == "2-lane-pairs" and n % 2:
                 continue
-            same_as_4_lane = (layout, n) in (("iq", 1), ("2-lane-pairs", 2))
+            same_as_4_lane = (layout, n) in (("iq", 1), ("2-lane-pairs", 2), ("iq-sequential", 1))
+            # Pairs of several receivers in sequence are those of a single one.
+            same_as_4_lane |= layout == "iq-sequential" and n_rx is None
             if not same_as_4_lane or len(layouts) == 1:
                 yield WordOrder(layout=layout, n_rx=n, offset_binary=offset)
 
@@ -183,6 +195,8 @@ def find_layout(
             for order, ratio in ratios.items()
         }
     chosen, notes = _choose_order(ratios, allowed, where)
+    if layout is None:
+        chosen = _order_of_pairs(words, ratios, chosen, n_samples)
     if layout is None and is_predicted_as_real(words, chosen):
         raise _unclear_receivers(n_samples, where)
     is_open = layout is None or offset_binary is None or n_rx is None
@@ -212,13 +226,15 @@ def _real_order(
     order, advantage = real_advantage(words, known, candidates)
     if layout is not None and is_real is None:
         return order
-    if advantage < _REAL_ADVANTAGE:
+    if advantage < _REAL_ADVANTAGE or is_real is False:
         sides = {
             one: _one_sided(_segment_ratio(words[:_LAYOUT_WORDS], one, _SEGMENT)) for one in known
         }
         best = _best_order(sides)
-        if sides[best] >= MIN_RATIO and is_predicted_as_real(words, best):
-            advantage = _REAL_ADVANTAGE
+        if sides[best] >= MIN_RATIO:
+            # At a quarter of the rate complex words have the lines of real ones, too.
+            is_predicted = is_predicted_as_real(words, best)
+            advantage = max(advantage, _REAL_ADVANTAGE) if is_predicted else min(advantage, 0.0)
     if is_real is None:
         return order if advantage >= _REAL_ADVANTAGE else None
     if (advantage if is_real else -advantage) < -_CONTRADICTING_ADVANTAGE:
@@ -252,6 +268,29 @@ def _order_of_receivers(
         if find_n_samples(words, order, None)[0] == n_samples:
             return order
     raise _unclear_receivers(n_samples, where)
+
+
+def _order_of_pairs(
+    words: NDArray[np.int16],
+    ratios: Mapping[WordOrder, float],
+    chosen: WordOrder,
+    n_samples: int | None,
+) -> WordOrder:
+    """Order of I Q pairs of several receivers: sample after sample, or receiver after receiver.
+
+    The given length of a chirp decides, or else the ratios: receivers with similar phases that
+    alternate are a signal of several lines when read in sequence.
+    """
+    kin = [replace(chosen, layout=layout) for layout in _PAIRS]
+    if chosen.layout not in _PAIRS or any(order not in ratios for order in kin):
+        return chosen
+    in_turn, alternating = (_one_sided(ratios[order]) for order in kin)
+    # Alternating receivers take a segment of as many times the length.
+    long = _segment_ratio(words[:_LAYOUT_WORDS], kin[0], _SEGMENT * chosen.n_rx)
+    if max(in_turn, _one_sided(long)) < _IN_TURN_SHARE * alternating:
+        kin.reverse()
+    fitting = (order for order in kin if find_n_samples(words, order, None)[0] == n_samples)
+    return next(fitting, kin[0]) if n_samples else kin[0]
 
 
 def _unclear_receivers(n_samples: int | None, where: object) -> UserError:
@@ -292,6 +331,44 @@ def _choose_order(
     return chosen, (f"the layout given is doubtful: {text}",)
 
 
+def _is_float(words: NDArray[np.int16], kind: str) -> bool:
+    """Whether words are parts of floating-point numbers of ordinary size.
+
+    Integers of 16 bits have exponents near the least or largest one where they are small.
+    """
+    data = words.tobytes()
+    values = np.abs(np.frombuffer(data[: len(data) // 8 * 8], dtype=kind))
+    with np.errstate(invalid="ignore"):
+        ordinary = (values > 1 / _LARGEST_FLOAT) & (values < _LARGEST_FLOAT)
+    # Round numbers of 64 bits are zeros and numbers of 32 bits in turn.
+    is_half = (values[::2] == 0).mean() > 0.5
+    return bool(ordinary.any() and not is_half and (ordinary | (values == 0)).mean() > _FLOAT_SHARE)
+
+
+def _found_samples(
+    words: NDArray[np.int16], order: WordOrder, given: int | None, where: object
+) -> tuple[int | None, float]:
+    """Return the samples per chirp, and the jumps there; UserError where packets are missing."""
+    found, jump = find_n_samples(words, order, None)
+    if found is None or found != given:
+        found = _of_most_parts(words, order) or found
+    if (found is None or found != given) and jumps_with_packets(words, order, found):
+        raise packets_are_missing(where)
+    return found, jump
+
+
+def _of_most_parts(words: NDArray[np.int16], order: WordOrder) -> int | None:
+    """Return the samples per chirp that most parts of the words have; None where they differ.
+
+    Behind a missing packet chirps begin elsewhere, so that none may be seen in the whole.
+    """
+    size = len(words) // _N_PARTS // 64 * 64
+    parts = [words[k * size : (k + 1) * size] for k in range(_N_PARTS)]
+    found = [late[0] for part in parts if (late := find_late_chirps(part, order))]
+    n_samples, count = Counter(found).most_common(1)[0] if found else (None, 0)
+    return n_samples if 2 * count >= _N_PARTS else None
+
+
 def _require_possible(
     words: NDArray[np.int16],
     layout: Layout | None,
@@ -308,6 +385,14 @@ def _require_possible(
         )
     if not words.any():
         raise UserError(what="begins with nothing but zeros", where=where)
+    floats = next((kind for kind in ("<f4", "<f8") if _is_float(words, kind)), None)
+    if floats is not None:
+        raise UserError(
+            what=f"holds floating-point numbers of {8 * int(floats[2])} bits, not words of 16",
+            where=where,
+            expected="samples as a board records them",
+            hint="write them as arrays for 'geraf2 import geraf-sens' or 'geraf2 import mat'",
+        )
     if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
         raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
     if n_samples is not None and n_samples < _MIN_SAMPLES:
@@ -346,7 +431,7 @@ def _with_samples(
     where: object,
 ) -> LayoutEvidence:
     _require_pairs(chosen.layout, n_samples, where)
-    found, jump = find_n_samples(words, chosen, None)
+    found, jump = _found_samples(words, chosen, n_samples, where)
     if n_samples is None:
         if found is None:
             late = find_late_chirps(words, chosen)

@@ -178,6 +178,9 @@ _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _PACKET_SCAN_BYTES = 1 << 24
 # Names that mmWave Studio and the DCA1000 command line give to the parts of one recording.
 _STUDIO_PART = re.compile(r".*_Raw_\d+", re.IGNORECASE)
+# Files of a TI cascade (MMWCAS): master_0000_data.bin, slave1_0000_data.bin, and _idx.bin of each.
+_CHIP = re.compile(r"(?:.*[^a-z])?(master|slave\d*)(?:[^a-z].*)?", re.IGNORECASE)
+_INDEX = re.compile(r".*_idx", re.IGNORECASE)
 MAX_NAMED = 4
 # A gap beyond this is a broken header and no loss: 1 GiB, 10 s of a board at full rate.
 _MAX_GAP_BYTES = 1 << 30
@@ -348,8 +351,20 @@ def _payload_of(head: NDArray[np.uint8], header: int, count_at: int) -> int | No
 def bin_files(folder: Path) -> list[Path]:
     """All .bin files of a folder; UserError without any."""
     files = [path for path in folder.glob("*.bin") if path.is_file()]
+    # A cascade writes the offsets of its frames beside them.
+    files = [path for path in files if not _INDEX.fullmatch(path.stem)]
     if not files:
         raise UserError(what="has no .bin file", where=folder, expected="adc_data.bin, or _0, _1")
+    chips = {match[1].lower() for path in files if (match := _CHIP.fullmatch(path.stem))}
+    if len(chips) > 1:
+        raise UserError(
+            what=f"is of a cascade of {len(chips)} chips, which record the same frames: "
+            f"{', '.join(sorted(chips))}",
+            where=folder,
+            expected="the files of one chip",
+            hint=f"name one file, as {min(files).name}, and give the places of its receivers "
+            "as rx_offsets_m under [antennas] of --radar",
+        )
     return files
 
 

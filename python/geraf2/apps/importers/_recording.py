@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
+from geraf2.apps.importers._lost_packets import PAYLOAD_BYTES, RepairedStream, find_gaps
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
@@ -35,7 +37,6 @@ from geraf2.apps.importers._word_order import (
     begins_in_chirp,
     decode,
     decode_integers,
-    late_samples,
 )
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
@@ -85,6 +86,23 @@ class Recording:
             return None
         return found.decoder
 
+    @cached_property
+    def gains(self) -> NDArray[np.complex64] | None:
+        """Factors of the channels by the configuration, (n_tx, n_rx); None: all are 1."""
+        stated, n_rx = self.config.channel_gains, self.evidence.order.n_rx
+        if stated is None:
+            return None
+        gains = np.array(stated[: self.n_tx * n_rx], dtype=np.complex64)
+        if len(gains) < self.n_tx * n_rx or not gains.all():
+            raise UserError(
+                what="compRangeBiasAndRxChanPhase has too few factors, or factors of 0",
+                where=self.source,
+                expected=f"{self.n_tx} transmitters x {n_rx} receivers",
+                got=f"{len(stated)} factors",
+                hint="correct the profile, or delete that line to take the channels as they are",
+            )
+        return None if (gains == 1).all() else gains.reshape(self.n_tx, n_rx)
+
     @property
     def n_loops(self) -> int:
         """Chirps of each transmitter in a frame."""
@@ -96,10 +114,11 @@ class Recording:
         read: Callable[..., Samples] = decode_integers if integers else decode
         chirps = read(raw.view("<i2"), self.evidence.order, self.evidence.n_samples)
         chirps = chirps.reshape(stop - first, self.n_loops, self.n_tx, *chirps.shape[1:])
-        if integers or self.decoder is None:
+        if integers:
             return chirps
-        separated = np.einsum("tc,flcrn->fltrn", self.decoder.astype(np.float32), chirps)
-        return np.asarray(separated)
+        if self.decoder is not None:
+            chirps = np.einsum("tc,flcrn->fltrn", self.decoder.astype(np.float32), chirps)
+        return chirps if self.gains is None else np.asarray(chirps * self.gains[..., None])
 
     def blocks(self, first: int, stop: int, *, step: int = 1) -> Iterator[tuple[int, int]]:
         """Blocks of frames as (first, stop), multiples of `step` where memory allows."""
@@ -190,12 +209,17 @@ def open_recording(
     files = files.without_zeros(frame_bytes)
     notes = [*files.notes, *evidence.notes]
     _check_lanes(evidence, config, source)
-    if n_rx is None and evidence.order.is_sequential:
-        notes.append(f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}")
-    n_bytes = usual_bytes(files.streams)
-    stream, n_empty = files.streams[0], 0
+    if n_rx is None and (evidence.order.is_sequential or evidence.order.n_rx == 1):
+        notes.append(
+            f"n_rx (receivers) is not known and was assumed to be {evidence.order.n_rx}; give it "
+            "under [raw] of --radar if there are others, one after the other"
+        )
+    n_bytes, n_empty = usual_bytes(files.streams), 0
+    stream = files.streams[0]
     if not files.per_position:
-        n_empty = _empty_end(stream, head, evidence, source)
+        stream, n_empty, more = _repaired(stream, evidence, frame_bytes, source)
+        notes += more
+        n_bytes = stream.n_bytes
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
         text = f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"
@@ -207,19 +231,9 @@ def open_recording(
         notes.extend(odd)
         stream = PositionStream(files.streams, n_frames * frame_bytes)
         n_frames *= len(files.streams)
-    else:
-        notes.extend(_check_end(stream, evidence, n_empty))
-    chirps = first_chirps(head, evidence)
-    dead = dead_receivers(chirps)
-    notes.extend(f"receiver {rx} is dead: {reason}" for rx, reason in dead)
-    facts = [
-        *files.facts,
-        *describe(evidence, n_tx, n_chirps, n_frames),
-        describe_peak(chirps, evidence, radar, config),
-        *([("transmitters", str(config.transmitters))] if config.transmitters else []),
-        *([("dead receivers", ", ".join(f"{rx} ({why})" for rx, why in dead))] if dead else []),
-    ]
-    return Recording(
+    facts, more = _facts(head, files, evidence, radar, config, (n_tx, n_chirps, n_frames))
+    notes.extend(more)
+    found = Recording(
         source=source,
         stream=stream,
         evidence=evidence,
@@ -232,16 +246,61 @@ def open_recording(
         notes=tuple(notes),
         facts=tuple(facts),
     )
+    return replace(found, facts=(*found.facts, *_compensation(found)))
 
 
-def _empty_end(
-    stream: ByteStream, head: NDArray[np.int16], evidence: LayoutEvidence, source: Path
-) -> int:
-    """Bytes of zeros at the end; UserError if the recording begins within a chirp."""
+def _facts(
+    head: NDArray[np.int16],
+    files: _Files,
+    evidence: LayoutEvidence,
+    radar: RadarManifest,
+    config: TiConfig,
+    sizes: tuple[int, int, int],
+) -> tuple[list[tuple[str, str]], list[str]]:
+    """Facts of a recording, and notes; sizes: transmitters, chirps of a frame, frames."""
+    chirps = first_chirps(head, evidence)
+    dead = dead_receivers(chirps)
+    facts = [
+        *files.facts,
+        *describe(evidence, *sizes),
+        describe_peak(chirps, evidence, radar, config),
+        *([("transmitters", str(config.transmitters))] if config.transmitters else []),
+        *([("dead receivers", ", ".join(f"{rx} ({why})" for rx, why in dead))] if dead else []),
+    ]
+    return facts, [f"receiver {rx} is dead: {reason}" for rx, reason in dead]
+
+
+def _compensation(recording: Recording) -> list[tuple[str, str]]:
+    """Fact: what the configuration corrects."""
+    gains, bias_m = recording.gains, recording.config.path_bias_m
+    parts = [] if bias_m is None else [f"range bias {0.5 * bias_m:g} m"]
+    if gains is not None:
+        factors = (f"{g:.3g}" if g.imag else f"{g.real:+.3g}" for g in gains.reshape(-1).tolist())
+        parts.append(f"factors of the channels {' '.join(factors)}")
+    return [("compensation", f"{', '.join(parts)}, as the profile states")] if parts else []
+
+
+def _repaired(
+    stream: ByteStream, evidence: LayoutEvidence, frame_bytes: int, source: Path
+) -> tuple[ByteStream, int, list[str]]:
+    """Stream with zeros where packets are missing, the bytes of zeros at its end, and notes.
+
+    UserError if the recording begins within a chirp.
+    """
     order, n_samples = evidence.order, evidence.n_samples
-    if late := late_samples(head, order, n_samples):
+    n_empty = trailing_zeros(stream)
+    late, gaps = find_gaps(stream, order, n_samples, stream.n_bytes - n_empty)
+    if late:
         raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
-    return trailing_zeros(stream)
+    notes = [
+        f"{gap.n_packets} packet{'s' * (gap.n_packets > 1)} of {PAYLOAD_BYTES} bytes lost after "
+        f"{gap.at // frame_bytes} whole frames ({gap.at} bytes): zeros were put there"
+        if gap.n_packets
+        else f"from byte {gap.at} on, chirps begin {gap.late} samples late: captures were joined "
+        "that are no whole number of chirps long; from there on they are misread"
+        for gap in gaps
+    ]
+    return RepairedStream(stream, gaps) if gaps else stream, n_empty, notes
 
 
 def _one_stream(stream: ByteStream) -> _Files:
@@ -313,21 +372,6 @@ def _evidence(
         is_real=None if radar.raw.layout else config.is_real,
         where=source,
     )
-
-
-def _check_end(stream: ByteStream, evidence: LayoutEvidence, n_empty: int) -> list[str]:
-    """Note where the last chirps before `n_empty` bytes of zeros are shifted."""
-    chirp_bytes = evidence.n_samples * evidence.order.n_rx * _SAMPLE_BYTES
-    n_chirps = (stream.n_bytes - n_empty) // chirp_bytes
-    n_last = min(n_chirps // 4, _LONG_FILE_BYTES // chirp_bytes)
-    words = stream.read((n_chirps - n_last) * chirp_bytes, n_last * chirp_bytes).view("<i2")
-    late = n_last and late_samples(words, evidence.order, evidence.n_samples)
-    if not late:
-        return []
-    return [
-        f"at the end, chirps begin {late} samples late: packets were lost, or captures joined that "
-        "are no whole number of chirps long; from there on they are misread"
-    ]
 
 
 def _remove_headers(
@@ -417,7 +461,8 @@ def _count_frames(
 def is_kept(recording: Recording, per_position: int) -> bool:
     """Whether samples are kept as integers, as without averaging."""
     averaged = per_position > 1 or recording.n_loops > 1
-    return not (averaged or recording.decoder is not None or recording.evidence.order.is_real)
+    changed = recording.decoder is not None or recording.gains is not None
+    return not (averaged or changed or recording.evidence.order.is_real)
 
 
 def read_positions(

@@ -269,6 +269,7 @@ _XML_PROFILE = (
 )
 
 
+_COMPENSATION = "compRangeBiasAndRxChanPhase"
 # Least and largest number of values in a line of a profile. A frameCfg of the AWR2944 has eight,
 # with the number of samples before the period.
 _LINE_LENGTHS = {
@@ -279,6 +280,7 @@ _LINE_LENGTHS = {
     "adcCfg": (2, 2),
     "bpmCfg": (4, 4),
     "lvdsStreamCfg": (4, 4),
+    _COMPENSATION: (3, 2 * 64 * 64 + 1),
 }
 # Lines of what is not read.
 _UNREAD_LINES = {
@@ -328,8 +330,11 @@ def _from_profile(text: str, path: Path) -> TiConfig:
                 expected="-1 0 1 0, samples alone",
                 got=f"format {data_format:g}",
             )
+    bias_m, gains = _compensation(lines.get(_COMPENSATION, [[0.0, 1.0, 0.0]])[-1], path)
     return TiConfig(
         **profile_values(profile, (1, 3, 7, 9, 10), TYPED),
+        path_bias_m=2.0 * bias_m or None,
+        channel_gains=gains,
         n_rx=count_ones(channel[0]) if channel else None,
         is_real=is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,
@@ -337,6 +342,16 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         n_frames=(int(frame[3]) or None) if frame else None,
         frame_period_s=1e-3 * frame[4] if frame else None,
     )
+
+
+def _compensation(values: list[float], path: Path) -> tuple[float, tuple[complex, ...] | None]:
+    """Range bias [m], and the factor of each channel, receivers fastest; None where all are 1."""
+    bias_m, *parts = values
+    if len(parts) % 2:
+        what = f"{_COMPENSATION} must have a range bias and pairs of numbers"
+        raise UserError(what=what, where=path, got=f"{len(values)} numbers")
+    gains = tuple(complex(a, b) for a, b in zip(parts[::2], parts[1::2], strict=True))
+    return bias_m, None if set(gains) == {1} else gains
 
 
 def _transmitters(

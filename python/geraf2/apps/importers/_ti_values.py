@@ -98,6 +98,10 @@ class TiConfig:
     n_frames: int | None = None
     """Frames to record; None also for recordings of unlimited length."""
     frame_period_s: float | None = None
+    path_bias_m: float | None = None
+    """Instrument delay on the two-way path; None also where it is stated as 0."""
+    channel_gains: tuple[complex, ...] | None = None
+    """Factor of each channel of a loop, receivers fastest: some boards have turned antennas."""
     n_lanes: int | None = None
     is_real: bool | None = None
     """Whether samples are real, without Q."""

@@ -39,7 +39,7 @@ class WordOrder:
     @property
     def is_sequential(self) -> bool:
         """Whether receivers follow each other chirp by chirp."""
-        return self.layout in ("2-lane-sequential", "real-sequential")
+        return self.layout.endswith("-sequential")
 
     @property
     def n_alternating(self) -> int:
@@ -120,6 +120,9 @@ def _pack(
         target = packed.reshape(-1, 2, 2)
         quads = words.reshape(-1, 2, 2)
         lanes = [(quads[:, 0, side], quads[:, 1, side]) for side in range(2)]
+    elif order.layout == "iq-sequential":  # I0 Q0 I1 Q1 ..., receiver after receiver
+        target = packed.reshape(-1, 1, 2)
+        lanes = [(words[0::2], words[1::2])]
     else:
         target = packed.reshape(-1, n_rx, n_samples, 2).transpose(0, 2, 1, 3)
         n_chirps = words.size // (2 * n_rx * n_samples)
@@ -170,7 +173,7 @@ def find_n_samples(
     Jumps are residuals of a linear prediction. The chirp is the smallest period with a jump at
     every multiple.
     """
-    jumps = _jumps(words, order)
+    jumps = signal_jumps(words, order)
     if not jumps.any():
         return given, 1.0
     usual_jump = float(np.median(jumps))
@@ -197,7 +200,7 @@ def find_n_samples(
     return smallest, scores[smallest]
 
 
-def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
+def signal_jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
     """Power of the prediction residual of each sample, (n_samples,)."""
     n_lags = _N_LAGS * order.per_complex
     errors = np.abs(prediction_error(channels(words, order), n_lags)).astype(np.float64) ** 2
@@ -207,13 +210,16 @@ def _jumps(words: NDArray[np.int16], order: WordOrder) -> Floats:
     return np.asarray(ratios.mean(axis=0))
 
 
-def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int:
-    """Delay of the chirps, in samples as stored, in words that should begin with a chirp."""
-    jumps = _jumps(words, order)
+def chirp_phase(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> int | None:
+    """Sample as stored at which chirps begin; None where no jump shows it.
+
+    n_samples: complex samples of a chirp. Words that begin with a chirp give 0.
+    """
+    jumps = signal_jumps(words, order)
     n_samples *= order.per_complex
     n_chirps = len(jumps) // n_samples
     if n_chirps < _MIN_CHIRPS:
-        return 0
+        return None
     folded = np.median(jumps[: n_chirps * n_samples].reshape(n_chirps, n_samples)[1:], axis=0)
     # A chirp begins with a pair of samples where these are stored in pairs.
     latest = (
@@ -222,8 +228,9 @@ def late_samples(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> 
     # The error of a real sample after a jump may be larger than that of the first.
     latest = 0 if order.is_real and latest < _N_LAGS * order.per_complex else latest
     usual = float(np.median(jumps))
-    is_late = folded[latest] >= MIN_JUMP * max(usual, float(folded[0]))
-    return latest if usual > 0 and is_late else 0
+    if not usual > 0 or folded.max() < MIN_JUMP * usual:
+        return None
+    return latest if folded[latest : latest + step].max() >= MIN_JUMP * folded[0] else 0
 
 
 def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) -> UserError:
@@ -240,8 +247,15 @@ def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) 
 
 def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, int] | None:
     """Return the samples per chirp and those before the first whole one."""
-    jumps = _jumps(words, order)[:_MAX_SAMPLES]
-    first = int(jumps.argmax()) // 2 * 2
+    jumps = signal_jumps(words, order)
+    jumps = jumps[: min(_MAX_SAMPLES, len(jumps) // 2)]
+    if not jumps.any():
+        return None
+    # Samples behind a jump are predicted from before it, some worse than the first.
+    largest = int(jumps.argmax())
+    near = jumps[max(0, largest - _N_LAGS) : largest + 1]
+    first = largest + 1 - len(near) + int(np.argmax(near > 0.1 * near[-1]))
+    first -= first % 2 if order.layout == "2-lane-sequential" else 0
     n_samples, _ = find_n_samples(words[words_per_sample(order) * first :], order, None)
     return None if n_samples is None else (n_samples, first % n_samples)
 

@@ -82,6 +82,7 @@ def scan_of(
             "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
             "sample_rate_hz": rate / per_complex if rate else None,
             "n_samples": evidence.n_samples,
+            "path_bias_m": config.path_bias_m,
         },
         provenance=dict(recording.facts),
     )
