@@ -169,6 +169,10 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
     finer = PaperModel(domain_of(PRIOR, SMALL), replace(SMALL, reflectivity_n=9))
     with pytest.raises(UserError, match=r"other networks: reflectivity\.logits does not fit"):
         load_model(finer, state.arrays, "c")
+    for name in ("model.more.weight", "other"):
+        more = {**state.arrays, name: np.zeros(2, dtype=np.float32)}
+        with pytest.raises(UserError, match=f"other networks: it has {name}"):
+            load_model(trainer.model, more, "c")
     state.header["config"]["two_way"] = "thrice"
     state.header["config"]["no_such"] = 1
     with pytest.raises(UserError, match=r"c: settings: key 'two_way': .*; unknown key 'no_such'"):

@@ -22,6 +22,7 @@ from geraf2.learned.trainer import PaperTrainer
 KIND = "paper"
 VERSION = 2
 """Version of the layout below; raised when it changes."""
+_PARTS = ("model", "optimiser", "generator", "remembered")
 
 
 def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
@@ -87,6 +88,18 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
             model.sdf.upsample(n_per_side)
+    known = model_arrays(model).keys()
+    unknown = [
+        name
+        for name in sorted(arrays)
+        if name.split(".")[0] not in _PARTS or (name.startswith("model.") and name not in known)
+    ]
+    if unknown:
+        raise UserError(
+            what=f"is a checkpoint of other networks: it has {', '.join(unknown)[:200]}",
+            where=where,
+            expected=f"{len(known)} tensors of this model",
+        )
     with torch.no_grad():
         for name, parameter in _stored_tensors(model):
             stored = arrays.get(f"model.{name}")

@@ -79,6 +79,18 @@ def test_repeated_or_turned_planes_stay_poses(source, repeated):
     assert [pose.name for pose in scan.poses()] == ["0_0_0", "1_120_0", "1_120_1", "2_240_0"]
 
 
+def test_an_index_of_several_angles_is_named(source):
+    write_frame(source / "mf" / "1_125_0", point_pose(125.0))
+    (note,) = open_scan(source).notes
+    assert "1 plane indices occur with several angles, the first as 1_120_0, 1_125_0" in note
+
+
+def test_a_frame_that_occurs_twice_is_refused(source):
+    shutil.copytree(source / "mf" / "1_120_0", source / "mf" / "01_120.0_0")
+    with pytest.raises(UserError, match=r"is the same frame as 0?1_120"):
+        open_scan(source)
+
+
 def test_without_capture_json_everything_may_come_from_radar_toml(tmp_path, capture):
     source = write_geraf_sens(tmp_path / "c", capture, parameters=None)
     with pytest.raises(UserError, match=r"start_frequency_hz, .* are not known; give radar"):

@@ -14,6 +14,7 @@ and no antenna position is repeated, and separate poses otherwise.
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -116,11 +117,31 @@ def _find_frames(source: Path) -> tuple[list[Path], list[str]]:
             expected="mf/<index>_<angle>_<sub>/ with " + ", ".join(f"{n}.npy" for n in ARRAY_NAMES),
         )
     folders.sort(key=_order)
-    notes = []
+    notes = _repeated(folders)
     if skipped:
         names = ", ".join(sorted(path.name for path in skipped)[:4])
         notes.append(f"{len(skipped)} folders are no frames and were skipped: {names}")
     return folders, notes
+
+
+def _repeated(folders: Sequence[Path]) -> list[str]:
+    """Note on planes whose index occurs with several angles; UserError for a frame that repeats."""
+    by_index: dict[int, dict[float, Path]] = {}
+    for before, folder in pairwise(folders):
+        if _order(before) == _order(folder):
+            raise UserError(
+                what=f"is the same frame as {before.name}",
+                where=folder,
+                hint="remove one of the two",
+            )
+    for folder in folders:
+        index, angle, _ = _order(folder)
+        by_index.setdefault(index, {}).setdefault(angle, folder)
+    several = [of for of in by_index.values() if len(of) > 1]
+    if not several:
+        return []
+    names = ", ".join(path.name for path in list(several[0].values())[:4])
+    return [f"{len(several)} plane indices occur with several angles, the first as {names}"]
 
 
 def _order(folder: Path) -> tuple[int, float, int]:
