@@ -31,9 +31,9 @@ _FEW = 0.02
 _N_LINES, _N_OTHERS, _AT_ONCE, _ROUNDS = 400, 2000, 256, 12
 _MAX_SIGMA_M = 0.005
 """Largest standard deviation of a front face that is known [m]."""
-_PLACED = 0.25
-"""Least share of the strength of back faces whose front is known: 0 of nine bodies whose fronts are
-seen, too, 0.52 and more of eight others."""
+_PLACED = 0.5
+"""Least share of the strength of back faces whose front is known: 0 of nine bodies
+whose fronts are seen, too, 0.52 and more of balls, pill and beads."""
 
 
 class _Lines(NamedTuple):
