@@ -1,11 +1,13 @@
 """Whole captures, kept tiny: two planes of a few dozen antennas."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from geraf2.errors import UserError
 from geraf2.io.scan_file import ScanFile, ScanLine, SweptArray, SweptPlane
 from geraf2.scene import Wall
 from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
@@ -188,3 +190,12 @@ def test_lines_of_a_scan_file_over_a_raster_give_what_the_raster_gives():
     there[1::2] = there[1::2, ::-1]  # back and forth
     here = signals(spec).reshape(6, 6, -1).transpose(1, 0, 2)
     assert there == pytest.approx(here, abs=2e-5)
+
+
+def test_an_object_that_is_placed_outside_fits_once_the_hint_is_obeyed():
+    figure = replace(FREE.figure, center_m=(0.3, 0.0, 0.0))
+    spec = replace(FREE, figure=figure, walls=(replace(CARTON, center_m=(0.02, 0.0, 0.01)),))
+    with pytest.raises(UserError, match="does not fit into its box") as refused:
+        simulate(spec, seed=0)
+    stated = str(refused.value).split("figure.center_m to ")[1]
+    simulate(replace(spec, figure=replace(figure, center_m=tuple(json.loads(stated)))), seed=0)

@@ -170,8 +170,15 @@ def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
                 what="the object does not fit into its box",
                 expected=f"at most {_mm(room)} mm from the centre of the {_mm(wall.size_m)} mm box",
                 got=f"{_mm(reach)} mm",
-                hint="lower figure.height_m or enlarge walls.size_m",
+                hint=_how_to_fit(truth, wall, room),
             )
+
+
+def _how_to_fit(truth: TriangleMesh, wall: Wall, room: Floats) -> str:
+    if (np.ptp(truth.vertices, axis=0) < 2.0 * room).all():
+        x, y, z = wall.center_m
+        return f"it has the size for it: set figure.center_m to [{x:g}, {y:g}, {z:g}]"
+    return "lower figure.height_m or enlarge walls.size_m"
 
 
 def _require_outside(planes: list[ScanPlane], walls: tuple[Wall, ...]) -> None:
