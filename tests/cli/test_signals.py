@@ -117,7 +117,7 @@ sys.path.insert(0, "")
 def stop():
     os.kill(os.getpid(), 15)
     time.sleep(0.1)
-def dispatch(rest, asked):
+def dispatch(rest, asked, n_threads):
     {work}
 main._dispatch, sys.argv = dispatch, ["geraf2", "doctor"]
 main.run()

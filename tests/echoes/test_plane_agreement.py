@@ -40,7 +40,7 @@ def slow_agreement(peaks, n_planes):
             if planes[i] == planes[j] or distance > 0.035 or cosine <= 0.76:
                 continue
             mean = (normals[i] + normals[j]) / np.linalg.norm(normals[i] + normals[j])
-            sigma = np.hypot(1.5e-3 * np.sqrt(2.0), 60.0 * distance**3)
+            sigma = np.hypot(1.4e-3 * np.sqrt(2.0), 60.0 * distance**3)
             gauss = np.exp(-0.5 * (step @ mean / sigma) ** 2) / (np.sqrt(2 * np.pi) * sigma)
             pairs.append((planes[i], planes[j], gauss * 2.0 * max(distance, sigma)))
     density, share = np.array([pair[2] for pair in pairs]), 0.3

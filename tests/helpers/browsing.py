@@ -84,7 +84,7 @@ def require_first_screen(page, size, verdict):
     """Assert that the 3D view and the verdict are on the screen before any scrolling."""
     stage = page.locator(".viewer .stage").bounding_box()
     shown = min(stage["y"] + stage["height"], size[1]) - stage["y"]
-    assert shown > 0.8 * stage["height"]
+    assert shown > 0.8 * stage["height"], (stage, page.locator(".hero").inner_text())
     text = page.locator(verdict).bounding_box()
     assert text["y"] >= 0
     assert text["y"] + text["height"] <= size[1]

@@ -55,15 +55,16 @@ def test_a_ring_at_an_elevation_looks_down():
     assert seen(raised, 5, 40) == 2 * seen(replace(raised, n_planes=18), 0, 40)
 
 
-def test_axes_of_a_plane_look_inward_run_with_the_azimuth_and_rise():
+def test_axes_of_a_plane_look_inward_run_against_the_azimuth_and_rise():
     """The sphere's derivatives by azimuth and elevation, in small steps, are the raster's axes."""
-    for number, (middle, axes) in enumerate(replace(PLAN, elevations_deg=(40.0,)).planes()):
+    for number, plane in enumerate(replace(PLAN, elevations_deg=(40.0,)).apertures):
+        axes, middle = plane.axes, 0.5 * (plane.low_m + plane.high_m) @ plane.axes
         azimuth = 10.0 * number
         outward = degrees(azimuth, 40.0)[0]
         along = degrees(azimuth + 0.01, 40.0)[0] - degrees(azimuth - 0.01, 40.0)[0]
         rise = degrees(azimuth, 40.01)[0] - degrees(azimuth, 39.99)[0]
         assert middle == pytest.approx(0.4 * outward)
-        wanted = [-outward, along / np.linalg.norm(along), rise / np.linalg.norm(rise)]
+        wanted = [-outward, -along / np.linalg.norm(along), rise / np.linalg.norm(rise)]
         assert axes == pytest.approx(np.array(wanted))
 
 
