@@ -19,7 +19,7 @@ ROWS = [
             benchmark out --only population --seeds 1:2 --quick|--quick does not go with
             benchmark out --only population table1 --seeds 1:2|run each by itself
             benchmark out --only population --seeds 1:2 --presets fats|did you mean 'fast'
-            benchmark out --only population --seeds 1:2 --against other|has no results of --only population
+            benchmark out --only population --seeds 1:2 --against other|has no results of --only
             benchmark out --only table1 --presets fast|--presets
             benchmark out --only population table1|alone
             live tcp://example.org:80 out|is no socket of this machine

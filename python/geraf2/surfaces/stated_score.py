@@ -5,8 +5,9 @@ If the run is right, the score is the share of the area that lies within tau of 
     F(s) = sum_v A_v P(|d_v| < tau) / sum_v A_v,   d_v ~ N(0, (s e_v)^2),   log s ~ N(mu, sigma^2),
 
 with the area A_v [m^2] and the expected error e_v [m] of vertex v, given that it is at least 0.5.
-The factor s is common to the expected errors of a scan, which has no measure of it. With the probability of failure of the
-verdict the run is wrong: the score is then 0 in a third of the cases, else uniform below 0.5.
+The factor s is common to the expected errors of a scan, which has no measure of it. With the
+probability of failure of the verdict the run is wrong: the score is then 0 in a third of the cases,
+else uniform below 0.5.
 """
 
 import numpy as np
