@@ -85,11 +85,11 @@ def _read_csv(path: Path) -> LogTable:
     cells = _cells(lines, path, mark)
     if first is None:  # the first rows may be broken
         first = int(any(cell and not _is_number(cell) for cell in cells[0]))
+    if first >= len(cells):
+        raise UserError(what="has no rows", where=path)
     while first and len(cells[first - 1]) == len(cells[first]) and _is_number(cells[first - 1][0]):
         first -= 1  # a row with empty cells
     head, rows = cells[:first], cells[first:]
-    if not rows:
-        raise UserError(what="has no rows", where=path)
     notes: list[str] = []
     names, bodies = _names_of(head) if head else ([], [])
     if not _has_axes(names):
@@ -159,7 +159,7 @@ def _full_names(head: list[Row], at: int) -> tuple[Row, Row]:
     names = head[at] if head else []
     above = head[:at][::-1]
     rows = [
-        [*row, *[""] * (len(names) - len(row))]
+        [*row, *[""] * (len(names) - len(row))][: len(names)]
         for row in takewhile(lambda row: _is_above(row, len(names)), above)
     ]
     known = [body for row in above if row and row[0] in _BODY_LINES for body in row[1:] if body]
