@@ -226,9 +226,7 @@ def _numbers(rows: Sequence[Row], index: int, name: str, mark: str | None, path:
         return np.array([float(cell or "nan") for cell in cells])
     except ValueError:
         pass
-    bad = next(
-        row for row, cell in enumerate(cells) if "," in cell or cell and not _is_number(cell)
-    )
+    bad = next(k for k, cell in enumerate(cells) if cell and ("," in cell or not _is_number(cell)))
     if quantity_of(name) is not None:
         raise UserError(
             what=f"cannot be read as numbers: row {bad + 1}, column {name!r}",
