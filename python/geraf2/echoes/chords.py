@@ -45,8 +45,8 @@ class _Lines(NamedTuple):
 
     @classmethod
     def of(cls, glints: Glints, rows: Ints, weights: Floats) -> "_Lines":
-        others = glints.select(_spread(len(glints), _N_OTHERS))
-        strengths = weights[_spread(len(glints), _N_OTHERS)]
+        columns = _spread(len(glints), _N_OTHERS)
+        others, strengths = glints.select(columns), weights[columns]
         n_steps = 2 * round(_REACH_M / _STEP_M) + 1
         found = np.zeros((2, len(rows), n_steps))
         for side, sign in enumerate((1.0, -1.0)):
@@ -68,6 +68,15 @@ class _Lines(NamedTuple):
         top = found.max(axis=2, keepdims=True)
         found /= np.maximum(top, 0.1 * np.quantile(top, 0.9))
         return cls(found[0], found[1], weights[rows])
+
+    def across(self) -> tuple[Floats, Floats, Floats]:
+        """Echoes on the other side, for each length of a chord, (n_lines, n_lengths) each.
+
+        The front face seen from a front face, one face from the other, the back from a back face.
+        """
+        steps = (-1.0, _INDEX - 1.0, 2.0 * _INDEX - 1.0)
+        away, near, across = (self.opposite[:, _step(d * _LENGTHS_M)] for d in steps)
+        return away, near, across
 
 
 class _Faces(NamedTuple):
@@ -116,7 +125,7 @@ def _update(lines: _Lines, faces: _Faces) -> _Faces:
     front, back = _chances(lines, faces)
     total = (front + back).sum(axis=1, keepdims=True)
     front, back = lines.weights[:, None] * front / total, lines.weights[:, None] * back / total
-    away, near, across = (lines.opposite[:, _step(d * t)] for d in (-1.0, n - 1.0, 2.0 * n - 1.0))
+    away, near, across = lines.across()
     n_front = (back * (lines.same[:, _step(n * t)] + near) + front * away).sum()
     n_back = (front * (lines.same[:, _step(-n * t)] + near) + back * across).sum()
     chords, lengths = front.sum() + back.sum(), gaussian_filter1d((front + back).sum(axis=0), 3.0)
@@ -130,7 +139,7 @@ def _update(lines: _Lines, faces: _Faces) -> _Faces:
 def _chances(lines: _Lines, faces: _Faces) -> tuple[Floats, Floats]:
     """Joint probability of a front or back face and of the chord's length, (n_lines, n_lengths)."""
     t, n = _LENGTHS_M, _INDEX
-    away, near, across = (lines.opposite[:, _step(d * t)] for d in (-1.0, n - 1.0, 2.0 * n - 1.0))
+    away, near, across = lines.across()
     front = _seen(lines.same[:, _step(-n * t)], faces.back)
     front *= _seen(away, faces.front) * _seen(near, faces.back)
     back = _seen(lines.same[:, _step(n * t)], faces.front)

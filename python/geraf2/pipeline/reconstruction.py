@@ -108,13 +108,11 @@ class Reconstruction:
         """Request of the run."""
         return RunRecord.read(self.path / CONFIG_NAME)
 
-    def samples(
-        self, n: int = 24, *, seed: int = 0, num_threads: int | None = None
-    ) -> "SurfaceSamples":
+    def samples(self, n: int = 24, *, seed: int = 0) -> "SurfaceSamples":
         """Draw surfaces that the scan allows, all with the triangles of `content_mesh`.
 
-        The samples include offsets that echoes share: of the scan, of a plane, of a face of the
-        box. The uncertainty of any quantity of the mesh is its spread over the samples.
+        The samples include the offset that all echoes of the scan share. The uncertainty of any
+        quantity of the mesh is its spread over the samples.
 
         Parameters
         ----------
@@ -122,8 +120,6 @@ class Reconstruction:
             Number of surfaces, at least 2; each takes 10 to 25 ms on one core.
         seed
             Seed of the draws.
-        num_threads
-            Threads of the kernels; all when None.
 
         Returns
         -------

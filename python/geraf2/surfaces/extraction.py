@@ -13,7 +13,7 @@ from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
 from geraf2.scene import Grid, LosPrior, Wall
 from geraf2.surfaces.error_field import sample_surface
-from geraf2.surfaces.fit import Evidence, FitConfig
+from geraf2.surfaces.fit import Evidence
 from geraf2.surfaces.isosurface import (
     drop_components,
     extract_surface,
@@ -46,13 +46,12 @@ def extract_meshes(
     sdf: SdfGrid,
     evidence: Glints | Evidence,
     prior: LosPrior,
-    fit: FitConfig | None = None,
     *,
     num_threads: int | None = None,
 ) -> ExtractedMeshes:
     """Zero level of a field, separated into box and content by the prior.
 
-    evidence, fit: data and settings of the fit that gave `sdf`.
+    evidence: data of the fit that gave `sdf`.
 
     The content is the zero level of `sdf` inside the prior's innermost known face, without voids
     and fragments (:func:`content_surface`). Each vertex has its expected error

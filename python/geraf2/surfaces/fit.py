@@ -169,7 +169,7 @@ def _first_solves(
 
     Returns the last system, and its field, whose gradient is not yet of length 1.
     """
-    terms, points = _terms(config), _weigh(evidence, config)
+    terms, points = _terms(config), _weigh(evidence)
     grid = _domain(evidence.glints.positions, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
@@ -180,7 +180,7 @@ def _first_solves(
     sdf = system.solve(tolerance=tolerance)
     touched = _touched(evidence, sdf, num_threads)
     if touched is not None:
-        system = LinearSdf(sdf, _weigh(evidence, config, touched), terms, num_threads=num_threads)
+        system = LinearSdf(sdf, _weigh(evidence, touched), terms, num_threads=num_threads)
         sdf = system.solve(tolerance=tolerance)
     report(2)
     return system, sdf
@@ -205,9 +205,7 @@ def _terms(config: FitConfig) -> SdfTerms:
     )
 
 
-def _weigh(
-    evidence: Evidence, config: FitConfig, touched: Tangents | None = None
-) -> OrientedPoints:
+def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoints:
     glints, both = evidence.glints, evidence.seen
     relative = relative_strengths(both.strengths, glints.strengths)
     # The variance of a normal falls as 1 / amplitude, that of a position as its root.

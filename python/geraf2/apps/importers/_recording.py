@@ -199,7 +199,7 @@ def open_recording(
     stream: words of the recording, where `source` is no raw file.
     """
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
-    files = _one_stream(stream) if stream else _open_files(source, radar, options)
+    files = _one_stream(stream) if stream else _open_files(source, options)
     head = files.head()
     n_rx = radar.raw.n_rx or config.n_rx
     evidence = _evidence(head, n_rx, radar, config, source)
@@ -310,7 +310,7 @@ def _one_stream(stream: ByteStream) -> _Files:
     )
 
 
-def _open_files(source: Path, radar: RadarManifest, options: ImportOptions) -> _Files:
+def _open_files(source: Path, options: ImportOptions) -> _Files:
     """Files of a recording, or of the positions of a scan, without packet headers."""
     named = None
     if options.positions is not None and source.is_dir():

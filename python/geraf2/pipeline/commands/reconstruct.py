@@ -463,9 +463,7 @@ def make_surface(
     run.record_files()
     if options.samples:
         with job.step("samples") as step:
-            samples = Reconstruction(run).samples(
-                options.samples, seed=job.seed, num_threads=threads
-            )
+            samples = Reconstruction(run).samples(options.samples, seed=job.seed)
             samples.save(run.path / SAMPLES_NAME)
             step.numbers |= {"n_samples": len(samples), **samples.size_numbers()}
     if report:

@@ -45,7 +45,7 @@ def reconstruct_fast(job: Job) -> None:
     glints, config = find_glints(job), job.config.fit
     sdf = _fit(job, glints, config)
     evidence = Evidence(glints=glints, common_sigma_m=common_sigma_m(job.run))
-    draw_surface(job, sdf, evidence, config)
+    draw_surface(job, sdf, evidence)
 
 
 def reconstruct_best(job: Job) -> None:
@@ -68,7 +68,7 @@ def reconstruct_best(job: Job) -> None:
             selected.silhouettes.save(folder / SILHOUETTES_NAME)
         step.numbers |= selected.numbers()
     evidence = evidence_of(selected, config, common_sigma_m(job.run))
-    draw_surface(job, _fit(job, evidence, config.fit), evidence, config.fit)
+    draw_surface(job, _fit(job, evidence, config.fit), evidence)
 
 
 def find_glints(job: Job) -> Glints:
@@ -109,19 +109,16 @@ def _fit(job: Job, evidence: Glints | Evidence, config: FitConfig) -> SdfGrid:
     return sdf
 
 
-def draw_surface(
-    job: Job, sdf: SdfGrid, evidence: Evidence | float, fit: FitConfig | None = None
-) -> None:
+def draw_surface(job: Job, sdf: SdfGrid, evidence: Evidence | float) -> None:
     """Draw the meshes of a field, and write them with the field's distance to them.
 
     evidence: data of the field's fit; for a field without glints, the margin by which its box is
         cropped [m].
-    fit: settings of the fit.
     """
     threads = job.num_threads
     with job.step("mesh") as step:
         if isinstance(evidence, Evidence):
-            meshes = extract_meshes(sdf, evidence, job.prior, fit, num_threads=threads)
+            meshes = extract_meshes(sdf, evidence, job.prior, num_threads=threads)
         else:
             meshes = extract_cropped_meshes(sdf, job.prior, evidence, num_threads=threads)
         if meshes.mesh_content.faces.shape[0]:  # drop the same pieces from the field
