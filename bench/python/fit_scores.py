@@ -1,13 +1,14 @@
 """Scores of the fit on evidence that is there: finished runs and scenes of glints without radar.
 
     python bench/python/fit_scores.py [--ordinary RUN=TRUTH...] [--random RUN=TRUTH...]
-        [--figures NAME...] [--seeds A:B] [--set FIELD=VALUE...] [--save FILE] [--against FILE]
+        [--ordinary-seeds A:B] [--random-seeds A:B] [--set FIELD=VALUE...] [--save FILE]
+        [--against FILE]
 
 Each `RUN` is a folder of `geraf2 reconstruct` with the preset fast or best, whose glints and
-outlines are fitted again; each `TRUTH` is a mesh in metres. `--figures` and `--seeds` make scenes
-of glints instead: from a procedural object or one of the population every sub-aperture gets the
-points whose normals meet its middle, with errors and false glints. That takes a
-second or two a scene.
+outlines are fitted again; each `TRUTH` is a mesh in metres. `--ordinary-seeds` and `--random-seeds`
+make scenes of glints instead: from an ordinary object or one of the population every sub-aperture
+gets the points whose normals meet its middle, with errors and false glints. That takes a second or
+two a scene.
 
 `--set` changes fields of `FitConfig`, and the same evidence is also fitted without it: the table
 states F1 at 5, 3 and 2 mm and the mean of the paired differences with its standard error, of
@@ -22,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial import KDTree
-from scipy.spatial.transform import Rotation
 
 import geraf2
 from geraf2.apps.benchmark.population import parse_seeds
@@ -37,11 +37,10 @@ from geraf2.pipeline.prior import read_prior
 from geraf2.pipeline.surface_samples import evidence_of_run
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import Aperture
-from geraf2.simulation.figures import FIGURES, build_figure
-from geraf2.simulation.population import draw_scene
-from geraf2.simulation.population_settings import POPULATION
-from geraf2.simulation.random_objects import random_object
+from geraf2.simulation.ordinary import draw_ordinary
+from geraf2.simulation.population import DrawnScene, draw_scene
 from geraf2.simulation.scan import scan_planes
+from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import ScanSpec
 from geraf2.surfaces.extraction import content_surface
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf
@@ -165,24 +164,10 @@ def echoes(
                 yield point, direction / np.linalg.norm(direction), float(np.sqrt(power))
 
 
-def figure_scene(name: str) -> Scene:
-    """Procedural object on 36 planes around it."""
-    seed, mesh = sorted(FIGURES).index(name), build_figure(name)
-    rng = np.random.default_rng(seed)
-    turn = Rotation.from_rotvec([0.0, 0.0, rng.uniform(0.0, 2.0 * np.pi)]).as_matrix()
-    vertices = (mesh.vertices - 0.5 * (mesh.vertices.min(0) + mesh.vertices.max(0))) @ turn.T
-    vertices *= 0.15 / np.ptp(vertices, axis=0).max()
-    truth = TriangleMesh(vertices=vertices, faces=mesh.faces)
-    return scene_of_object(name, "ordinary", truth, ScanSpec(), seed)
-
-
-def random_scene(seed: int) -> Scene:
-    """Object and planes of a seed of the population."""
-    spec = draw_scene(seed).spec
-    mesh = random_object(np.random.default_rng(seed), POPULATION).mesh
-    shift = np.asarray(spec.figure.center_m) - mesh.vertices.min(0) - 0.5 * np.ptp(mesh.vertices, 0)
-    truth = TriangleMesh(vertices=mesh.vertices + shift, faces=mesh.faces)
-    return scene_of_object(f"random-{seed}", "random", truth, spec.scan, seed)
+def drawn_scene(drawn: DrawnScene, kind: str) -> Scene:
+    """Object and planes of a seed."""
+    spec, seed = drawn.spec, drawn.record["seed"]
+    return scene_of_object(f"{kind}-{seed}", kind, build_solid(spec.figure), spec.scan, seed)
 
 
 def scores(scene: Scene, config: FitConfig) -> list[float]:
@@ -217,18 +202,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--ordinary", nargs="*", default=[], metavar="RUN=TRUTH")
     parser.add_argument("--random", nargs="*", default=[], metavar="RUN=TRUTH")
-    parser.add_argument("--figures", nargs="*", default=[], help="names, or 'all'")
-    parser.add_argument("--seeds", type=parse_seeds, default=(), help="A:B, B excluded")
+    parser.add_argument("--ordinary-seeds", type=parse_seeds, default=(), help="A:B, B excluded")
+    parser.add_argument("--random-seeds", type=parse_seeds, default=(), help="A:B, B excluded")
     parser.add_argument("--set", nargs="*", default=[], dest="changes", metavar="FIELD=VALUE")
     parser.add_argument("--save", type=Path, help="write the scores of the last setting")
     parser.add_argument("--against", type=Path, help="scores to compare with, of --save")
     options = parser.parse_args()
-    names = sorted(FIGURES) if options.figures == ["all"] else options.figures
     makers: list[Callable[[], Scene]] = [
         *(lambda p=p: scene_of_run(p, "ordinary") for p in options.ordinary),
         *(lambda p=p: scene_of_run(p, "random") for p in options.random),
-        *(lambda n=n: figure_scene(n) for n in names),
-        *(lambda s=s: random_scene(s) for s in options.seeds),
+        *(lambda s=s: drawn_scene(draw_ordinary(s), "ordinary") for s in options.ordinary_seeds),
+        *(lambda s=s: drawn_scene(draw_scene(s), "random") for s in options.random_seeds),
     ]
     changes = {name: float(value) for name, value in (c.split("=", 1) for c in options.changes)}
     known, rows = json.loads(options.against.read_text()) if options.against else {}, []

@@ -3,13 +3,9 @@
     python bench/python/verdict_scans.py --out DIR --set estimate [--only ordinary random]
 
 Constants are chosen on the set `estimate` and judged on the set `decide`. A set has good scans,
-`ordinary` (an object in a carton with some clearance) and `random` (of the population), and bad
-ones: simulated as such, or the capture of a good one, edited. DIR/NAME is a scene with truth.ply,
-and DIR/NAME.json says what it is; a scene that is there is left as it is.
-
-The echoes of all scans hold the flash of the far walls: the inner sides of all walls reflect, are
-delayed by the walls, and are hidden where a ray meets the object. The world's effect `waves`
-replaces this sharp shadow by that of a wave, and adds the paths by wall and object.
+`ordinary` (`geraf2.simulation.ordinary`) and `random` (of the population), and bad ones: simulated
+as such, or the capture of a good one, edited. DIR/NAME is a scene with truth.ply, and DIR/NAME.json
+says what it is; a scene that is there is left as it is.
 """
 
 import argparse
@@ -31,37 +27,21 @@ from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.toml import from_table
 from geraf2.scene import Capture, Pose, Wall, load_capture, save_capture
-from geraf2.simulation import DisturbanceSpec, FigureSpec, ScanSpec, SceneSpec, WorldSpec, simulate
-from geraf2.simulation.figures import FIGURES
-from geraf2.simulation.population import RADARS, draw_scene, simulation_seconds
+from geraf2.simulation import SceneSpec, WorldSpec, simulate
+from geraf2.simulation.ordinary import DECIDING_SEED, N_EACH, N_WAYS, OBJECTS, draw_ordinary
+from geraf2.simulation.population import draw_scene, limit_to_budget
 from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.solids import build_solid
-from geraf2.simulation.spec import RingSpec
-from geraf2.simulation.world import EFFECTS
 
 SETS = {"estimate": 300, "decide": 30000}
 """First seed of each set's random scans."""
-DATA = Path("../shared/data/meshes")
-MESHES = {
-    "cat": ("+y", 0),
-    "fish": ("+z", 2),
-    "penguin": ("+y", 1),
-    "spot": ("+y", 1),
-    "wingnut": ("+z", 1),
-}
-"""Upward axis and rounds of subdivision of each mesh file."""
-N_ORDINARY, N_RANDOM, N_BAD = 12, 10, 6
+N_ORDINARY, N_RANDOM, N_BAD = 16, 10, 6
 BUDGET_S, WAVES_BUDGET_S = 25.0, 60.0
-PLAUSIBLE = tuple(e for e in EFFECTS if e not in ("dielectric", "waves", "second_bounce"))
-WORLDS = {
-    "ideal": WorldSpec(),
-    "plausible": WorldSpec(preset="plausible", effects=PLAUSIBLE),
-    "waves": WorldSpec(wall_waves=True, multipath=True, second_bounce=True),
-}
+WITH_FLASH, WITH_ERRORS_AND_FLASH, RAISED_WITH_FLASH = 2, 3, 6
+"""Ways to scan an ordinary object."""
 PLASTIC = WorldSpec(figure_permittivity=2.7, figure_loss_tangent=0.01)
-BODIES = ("figure", "ball", "slab")
+BODIES = ("object", "ball", "slab")
 """Solid bodies of plastic."""
-PLANES_MIN, APERTURE_MIN_M = 12, 0.08
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,109 +59,6 @@ class Scan:
 
 
 # Scans that are simulated.
-
-
-def figure_of(name: str, largest_m: float, turn_deg: float) -> FigureSpec:
-    """Object whose largest extent is given, turned about the vertical."""
-    if name in MESHES:
-        up, smooth = MESHES[name]
-        path = str(DATA / f"{name}.ply")
-        spec = FigureSpec(mesh=path, up=up, smooth_subdivisions=smooth, turn_deg=turn_deg)
-    else:
-        spec = FigureSpec(name=name, turn_deg=turn_deg)
-    extents = np.ptp(build_solid(spec).vertices, axis=0)
-    return replace(spec, height_m=float(spec.height_m * largest_m / extents.max()))
-
-
-def carton_scene(
-    figure: FigureSpec,
-    world: WorldSpec,
-    rng: np.random.Generator,
-    *,
-    raised: bool,
-    inner_height_m: float | None = None,
-    below_m: float | None = None,
-) -> tuple[SceneSpec, dict[str, Any]]:
-    """An object in a carton of some clearance, and planes around it that start at any angle.
-
-    inner_height_m: of a high carton on whose floor the object lies.
-    below_m: by how much the top of the object lies below the lowest antenna.
-    """
-    extents = np.ptp(build_solid(figure).vertices, axis=0)
-    thickness, clearance = rng.uniform(0.003, 0.005), rng.uniform(0.02, 0.05, 3)
-    standing = bool(rng.random() < 0.5) or inner_height_m is not None
-    inner = extents + 2.0 * clearance
-    if standing:
-        inner[2] = inner_height_m or extents[2] + clearance[2]
-    room = np.minimum(clearance - 0.012, 0.02)
-    center = rng.uniform(-1.0, 1.0, 3) * room
-    if standing:
-        center[2] = 0.5 * (extents[2] - inner[2]) + POPULATION.foot_gap_m
-    size = inner + 2.0 * thickness
-    aperture = rng.uniform(0.11, 0.13), rng.uniform(0.16, 0.19)
-    if world.wall_waves:
-        aperture = 0.10, 0.14
-    height_m = center[2] + rng.uniform(-0.01, 0.01)
-    if below_m is not None:
-        height_m = center[2] + 0.5 * extents[2] + below_m + 0.5 * aperture[1]
-    n_planes, start, second = int(rng.integers(16, 25)), *rng.uniform(0.0, 360.0, 2)
-    n_raised = int(rng.integers(3, 6)) if raised else 0
-    ring = RingSpec(
-        n_poses=max(1, n_raised),
-        elevation_deg=rng.uniform(25.0, 45.0),
-        start_angle_deg=second,
-        height_m=height_m,
-    )
-    wall = Wall(
-        size_m=tuple(size.tolist()),
-        thickness_m=thickness,
-        permittivity=rng.uniform(1.5, 1.8),
-        center_m=(0.0, 0.0, 0.0),
-    )
-    radar = "64 samples" if rng.random() < 0.5 and not world.wall_waves else "AWR1843"
-    scan = ScanSpec(
-        n_poses=n_planes - n_raised,
-        start_angle_deg=start,
-        aperture_m=aperture,
-        spacing_m=0.005 if world.wall_waves else float(rng.choice([0.004, 0.005])),
-        standoff_m=max(0.5 * float(np.linalg.norm(size)) + 0.04, rng.uniform(0.28, 0.40)),
-        height_m=height_m,
-        rings=(ring,) * bool(raised),
-    )
-    spec = SceneSpec(
-        figure=replace(figure, center_m=tuple(center.tolist())),
-        walls=(wall,),
-        waveform=RADARS[radar],
-        scan=scan,
-        disturbance=DisturbanceSpec(snr_db=rng.uniform(15.0, 25.0)),
-        world=world,
-    )
-    spec = within_budget(spec)
-    return spec, {"standing": standing, "radar": radar, "extents_m": extents.tolist()}
-
-
-def within_budget(spec: SceneSpec) -> SceneSpec:
-    """Spec with fewer planes, coarser ones, then smaller ones, as its CPU time needs."""
-    mesh = build_solid(spec.figure)
-    budget_s = WAVES_BUDGET_S if spec.world.wall_waves else BUDGET_S
-    while simulation_seconds(spec, mesh) > budget_s:
-        scan = spec.scan
-        width, height = scan.aperture_m
-        if scan.n_planes > 16:
-            smaller = replace(scan, n_poses=scan.n_poses - 1)
-        elif scan.spacing_m < 0.005:
-            smaller = replace(scan, spacing_m=0.005)
-        elif spec.waveform.n_samples > 32:
-            spec = replace(spec, waveform=RADARS["AWR1843"])
-            continue
-        elif scan.n_planes > PLANES_MIN:
-            smaller = replace(scan, n_poses=scan.n_poses - 1)
-        elif width > APERTURE_MIN_M:
-            smaller = replace(scan, aperture_m=(width - 0.005, height - 0.0075))
-        else:
-            break
-        spec = replace(spec, scan=smaller)
-    return spec
 
 
 def simulated(spec: SceneSpec, seed: int, about: dict[str, Any], *, walls: bool) -> Any:
@@ -202,20 +79,15 @@ def simulated(spec: SceneSpec, seed: int, about: dict[str, Any], *, walls: bool)
     return (capture if walls else replace(capture, walls=())), truth, about
 
 
-def ordinary(figure: str, seed: int, number: int, out: Path) -> Any:
-    rng = np.random.default_rng(seed)
-    own = figure_of(figure, rng.uniform(0.09, 0.13), rng.uniform(0.0, 360.0))
-    world = tuple(WORLDS)[number % 3]
-    spec, about = carton_scene(own, WORLDS[world], rng, raised=number % 2 == 1)
-    about |= {"figure": figure, "case": world}
-    return simulated(spec, seed, about, walls=number // 2 % 2 == 0)
+def ordinary(seed: int, number: int, out: Path) -> Any:
+    drawn = draw_ordinary(seed)
+    return simulated(drawn.spec, seed, dict(drawn.record), walls=number // 2 % 2 == 0)
 
 
 def random(seed: int, number: int, out: Path, **changes: Any) -> Any:
     population = replace(POPULATION, budget_s=BUDGET_S, waves_budget_s=WAVES_BUDGET_S, **changes)
     drawn = draw_scene(seed, population)
-    record = {"case": drawn.record["world"], "radar": drawn.record["radar"]}
-    return simulated(drawn.spec, seed, record, walls=number % 2 == 0)
+    return simulated(drawn.spec, seed, dict(drawn.record), walls=number % 2 == 0)
 
 
 def random_seeds(first: int) -> Iterator[int]:
@@ -230,36 +102,49 @@ def hard(seed: int, number: int, out: Path) -> Any:
     return random(seed, number, out, world=(("hard", 1.0),), plastic=0.0)
 
 
-def out_of_height(figure: str, seed: int, number: int, out: Path) -> Any:
+def out_of_height(seed: int, number: int, out: Path) -> Any:
     """An object on the floor of a high carton, below all antennas; the scene states the carton."""
-    rng = np.random.default_rng(seed)
-    own = figure_of(figure, rng.uniform(0.07, 0.09), rng.uniform(0.0, 360.0))
-    inner_m, below_m = rng.uniform(0.40, 0.45), rng.uniform(0.06, 0.12)
-    world = ("ideal", "plausible")[number % 2]
-    spec, about = carton_scene(
-        own, WORLDS[world], rng, raised=False, inner_height_m=inner_m, below_m=below_m
+    drawn, rng = draw_ordinary(seed), np.random.default_rng(seed)
+    spec, below_m = drawn.spec, rng.uniform(0.06, 0.12)
+    wall, (x, y, _) = spec.walls[0], spec.figure.center_m
+    wall = replace(wall, size_m=(*wall.size_m[:2], rng.uniform(0.40, 0.45)))
+    height_m = drawn.record["extents_m"][2]
+    floor_m = wall.thickness_m - 0.5 * wall.size_m[2] + POPULATION.foot_gap_m
+    clear_m = 0.5 * float(np.linalg.norm(wall.size_m)) + POPULATION.box_distance_m
+    spec = replace(
+        spec,
+        figure=replace(spec.figure, center_m=(x, y, floor_m + 0.5 * height_m)),
+        walls=(wall,),
+        scan=replace(
+            spec.scan,
+            height_m=floor_m + height_m + below_m + 0.5 * spec.scan.aperture_m[1],
+            standoff_m=max(spec.scan.standoff_m, clear_m),
+        ),
     )
-    about |= {"figure": figure, "case": world, "below_m": below_m}
-    return simulated(spec, seed, about, walls=True)
+    about = {"object": drawn.record["object"], "below_m": below_m}
+    return simulated(within_budget(spec), seed, about, walls=True)
 
 
-def plastic(figure: str, seed: int, number: int, out: Path) -> Any:
-    """A solid object of plastic: one of the figures, a ball of 16 to 50 mm, or a slab of 2 cm."""
-    rng = np.random.default_rng(seed)
-    body = BODIES[number % 3]
-    turn_deg, path = rng.uniform(0.0, 360.0), out / "bodies" / f"{body}-{number}.ply"
-    if body == "figure":
-        own = figure_of(figure, rng.uniform(0.09, 0.13), turn_deg)
-    else:
+def plastic(seed: int, number: int, out: Path) -> Any:
+    """A solid object of plastic: an ordinary one, a ball of 16 to 50 mm, or a slab of 2 cm."""
+    drawn, rng = draw_ordinary(seed), np.random.default_rng(seed)
+    body, own = BODIES[number % 3], drawn.spec.figure
+    if body != "object":
         height_m = rng.uniform(0.016, 0.05) if body == "ball" else rng.uniform(0.08, 0.11)
         mesh = icosphere(subdivisions=5) if body == "ball" else cuboid((0.02, 0.08, height_m))
+        path = out / "bodies" / f"{body}-{number}.ply"
         path.parent.mkdir(exist_ok=True)
-        own = TriangleMesh(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
-        write_mesh(own, path, frame="object", made_from={})
-        own = FigureSpec(mesh=str(path), height_m=height_m, turn_deg=turn_deg)
-    spec, about = carton_scene(own, PLASTIC, rng, raised=number % 2 == 1)
-    about |= {"figure": figure if body == "figure" else body, "case": "ideal"}
+        solid = TriangleMesh(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
+        write_mesh(solid, path, frame="object", made_from={})
+        own = replace(own, name=None, mesh=str(path), up="+z", height_m=height_m)
+    spec = within_budget(replace(drawn.spec, figure=own, world=PLASTIC))
+    about = {"object": drawn.record["object"] if body == "object" else body}
     return simulated(spec, seed, about, walls=number % 2 == 0)
+
+
+def within_budget(spec: SceneSpec) -> SceneSpec:
+    """Spec with fewer and smaller planes where its simulation would take longer than others."""
+    return limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
 
 
 # Captures that are edited: each edit gives the capture and what it did.
@@ -372,50 +257,54 @@ def edited(kind: str, base: str, seed: int, number: int, out: Path) -> Any:
     about = json.loads((out / f"{base}.json").read_text())
     capture = load_capture(out / base).load()
     capture, done = EDITS[kind][1](capture, np.random.default_rng(seed), number, about)
-    kept = ("case", "figure", "radar", "walls", "scene_has_walls", "n_planes", "center_m")
+    kept = ("object", "radar", "walls", "scene_has_walls", "n_planes", "center_m")
     about = {name: about[name] for name in kept if name in about} | {"base": base, "edit": done}
     about["scene_has_walls"] = bool(capture.walls)
     return capture, read_mesh(out / base / TRUTH_NAME), about
 
 
+def ordinary_seed(of_set: str, number: int, way: int) -> tuple[int, str]:
+    """Seed of an ordinary scan of a set, and the name of its object."""
+    decides, own = of_set == "decide", number % N_EACH
+    return DECIDING_SEED * decides + own + N_EACH * way, OBJECTS[N_EACH * decides + own]
+
+
 def scans_of(of_set: str) -> list[Scan]:
     """All scans of a set: good ones first, on which edited ones rest."""
-    first = SETS[of_set]
-    names = list(FIGURES)[0 if of_set == "estimate" else 1 :: 2]
-    if of_set == "decide":
-        names += [name for name in MESHES if (DATA / f"{name}.ply").is_file()]
-    scans = []
-    for number in range(max(N_ORDINARY, len(names))):
-        name, again = names[number % len(names)], number // len(names)
-        scans.append(
-            Scan(
-                name=f"ordinary-{name}" + f"-{again + 1}" * (again > 0),
-                kind="ordinary",
-                make=partial(ordinary, name, first + number, number),
-            )
-        )
+    first, scans, with_leakage = SETS[of_set], [], []
+    for number in range(N_ORDINARY):  # each object in two ways, and each way with two objects
+        way = (3 * number + number // N_EACH) % N_WAYS
+        seed, of = ordinary_seed(of_set, number, way)
+        make, name = partial(ordinary, seed, number), f"ordinary-{of}-{way}"
+        scans.append(Scan(name=name, kind="ordinary", make=make))
+        with_leakage += [name] * (way % 2)  # an error of the world
     for number, seed in zip(range(N_RANDOM), random_seeds(first), strict=False):
         make = partial(random, seed, number)
         scans.append(Scan(name=f"random-{seed}", kind="random", make=make))
     good = [[s.name for s in scans if s.kind == kind] for kind in ("ordinary", "random")]
-    simulations = {"height": out_of_height, "plastic": plastic}
     for at, kind in enumerate(["height", "plastic", "hard", *EDITS]):
         label = kind.replace(", ", "-").replace(" ", "-")
         for number in range(N_BAD):
             seed, cause, base = first + 1000 * (at + 1) + number, kind, ""
-            figure = names[(at + number) % len(names)]
-            if kind == "hard":
-                make, name = partial(hard, seed, number), f"{label}-{seed}"
-            elif kind in simulations:
+            if kind == "height":
+                seed, of = ordinary_seed(
+                    of_set, number, (WITH_FLASH, WITH_ERRORS_AND_FLASH)[number % 2]
+                )
+                make, name = partial(out_of_height, seed, number), f"{label}-{of}"
+            elif kind == "plastic":
+                seed, of = ordinary_seed(
+                    of_set, 2 + number, (WITH_FLASH, RAISED_WITH_FLASH)[number % 2]
+                )
                 body = BODIES[number % 3]
-                is_figure = kind == "height" or body == "figure"
-                name = f"{label}-{figure}" if is_figure else f"{label}-{body}-{number}"
-                make = partial(simulations[kind], figure, seed, number)
+                name = f"{label}-{of if body == 'object' else body}-{number}"
+                make = partial(plastic, seed, number)
+            elif kind == "hard":
+                make, name = partial(hard, seed, number), f"{label}-{seed}"
             else:
                 pool = good[number >= N_BAD - 2]
                 base = pool[(3 * at + 2 * number) % len(pool)]
-                if kind == "saturated":  # by leakage, which only the plausible world has
-                    base = good[0][(1 + 3 * number) % N_ORDINARY]
+                if kind == "saturated":
+                    base = with_leakage[number]
                 name, cause = f"{label}-{base}-{number}", EDITS[kind][0]
                 make = partial(edited, kind, base, seed, number)
             scans.append(Scan(name=name, kind=kind, base=base, cause=cause, make=make))

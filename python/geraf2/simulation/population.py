@@ -89,7 +89,7 @@ def draw_scene(seed: int, population: Population = POPULATION) -> DrawnScene:
         world=world,
     )
     budget_s = population.waves_budget_s if world.wall_waves else population.budget_s
-    spec = _limit_to_budget(spec, thing.mesh, budget_s)
+    spec = limit_to_budget(spec, thing.mesh, budget_s)
     record = {
         "seed": seed,
         "parts": [list(kinds) for kinds in thing.parts],
@@ -201,7 +201,7 @@ def simulation_seconds(spec: SceneSpec, mesh: TriangleMesh) -> float:
     return rows * columns * spec.scan.n_planes * of_antenna
 
 
-def _limit_to_budget(spec: SceneSpec, mesh: TriangleMesh, budget_s: float) -> SceneSpec:
+def limit_to_budget(spec: SceneSpec, mesh: TriangleMesh, budget_s: float) -> SceneSpec:
     """Spec that does not exceed the budget: fewer and smaller planes, then a coarser raster.
 
     The raster gets coarser only where few planes are left: it decides where grating lobes are.
