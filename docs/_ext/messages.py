@@ -61,14 +61,17 @@ def words(node: ast.expr | None) -> str:
 
 
 def _texts(scope: ast.AST) -> dict[str, ast.expr]:
-    """Names that hold the text of a message: `msg = f"..."`."""
-    return {
-        node.targets[0].id: node.value
-        for node in ast.walk(scope)
-        if isinstance(node, ast.Assign)
-        and isinstance(node.targets[0], ast.Name)
-        and isinstance(node.value, ast.Constant | ast.JoinedStr | ast.BinOp)
-    }
+    """Names that hold the text of a message: `msg = f"..."`; once, or the text is not known."""
+    found: dict[str, ast.expr] = {}
+    for node in ast.walk(scope):
+        if (
+            isinstance(node, ast.Assign)
+            and isinstance(node.targets[0], ast.Name)
+            and isinstance(node.value, ast.Constant | ast.JoinedStr | ast.BinOp)
+        ):
+            name = node.targets[0].id
+            found[name] = ast.Constant("…") if name in found else node.value
+    return found
 
 
 def _messages(tree: ast.Module, module: str) -> Iterator[Message]:
@@ -92,7 +95,8 @@ def _messages(tree: ast.Module, module: str) -> Iterator[Message]:
                 called in ("warning", "warn") or (called == "error" and "checks" in module)
             ):
                 kind = "error" if called == "error" else "warning"
-                yield Message(module, kind, said(node.args[0]))
+                action = said(node.args[1]) if len(node.args) > 1 else ""
+                yield Message(module, kind, said(node.args[0]), hint=action)
 
 
 @cache
@@ -127,7 +131,8 @@ def _advice(message: Message) -> str:
     if message.hint:
         hint = "the line says what to do" if message.hint == "…" else message.hint
         is_command = hint.split()[0] in PROGRAMS
-        said.append(f"Run {hint}." if is_command else f"{hint[:1].upper()}{hint[1:]}.")
+        end = "" if hint.endswith("?") else "."
+        said.append(f"Run {hint}." if is_command else f"{hint[:1].upper()}{hint[1:]}{end}")
     return " ".join(said)
 
 
@@ -167,7 +172,7 @@ def unexplained(docs: Path) -> list[str]:
 
 
 def warnings_page(docs: Path) -> str:
-    """Page of the messages about data, each with its cause and what to do."""
+    """Page of the messages about data, each with its cause and what to do, if the line has none."""
     known = causes(docs)
     parts = [
         "# Every warning",
@@ -177,6 +182,7 @@ def warnings_page(docs: Path) -> str:
     for message in findings():
         match = next((entry for entry in known if entry["says"] in message.text), {})
         parts.append(
-            f"{escape(message.text)}\n: {match.get('cause', '')} {match.get('do', '')}".strip()
+            f"{escape(message.text)}\n: {match.get('cause', '')} "
+            f"{match.get('do', '') or escape(_advice(message))}".strip()
         )
     return "\n\n".join(parts) + "\n"

@@ -58,13 +58,13 @@ def _require_likely_unit(prior: LosPrior, summary: CaptureSummary, where: object
             what=f"the box is {longest:.4g} m long, but the antennas stand {standoff:.3g} m from "
             "what they look at",
             where=where,
-            hint=f"is it in {unit}? geraf2 needs metres",
+            hint=f"is it in {unit}? convert it to metres",
         )
     if longest < summary.waveform.center_wavelength_m:
         raise UserError(
             what=f"the box is {1e3 * longest:.3g} mm long, less than a wavelength",
             where=where,
-            hint="geraf2 needs metres",
+            hint="convert it to metres",
         )
 
 
