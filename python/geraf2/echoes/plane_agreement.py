@@ -67,13 +67,16 @@ def _pairs(echoes: PeakSet) -> tuple[Ints, Ints, Floats]:
     """Planes of each pair, and the density of its offset on a common surface over that without."""
     points, normals, planes = echoes.points, -echoes.directions, echoes.planes
     near = KDTree(points).query_pairs(_REACH_M, output_type="ndarray")
-    i, j = near[planes[near[:, 0]] != planes[near[:, 1]]].T
-    cosine = np.einsum("ij,ij->i", normals[i], normals[j])
+    i, j = near.T
+    apart = planes[i] != planes[j]
+    i, j = i[apart], j[apart]
+    cosine = np.einsum("ij,ij->i", normals.take(i, axis=0), normals.take(j, axis=0))
     alike = cosine > _ALIKE
     i, j, cosine = i[alike], j[alike], cosine[alike]
-    step = points[j] - points[i]
+    step = points.take(j, axis=0) - points.take(i, axis=0)
     distance = np.sqrt(np.einsum("ij,ij->i", step, step))
-    offset = np.einsum("ij,ij->i", step, normals[i] + normals[j]) / np.sqrt(2.0 + 2.0 * cosine)
+    both = normals.take(i, axis=0) + normals.take(j, axis=0)
+    offset = np.einsum("ij,ij->i", step, both) / np.sqrt(2.0 + 2.0 * cosine)
     sigma = np.sqrt(ECHO_NOISE.offset_variance(distance))
     density = np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
     return planes[i], planes[j], density * 2.0 * np.maximum(distance, sigma)

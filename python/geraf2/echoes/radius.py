@@ -40,11 +40,14 @@ def pair_radii(glints: Glints, *, same_plane: bool = False) -> Floats:
         values[::step] for values in (glints.positions, glints.normals, glints.poses)
     )
     i, j = KDTree(normals).query_pairs(_MAX_TURN_RAD, output_type="ndarray").T
-    turn = normals[j] - normals[i]
+    asked = (poses[i] == poses[j]) == same_plane
+    i, j = i[asked], j[asked]
+    turn = normals.take(j, axis=0) - normals.take(i, axis=0)
     angle = np.linalg.norm(turn, axis=1)
-    far = (angle > _MIN_TURN_RAD) & ((poses[i] == poses[j]) == same_plane)
+    far = angle > _MIN_TURN_RAD
     i, j, turn, angle = i[far], j[far], turn[far], angle[far]
-    between, middle = positions[j] - positions[i], normals[i] + normals[j]
+    between = positions.take(j, axis=0) - positions.take(i, axis=0)
+    middle = normals.take(i, axis=0) + normals.take(j, axis=0)
     middle /= np.linalg.norm(middle, axis=1)[:, None]
     along, offset = (
         np.einsum("ij,ij->i", between, unit) for unit in (turn / angle[:, None], middle)

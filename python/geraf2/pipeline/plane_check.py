@@ -40,11 +40,6 @@ class PlaneCheck:
     exchanged: tuple[tuple[int, int], ...] = ()
     """Planes that agree better in each other's places."""
 
-    @property
-    def is_reversed(self) -> bool:
-        """Whether the turntable surely ran in the other sense."""
-        return self.reversed_turn.sigmas > max(SURE_SIGMAS, self.upside_down.sigmas)
-
     def numbers(self) -> dict[str, Any]:
         """Entries of run.json."""
         return {
@@ -56,30 +51,31 @@ class PlaneCheck:
         }
 
 
-def check_planes(capture: Capture, peaks: PeakSet, *, with_exchanged: bool = True) -> PlaneCheck:
-    """Compare the planes of a capture.
-
-    peaks: of all planes.
-    with_exchanged: also try planes that disagree in each other's places.
-    """
-    echoes, n = strong_echoes(peaks), len(capture.poses)
-
-    def rival(*, horizontal: bool = False, vertical: bool = False) -> Rival:
-        turned = with_axes_reversed(echoes, capture.poses, horizontal=horizontal, vertical=vertical)
-        return Rival.of(recorded, plane_agreement(turned, n))
-
-    recorded = plane_agreement(echoes, n)
+def check_planes(capture: Capture, peaks: PeakSet) -> PlaneCheck:
+    """Compare the planes of a capture. peaks: of all planes."""
+    echoes = strong_echoes(peaks)
+    recorded = plane_agreement(echoes, len(capture.poses))
     return PlaneCheck(
         recorded=recorded,
-        reversed_turn=rival(horizontal=True),
-        upside_down=rival(vertical=True),
-        exchanged=_find_exchanged(capture, echoes, recorded.of_planes) if with_exchanged else (),
+        reversed_turn=_reversed(capture, echoes, recorded, horizontal=True),
+        upside_down=_reversed(capture, echoes, recorded, vertical=True),
+        exchanged=_find_exchanged(capture, echoes, recorded.of_planes),
     )
 
 
 def is_turn_reversed(capture: Capture, peaks: PeakSet) -> bool:
     """Whether the turntable of a capture surely ran in the other sense. peaks: of all planes."""
-    return check_planes(capture, peaks, with_exchanged=False).is_reversed
+    echoes = strong_echoes(peaks)
+    recorded = plane_agreement(echoes, len(capture.poses))
+    sigmas = _reversed(capture, echoes, recorded, horizontal=True).sigmas
+    is_sure = sigmas > SURE_SIGMAS
+    return is_sure and sigmas > _reversed(capture, echoes, recorded, vertical=True).sigmas
+
+
+def _reversed(capture: Capture, echoes: PeakSet, recorded: PlaneAgreement, **axes: bool) -> Rival:
+    """Axes of all planes reversed, against the planes as recorded."""
+    turned = with_axes_reversed(echoes, capture.poses, **axes)
+    return Rival.of(recorded, plane_agreement(turned, len(capture.poses)))
 
 
 def _find_exchanged(

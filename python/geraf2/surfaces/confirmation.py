@@ -60,14 +60,13 @@ class Confirmation:
             points, normals, apertures, scene, min_m=_MARGIN_M, lift_m=_LIFT_M
         )
         predicted = np.isfinite(margins)
-        received = np.zeros_like(predicted)
+        n_predicted, n_received = int(predicted.sum()), 0
         for number in np.unique(glints.poses):
-            own = glints.select(glints.poses == number)
-            received[:, number] = _is_near(points, normals, own)
-        n_predicted = int(predicted.sum())
+            own, asked = glints.select(glints.poses == number), predicted[:, number]
+            n_received += int(_is_near(points[asked], normals[asked], own).sum())
         return cls(
             visible=float(predicted.any(axis=1).mean()),
-            confirmed=float((predicted & received).sum()) / n_predicted if n_predicted else 1.0,
+            confirmed=n_received / n_predicted if n_predicted else 1.0,
         )
 
 
