@@ -14,7 +14,7 @@ from geraf2._memory import require_memory
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.regular import open_regular
+from geraf2.io.regular import open_regular, require_unpacked
 
 _HEADER = (TypeError, EOFError, SyntaxError, TokenError)
 _ARCHIVE = (zlib.error, lzma.LZMAError, struct.error, zipfile.BadZipFile, RuntimeError)
@@ -52,8 +52,9 @@ def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
         with open_regular(source) as handle, np.load(handle, allow_pickle=False) as stored:
             missing = [name for name in wanted if name not in stored]
             if not missing:
-                sizes = {entry.filename: entry.file_size for entry in stored.zip.infolist()}
-                n_bytes = sum(sizes.get(f"{name}.npy", 0) for name in wanted)
+                parts = [p for p in stored.zip.infolist() if p.filename[:-4] in wanted]
+                n_bytes = sum(part.file_size for part in parts)
+                require_unpacked(n_bytes, sum(part.compress_size for part in parts), source)
                 require_memory(2.0 * n_bytes, "the arrays are too large", where=source)
                 return {name: stored[name] for name in wanted}
     except MemoryError as error:

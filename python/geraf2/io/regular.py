@@ -20,6 +20,8 @@ TEXT_BYTES = 512 << 20
 """Limit of tables, logs and configurations."""
 BINARY_BYTES = 4 << 30
 """Limit of pictures, meshes and others that are read whole."""
+_MAX_TIMES = 100
+"""Packed samples of a radar unpack to some times their size, one value to a thousand times."""
 _NAMES = {
     stat.S_IFIFO: "a named pipe",
     stat.S_IFSOCK: "a socket",
@@ -53,6 +55,21 @@ def read_regular(path: AnyPath, most: int | None = None) -> bytes:
         if size > RECORD_BYTES:
             require_memory(size, "the file is too large", where=path)
         return handle.read()
+
+
+def require_unpacked(n_bytes: float, n_packed: float, where: object) -> None:
+    """Raise UserError, before they are unpacked, for data that unpack to far more than samples do.
+
+    n_bytes, n_packed: unpacked, and as stored. Nothing is refused below RECORD_BYTES.
+    """
+    if n_bytes <= max(RECORD_BYTES, _MAX_TIMES * n_packed):
+        return
+    raise UserError(
+        what=f"{n_packed / 2**20:.3g} MiB unpack to {n_bytes / 2**30:.3g} GiB",
+        where=where,
+        expected=f"at most {_MAX_TIMES} times as much",
+        hint="if the file is sound, save it without compression",
+    )
 
 
 def require_no_links(folder: Path) -> list[Path]:

@@ -8,14 +8,15 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from geraf2.errors import UserError
+from geraf2.io.regular import require_unpacked
 
 # Records of an MCAP file begin with kind and size; the last one has 20 bytes, zeros: no summary.
 _MAGIC, _RECORD = b"\x89MCAP0\r\n", struct.Struct("<BQ")
-_FOOTER, _DATA_END = _RECORD.pack(2, 20), 15
+_FOOTER, _CHUNK, _DATA_END = _RECORD.pack(2, 20), 6, 15
 _MCAP_END = len(_FOOTER) + 20 + len(_MAGIC)
 _COPIED_BYTES = 1 << 24
 
@@ -77,6 +78,8 @@ def open_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
             if is_cut and not is_finished_bag(path):
                 folder = Path(stack.enter_context(TemporaryDirectory()))
                 paths = [_snapshot(one, folder / one.name) for one in bag_files(path)]
+            for one in paths:
+                _require_sizes(one)
             yield stack.enter_context(highlevel.AnyReader(paths, default_typestore=store))
     except UserError:
         raise
@@ -90,6 +93,29 @@ def open_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
         ) from None
 
 
+def _records(file: BinaryIO) -> Iterator[tuple[int, int]]:
+    """Kind and size of each record of an MCAP file, which then stands at the record's content."""
+    end = file.seek(len(_MAGIC))
+    while len(head := file.read(_RECORD.size)) == _RECORD.size:
+        kind, size = _RECORD.unpack(head)
+        end += _RECORD.size + size
+        yield kind, size
+        file.seek(end)
+
+
+def _require_sizes(path: Path) -> None:
+    """Refuse a bag whose chunks, which are unpacked whole, state sizes beyond all samples."""
+    n_bytes = n_packed = 0
+    for one in bag_files(path):
+        if one.suffix == ".mcap":
+            with one.open("rb") as file:
+                for kind, size in _records(file):
+                    if kind == _CHUNK:
+                        n_bytes += int.from_bytes(file.read(24)[16:], "little")
+                        n_packed += size
+    require_unpacked(n_bytes, n_packed, path)
+
+
 def _snapshot(path: Path, target: Path) -> Path:
     """Consistent copy of a file that is being written, with what is whole of it."""
     if path.suffix == ".db3":
@@ -101,12 +127,10 @@ def _snapshot(path: Path, target: Path) -> Path:
         return target
     with path.open("rb") as source, target.open("wb") as copy:
         n_bytes, end = path.stat().st_size, len(_MAGIC)
-        source.seek(end)
-        while len(head := source.read(_RECORD.size)) == _RECORD.size:
-            kind, size = _RECORD.unpack(head)
+        for kind, size in _records(source):
             if kind in (_DATA_END, _FOOTER[0]) or source.tell() + size > n_bytes:
                 break
-            end = source.seek(size, os.SEEK_CUR)
+            end = source.tell() + size
         source.seek(0)
         while end > 0 and (data := source.read(min(end, _COPIED_BYTES))):
             end -= copy.write(data)

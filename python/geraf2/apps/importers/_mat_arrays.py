@@ -22,7 +22,7 @@ from geraf2._memory import require_memory
 from geraf2._types import Array, Floats
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.regular import open_regular
+from geraf2.io.regular import open_regular, require_unpacked
 
 _HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 _HDF5_OFFSETS = (0, 512)
@@ -50,6 +50,7 @@ class MatArray:
 
     def numbers(self) -> Floats:
         """Whole array of real numbers."""
+        require_memory(16.0 * math.prod(self.shape), "save fewer antennas in a file")
         return np.asarray(self.read((slice(None),) * len(self.shape)), dtype=np.float64)
 
 
@@ -95,6 +96,8 @@ def _open_by_scipy(path: Path, names: set[str]) -> tuple[dict[str, MatArray], li
     with open_regular(path) as handle:
         try:
             is_version_4 = matfile_version(handle, appendmat=False)[0] == 0
+            if not is_version_4:
+                _require_sizes(handle, path)
             handle.seek(0)
             listed = whosmat(handle, appendmat=False)
             wanted = [name in roots or kind == "struct" for name, _, kind in listed]
@@ -124,6 +127,19 @@ def _add(known: dict[str, MatArray], name: str, value: Any) -> None:
         known[name] = MatArray(
             shape=value.shape, kind=value.dtype.kind, read=lambda index: value[index]
         )
+
+
+def _require_sizes(handle: BinaryIO, path: Path) -> None:
+    """Refuse variables of version 5 that unpack to far more than they are in the file."""
+    handle.seek(0)
+    order = "<" if handle.read(_HEADER_BYTES).endswith(b"IM") else ">"
+    while len(tag := handle.read(8)) == 8:
+        kind, n_bytes = struct.unpack(f"{order}II", tag)
+        if kind == _COMPRESSED:
+            tag = zlib.decompressobj().decompress(handle.read(n_bytes), 8)
+            require_unpacked(struct.unpack(f"{order}II", tag)[1], n_bytes, path)
+        else:
+            handle.seek(n_bytes, 1)
 
 
 def _unpack(handle: BinaryIO, wanted: list[bool], path: Path) -> BytesIO:
@@ -218,7 +234,7 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
         else:
             octave = data.parent.attrs if name != location.replace("/", ".") else {}
             is_matlab = "MATLAB_class" in data.attrs or "OCTAVE_NEW_FORMAT" in octave
-            known[name] = _hdf5_array(data, is_reversed=is_matlab)
+            known[name] = _hdf5_array(data, path, is_reversed=is_matlab)
 
     try:
         file = h5py.File(path, "r")
@@ -233,13 +249,15 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
     return known, []
 
 
-def _hdf5_array(data: Any, *, is_reversed: bool) -> MatArray:
+def _hdf5_array(data: Any, path: Path, *, is_reversed: bool) -> MatArray:
     """Array of HDF5; its axes are reversed where MATLAB or Octave wrote it."""
     parts = data.dtype.names
     is_complex = parts is not None and set(parts) == {"real", "imag"}
     kind = "c" if is_complex else "O" if parts else data.dtype.kind
 
     def read(index: tuple[Any, ...]) -> Array:
+        n_bytes = data.dtype.itemsize * math.prod(data.shape)
+        require_unpacked(n_bytes, data.id.get_storage_size(), path)
         stored = data[(..., *reversed(index))].T if is_reversed else data[index]
         return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
 

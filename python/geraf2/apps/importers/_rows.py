@@ -13,6 +13,7 @@ from geraf2._types import Array, Bools
 from geraf2.errors import UserError
 from geraf2.io.arrays import BROKEN_ARRAY
 from geraf2.io.file_kinds import refuse_other_kind
+from geraf2.io.regular import require_unpacked
 
 # Bytes of an array that are held at a time.
 BLOCK_BYTES = 1 << 24
@@ -91,6 +92,8 @@ class NpzRows:
         name = f"{self._name}.npy"
         try:
             with zipfile.ZipFile(self._path) as archive, archive.open(name) as handle:
+                part = archive.getinfo(name)
+                require_unpacked(part.file_size, part.compress_size, self._path)
                 is_old = npy_format.read_magic(handle) == (1, 0)
                 read = _OLD_HEADER if is_old else npy_format.read_array_header_2_0
                 self.shape, fortran, self.dtype = read(handle)
