@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 
@@ -131,3 +133,23 @@ def test_an_array_of_ones_own_and_a_slow_table(tmp_path, capsys):
     # m/s; two turns of a minute.
     least = float(error.split("at least ")[1].split(" ")[0])
     assert least == pytest.approx((3 * 7 * (36 * 0.503 + 0.86) + 2 * 60) / 60, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("flags", "texts", "known"),
+    [
+        (["--minutes", "5", "--channels", "8"], [], {"n_channels": 8, "aperture_m": [0.14, 0.25]}),
+        (["--elevations-deg", "0", "30"], [], {"elevations_deg": [0, 30], "standoff_m": 0.39}),
+        (["--depth", "0.2"], [], {"depth_m": 0.2, "aperture_m": [0.2, 0.2]}),
+        (["--minutes", "5", "--out", "scan.csv"], ["scan_file"], {"scan_file": "scan.csv"}),
+    ],
+)
+def test_a_plan_has_numbers_in_si_units(flags, texts, known, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    box = [] if "--depth" in flags else BOX
+    assert main(["plan", *box, *flags, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert known.items() <= found.items()
+    assert found["waveform"]["start_frequency_hz"] == 77.3704e9
+    numbers = {k: v for k, v in found.items() if k not in {"command", "warnings", *texts}}
+    assert not [name for name, value in numbers.items() if isinstance(value, str)]

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +19,7 @@ from geraf2.apps.benchmark import (
     write_pages,
 )
 from geraf2.apps.benchmark.pages import MARKDOWN_NAME
-from geraf2.cli._console import CONSOLE, progress_bar, rows, say, threads, warn
+from geraf2.cli._console import CONSOLE, keep, progress_bar, rows, say, threads, warn
 from geraf2.cli._fields import Positional
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
@@ -104,12 +104,15 @@ def main(config: Config) -> int:
     shown = [(row, result) for row, result in pairs if result is not None]
     page = write_pages(config.out, suite, shown)
     failed = sum(result.error is not None for _, result in results)
+    seconds = time.perf_counter() - start
+    keep({"n_rows": len(results), "n_failed": failed, "seconds": seconds, "page": str(page)})
+    keep({"tables": str(config.out / MARKDOWN_NAME)})
     rows(
         [
             ("rows", f"{len(results)}, of which {failed} failed"),
             ("tables", str(config.out / MARKDOWN_NAME)),
             ("page", str(page)),
-            ("time", f"{time.perf_counter() - start:.0f} s"),
+            ("time", f"{seconds:.0f} s"),
         ]
     )
     return 2 if failed else 0
@@ -169,6 +172,7 @@ def _by_seed(config: Config) -> int:
             progress(next(done) / total)
 
         results = task.run(seeds, report, jobs=config.jobs, scheduler=config.scheduler)
+    keep({"results": [asdict(result) for result in results]})
     records = population.records_of(config.cache or config.out, scenes)
     for line in population.tables(results, presets, records, others).splitlines():
         say(line)

@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from geraf2._bounds import Arg
 from geraf2.apps.importers import importer_names
 from geraf2.cli._commands import COMMANDS, GLOBAL_FLAGS, VALUE_FLAGS
+from geraf2.cli._console import out
 from geraf2.cli._fields import Flag, Positional, walk
 from geraf2.pipeline.presets import PRESETS
 
@@ -52,7 +53,7 @@ class Config:
 
 def main(config: Config) -> int:
     """Run the command."""
-    print({"bash": _bash, "zsh": lambda: _ZSH + _bash(), "fish": _fish}[config.shell](), end="")
+    out.print({"bash": _bash, "zsh": lambda: _ZSH + _bash(), "fish": _fish}[config.shell](), end="")
     return 0
 
 

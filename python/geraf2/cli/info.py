@@ -175,6 +175,10 @@ def _show_recording(config: Config) -> int:
     )
     recording = open_recording(config.scene, radar, how)
     rows([("recording of", str(config.scene)), *recording.facts])
+    evidence = recording.evidence
+    keep({"recording": str(config.scene), "facts": dict(recording.facts)})
+    keep({**asdict(evidence.order), "n_samples": evidence.n_samples, "n_tx": recording.n_tx})
+    keep({"n_loops": recording.n_loops, "n_frames": recording.n_frames})
     line = f"geraf2 import dca1000 {quote(str(config.scene))} scene --positions LOG --config FILES"
     rows([("to import it", line)])
     for note in recording.notes:

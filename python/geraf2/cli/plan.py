@@ -1,7 +1,7 @@
 """`geraf2 plan`: planes of a scan, its time, and what it will see."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from geraf2._bounds import Arg
 from geraf2._types import Floats
-from geraf2.apps.planning.expected import BOX_M, ExpectedAccuracy
+from geraf2.apps.planning.expected import BOX_M
 from geraf2.apps.planning.planning import (
     ExplainedScan,
     PlanOptions,
@@ -19,7 +19,7 @@ from geraf2.apps.planning.planning import (
     make_timed_plan,
 )
 from geraf2.apps.planning.scan_time import TimedPlan
-from geraf2.cli._console import rows, say, warn
+from geraf2.cli._console import keep, rows, say, warn
 from geraf2.errors import UserError
 from geraf2.freespace.specular import seen_share
 from geraf2.io.outputs import PICTURES, require_file
@@ -72,6 +72,7 @@ def main(config: Config) -> int:
     share = seen_share(plan.apertures, center, np.asarray(plan.box_m))
     tilt = _tilt_deg(height, plan.standoff_m)
     rings = ", ".join(f"{e - tilt:z.0f} to {e + tilt:z.0f}" for e in plan.elevations_deg)
+    keep({**plan.numbers(), "nyquist_spacing_m": limit, "seen_share": share})
     rows(
         [
             _band(plan.waveform),
@@ -134,8 +135,11 @@ def _show_lines(config: Config) -> int:
 
 
 def _show_timed(plan: TimedPlan, config: Config) -> int:
-    lines, (width, height) = plan.scan.planes[0].lines, plan.design.aperture_m
-    base = make_plan(config)
+    base, design, lines = make_plan(config), plan.design, plan.scan.planes[0].lines
+    width, height = design.aperture_m
+    keep({name: getattr(base, name) for name in ("box_m", "standoff_m", "height_m")})
+    keep({"waveform": asdict(base.waveform), **asdict(design), "n_planes": design.n_planes})
+    keep({"n_lines_of_a_plane": len(lines), "ring_seen_share": plan.ring_share})
     time = _duration(plan.seconds)
     if config.minutes is not None and plan.seconds < _MUCH_OF_TIME * 60.0 * config.minutes:
         time += f" of the {config.minutes:g} minutes: no plan sees more in the rest"
@@ -143,14 +147,14 @@ def _show_timed(plan: TimedPlan, config: Config) -> int:
         [
             _band(base.waveform),
             ("standoff", _standoff(base)),
-            ("planes", f"{plan.design.n_planes}: {plan.design}"),
+            ("planes", f"{design.n_planes}: {design}"),
             ("plane", f"{1e3 * width:.0f} x {1e3 * height:.0f} mm (horizontal x vertical)"),
             (
                 "lines",
                 f"{len(lines)} a plane, {lines[0].n_positions} positions every "
                 f"{1e3 * plan.scan.spacing_m:g} mm, at {lines[0].speed_m_per_s:.2g} m/s",
             ),
-            *_accuracy_rows(plan.scan, time, plan.seen_share, plan.expected, config.box),
+            *_accuracy_rows(plan, time, config.box),
             ("one ring", _of_one_ring(plan, _tilt_deg(height, base.standoff_m))),
             *_write_scan(plan.scan, config.out),
         ]
@@ -172,12 +176,13 @@ def _of_one_ring(plan: TimedPlan, tilt_deg: float) -> str:
 def _show_like(like: ExplainedScan, config: Config) -> int:
     counts = Counter(round(e / 5.0) * 5 for e in like.elevations_deg)
     at = ", ".join(f"{n} at {e} degrees" for e, n in sorted(counts.items()))
-    time = _duration(like.seconds)
+    keep({"n_planes": len(like.planes), "elevations_deg": like.elevations_deg})
+    keep({"spacing_m": like.spacing_m, "box_m": like.box_m, "center_m": like.center_m.tolist()})
     rows(
         [
             ("planes", f"{len(like.planes)}: {at} of elevation"),
             ("spacing", f"about {1e3 * like.spacing_m:.2g} mm"),
-            *_accuracy_rows(like.scan, time, like.seen_share, like.expected),
+            *_accuracy_rows(like, _duration(like.seconds)),
             *_write_scan(like.scan, config.out),
         ]
     )
@@ -186,23 +191,26 @@ def _show_like(like: ExplainedScan, config: Config) -> int:
 
 
 def _accuracy_rows(
-    scan: ScanFile,
+    found: TimedPlan | ExplainedScan,
     time: str,
-    share: float,
-    expected: ExpectedAccuracy | None,
     box_m: tuple[float, float, float] | None = None,
 ) -> list[tuple[str, str]]:
+    scan, expected = found.scan, found.expected
+    keep({"n_channels": scan.array.n_channels, "n_antennas": scan.n_antennas})
+    keep({"seconds": found.seconds, "seen_share": found.seen_share})
     reached = "nothing: the spacing is so coarse that grating lobes fill the box"
     if expected is not None:
         reached = str(expected)
         if box_m is not None and not 0.5 * BOX_M <= max(box_m) <= 2.0 * BOX_M:
             reached = f"unknown: nothing was measured in a box of {100 * max(box_m):.0f} cm"
+            expected = None
+    keep({"expected": expected and asdict(expected)})
     one = "; --channels or --array names more" if scan.array.n_channels == 1 else ""
     return [
         ("channels", f"{scan.array.n_channels} at once{one}"),
         ("antennas", f"{scan.n_antennas} positions of a channel"),
         ("time", time),
-        ("normals seen", f"{100 * share:.0f} %"),
+        ("normals seen", f"{100 * found.seen_share:.0f} %"),
         ("expected", reached),
     ]
 
@@ -212,6 +220,7 @@ def _write_scan(scan: ScanFile, out: Path | None) -> list[tuple[str, str]]:
     if out is None:
         return []
     write_scan_file(out, scan)
+    keep({"scan_file": str(out)})
     return [("scan file", str(out))]
 
 
@@ -230,6 +239,8 @@ def _show_plane(plan: PlanePlan) -> int:
     (width, height), (across, up) = plan.aperture_m, plan.across_m
     wavelength, sizes = plan.waveform.center_wavelength_m, [n_rows * n_columns]
     sides = (*plan.aperture_m, 8.0 * wavelength)
+    derived = ("across_m", "depth_of_focus_m", "nyquist_spacing_m")
+    keep({**plan.numbers(), **{name: getattr(plan, name) for name in derived}})
     rows(
         [
             _band(plan.waveform),
@@ -244,7 +255,7 @@ def _show_plane(plan: PlanePlan) -> int:
                 f"{1e3 * across:.1f} x {1e3 * up:.1f} mm across, "
                 f"{1e3 * plan.depth_of_focus_m:.0f} mm in depth, {plan.depth_m:g} m away",
             ),
-            ("antennas", f"{n_rows * n_columns} positions, {plan.n_bytes / 1e6:.2g} MB"),
+            ("antennas", f"{plan.n_antennas} positions, {plan.n_bytes / 1e6:.2g} MB"),
             ("a fine image", fine_image(sides, wavelength, sizes, plan.waveform.n_samples)),
             ("time", _duration(plan.seconds)),
         ]

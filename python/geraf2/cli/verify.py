@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg
-from geraf2.cli._console import say, warn
+from geraf2.cli._console import keep, say, warn
 from geraf2.cli._fields import Positional
 from geraf2.pipeline.commands.verify import verify
 
@@ -23,6 +23,7 @@ def main(config: Config) -> int:
     found = verify(config.folder)
     for note in found.notes:
         warn(note)
+    keep({"kind": found.kind, "n_files": found.n_files})
     things = "planes" if found.kind == "scene" else "files"
     say(f"{found.kind} of {found.n_files} {things}, each as it was written")
     return 0

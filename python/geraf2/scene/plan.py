@@ -1,6 +1,6 @@
 """A scan before it is made: spacing, standoff, planes, elevations, time, and what it will see."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -43,6 +43,22 @@ class Raster:
         return rows_columns(self.aperture_m, self.spacing_m)
 
     @property
+    def n_antennas(self) -> int:
+        """Of the whole scan."""
+        rows, columns = self.rows_columns
+        return rows * columns
+
+    @property
+    def n_bytes(self) -> int:
+        """Samples of the whole scan, complex64."""
+        return 8 * self.waveform.n_samples * self.n_antennas
+
+    def numbers(self) -> dict[str, object]:
+        """List settings and what follows from them, by name in SI units, for `--json`."""
+        found = {"n_antennas": self.n_antennas, "n_bytes": self.n_bytes, "seconds": self.seconds}
+        return {**asdict(self), **found}
+
+    @property
     def seconds(self) -> float:
         """Time of a plane: rows at the speed or the frame rate that is slower [s]."""
         rows, columns = self.rows_columns
@@ -78,18 +94,12 @@ class ScanPlan(Raster):
     @property
     def n_antennas(self) -> int:
         """Of the whole scan."""
-        rows, columns = self.rows_columns
-        return rows * columns * self.n_planes * len(self.elevations_deg)
+        return super().n_antennas * self.n_planes * len(self.elevations_deg)
 
     @property
     def seconds(self) -> float:
         """Time of the scan with its turns [s]."""
         return self.n_planes * len(self.elevations_deg) * (super().seconds + self.turn_s)
-
-    @property
-    def n_bytes(self) -> int:
-        """Samples of the whole scan, complex64."""
-        return 8 * self.waveform.n_samples * self.n_antennas
 
     @property
     def farthest_m(self) -> float:
@@ -135,12 +145,6 @@ class PlanePlan(Raster):
     def __post_init__(self) -> None:
         super().__post_init__()
         require_positive("depth_m", self.depth_m)
-
-    @property
-    def n_bytes(self) -> int:
-        """Samples of the whole scan, complex64."""
-        rows, columns = self.rows_columns
-        return 8 * self.waveform.n_samples * rows * columns
 
     @property
     def across_m(self) -> tuple[float, float]:
