@@ -1,5 +1,6 @@
 """Text files and JSON objects, with one clear line for what cannot be read."""
 
+import codecs
 import csv
 import io
 import json
@@ -18,10 +19,12 @@ NOT_DETERMINED = "not determined"
 
 
 def read_text(path: Path, most: int = TEXT_BYTES) -> str:
-    """UTF-8 text of a file of at most so many bytes; UserError where it cannot be read."""
+    """Text of a file of at most so many bytes, UTF-8, or UTF-16 with its mark; else UserError."""
     refuse_other_kind(path)
     try:
-        text = read_bytes(path, most).decode("utf-8-sig")
+        data = read_bytes(path, most)
+        is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+        text = data.decode("utf-16" if is_wide else "utf-8-sig")
         return text.replace("\r\n", "\n").replace("\r", "\n")
     except FileNotFoundError:
         raise UserError(what="no such file", where=path) from None

@@ -1,5 +1,7 @@
 """Robot logs as other programs and robots write them."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -67,7 +69,9 @@ DIALECTS = {
 
 @pytest.mark.parametrize("name", DIALECTS)
 def test_every_dialect_is_read(tmp_path, name):
-    log = read(tmp_path, DIALECTS[name], "utf-8-sig" if "comma" in name else "utf-8")
+    encodings = {"comma": "utf-8-sig", "tabs": "utf-16"}
+    encoding = next((of for word, of in encodings.items() if word in name), "utf-8")
+    log = read(tmp_path, DIALECTS[name], encoding)
     assert np.allclose(log.times_s, TIMES)
     assert np.allclose(log.positions, POSITIONS)
     assert log.notes == ()
@@ -159,6 +163,31 @@ OF_ROS = {
         f"{PARTS[0][0]},{PARTS[1][0]},base,{','.join(c[0] for c in XYZ)},0,0,0,1",
         [[*of[1:]] for of in (*PARTS, ["base"] * 20, *XYZ, *[[0] * 20] * 3, [1] * 20)],
     ),
+    "transforms without names": of_ros(
+        f"{PARTS[0][0]},{PARTS[1][0]},room,base,{','.join(c[0] for c in XYZ)},0,0,0,1",
+        [
+            [*of[1:]]
+            for of in (*PARTS, ["room"] * 20, ["base"] * 20, *XYZ, *[[0] * 20] * 3, [1] * 20)
+        ],
+    ),
+    "rostopic echo -p of transforms": of_ros(
+        "%time,field.transforms0.header.stamp,field.transforms0.child_frame_id,"
+        + ",".join(f"field.transforms0.transform.translation.{k}" for k in "xyz"),
+        [LATE, NS, ["base"] * 20, *XYZ],
+    ),
+    "PlotJuggler": of_ros(
+        "__time,/arm/radar/pose/header/stamp,"
+        + ",".join(f"/arm/radar/pose/pose/position/{k}" for k in "xyz"),
+        [[f"{1e-9 * v:.6f}" for v in LATE], [f"{1e-9 * v:.6f}" for v in NS], *XYZ],
+    ),
+    "dates": of_ros(
+        "time,x,y,z",
+        [[datetime.fromtimestamp(1e-9 * v, UTC).isoformat() for v in NS], *XYZ],
+    ),
+    "dates without a zone": of_ros(
+        "timestamp,x,y,z",
+        [[f"{datetime.fromtimestamp(1e-9 * v, UTC):%Y-%m-%d %H:%M:%S.%f}" for v in NS], *XYZ],
+    ),
     "nanoseconds": of_ros("timestamp,x,y,z", [NS, *XYZ]),
     "microseconds": of_ros("t,x,y,z", [[v // 1000 for v in NS], *XYZ]),
     "milliseconds": of_ros("time,x,y,z", [[v // 10**6 for v in NS], *XYZ]),
@@ -186,6 +215,9 @@ MOTION_CAPTURE = {
     "Motive with markers": motive(PLAIN, marker=True),
     "Motive in millimetres": motive(PLAIN, unit="Millimeters", scale=1e3),
     "Vicon": of_vicon(),
+    "Vicon with other tables": "Devices\n1000\nFrame,Sub Frame,Fx\n,,N\n1,0,2\n\n"
+    + of_vicon()
+    + "\nTrajectories\n25\n,,cart:M1,,\nFrame,Sub Frame,X,Y,Z\n,,mm,mm,mm\n1,0,5,6,7\n",
     "Qualisys": of_qualisys(),
     "lines of another logger": "Arm of the laboratory\nspeed,0.05,m/s\n\n"
     + text_of(PLAIN * [1, 1e3, 1e3, 1e3], "t,x_mm,y_mm,z_mm"),
@@ -252,10 +284,14 @@ def test_orientations_are_read_by_their_names(tmp_path, names):
         "rx_deg,ry_deg,rz_deg",
         "Alpha,Beta,Gamma",
         "phi,theta,psi",
+        "q0,q1,q2,q3",
+        "r11,r12,r13",
+        "yaw_deg",
     ],
 )
 def test_angles_of_other_conventions_are_refused_if_they_turn(tmp_path, names):
-    table = np.column_stack([PLAIN, np.tile([0, 0, 90.0], (20, 1))])
+    angles = [0, 0, 90.0, 0][: 1 + names.count(",")] if "," in names else [90.0]
+    table = np.column_stack([PLAIN, np.tile(angles, (20, 1))])
     with pytest.raises(UserError, match="holds an orientation that is not read"):
         read(tmp_path, text_of(table, f"time_s,x_m,y_m,z_m,{names}"))
     table[:, 4:] = 0

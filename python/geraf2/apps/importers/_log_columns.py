@@ -34,11 +34,13 @@ _UNITS = {**_LENGTHS, **_TIMES, "rad": 1.0, "radian": 1.0, "radians": 1.0}
 # Units that are the name of a time by themselves.
 _LONG_TIMES = {name for name in _TIMES if len(name) > 2}
 _TIME_WORDS = {"time", "t", "timestamp", "timestamps", "stamp"}
-_TIME_CONTEXT = {"header", "field", "elapsed", "robot", "log", "msg", "controller"}
+_TIME_CONTEXT = {
+    *("header", "field", "elapsed", "robot", "log", "msg", "controller", "transform", "transforms0")
+}
 _POSITION_WORD = re.compile(
     "pos|position|tcp|pose|translation|trans|actual|current|measured|robot|tool|ee|eef|end|effector"
     "|endeffector|base|world|field|cartesian|cart|point|coord|coordinates?|location|msg|data"
-    "|transform|flange|sensor|radar|p"
+    "|transform|transforms0|flange|sensor|radar|p"
 )
 _TURN_WORDS = {"orientation", "orient", "ori", "quat", "quaternion", "rotation", "rot", "q"}
 _VECTOR_WORDS = {"rotvec", "rvec", "rotationvector", "axisangle"}
@@ -52,6 +54,9 @@ _ANGLES = (
     {"alpha", "beta", "gamma"},
     {"phi", "theta", "psi"},
     {"q1", "q2", "q3", "q4"},
+    {"q0", "q1", "q2", "q3"},
+    {"r11", "r12", "r13"},
+    {"yaw"},
     {"o", "a", "t"},
 )
 # A rotation vector is at most half a turn long, and some robots count on to a whole one.
@@ -129,7 +134,7 @@ def find_columns(log: LogTable, path: Path) -> Columns:
         found = {name: at for name, at in found.items() if name not in VECTOR}
     times_s, used, more = _times(log, times)
     read = {index for index, _ in found.values()} | used
-    unread = tuple(name for index, name in enumerate(names) if index not in read)
+    unread = tuple(name for index, name in enumerate(names) if name and index not in read)
     return Columns(found, times_s, unread, (*notes, *more))
 
 

@@ -11,8 +11,11 @@ name the bodies and quantities in further lines, and state units below the names
 """
 
 import csv
+import posixpath
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
 from itertools import accumulate, pairwise, takewhile
 from pathlib import Path
 
@@ -26,14 +29,22 @@ from geraf2.io.arrays import read_npy
 from geraf2.io.text import read_lines
 
 _NAMES = ["time", "x", "y", "z", "qw", "qx", "qy", "qz"]
-# A PoseStamped without names, as 'ros2 topic echo --csv' prints it.
-_POSE = ["stamp_sec", "stamp_nanosec", "frame_id", *"xyz", "qx", "qy", "qz", "qw"]
-_DEFAULT_NAMES = {3: _NAMES[1:4], 4: _NAMES[:4], 8: _NAMES, len(_POSE): _POSE}
+# Points, poses, transforms and odometry without names, as 'ros2 topic echo --csv' prints them.
+_STAMP = ["stamp_sec", "stamp_nanosec", "frame_id"]
+_POSE = [*"xyz", "qx", "qy", "qz", "qw"]
+_OF_ROS = (
+    [*_STAMP, *"xyz"],
+    [*_STAMP, *_POSE],
+    [*_STAMP, "child_frame_id", *_POSE],
+    [*_STAMP, "child_frame_id", *_POSE, *[""] * 78],
+)
+_DEFAULT_NAMES = {len(names): names for names in (_NAMES[1:4], _NAMES[:4], _NAMES, *_OF_ROS)}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 # Fewest numbers in a row: a position.
 _MIN_NUMBERS = 3
 # Lines of Qualisys that name the bodies; it writes millimetres and does not say so.
 _BODY_LINES = ("BODY_NAMES", "MARKER_NAMES")
+_SECTION = re.compile("(Objects|Segments|Trajectories|Joints|Devices|Model Outputs),*")
 _RATES = ("FREQUENCY", "Export Frame Rate")
 
 
@@ -42,9 +53,9 @@ def read_table(path: Path) -> LogTable:
     return _read_npy(path) if path.suffix == ".npy" else _read_csv(path)
 
 
-def _default_names(n_columns: int, path: Path) -> tuple[Row, list[str]]:
+def _default_names(n_columns: int, path: Path, *, is_of_ros: bool = False) -> tuple[Row, list[str]]:
     names = _DEFAULT_NAMES.get(n_columns)
-    if names is None:
+    if names is None or (names in _OF_ROS) != is_of_ros:
         raise UserError(
             what="has the wrong number of columns",
             where=path,
@@ -53,7 +64,7 @@ def _default_names(n_columns: int, path: Path) -> tuple[Row, list[str]]:
         )
     if n_columns <= len("txyz"):
         return names, []
-    text = f"the columns of {path.name} have no names and were read as {' '.join(names)}"
+    text = f"the columns of {path.name} have no names and were read as {' '.join(names).strip()}"
     return names, [f"{text}; other logs have qx qy qz qw" if names is _NAMES else text]
 
 
@@ -74,7 +85,7 @@ def _read_npy(path: Path) -> LogTable:
 
 
 def _read_csv(path: Path) -> LogTable:
-    lines = [line.strip(" \r\n") for line in read_lines(path)]
+    lines = _of_one_section([line.strip(" \r\n") for line in read_lines(path)])
     lines = [line for line in lines if line.strip() and not re.fullmatch(r'"?sep=."?', line)]
     comments = [line.lstrip("#%").strip() for line in lines if line[0] in "#%"]
     lines = [line for line in lines if line[0] not in "#%"]
@@ -92,11 +103,15 @@ def _read_csv(path: Path) -> LogTable:
     head, rows = cells[:first], cells[first:]
     notes: list[str] = []
     names, bodies = _names_of(head) if head else ([], [])
+    topics = [name for name in names if name.startswith("/")]
+    topic = posixpath.commonpath(topics or [""])  # of all columns, as PlotJuggler names them
+    names = [name.removeprefix(topic) for name in names]
     if not _has_axes(names):
         names = _commented_names(comments, mark, len(rows[0]), path) or names
     if not names:
         n_columns = len(rows[0]) - all(not row[-1] for row in rows)
-        names, notes = _default_names(n_columns, path)
+        is_of_ros = n_columns > len(_STAMP) and not _is_number(rows[0][2])
+        names, notes = _default_names(n_columns, path, is_of_ros=is_of_ros)
     if len(names) > 1 and not names[-1] and all(len(r) < len(names) or not r[-1] for r in rows):
         names = names[:-1]  # a delimiter at the end of each line
     bodies = (bodies if len(bodies) >= len(names) else [""] * len(names))[: len(names)]
@@ -114,6 +129,15 @@ def _read_csv(path: Path) -> LogTable:
         files=None if at is None else [row[at] for row in rows],
         notes=notes,
     )
+
+
+def _of_one_section(lines: Row) -> Row:
+    """Lines of the bodies, where Vicon exported several tables, or of the last table."""
+    heads = [k for k, line in enumerate(lines) if _SECTION.fullmatch(line)]
+    if len(heads) < 2:
+        return lines
+    at = next((i for i, k in enumerate(heads) if lines[k][:3] in ("Obj", "Seg")), len(heads) - 1)
+    return lines[heads[at] : (*heads, len(lines))[at + 1]]
 
 
 def _mark_of(line: str) -> str | None:
@@ -225,7 +249,8 @@ def _numbers(rows: Sequence[Row], index: int, name: str, mark: str | None, path:
     try:
         return np.array([float(cell or "nan") for cell in cells])
     except ValueError:
-        pass
+        with suppress(ValueError):
+            return np.array([_seconds(cell) for cell in cells])
     bad = next(k for k, cell in enumerate(cells) if cell and ("," in cell or not _is_number(cell)))
     if quantity_of(name) is not None:
         raise UserError(
@@ -234,6 +259,12 @@ def _numbers(rows: Sequence[Row], index: int, name: str, mark: str | None, path:
             got=repr(cells[bad][:40]),
         )
     return np.full(len(rows), np.nan)
+
+
+def _seconds(cell: str) -> float:
+    """Seconds since 1970 of a date and time of ISO 8601, in UTC unless it names a zone."""
+    moment = datetime.fromisoformat(cell)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 def _is_number(word: str) -> bool:
