@@ -1,5 +1,8 @@
 """Field reports: inputs of public bug reports, read right or refused in one line."""
 
+import json
+from base64 import b64encode
+
 import numpy as np
 import pytest
 
@@ -109,9 +112,32 @@ def test_floats_are_named(reports, name):
         recording(reports / "floats_in_a_bin" / name)
 
 
+@pytest.mark.parametrize(
+    ("kind", "text"),
+    [
+        (">f4", "floating-point numbers of 32 bits"),
+        ("<i4", "integers of 32 bits"),
+        (">i2", "big-endian integers of 16 bits"),
+    ],
+)
+def test_numbers_of_other_kinds_are_named(reports, tmp_path, kind, text):
+    floats = np.fromfile(reports / "floats_in_a_bin" / "float32_iq.bin", "<f4")
+    (floats if kind[1] == "f" else np.round(floats)).astype(kind).tofile(tmp_path / "a.bin")
+    with pytest.raises(UserError, match=text):
+        recording(tmp_path / "a.bin")
+
+
 def test_the_chips_of_a_cascade_are_named(reports):
     with pytest.raises(UserError, match=r"cascade of 4 chips.*master, slave1, slave2, slave3"):
         recording(reports / "cascade_of_four_chips")
+
+
+@pytest.mark.parametrize("per_position", [False, True])
+def test_chips_of_a_cascade_by_number_are_no_positions(reports, tmp_path, per_position):
+    for k, path in enumerate(sorted((reports / "cascade_of_four_chips").glob("*_data.bin"))):
+        (tmp_path / f"dev{k}_0000_data.bin").write_bytes(path.read_bytes())
+    with pytest.raises(UserError, match="cascade of 4 chips"):
+        open_recording(tmp_path, RadarManifest(), ImportOptions(file_per_position=per_position))
 
 
 @pytest.mark.parametrize(
@@ -154,6 +180,37 @@ def test_a_packet_that_is_missing_early_is_put_back_as_zeros(reports):
         assert any("1 packet of 1456 bytes lost after 853 whole frames" in n for n in found.notes)
     scan, _ = scan_of_planes(folder, "adc_data.bin")
     assert sum(scan.n_antennas) == 4 * 3906
+
+
+def lossy(reports, path, lost):
+    """The whole recording less some packets, and its configuration."""
+    data = (reports / "receivers_turned_round" / "not_turned.bin").read_bytes()
+    packets = [data[at : at + 1456] for at in range(0, len(data), 1456)]
+    path.write_bytes(
+        b"".join(p for k, p in enumerate(packets) if k not in range(len(packets))[lost])
+    )
+    return path, reports / "one_packet_missing_early" / "profile.cfg"
+
+
+@pytest.mark.parametrize(
+    ("lost", "n_lost"), [(slice(1, 2), 1), (slice(301, 303), 2), (slice(199, None, 200), 6)]
+)
+def test_packets_that_are_missing_elsewhere_are_put_back_as_zeros(reports, tmp_path, lost, n_lost):
+    whole = reports / "receivers_turned_round" / "not_turned.bin"
+    right = open_recording(whole, RadarManifest(n_samples=32)).read_frames(0, 3906)
+    found = recording(*lossy(reports, tmp_path / "a.bin", lost))
+    assert found.n_frames == 3906
+    differing = (found.read_frames(0, 3906) != right).mean()
+    assert differing == pytest.approx(n_lost * 364 / right.size, rel=0.3)
+
+
+@pytest.mark.parametrize("step", [3, 5, 10, 20])
+@pytest.mark.parametrize("given", [False, True])
+def test_packets_that_are_missing_everywhere_are_no_chirps(reports, tmp_path, step, given):
+    path, config = lossy(reports, tmp_path / "a.bin", slice(step - 1, None, step))
+    with pytest.raises(UserError, match="packets are missing at many places") as caught:
+        recording(path, *([config] if given else []))
+    assert "n_samples" not in str(caught.value)
 
 
 @pytest.mark.parametrize("given", [False, True])
@@ -266,6 +323,22 @@ def test_quantised_gltf_has_the_size_of_the_plain_one(reports):
     for end in ("min", "max"):
         ends = [getattr(mesh.vertices, end)(axis=0) for mesh in (plain, quantised)]
         assert ends[0] == pytest.approx(ends[1], abs=1e-5)
+
+
+def test_the_hint_for_a_quantised_mesh_in_millimetres_leads_to_its_size(reports, tmp_path, capsys):
+    data = (reports / "gltf_compressed" / "quantized.glb").read_bytes()
+    end = 20 + int.from_bytes(data[12:16], "little")
+    tree = json.loads(data[20:end])
+    tree["nodes"].append({"children": tree["scenes"][0]["nodes"], "scale": [1000] * 3})
+    tree["scenes"][0]["nodes"] = [len(tree["nodes"]) - 1]
+    tree["buffers"][0]["uri"] = f"data:;base64,{b64encode(data[end + 8 :]).decode()}"
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    line = ["los", str(tmp_path / "a.gltf"), str(tmp_path / "out")]
+    assert main(line) == 2
+    assert "then add --unit mm" in capsys.readouterr().err
+    assert main([*line, "--unit", "mm"]) == 0
+    size = np.ptp(read_mesh(tmp_path / "out" / "los.ply").vertices, axis=0)
+    assert size == pytest.approx([0.2, 0.04, 0.1], abs=1e-4)
 
 
 @pytest.mark.parametrize(

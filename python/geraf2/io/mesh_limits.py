@@ -51,7 +51,7 @@ def require_gltf_content(data: bytes, where: Path) -> bytes:
         raise UserError(
             what=f"needs {', '.join(unread)}, which is not read",
             where=where,
-            hint="export it without compression of vertices",
+            hint="export it without compression of vertices, and without instances",
         )
     if what:
         raise UserError(what=what, where=where)

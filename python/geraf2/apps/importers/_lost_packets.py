@@ -29,11 +29,13 @@ PAYLOAD_BYTES = 1456
 _N_PROBES, _N_CHIRPS = 64, 32
 # More losses than a quarter of the places are not told from each other.
 _MAX_LOSSES = _N_PROBES // 4
+# Captures that are joined, with other places where chirps begin elsewhere than packets explain.
+_MAX_JOINED = 4
 # Packets that are lost at once; more shift the chirps as captures do that were joined.
 _MAX_PACKETS = 16
 # Share of the packets that begin with a jump, over that of all samples which are one, from which on
 # packets are missing everywhere.
-_MIN_SHARE, _MIN_EXCESS = 0.2, 4.0
+_MIN_SHARE, _MIN_EXCESS = 0.15, 4.0
 # Jumps for each chirp or packet from which on there are others, and samples of a single jump.
 _MIN_RUNS, _RUN = 1.25, 8
 
@@ -47,6 +49,8 @@ class Gap(NamedTuple):
     """Missing packets; 0 where none explain it."""
     late: int
     """Sample as stored at which chirps begin from there on."""
+    is_seen: bool = True
+    """Whether a jump shows the place."""
 
 
 class RepairedStream(ByteStream):
@@ -95,17 +99,25 @@ def find_gaps(
         words = stream.read(0, min(n_bytes, 1 << 21) // 16 * 16).view("<i2")
         if jumps_with_packets(words, order):
             raise packets_are_missing(stream)
-    # One place between two of the same beginning errs: losses seldom cancel.
+    # One place between two of the same beginning errs, as losses seldom cancel; and one between
+    # others where half a window before and after it the chirps do not begin so, either.
+    half = chirps.probe_bytes // 2
     odd = [
         place
         for before, place, after in zip(known, known[1:], known[2:], strict=False)
-        if before[1] == after[1] != place[1]
+        if place[1] not in (before[1], after[1])
+        and (
+            before[1] == after[1]
+            or place[1] not in map(chirps.phase, (place[0] - half, place[0] + half))
+        )
     ]
     known = [place for place in known if place not in odd]
     if known[-2:-1] and known[-2][1] != known[-1][1]:
         known.pop()
     if not known:
         return 0, []
+    if known[0][1] and chirps.begin_before_a_gap(known[0][1]):
+        known.insert(0, (0, 0))
     changes = [pair for pair in pairwise(known) if pair[0][1] != pair[1][1]]
     if len(changes) > _MAX_LOSSES:
         raise packets_are_missing(stream)
@@ -158,6 +170,11 @@ class _Chirps:
         words = self._stream.read(first, self.probe_bytes).view("<i2")
         return chirp_phase(words, self._order, self._n_samples)
 
+    def begin_before_a_gap(self, after: int) -> bool:
+        """Whether the stream begins with a chirp, and a gap follows within the first window."""
+        at, is_seen = self._place(0, 0, 0, after)
+        return at > 0 and is_seen
+
     def gaps(self, changes: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> Iterator[Gap]:
         """Missing packets between places at which chirps begin at different samples.
 
@@ -168,14 +185,17 @@ class _Chirps:
             numbers = range(1, _MAX_PACKETS + 1)
             fitting = (k for k in numbers if (k * self._step - shift) % self._n == 0)
             n_packets = next(fitting, 0) if PAYLOAD_BYTES % self._sample_bytes == 0 else 0
-            at = self._place(low, high, before, after) if n_packets else None
-            yield Gap(high if at is None else at, n_packets if at else 0, after)
+            at, is_seen = self._place(low, high, before, after) if n_packets else (0, False)
+            yield Gap(at or high, n_packets if at else 0, after, is_seen)
 
     def whole(self, gaps: list[Gap]) -> list[Gap]:
         """Gaps that make the stream a whole number of chirps; none of known length otherwise.
 
-        Numbers of packets that shift chirps alike may shift receivers otherwise.
+        Numbers of packets that shift chirps alike may shift receivers otherwise. Most places must
+        be seen: captures are joined anywhere.
         """
+        if 2 * sum(gap.is_seen for gap in gaps) < len(gaps):
+            return [gap._replace(n_packets=0) for gap in gaps]
         n_bytes, whole = self._stream.n_bytes, self._chirp_bytes * self._order.n_rx
         whole //= self._order.n_alternating
         period = self._n // math.gcd(self._step, self._n)
@@ -184,10 +204,12 @@ class _Chirps:
             n_lost = sum(gap.n_packets for gap in tried)
             if (n_bytes + n_lost * PAYLOAD_BYTES) % whole == 0 and all(g.n_packets for g in gaps):
                 return tried
+        if len(gaps) >= _MAX_JOINED:
+            raise packets_are_missing(self._stream)
         return [gap._replace(n_packets=0) for gap in gaps]
 
-    def _place(self, low: int, high: int, before: int, after: int) -> int | None:
-        """Byte from which on chirps begin elsewhere; None where no packet begins there."""
+    def _place(self, low: int, high: int, before: int, after: int) -> tuple[int, bool]:
+        """Byte of a packet from which on chirps begin elsewhere; and whether they jump there."""
         first, last = low // PAYLOAD_BYTES, high // PAYLOAD_BYTES + 1
         while last - first > 1:
             middle = (first + last) // 2
@@ -206,5 +228,5 @@ class _Chirps:
         places = np.arange(0, len(scores) - _RUN, self._step)
         near = np.max([scores[places + k] for k in range(_RUN)], axis=0)
         best = int(np.argmax(near))
-        is_there = near[best] >= scores.max() - 2 * np.log(MIN_JUMP)
-        return begin + int(places[best]) * self._sample_bytes if is_there else None
+        is_seen = bool(near[best] >= scores.max() - 2 * np.log(MIN_JUMP))
+        return begin + int(places[best]) * self._sample_bytes, is_seen

@@ -251,15 +251,15 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
 
 def _hdf5_array(data: Any, path: Path, *, is_reversed: bool) -> MatArray:
     """Array of HDF5; its axes are reversed where MATLAB or Octave wrote it."""
-    parts = data.dtype.names
-    is_complex = parts is not None and set(parts) == {"real", "imag"}
+    parts = {name[:1].lower(): name for name in data.dtype.names or ()}  # real and imag, re and im
+    is_complex = parts.keys() == {"r", "i"}
     kind = "c" if is_complex else "O" if parts else data.dtype.kind
 
     def read(index: tuple[Any, ...]) -> Array:
         n_bytes = data.dtype.itemsize * math.prod(data.shape)
         require_unpacked(n_bytes, data.id.get_storage_size(), path)
         stored = data[(..., *reversed(index))].T if is_reversed else data[index]
-        return stored["real"] + 1j * stored["imag"] if is_complex else np.asarray(stored)
+        return stored[parts["r"]] + 1j * stored[parts["i"]] if is_complex else np.asarray(stored)
 
     return MatArray(shape=data.shape[::-1] if is_reversed else data.shape, kind=kind, read=read)
 

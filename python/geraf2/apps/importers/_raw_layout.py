@@ -67,6 +67,8 @@ _CONTRADICTING_ADVANTAGE = 0.2
 _LARGEST_FLOAT, _FLOAT_SHARE = 2.0**30, 0.99
 # Parts of the words whose chirps are looked for by themselves.
 _N_PARTS = 8
+# Words of these parts where they are short: each of six packets.
+_FEW_WORDS = _N_PARTS * 6 * 728
 # Fewest words and samples from which a spectrum is estimated.
 _MIN_WORDS, _MIN_SAMPLES = 1024, 8
 
@@ -201,6 +203,10 @@ def find_layout(
         raise _unclear_receivers(n_samples, where)
     is_open = layout is None or offset_binary is None or n_rx is None
     if is_open and _one_sided(ratios[chosen]) < MIN_RATIO:
+        swapped = beginning.byteswap()
+        orders = _orders(LAYOUTS, n_rx)
+        if max(_one_sided(_segment_ratio(swapped, one, length)) for one in orders) > MIN_RATIO:
+            raise _other_numbers(where, kind="big-endian integers of 16 bits")
         raise UserError(
             what="the layout cannot be found out: no order of the words gives a one-sided "
             f"spectrum (best is {chosen} with {_one_sided(ratios[chosen]):.3g} : 1)",
@@ -345,25 +351,37 @@ def _is_float(words: NDArray[np.int16], kind: str) -> bool:
     return bool(ordinary.any() and not is_half and (ordinary | (values == 0)).mean() > _FLOAT_SHARE)
 
 
+def _other_numbers(where: object, *, kind: str) -> UserError:
+    return UserError(
+        what=f"holds {kind}, not words of 16 bits as a board records them",
+        where=where,
+        hint="write them as arrays for 'geraf2 import geraf-sens' or 'geraf2 import mat'",
+    )
+
+
 def _found_samples(
     words: NDArray[np.int16], order: WordOrder, given: int | None, where: object
 ) -> tuple[int | None, float]:
     """Return the samples per chirp, and the jumps there; UserError where packets are missing."""
     found, jump = find_n_samples(words, order, None)
     if found is None or found != given:
-        found = _of_most_parts(words, order) or found
-    if (found is None or found != given) and jumps_with_packets(words, order, found):
-        raise packets_are_missing(where)
+        found = _of_most_parts(words, order, len(words)) or found
+        short = _of_most_parts(words, order, _FEW_WORDS)
+        is_cut = found is not None and short is not None and found % short > 0
+        if found != given and (is_cut or jumps_with_packets(words, order, found)):
+            raise packets_are_missing(where)
     return found, jump
 
 
-def _of_most_parts(words: NDArray[np.int16], order: WordOrder) -> int | None:
+def _of_most_parts(words: NDArray[np.int16], order: WordOrder, n_words: int) -> int | None:
     """Return the samples per chirp that most parts of the words have; None where they differ.
 
-    Behind a missing packet chirps begin elsewhere, so that none may be seen in the whole.
+    n_words: of all parts. Behind a missing packet chirps begin elsewhere, so that none may be seen
+    in longer parts, or losses at equal distances are taken for the ends of chirps.
     """
-    size = len(words) // _N_PARTS // 64 * 64
-    parts = [words[k * size : (k + 1) * size] for k in range(_N_PARTS)]
+    size = n_words // _N_PARTS // 64 * 64
+    starts = [k * len(words) // _N_PARTS // 64 * 64 for k in range(_N_PARTS)]
+    parts = [words[start : start + size] for start in starts]
     found = [late[0] for part in parts if (late := find_late_chirps(part, order))]
     n_samples, count = Counter(found).most_common(1)[0] if found else (None, 0)
     return n_samples if 2 * count >= _N_PARTS else None
@@ -385,14 +403,12 @@ def _require_possible(
         )
     if not words.any():
         raise UserError(what="begins with nothing but zeros", where=where)
-    floats = next((kind for kind in ("<f4", "<f8") if _is_float(words, kind)), None)
+    floats = next((kind for kind in ("<f4", "<f8", ">f4", ">f8") if _is_float(words, kind)), None)
     if floats is not None:
-        raise UserError(
-            what=f"holds floating-point numbers of {8 * int(floats[2])} bits, not words of 16",
-            where=where,
-            expected="samples as a board records them",
-            hint="write them as arrays for 'geraf2 import geraf-sens' or 'geraf2 import mat'",
-        )
+        raise _other_numbers(where, kind=f"floating-point numbers of {8 * int(floats[2])} bits")
+    low, high = words[: words.size // 2 * 2].reshape(-1, 2).T
+    if low.min() < 0 <= low.max() and (high == low >> 15).mean() > _FLOAT_SHARE:
+        raise _other_numbers(where, kind="integers of 32 bits")
     if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
         raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
     if n_samples is not None and n_samples < _MIN_SAMPLES:

@@ -178,8 +178,11 @@ _MIN_PAYLOAD, _MAX_PAYLOAD = 46, 9000
 _PACKET_SCAN_BYTES = 1 << 24
 # Names that mmWave Studio and the DCA1000 command line give to the parts of one recording.
 _STUDIO_PART = re.compile(r".*_Raw_\d+", re.IGNORECASE)
-# Files of a TI cascade (MMWCAS): master_0000_data.bin, slave1_0000_data.bin, and _idx.bin of each.
-_CHIP = re.compile(r"(?:.*[^a-z])?(master|slave\d*)(?:[^a-z].*)?", re.IGNORECASE)
+# Files of a TI cascade (MMWCAS): master_0000_data.bin, slave1_0000_data.bin, or by numbers of the
+# chips, and _idx.bin of each.
+_CHIP = re.compile(
+    r"(?:.*[^a-z])?(master|slave\d*|dev\d+|device\d+|chip\d+)(?:[^a-z].*)?", re.IGNORECASE
+)
 _INDEX = re.compile(r".*_idx", re.IGNORECASE)
 MAX_NAMED = 4
 # A gap beyond this is a broken header and no loss: 1 GiB, 10 s of a board at full rate.

@@ -448,7 +448,10 @@ def _count_frames(
         )
     if rest > 1:  # a single byte was reported already
         text = f"the last frame is cut short after {rest} of {frame_bytes} bytes"
-        hint = f"--keep-good keeps the {n_frames} whole ones"
+        hint = (
+            f"--keep-good keeps the {n_frames} whole ones, which are right if the recording was "
+            "stopped, and not if packets were lost"
+        )
         wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
         notes.append(f"{note_omission(text, options.keep_good, source, **wrong)} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
