@@ -106,13 +106,12 @@ def focus_antennas(
     n = config.n_coefficients
     bases = [trajectory_basis(pose.n_antennas, n, config.n_at_once) for pose in capture.poses]
     of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
-    first: dict[int, list[bool]] = defaultdict(list)
-    for number, echo in enumerate(echoes):
+    for echo in echoes:
         of_pose[echo.pose].append(echo)
-        first[echo.pose].append(number % 2 == 0)
+    first = {pose: np.arange(len(own)) % 2 == 0 for pose, own in of_pose.items()}
     every = {pose: _Phases.of(own, bases[pose], capture.waveform) for pose, own in of_pose.items()}
     halves = [
-        {pose: linear.select(np.asarray(first[pose]) == half) for pose, linear in every.items()}
+        {pose: linear.select(first[pose] == half) for pose, linear in every.items()}
         for half in (True, False)
     ]
     judged = []

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from geraf2._types import AnyPath, Array, Floats, Ints
+from geraf2._types import AnyPath, Array, Floats
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.box_search import upward
 from geraf2.calibration.channel_phase import channels_of, with_channel_phases
@@ -81,18 +81,6 @@ class Corrections:
     def moved_prior(self, prior: LosPrior) -> LosPrior:
         """Prior in the frame of the capture; the same object if it does not move."""
         return prior if self.prior_to_capture is None else prior.move(self.prior_to_capture)
-
-    def in_order(self, order: Ints) -> "Corrections":
-        """Corrections of a capture whose poses are in another order, (n_poses,)."""
-
-        def ordered(values: Floats | None) -> Floats | None:
-            return None if values is None else values[order]
-
-        return replace(
-            self,
-            angles_rad=ordered(self.angles_rad),
-            drift_coefficients_m=ordered(self.drift_coefficients_m),
-        )
 
     def of_more(self, n_poses: int) -> "Corrections | None":
         """Corrections of a capture with further, last poses; None if they need an estimate."""

@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from geraf2._bounds import Bounded, ChannelCount
-from geraf2._types import Ints, Progress
+from geraf2._types import Progress
 from geraf2.calibration.acceptance import Judgement, judge, nothing_found
 from geraf2.calibration.autofocus import (
     DRIFT_SIZE_M,
@@ -51,8 +51,6 @@ CALIBRATION_VERSION = 14
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
 # for channels.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
-# Planes whose elevations round to the same multiple are one ring of the scan [degrees].
-_RING_DEG = 15.0
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
 
 
@@ -101,29 +99,6 @@ class Calibration:
         """Whether the correction of this name was applied."""
         return any(one.applied for one in self.judgements if one.name == name)
 
-    def in_order(self, order: Ints, capture: Capture) -> "Calibration":
-        """Return the same for a capture whose poses are these in another order, (n_poses,)."""
-        walls, drift = self.walls, self.drift
-        corrections = self.corrections.in_order(order)
-        return replace(
-            self,
-            capture=corrections.applied(capture),
-            corrections=corrections,
-            walls=walls and replace(walls, angles_rad=walls.angles_rad[order]),
-            drift=drift and replace(drift, coefficients_m=drift.coefficients_m[order]),
-        )
-
-
-def scan_order(capture: Capture) -> Ints:
-    """Order of the planes around the box, ring after ring, (n_poses,)."""
-    poses = capture.poses
-    looking = np.array([pose.axes[0] for pose in poses]).reshape(-1, 3)
-    rings = np.rint(np.rad2deg(np.arcsin(np.clip(-looking[:, 2], -1.0, 1.0))) / _RING_DEG)
-    angles = np.rad2deg(np.arctan2(-looking[:, 1], -looking[:, 0]))
-    if all(pose.angle_deg is not None for pose in poses):
-        angles = np.array([pose.angle_deg for pose in poses], dtype=np.float64)
-    return np.asarray(np.lexsort((np.round(angles % 360.0, 3), rings)), dtype=np.int64)
-
 
 def calibrate(
     capture: Capture,
@@ -138,8 +113,7 @@ def calibrate(
 
     Linear steps are first: leakage and phases of channels. Delay, position of the prior, turntable
     axis and angles follow in one estimate from the walls, then slow errors of positions. If no
-    delay is recorded, channels are estimated with that of the walls. Planes are held out by their
-    order around the box, so the order in which they were recorded does not matter.
+    delay is recorded, channels are estimated with that of the walls.
 
     prior: outside of the box, approximately in the capture frame.
     config: selection of corrections; all when None.
@@ -150,13 +124,6 @@ def calibrate(
     config = config or CalibrationConfig()
     if config.channels and config.n_channels is not None:
         _require_whole_turns(capture, config.n_channels)
-    order = scan_order(capture)
-    if (np.diff(order) < 0).any():
-        ordered = replace(capture, poses=tuple(capture.poses[number] for number in order))
-        found = calibrate(
-            ordered, prior, config, peaks=peaks, num_threads=num_threads, progress=progress
-        )
-        return found.in_order(np.argsort(order), capture)
     run = _Run(capture, prior, config, peaks or KeptPeaks(prior, num_threads=num_threads))
     report = progress or (lambda _: None)
     steps = (run.leakage, run.channels, run.walls, run.positions)
@@ -185,8 +152,7 @@ class _Run:
         self.judgements = list[Judgement]()
         self.steps = list[_Step]()
         self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
-        n_poses = len(capture.poses)
-        self.subset = sorted({int(i) for i in np.linspace(0, n_poses, _N_POSES, endpoint=False)})
+        self.subset = _planes_around(capture)
         self.alignment = replace(config.alignment, keep_delay=not config.delay)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
@@ -225,7 +191,7 @@ class _Run:
             self.judgements.append(nothing_found("channels", text, "nothing to correct"))
             return {}
         index = channels_of(capture.poses, n_turns) or []
-        held_out = sorted({echo.pose for echo in echoes})[1::2]
+        held_out = self.subset[1::2]
         try:
             phases = estimate_channel_phases(echoes, index)
             half = [echo for echo in echoes if echo.pose not in held_out]
@@ -320,6 +286,14 @@ class _Run:
         found = judge("positions", text, numbers, drift.gain)
         self.judgements.append(found)
         return {"drift_coefficients_m": drift.coefficients_m} if found.applied else {}
+
+
+def _planes_around(capture: Capture) -> list[int]:
+    """Choose planes at even steps around the box, in this order."""
+    looking = np.array([pose.axes[0] for pose in capture.poses]).reshape(-1, 3)
+    order = np.argsort(np.arctan2(looking[:, 1], looking[:, 0]).round(3), kind="stable")
+    steps = {int(i) for i in np.linspace(0, len(order), _N_POSES, endpoint=False)}
+    return [int(order[step]) for step in sorted(steps)]
 
 
 def _strong_echoes(

@@ -333,8 +333,9 @@ class WallProblem:
 
         The halves share the walls' middles and shapes, whose deviations count by their prior.
         """
-        _, number = np.unique(self.echoes.subapertures, return_inverse=True)
-        odd = number.ravel() % 2 == 1
+        kept, number = np.unique(self.echoes.subapertures, return_inverse=True)
+        planes = self.echoes.subaperture_planes[kept]
+        odd = (number - np.searchsorted(planes, planes)[number]) % 2 == 1
         start = np.zeros(len(self.sigmas))
         start[0] = self.offset_m
         nats, prior = list[Floats](), 0.0
