@@ -45,7 +45,7 @@ def test_a_scan_without_errors_does_not_change(capture):
     assert found.prior is PRIOR
     assert found.corrections.are_none
     names = [judgement.name for judgement in found.judgements]
-    assert names == ["leakage", "channels", "delay", "frame", "axis", "positions"]
+    assert names == ["leakage", "channels", "delay", "frame", "positions"]
     assert all(str(j).endswith(f"not applied, {j.against}") for j in found.judgements if j.against)
 
 
@@ -134,8 +134,6 @@ def test_corrections_come_back_from_a_file(capture, tmp_path):
         n_turns=4,
         channel_phases_rad=rng.normal(size=4),
         delay_m=0.002,
-        axis_shift_m=np.array([0.0, 0.001]),
-        angles_rad=rng.normal(size=len(sizes)) * 1e-3,
         drift_coefficients_m=rng.normal(size=(len(sizes), 12)) * 1e-4,
         prior_to_capture=np.eye(4),
     )

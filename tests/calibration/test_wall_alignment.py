@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2.calibration.corrections import with_axis
 from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallProblem,
@@ -72,20 +71,11 @@ def test_unknowns_that_vertical_walls_do_not_show_keep_their_uncertainty(capture
     assert (found.translation_sigma_m[:2] < 0.002).all()
 
 
-def test_a_shifted_turntable_axis(capture):
-    del capture
-    radial, across = 0.002, 0.003
-    wrong = carton_capture(errors=lambda _, axes, n: radial * axes[0] - across * axes[1])
-    found = aligned(wrong, PRIOR)
-    # Nearer by 2 mm for all poses is a path shorter by 4 mm; only the rest is the axis's.
-    assert found.delay_m == pytest.approx(-2.0 * radial, abs=1e-3)
-    assert abs(found.axis_shift_m[1] - across) < 2.5 * found.axis_shift_sigma_m[1]
-    held = aligned(wrong, PRIOR, AlignmentConfig(keep_delay=True))
-    assert held.delay_m == 0.0
-    assert held.axis_shift_m[0] == pytest.approx(radial, abs=5e-4)
-    corrected = with_axis(wrong, held.axis_shift_m, held.angles_rad)
-    true = wrong.poses[3].tx_positions + radial * wrong.poses[3].axes[0]
-    assert np.abs((corrected.poses[3].tx_positions - true) @ wrong.poses[3].axes[0]).max() < 0.001
+def test_a_shifted_turntable_axis_is_a_wrong_delay(capture):
+    """Nearer by 2 mm for all poses is a path shorter by 4 mm."""
+    wrong = carton_capture(errors=lambda _, axes, n: 0.002 * axes[0])
+    assert aligned(wrong, PRIOR).delay_m == pytest.approx(-0.004, abs=1e-3)
+    assert aligned(wrong, PRIOR, AlignmentConfig(keep_delay=True)).delay_m == 0.0
 
 
 def test_a_far_wall_alone_is_never_interpreted_as_a_near_one():
@@ -124,15 +114,10 @@ def log_posterior(problem, values, walls, some):
     parts = {name: values[index] for name, index in problem.parts.items()}
     shapes, total = parts["shapes"].reshape(n_walls, -1), 0.0
     for peak, wall, far in zip(walls.index, walls.walls, walls.far, strict=True):
-        pose, side = problem.echoes.planes[peak], -1.0 if far else 1.0
-        axes, (point, up) = problem.axes[pose], problem.axis
-        radial, across = parts["axis"]
-        center = problem.echoes.centers[peak] + (radial + parts["planes"][pose]) * axes[0]
-        turn = Rotation.from_rotvec(parts["angles"][pose] * up)
-        center = turn.apply(center - across * axes[1] - point) + point
+        side, center = -1.0 if far else 1.0, problem.echoes.centers[peak]
         back = Rotation.from_rotvec(-parts["rotation"])
         center = back.apply(center - problem.center - parts["translation"]) + problem.center
-        direction = back.apply(turn.apply(problem.echoes.directions[peak]))
+        direction = back.apply(problem.echoes.directions[peak])
         normal, q = problem.faces.normals[wall], problem.faces.centers[wall]
         height = normal @ (center - q)
         half = 1.0 / np.linalg.norm(problem.faces.across[wall], axis=1)

@@ -25,8 +25,6 @@ def corrections():
     return Corrections(
         leakage=Leakage(basis=np.ones((32, 2), "c8"), operator=np.ones((32, 2), "c8")),
         channel_phases_rad=np.zeros(4),
-        axis_shift_m=np.zeros(2),
-        angles_rad=np.zeros(2),
         drift_coefficients_m=np.zeros((2, 3)),
         prior_to_capture=np.eye(4),
     )

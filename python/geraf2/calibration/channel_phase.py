@@ -5,7 +5,7 @@ of an echo is compared with the sum of its neighbours. The difference that all a
 share is the channel's phase (docs/math/calibration.md#channels).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,7 +32,6 @@ _MIN_ECHOES = 8
 _MAX_TURNS = 16
 # Least growth of the neighbours' agreement, equal to the effect of phases of 3 degrees RMS.
 _MIN_TURN_GAIN = 0.002
-_TILTS = np.linspace(-0.5, 0.5, 7)  # phase slope of an echo over its sub-aperture [cycles]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -156,55 +155,30 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
 
 
 def phase_gain(
-    capture: Capture, phases_rad: Sequence[Floats], echoes_of: Callable[[Capture], list[EchoPhases]]
+    echoes: list[EchoPhases], channels: list[Ints], phases_rad: Floats
 ) -> tuple[Gain, float, float]:
     """Gain of echoes by removing phases that were estimated without them.
 
-    The echoes are searched for both with and without the phases, since wrong phases create echoes
-    that right ones weaken.
-
-    capture: the held-out planes. phases_rad: of each antenna of each of its poses, [(n,)].
-    echoes_of: function that finds strong echoes.
+    channels: of each antenna of each pose, [(n_antennas,)]. phases_rad: of each channel.
 
     Returns the gain and the mean coherence without and with the phases removed.
     """
-    back = [-phase for phase in phases_rad]
-    none = [np.zeros(len(phase)) for phase in phases_rad]
-    first, second = echoes_of(capture), echoes_of(with_phases(capture, back))
-    without = np.concatenate([_coherence(first, none), _coherence(second, back)])
-    with_them = np.concatenate([_coherence(first, phases_rad), _coherence(second, none)])
-    sizes = np.array([float(np.abs(echo.values).sum()) for echo in [*first, *second]])
-    gain = Gain.of(coherence_nats(without, with_them, sizes**2))
-    before, after = (float(c.mean()) if len(c) else 0.0 for c in (without, with_them))
-    return gain, before, after
-
-
-def _coherence(echoes: list[EchoPhases], phases_rad: Sequence[Floats]) -> Floats:
-    """Coherence of each echo with phases removed, (n_echoes,).
-
-    Phases with a slope over the aperture shift an echo by less than the width of its peak. The
-    result is therefore the largest coherence over small slopes.
-    """
-    found = np.zeros(len(echoes))
+    turns = np.exp(-1j * phases_rad)
+    coherence = np.zeros((2, len(echoes)))
     for number, echo in enumerate(echoes):
-        values = echo.values * np.exp(-1j * phases_rad[echo.pose][echo.antennas])
-        size = np.ptp(echo.offsets_m, axis=0).max()
-        tilts = np.exp(2j * np.pi / size * echo.offsets_m[:, :, None] * _TILTS)
-        sums = np.abs(np.einsum("n,na,nb->ab", values, tilts[:, 0], tilts[:, 1]))
-        found[number] = sums.max() / max(float(np.abs(values).sum()), 1e-30)
-    return found
+        removed = replace(echo, values=echo.values * turns[channels[echo.pose][echo.antennas]])
+        coherence[:, number] = echo.coherence, removed.coherence
+    sizes = np.array([float(np.abs(echo.values).sum()) for echo in echoes])
+    before, after = (float(c.sum()) / max(len(echoes), 1) for c in coherence)
+    return Gain.of(coherence_nats(coherence[0], coherence[1], sizes**2)), before, after
 
 
 def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:
     """Capture with the channels' phases removed."""
-    return with_phases(capture, [-phases_rad[channel] for channel in channels])
-
-
-def with_phases(capture: Capture, phases_rad: Sequence[Floats]) -> Capture:
-    """Capture with phases added to each antenna's samples, for each pose (n_antennas,) [rad]."""
+    turns = np.exp(-1j * phases_rad).astype(np.complex64)
     poses = [
-        replace(pose, signal=pose.signal * np.exp(1j * phase).astype(np.complex64)[:, None])
-        for pose, phase in zip(capture.poses, phases_rad, strict=True)
+        replace(pose, signal=pose.signal * turns[channel][:, None])
+        for pose, channel in zip(capture.poses, channels, strict=True)
     ]
     return replace(capture, poses=tuple(poses))
 

@@ -4,26 +4,25 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from geraf2._types import AnyPath, Array, Floats
 from geraf2.calibration.autofocus import with_displacements
 from geraf2.calibration.box_search import upward
 from geraf2.calibration.channel_phase import channels_of, with_channel_phases
 from geraf2.calibration.leakage import Leakage, without_leakage
-from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.errors import UserError
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.scene import Capture, LosPrior
+from geraf2.scene.summary import summarize_capture
 
 _LAYOUTS = {
     "reversed_turn": "int",
     "channel_phases_rad": "float? c",
     "n_turns": "int",
     "delay_m": "float",
-    "axis_shift_m": "float? 2",
-    "angles_rad": "float? p",
     "drift_coefficients_m": "float? p k",
     "prior_to_capture": "float? 4 4",
     "leakage_basis": "complex? s r",
@@ -45,10 +44,6 @@ class Corrections:
     """Number of interleaved channels; 0: channels are distinguished by their offsets."""
     delay_m: float = 0.0
     """Change of the instrument delay, two-way path [m]."""
-    axis_shift_m: Floats | None = None
-    """Turntable axis, true minus recorded: towards the radar, and across, (2,) [m]."""
-    angles_rad: Floats | None = None
-    """Change of each pose's angle, (n_poses,) [rad]; applied with the axis."""
     drift_coefficients_m: Floats | None = None
     """Displacement of antennas along the looking direction, splines, (n_poses, n) [m]."""
     prior_to_capture: Floats | None = None
@@ -72,8 +67,6 @@ class Corrections:
             capture = with_channel_phases(capture, channels, self.channel_phases_rad)
         if self.delay_m != 0.0:
             capture = with_delay(capture, self.delay_m)
-        if self.axis_shift_m is not None and self.angles_rad is not None:
-            capture = with_axis(capture, self.axis_shift_m, self.angles_rad)
         if self.drift_coefficients_m is not None:
             capture = with_displacements(capture, self.drift_coefficients_m)
         return capture
@@ -81,15 +74,6 @@ class Corrections:
     def moved_prior(self, prior: LosPrior) -> LosPrior:
         """Prior in the frame of the capture; the same object if it does not move."""
         return prior if self.prior_to_capture is None else prior.move(self.prior_to_capture)
-
-    def of_more(self, n_poses: int) -> "Corrections | None":
-        """Corrections of a capture with further, last poses; None if they need an estimate."""
-        if self.drift_coefficients_m is not None:
-            return None
-        angles = self.angles_rad
-        if angles is not None:
-            angles = np.pad(angles, (0, n_poses - len(angles)))
-        return replace(self, angles_rad=angles)
 
     def _arrays(self) -> dict[str, Array]:
         """All values by name; unchanged ones are empty."""
@@ -139,23 +123,16 @@ def with_turn_reversed(capture: Capture) -> Capture:
     Angles are about the upright axis through the point that the planes face, 0 towards x, or
     towards y for a turntable whose axis is x.
     """
-    full = tuple(pose for pose in capture.poses if pose.n_antennas)
-    axis = turntable_axis(full)[0], upward(capture)
-    x = np.roll(np.eye(3), -1, axis=0)[int(np.abs(axis[1]).argmax())]
-    y = np.cross(axis[1], x)
+    point, up = summarize_capture(capture).focus, upward(capture)
+    assert point is not None
+    x = np.roll(np.eye(3), -1, axis=0)[int(np.abs(up).argmax())]
+    y = np.cross(up, x)
     poses = []
     for pose in capture.poses:
-        outward = (pose.phase_centers if pose.n_antennas else axis[0][None]).mean(axis=0) - axis[0]
+        outward = (pose.phase_centers if pose.n_antennas else point[None]).mean(axis=0) - point
         angle = float(np.arctan2(outward @ y, outward @ x))
-        poses.append(moved_pose(pose, np.zeros(2), -2.0 * angle, axis))
+        turn = Rotation.from_rotvec(-2.0 * angle * up).as_matrix()
+        tx, rx = ((p - point) @ turn.T + point for p in (pose.tx_positions, pose.rx_positions))
+        axes = np.asarray(pose.axes @ turn.T)
+        poses.append(replace(pose, tx_positions=tx, rx_positions=rx, axes=axes))
     return replace(capture, poses=tuple(poses))
-
-
-def with_axis(capture: Capture, axis_shift_m: Floats, angles_rad: Floats) -> Capture:
-    """Capture with poses around the true turntable axis, at the true angles."""
-    axis = turntable_axis(tuple(pose for pose in capture.poses if pose.n_antennas))
-    poses = tuple(
-        moved_pose(pose, axis_shift_m, float(angle), axis)
-        for pose, angle in zip(capture.poses, angles_rad, strict=True)
-    )
-    return replace(capture, poses=poses)

@@ -45,7 +45,7 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 14
+CALIBRATION_VERSION = 15
 """Increase when the same capture gives other corrections."""
 
 # Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
@@ -63,7 +63,7 @@ class CalibrationConfig(Bounded):
     delay: bool = True
     """Correct the instrument delay."""
     frame: bool = True
-    """Move the prior, the turntable axis and the poses' angles to agree with the walls."""
+    """Move the prior to agree with the walls."""
     n_channels: ChannelCount | None = None
     """Number of interleaved channels, antenna i with channel i modulo this. None: by their offsets,
     else by their phases."""
@@ -86,8 +86,8 @@ class Calibration:
     corrections: Corrections
     judgements: tuple[Judgement, ...]
     common_offset_sigma_m: float
-    """Standard deviation of the one-way range offset that all planes share after the corrections,
-    of delay and turntable axis [m]."""
+    """Standard deviation of the one-way range offset that all planes share after the corrections
+    [m]."""
     walls: WallAlignment | None = None
     """Estimate with the applied corrections; None if walls were not used or not seen."""
     channels: ChannelPhases | None = None
@@ -111,9 +111,9 @@ def calibrate(
 ) -> Calibration:
     """Correct a capture and its prior for the errors that the data show.
 
-    Linear steps are first: leakage and phases of channels. Delay, position of the prior, turntable
-    axis and angles follow in one estimate from the walls, then slow errors of positions. If no
-    delay is recorded, channels are estimated with that of the walls.
+    Linear steps are first: leakage and phases of channels. Delay and position of the prior
+    follow in one estimate from the walls, then slow errors of positions. If no delay is recorded,
+    channels are estimated with that of the walls.
 
     prior: outside of the box, approximately in the capture frame.
     config: selection of corrections; all when None.
@@ -194,19 +194,15 @@ class _Run:
         held_out = self.subset[1::2]
         try:
             phases = estimate_channel_phases(echoes, index)
-            half = [echo for echo in echoes if echo.pose not in held_out]
-            trial = estimate_channel_phases(half, index).phases_rad
+            rest = [echo for echo in echoes if echo.pose not in held_out]
+            trial = estimate_channel_phases(rest, index).phases_rad
         except UserError as error:
             text = str(error).partition(",")[0]
             self.judgements.append(nothing_found("channels", text, "no data", error))
             return {}
         self.found["channels"] = phases
-        rest = replace(capture, poses=tuple(capture.poses[number] for number in held_out))
-        gain, before, after = phase_gain(
-            rest,
-            [trial[index[number]] for number in held_out],
-            lambda subset: _strong_echoes(subset, self.peaks, range(len(held_out))),
-        )
+        test = [echo for echo in echoes if echo.pose in held_out]
+        gain, before, after = phase_gain(test, index, trial)
         kind = f"{n_turns} interleaved" if n_turns else f"{len(trial)} by offset"
         rms, sigma = (float(np.sqrt(np.mean(v**2))) for v in (phases.phases_rad, phases.sigma_rad))
         text = (
@@ -221,7 +217,7 @@ class _Run:
         return {"n_turns": n_turns, "channel_phases_rad": phases.phases_rad}
 
     def walls(self) -> _Step:
-        """Estimate delay, frame and axis together, and test each in the presence of the others."""
+        """Estimate delay and frame together, and test each in the presence of the other."""
         groups: list[Group] = [
             group
             for group in GROUPS
@@ -252,12 +248,11 @@ class _Run:
             self.judgements.append(replace(judged, applied=is_applied, against=against))
         self.found["walls"] = found
         # An estimated offset that is not applied remains in the capture.
-        rest_m = every.offset_m - found.offset_m
-        self.offset_sigma_m = float(np.hypot(rest_m, every.offset_sigma_m))
+        rest_m = every.delay_m - found.delay_m
+        self.offset_sigma_m = 0.5 * float(np.hypot(rest_m, every.delay_sigma_m))
         values: dict[Group, _Step] = {
             "delay": {"delay_m": found.delay_m},
             "frame": {"prior_to_capture": found.prior_to_capture},
-            "axis": {"axis_shift_m": found.axis_shift_m, "angles_rad": found.angles_rad},
         }
         return dict(ChainMap(*(values[group] for group in chosen)))
 
@@ -313,24 +308,15 @@ def _describe(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]
         text = f"{1e3 * found.delay_m:+z.2f} mm of path +- {1e3 * found.delay_sigma_m:.2f}{bulge}"
         numbers = {"delay_m": found.delay_m, "sigma_m": found.delay_sigma_m}
         return text, numbers | {"bulge_m": found.bulge_m}
-    if group == "frame":
-        turn, shift = np.linalg.norm(found.rotation_rad), np.linalg.norm(found.translation_m)
-        sigmas = found.rotation_sigma_rad.max(), found.translation_sigma_m[:2].max()
-        text = (
-            f"box turned by {np.rad2deg(turn):.2f} degrees +- {np.rad2deg(sigmas[0]):.2f}, moved "
-            f"by {1e3 * shift:.1f} mm +- {1e3 * sigmas[1]:.1f}"
-        )
-        names = ("turn_rad", "turn_sigma_rad", "shift_m", "shift_sigma_m")
-        values = (turn, sigmas[0], shift, sigmas[1])
-        return text, dict(zip(names, map(float, values), strict=True))
-    across, sigma = found.axis_shift_m[1], found.axis_shift_sigma_m[1]
-    largest = np.abs(found.angles_rad).max()
+    turn, shift = np.linalg.norm(found.rotation_rad), np.linalg.norm(found.translation_m)
+    sigmas = found.rotation_sigma_rad.max(), found.translation_sigma_m[:2].max()
     text = (
-        f"turntable axis {1e3 * across:+z.2f} mm across +- {1e3 * sigma:.2f}, angles by up to "
-        f"{np.rad2deg(largest):.3f} degrees"
+        f"box turned by {np.rad2deg(turn):.2f} degrees +- {np.rad2deg(sigmas[0]):.2f}, moved "
+        f"by {1e3 * shift:.1f} mm +- {1e3 * sigmas[1]:.1f}"
     )
-    found_numbers = {"across_m": across, "sigma_m": sigma, "largest_angle_rad": largest}
-    return text, {name: float(value) for name, value in found_numbers.items()}
+    names = ("turn_rad", "turn_sigma_rad", "shift_m", "shift_sigma_m")
+    values = (turn, sigmas[0], shift, sigmas[1])
+    return text, dict(zip(names, map(float, values), strict=True))
 
 
 def _require_whole_turns(capture: Capture, n_channels: int) -> None:

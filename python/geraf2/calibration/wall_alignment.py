@@ -1,6 +1,6 @@
-"""Gauss-Newton estimate of delay, box frame, turntable axis and angles from wall echoes."""
+"""Gauss-Newton estimate of the delay and of the box's frame from wall echoes."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -27,7 +27,7 @@ from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.echoes.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.geometry.transforms import rigid
 from geraf2.imaging.peaks import KeptPeaks, PeakSet
-from geraf2.scene import Capture, LosPrior, Pose
+from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import is_delay_given
 
 # Standard deviations of an echo of a near and of a far wall, whose path crosses the content: of
@@ -41,13 +41,12 @@ _FIRST_SIGMAS = 2.0 * N_SIGMAS
 # Searched changes of the two-way path with a recorded delay, and without [m].
 _NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
 
-Group = Literal["delay", "frame", "axis"]
-"""Groups that are accepted separately: delay; position of the prior; turntable axis and angles."""
-GROUPS: tuple[Group, ...] = ("delay", "frame", "axis")
+Group = Literal["delay", "frame"]
+"""Groups that are accepted separately: delay; position of the prior."""
+GROUPS: tuple[Group, ...] = ("delay", "frame")
 _PARTS: dict[Group, tuple[str, ...]] = {
     "delay": ("delay",),
     "frame": ("rotation", "translation"),
-    "axis": ("axis", "angles"),
 }
 
 
@@ -59,22 +58,16 @@ class AlignmentConfig(Bounded):
     """Searched changes of the instrument delay, on the two-way path [m]. By default -0.03 to 0.03
     if a delay was recorded, and -0.3 to 1 if not."""
     keep_delay: bool = False
-    """Keep the instrument delay; then the axis may also lie nearer or farther."""
+    """Keep the instrument delay."""
     delay_sigma_m: MarginM = 2.0 * DELAY_SIGMA_M
-    """Expected error of a recorded delay, on the two-way path [m]; an axis that is 1 mm nearer to
-    the radar has the same effect."""
+    """Expected error of a recorded delay, on the two-way path [m]; a turntable axis that is 1 mm
+    nearer to the radar has the same effect."""
     always_delay: bool = False
     """Apply the estimate of the delay even if held-out echoes do not confirm it."""
     translation_sigma_m: MarginM = 0.01
     """Expected error of the prior's position [m]."""
     rotation_sigma_rad: MarginRad = 0.05
     """Expected error of the prior's orientation [rad]."""
-    axis_sigma_m: MarginM = 0.002
-    """Expected error of the turntable axis [m]."""
-    angle_sigma_rad: MarginRad = 0.002
-    """Expected error of each pose's turntable angle [rad]."""
-    plane_sigma_m: MarginM = 0.00015
-    """Expected error of each plane's distance, from drift of positions [m]."""
     wall_sigma_m: MarginM = float(MODE_SIGMAS_M[0])
     """Expected error of each wall's distance from the centre of the prior [m]."""
     min_echoes: Few = MIN_WALL_ECHOES
@@ -120,11 +113,6 @@ class WallAlignment:
     translation_m: Floats
     """Shift of the prior, (3,) [m]."""
     translation_sigma_m: Floats
-    axis_shift_m: Floats
-    """True turntable axis minus the recorded one: towards the radar, and across, (2,) [m]."""
-    axis_shift_sigma_m: Floats
-    angles_rad: Floats
-    """Change of each pose's angle, (n_poses,) [rad]."""
     shapes_m: Floats
     """Displacement of each wall from the prior, by mode of `wall_faces`, (n_walls, n_modes) [m]."""
     offsets_before_m: Floats
@@ -136,16 +124,6 @@ class WallAlignment:
     def rms_m(self) -> tuple[float, float]:
         """RMS of the inner 95 % of the echoes' distances from the walls, before and after [m]."""
         return _rms(self.offsets_before_m), _rms(self.offsets_after_m)
-
-    @property
-    def offset_m(self) -> float:
-        """Range offset that all planes share, one-way: delay and axis towards the radar [m]."""
-        return 0.5 * self.delay_m - float(self.axis_shift_m[0])
-
-    @property
-    def offset_sigma_m(self) -> float:
-        """Standard deviation of that offset; either delay or axis is fixed [m]."""
-        return float(np.hypot(0.5 * self.delay_sigma_m, self.axis_shift_sigma_m[0]))
 
     @property
     def bulge_m(self) -> float:
@@ -160,43 +138,6 @@ class WallAlignment:
         return rigid(turn, self.center_m + self.translation_m - turn @ self.center_m)
 
 
-def turntable_axis(poses: Sequence[Pose]) -> tuple[Floats, Floats]:
-    """Point on the turntable axis, and its direction, each (3,).
-
-    The point nearest to the looking axes of all poses, and the mean of their vertical axes.
-    """
-    centers = np.stack([pose.phase_centers.mean(axis=0) for pose in poses])
-    directions = np.stack([pose.axes[0] for pose in poses])
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    point = np.linalg.lstsq(
-        across.sum(axis=0), np.einsum("pij,pj->i", across, centers), rcond=1e-3
-    )[0]
-    up = np.mean([pose.axes[2] for pose in poses], axis=0)
-    return point, up / np.linalg.norm(up)
-
-
-def moved_pose(
-    pose: Pose, axis_shift_m: Floats, angle_rad: float, axis: tuple[Floats, Floats]
-) -> Pose:
-    """Pose around a shifted axis, rotated by a small angle.
-
-    In the frame of the object, an axis nearer to the radar moves the radar nearer.
-    """
-    point, up = axis
-    turn = Rotation.from_rotvec(angle_rad * up).as_matrix()
-    shift = axis_shift_m[0] * pose.axes[0] - axis_shift_m[1] * pose.axes[1]
-
-    def moved(positions: Floats) -> Floats:
-        return np.asarray((positions + shift - point) @ turn.T + point)
-
-    return replace(
-        pose,
-        tx_positions=moved(pose.tx_positions),
-        rx_positions=moved(pose.rx_positions),
-        axes=np.asarray(pose.axes @ turn.T),
-    )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WallFit:
     """Values of all unknowns, with their covariance."""
@@ -208,9 +149,9 @@ class WallFit:
 class WallProblem:
     """Unknowns at which the specular returns of near and far walls lie on the prior.
 
-    They are one vector: half the delay [m], rotation [rad], translation and axis [m], angle [rad]
-    and distance [m] of each pose, optical middles and shapes of the walls [m]. Each has a Gaussian
-    prior of mean 0, the delay a Student-t. A standard deviation of 0 fixes an unknown.
+    They are one vector: half the delay [m], rotation [rad] and translation [m] of the prior,
+    optical middles and shapes of the walls [m]. Each has a Gaussian prior of mean 0, the delay a
+    Student-t. A standard deviation of 0 fixes an unknown.
     """
 
     def __init__(
@@ -238,7 +179,6 @@ class WallProblem:
         self.faces = WallFaces.of(prior)
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
-        self.axis = turntable_axis(tuple(p for p in capture.poses if p.n_antennas))
         maybe = wall_echoes(self.echoes, self.faces, _FIRST_SIGMAS * ANGLE_SIGMA_RAD)
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
@@ -260,17 +200,10 @@ class WallProblem:
 
     def _priors(self, config: AlignmentConfig, delay_m: float) -> dict[str, Floats]:
         """Return the standard deviation of each unknown, by group."""
-        n_poses = len(self.axes)
-        several = 1.0 if n_poses > 1 else 0.0
-        # A common change of distance equals a change of the delay: only one can be estimated.
-        radial = config.axis_sigma_m * several if config.keep_delay else 0.0
         return {
             "delay": np.array([0.0 if config.keep_delay else delay_m]),
             "rotation": np.full(3, config.rotation_sigma_rad),
             "translation": np.full(3, config.translation_sigma_m),
-            "axis": np.array([radial, config.axis_sigma_m * several]),
-            "angles": np.full(n_poses, config.angle_sigma_rad * several),
-            "planes": np.full(n_poses, config.plane_sigma_m * several),
             "middles": np.array(self.middles.sigmas_m),
             "shapes": np.tile([config.wall_sigma_m, *MODE_SIGMAS_M[1:]], len(self.faces.centers)),
         }
@@ -278,7 +211,7 @@ class WallProblem:
     def fit(self, groups: Collection[Group], use: Bools | None = None) -> WallFit:
         """Maximum a posteriori of the unknowns; covariance from the last normal equations.
 
-        groups: free groups; planes' distances, middles and shapes of the walls are always free.
+        groups: free groups; middles and shapes of the walls are always free.
         use: mask of the peaks to use, (n_peaks,); all when None.
         """
         free = self.sigmas > 0.0
@@ -348,20 +281,10 @@ class WallProblem:
 
     def corrected(self, values: Floats, index: Ints) -> tuple[Floats, Floats]:
         """Corrected centres and directions of echoes, in the prior's frame."""
-        point, up = self.axis
-        rotation, translation, axis_shift, angles, planes = (
-            values[self.parts[name]]
-            for name in ("rotation", "translation", "axis", "angles", "planes")
-        )
-        poses = self.echoes.planes[index]
-        turn = Rotation.from_rotvec(angles[poses, None] * up)
-        axes = self.axes[poses]
-        ahead = axis_shift[0] + planes[poses]
-        shift = ahead[:, None] * axes[:, 0] - axis_shift[1] * axes[:, 1]
-        centers = turn.apply(self.echoes.centers[index] + shift - point) + point
+        rotation, translation = (values[self.parts[name]] for name in ("rotation", "translation"))
         back = Rotation.from_rotvec(rotation).inv()
-        moved = back.apply(centers - self.center - translation) + self.center
-        return moved, back.apply(turn.apply(self.echoes.directions[index]))
+        moved = back.apply(self.echoes.centers[index] - self.center - translation) + self.center
+        return moved, back.apply(self.echoes.directions[index])
 
     def walls_of(self, values: Floats, share: float, use: Bools | None = None) -> WallEchoes:
         """Select echoes of walls; share: progress from the first limits to the last, 0 to 1."""
@@ -393,9 +316,7 @@ class WallProblem:
         height = np.einsum("ij,ij->i", centers - self.faces.centers[walls.walls], normals)
         across = self.faces.across[walls.walls]
         along = across / np.linalg.norm(across, axis=2, keepdims=True)
-        point, up = self.axis
-        poses, parts, rows = self.echoes.planes[walls.index], self.parts, np.arange(n)
-        axes, rotated = self.axes[poses], np.cross(up, centers - point)
+        parts, rows = self.parts, np.arange(n)
         towards, design = side[:, None] * normals, np.zeros((n, 3, len(values)))
 
         def dot(one: Floats, other: Floats) -> Floats:
@@ -405,10 +326,6 @@ class WallProblem:
         ranges[:, 0] = -1.0
         ranges[:, parts["rotation"]] = np.cross(centers - self.center, towards)
         ranges[:, parts["translation"]] = towards
-        ranges[:, parts["axis"][0]] = -dot(towards, axes[:, 0])
-        ranges[:, parts["axis"][1]] = dot(towards, axes[:, 1])
-        ranges[rows, parts["angles"][poses]] = -dot(towards, rotated)
-        ranges[rows, parts["planes"][poses]] = -dot(towards, axes[:, 0])
         ranges[rows, parts["middles"][walls.far]] = -1.0
         ranges[:, parts["middles"][2]] = -1.0
         feet = centers - height[:, None] * normals
@@ -416,8 +333,6 @@ class WallProblem:
         columns = parts["shapes"].reshape(-1, N_MODES)[walls.walls]
         ranges[rows[:, None], columns] = modes * side[:, None]
         bearings[:, :, parts["rotation"]] = np.cross(along, directions[:, None])
-        around = np.cross(up, directions)[:, None]
-        bearings[rows[:, None], [0, 1], parts["angles"][poses][:, None]] = dot(along, around)
         where = rows[:, None, None], np.arange(2)[:, None], columns[:, None]
         bearings[where] = -side[:, None, None] * slopes
         linear = np.concatenate([parts["middles"], parts["shapes"]])
@@ -446,9 +361,6 @@ class WallProblem:
             rotation_sigma_rad=sigma["rotation"],
             translation_m=value["translation"],
             translation_sigma_m=sigma["translation"],
-            axis_shift_m=value["axis"],
-            axis_shift_sigma_m=sigma["axis"],
-            angles_rad=value["angles"],
             shapes_m=value["shapes"].reshape(-1, N_MODES),
             offsets_before_m=raw - (np.median(raw) if len(raw) else 0.0),
             offsets_after_m=after,

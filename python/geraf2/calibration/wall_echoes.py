@@ -2,7 +2,7 @@
 
 A flat wall returns a flash along its normal, in a direction that does not depend on the delay. The
 range minus the distance to the prior's wall is common to all near and far walls. Echoes of the
-content have no such common offset (docs/math/calibration.md#delay-box-and-axis).
+content have no such common offset (docs/math/calibration.md#delay-and-box).
 """
 
 from dataclasses import replace

@@ -21,8 +21,8 @@ _MAX_SEARCH_M = 20.0
 class Config(PriorSource):
     """Find errors of a scan's geometry and phases; writes a corrected scene, or reports them.
 
-    It searches for leakage, the instrument delay, phases of channels, the position of the box, the
-    turntable axis, and slow errors of the antennas' positions. A correction that held-out echoes do
+    It searches for leakage, the instrument delay, phases of channels, the position of the box, and
+    slow errors of the antennas' positions. A correction that held-out echoes do
     not confirm is not applied. Nothing is written without OUT, which may be SCENE itself, with
     --overwrite.
     """
@@ -42,7 +42,7 @@ class Config(PriorSource):
     """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
     -0.3 1.0 where none was recorded and the box is no cuboid."""
     no_frame: bool = False
-    """Leave the box, the turntable axis and the angles where they are."""
+    """Leave the box where it is."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None
     """Antenna i of a plane is of channel i modulo N; found from the offset of receiver from
     transmitter, else from the phases, when not given."""

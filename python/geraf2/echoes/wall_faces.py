@@ -2,7 +2,7 @@
 
 A bulged wall is nearer to the planes that face it, and farther from those that see it from behind,
 through the box. Ranges change in opposite directions, but a delay changes both equally
-(docs/math/calibration.md#delay-box-and-axis).
+(docs/math/calibration.md#delay-and-box).
 """
 
 from dataclasses import dataclass

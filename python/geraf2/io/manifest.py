@@ -66,10 +66,6 @@ class CalibrationManifest(_Strict):
     prior_rotation_sigma_rad: list[float] | None = None
     prior_translation_sigma_m: list[float] | None = None
     """Close to the assumed value where the scan does not determine it."""
-    axis_shift_m: list[float] | None = None
-    """Turntable axis, true less recorded: towards the radar, and across."""
-    axis_shift_sigma_m: list[float] | None = None
-    pose_angle_changes_rad: list[float] | None = None
     channels: str | None = None
     """How antennas are divided into channels."""
     channel_phases_rad: list[float] | None = None

@@ -377,15 +377,13 @@ class Session:
         )
 
     def _update(self) -> None:
-        estimate, more = self._estimate, None
-        if estimate is not None and len(self) < _GROWTH * estimate.n_planes:
-            more = estimate.corrections.of_more(len(self))
+        estimate = self._estimate
         self._run.scene_digest = self._scene_digest()
         self._estimate = None  # until the surface is there
-        if estimate is None or more is None:
+        if estimate is None or len(self) >= _GROWTH * estimate.n_planes:
             self._estimate = self._estimate_all()
         else:
-            self._estimate = self._extend(estimate, more)
+            self._estimate = self._extend(estimate)
 
     def _estimate_all(self) -> _Estimate:
         """Surface with box and corrections estimated from all planes so far."""
@@ -409,11 +407,11 @@ class Session:
             prior_name=name,
         )
 
-    def _extend(self, estimate: _Estimate, corrections: Corrections) -> _Estimate:
+    def _extend(self, estimate: _Estimate) -> _Estimate:
         """Surface with box and corrections that are known."""
         capture = self.capture if estimate.box is None else estimate.box.place(self.capture)
         digest, before = self._run.scene_digest, estimate.job.run
-        poses = self._spool(corrections.applied(capture), estimate.job.capture.poses)
+        poses = self._spool(estimate.corrections.applied(capture), estimate.job.capture.poses)
         with self._run.replace_whole(grows=True) as new, log_run(new, resume=False):
             new.asked |= before.asked
             new.stages |= {n: before.stages[n] for n in _SETTLED if n in before.stages}

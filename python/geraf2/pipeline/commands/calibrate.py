@@ -247,12 +247,6 @@ def _values(before: Capture, found: Calibration, config: CalibrationConfig) -> d
                 "prior_rotation_sigma_rad": walls.rotation_sigma_rad.tolist(),
                 "prior_translation_sigma_m": walls.translation_sigma_m.tolist(),
             }
-        if found.applied("axis"):
-            values |= {
-                "axis_shift_m": walls.axis_shift_m.tolist(),
-                "axis_shift_sigma_m": walls.axis_shift_sigma_m.tolist(),
-                "pose_angle_changes_rad": walls.angles_rad.tolist(),
-            }
     if channels is not None and found.applied("channels"):
         n = found.corrections.n_turns
         values |= {
