@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -62,8 +61,6 @@ _MAX_CURVED, _MIN_SPREAD_M = 0.4, 0.02
 _MARGIN_M, _MAX_OUTSIDE = 0.01, 0.3
 # Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = -45.0
-# Level relative to the walls below which leakage does not shift their echoes [dB].
-_LEAKAGE_DB = -25.0
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
@@ -140,11 +137,10 @@ def find_box(
     for any_yaw in (not is_recorded, True):
         delay = delay_odds(search, box, is_recorded=is_recorded, any_yaw=any_yaw)
         change_m = 0.0 if keep_delay else delay.change_m
-        moved = with_delay(capture, change_m)
         if change_m:
-            seen = _SeenWalls.of(moved, peaks, reach, farther_m)
+            seen = _SeenWalls.of(with_delay(capture, change_m), peaks, reach, farther_m)
         try:
-            found = _find(moved, peaks, seen, like, (reach, farther_m))
+            found = _find(seen, peaks, like)
         except NoBoxError as error:
             error.delay_change_m = change_m
             if any_yaw or keep_delay or change_m:
@@ -154,28 +150,12 @@ def find_box(
     return replace(found.moved(focus), delay=delay, delay_change_m=change_m)
 
 
-def _find(
-    capture: Capture,
-    peaks: KeptPeaks,
-    seen: "_SeenWalls",
-    like: Floats | None,
-    reach_m: tuple[float, float],
-) -> FoundBox:
-    """Find the likeliest box that no echo contradicts. reach_m: as of `_SeenWalls.of`."""
-    tries, leakage_db = seen.boxes(like)
-    if leakage_db > _LEAKAGE_DB:
-        first = next(tries)
-        leakage = find_leakage(capture, first[0].prior)
-        if leakage.basis is None:
-            tries = chain([first], tries)
-        else:
-            capture = without_leakage(capture, leakage)
-            seen = _SeenWalls.of(capture, peaks, *reach_m)
-            tries, _ = seen.boxes(like)
+def _find(seen: "_SeenWalls", peaks: KeptPeaks, like: Floats | None) -> FoundBox:
+    """Find the likeliest box that no echo contradicts."""
     contradicted = list[tuple[FoundBox, WallsNotFoundError]]()
-    for start, corrected in tries:
+    for start, corrected in seen.boxes(like):
         try:
-            box = _finished(capture, start, _Known(peaks, corrected))
+            box = _finished(seen.capture, start, _Known(peaks, corrected))
         except WallsNotFoundError as error:
             contradicted.append((start, error))
             continue
@@ -214,6 +194,8 @@ def _shifted(capture: Capture, shift_m: Floats) -> Capture:
 class _SeenWalls:
     """Peaks of a scan as flashes of walls, and the search for a box among them."""
 
+    capture: Capture
+    """The scan without leakage."""
     kept: PeakSet
     """Peaks that may belong to walls."""
     lobes: PeakSet
@@ -223,50 +205,42 @@ class _SeenWalls:
     flashes: Flashes
     middles: WallMiddles
     search: BoxSearch
-    leakage_db: float
-    """Level of leakage relative to the strongest peak [dB]."""
 
     @classmethod
     def of(
         cls, capture: Capture, peaks: KeptPeaks, reach_m: float, farther_m: float
     ) -> "_SeenWalls":
         """Peaks that are no leakage. farther_m: as of `scene_peaks` [m]."""
+        inner = LosPrior.from_box((reach_m, reach_m, reach_m))
+        capture = without_leakage(capture, find_leakage(capture, inner))
         found = peaks.of(capture)
-        leaks = leaking(capture, found, reach_m + 0.5 * farther_m)
-        kept = found.select(~leaks)
+        kept = found.select(~leaking(capture, found, reach_m + 0.5 * farther_m))
         top = float(kept.strengths.max(initial=0.0))
         kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
         if not len(kept):
             raise WallsNotFoundError(seen="no echo above the noise")
         lobes, index = with_lobes(capture, kept)
         flashes = Flashes.of(capture, kept, lobes, index)
-        leakage = float(np.median(found.strengths[leaks])) if leaks.any() else 0.0
         return cls(
+            capture=capture,
             kept=kept,
             lobes=lobes,
             index=index,
             flashes=flashes,
             middles=WallMiddles.of(capture.walls, capture.waveform),
             search=BoxSearch(flashes, upward(capture), reach_m, capture.waveform),
-            leakage_db=20.0 * float(np.log10(max(leakage, 1e-300) / top)),
         )
 
-    def boxes(self, like: Floats | None) -> tuple[Iterator[tuple[FoundBox, PeakSet]], float]:
-        """Boxes before the fit with corrected peaks, and the leakage's level relative to walls."""
-        found_faces = rough_faces(self.search, like)
-        first = next(found_faces)
-        if np.isnan(first.offsets_m).all():
+    def boxes(self, like: Floats | None) -> Iterator[tuple[FoundBox, PeakSet]]:
+        """Boxes before the fit, the likeliest first, with corrected peaks."""
+        found = [r for r in rough_faces(self.search, like) if not np.isnan(r.offsets_m).all()]
+        if not found:
             _require_cuboid(self.flashes, np.outer([-1.0, 1.0], self.search.up))
             n = len(self.kept)
             raise WallsNotFoundError(seen=f"{n} echoes, none of a plane that is seen squarely")
-
-        def tries() -> Iterator[tuple[FoundBox, PeakSet]]:
-            for rough in chain([first], found_faces):
-                if not np.isnan(rough.offsets_m).all():
-                    corrected = explained(self.kept, self.lobes, self.index, rough, self.middles)
-                    yield _initial_box(rough, corrected, self.middles), corrected
-
-        return tries(), self.leakage_db - first.level_db
+        for rough in found:
+            corrected = explained(self.kept, self.lobes, self.index, rough, self.middles)
+            yield _initial_box(rough, corrected, self.middles), corrected
 
 
 def _initial_box(rough: RoughFaces, peaks: PeakSet, middles: WallMiddles) -> FoundBox:
