@@ -8,7 +8,6 @@ import numpy as np
 
 from geraf2._types import Floats, Ints
 from geraf2.calibration.box_edges import (
-    SQUARE_COSINE,
     content_reach,
     find_edge,
     flash_reach,
@@ -16,6 +15,7 @@ from geraf2.calibration.box_edges import (
 )
 from geraf2.calibration.box_search import (
     APERTURE_M,
+    FACING_COSINE,
     MIN_REACH_M,
     MIN_SIDE_M,
     Flashes,
@@ -40,7 +40,7 @@ from geraf2.calibration.found_box import (
 from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
-from geraf2.echoes.flashes import WallMiddles
+from geraf2.echoes.flashes import MAX_OFFSET_M, OFFSET_SIGMA_M, WallMiddles
 from geraf2.echoes.wall_faces import N_MODES
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
@@ -52,13 +52,13 @@ from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_captu
 BOX_VERSION = 9
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
-_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=0.005, min_echoes=3)
+_ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=OFFSET_SIGMA_M, min_echoes=3)
 # Least share and number of the sub-apertures facing a wall in which a seen wall echoes.
 _SEEN_SHARE, _MIN_FLASHES = 0.5, 2
 # Largest curvature of a wall, 0 for a plane and 1 for a point, and least extent of antennas [m].
 _MAX_CURVED, _MIN_SPREAD_M = 0.4, 0.02
-# Margin around the walls [m], and largest share of energy outside: grating lobes and multipath.
-_MARGIN_M, _MAX_OUTSIDE = 0.01, 0.3
+# Largest share of energy outside of the walls: grating lobes and multipath.
+_MAX_OUTSIDE = 0.3
 # Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = -45.0
 _COVER = 1.96
@@ -330,7 +330,7 @@ def _is_seen(problem: WallProblem, echoes: Ints, wall: int) -> bool:
     ahead = problem.axes[peaks.subaperture_planes][:, 0] @ normal
     feet = centers - np.outer((centers - centers[own].mean(axis=0)) @ normal, normal)
     low, high = feet[own].min(axis=0) - 1e-3, feet[own].max(axis=0) + 1e-3
-    expected = (np.abs(ahead) > SQUARE_COSINE) & ((feet >= low) & (feet <= high)).all(axis=1)
+    expected = (np.abs(ahead) > FACING_COSINE) & ((feet >= low) & (feet <= high)).all(axis=1)
     expected &= np.isin(np.arange(len(centers)), peaks.subapertures)
     expected &= np.isin(np.sign(ahead), np.sign(ahead[own]))
     return len(own) >= _SEEN_SHARE * int(expected.sum())
@@ -368,9 +368,9 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
             offsets[face] = max(least, content, usual)
             bounds[face] = max(least, content), np.inf
         else:
-            offsets[face], sigmas[face] = edge
+            offsets[face], sigmas[face] = edge, OFFSET_SIGMA_M
             seen[face] = Seen.EDGES
-            bounds[face] = edge[0] + _COVER * edge[1] * np.array([-1.0, 1.0])
+            bounds[face] = edge + _COVER * OFFSET_SIGMA_M * np.array([-1.0, 1.0])
     _require_outside(capture, normals, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
 
@@ -387,12 +387,12 @@ def _content_share(box: FoundBox, peaks: PeakSet) -> float:
         inside = within(peaks.points, box.normals, limits)
         return float(energy[inside].sum() / energy.sum())
 
-    outside = 1.0 - share(_MARGIN_M)
+    outside = 1.0 - share(MAX_OFFSET_M)
     if outside > _MAX_OUTSIDE:
         raise WallsNotFoundError(
             seen=f"planes with {100 * outside:.0f} % of the echoes outside of them"
         )
-    return share(-_MARGIN_M)
+    return share(-MAX_OFFSET_M)
 
 
 def _require_outside(capture: Capture, normals: Floats, offsets: Floats) -> None:

@@ -13,10 +13,12 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.calibration.wall_echoes import OVERLAP
 from geraf2.echoes.flashes import (
     ANGLE_SIGMA_RAD,
+    MAX_ANGLE_RAD,
+    MAX_OFFSET_M,
     OFFSET_SIGMA_M,
+    OVERLAP,
     WallMiddles,
     find_flashes,
 )
@@ -30,8 +32,6 @@ from geraf2.scene import Capture, LosPrior
 _COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 # Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
-MAX_ANGLE_RAD = 2.0 * ANGLE_SIGMA_RAD
-"""Largest angle between a flash and its wall's normal [rad]."""
 OFFSET_STEP_M = 0.002
 """Grid of a wall's offset [m]."""
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
@@ -50,12 +50,14 @@ NATS = _FLASH_NATS / OVERLAP
 """Log-likelihood ratio of one counted flash [nats]."""
 # Loss of a sub-aperture that faces a wall without a flash: a detection probability of 0.88.
 _MISS = 0.3
-# Sub-apertures that face a wall: least cosine, and largest distance of the foot from the middle of
-# the scan [m], which the smallest boxes exceed.
-_FACING_COSINE, _FOOT_M = 0.98, 0.06
-# Leakage, or a reflector that moves with the antennas: largest angle to the looking direction
-# [rad], range tolerance [m], least share and number of planes with the same range.
-_BROADSIDE, _SAME_RANGE_M, _LEAKING_SHARE, _LEAKING_PLANES = 0.03, 0.003, 0.7, 5
+FACING_COSINE = 0.98
+"""Least cosine between a wall's normal and the looking direction of antennas that face it."""
+# Largest distance of the foot on such a wall from the middle of the scan [m], which the smallest
+# boxes exceed.
+_FOOT_M = 0.06
+# Leakage, or a reflector that moves with the antennas: least share of planes with the same range;
+# four planes may face four walls.
+_LEAKING_SHARE = 0.7
 MIN_SIDE_M = 0.04
 """Least side length of a box [m]."""
 MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * MAX_SHIFT_M + OFFSET_STEP_M
@@ -146,7 +148,7 @@ class Flashes:
         is_near = np.linalg.norm(across, axis=1) < _FOOT_M
         toward = self.ahead @ normal
         found = []
-        for far, facing in ((False, toward < -_FACING_COSINE), (True, toward > _FACING_COSINE)):
+        for far, facing in ((False, toward < -FACING_COSINE), (True, toward > FACING_COSINE)):
             kind = self.far[own] == far
             density = self.density(own[kind], offsets_m[own[kind]], weights[kind], n_offsets)
             found.append(Counts(density, int((is_near & facing).sum())))
@@ -162,7 +164,7 @@ class Flashes:
         sides: outward normals of a cuboid, or of some of its sides, (n, 3).
         """
         ahead = np.einsum("ij,ij->i", self.ahead[self.subapertures], self.normals)
-        usable = (np.abs(ahead) > _FACING_COSINE) & (self.levels_db > LOWEST_DB)
+        usable = (np.abs(ahead) > FACING_COSINE) & (self.levels_db > LOWEST_DB)
         near, far = (np.flatnonzero(usable & (self.far == kind)) for kind in (False, True))
         best = (0, 0)
         for shift in range(-MAX_SHIFT, MAX_SHIFT + 1, 2) if len(near) and len(far) else ():
@@ -170,7 +172,7 @@ class Flashes:
             scaled = np.column_stack(
                 [
                     self.normals / MAX_ANGLE_RAD,
-                    moved / (2.0 * OFFSET_SIGMA_M),
+                    moved / MAX_OFFSET_M,
                     self.levels_db / (2.0 * _LEVEL_SIGMA_DB),
                 ]
             )
@@ -254,15 +256,14 @@ def leaking(capture: Capture, peaks: PeakSet, reach_m: float) -> Bools:
     reach_m: distance of the planes from the middle [m].
     """
     ahead = np.stack([pose.axes[0] for pose in capture.poses])[peaks.planes]
-    broadside = np.einsum("ij,ij->i", ahead, peaks.directions) > np.cos(_BROADSIDE)
+    broadside = np.einsum("ij,ij->i", ahead, peaks.directions) > np.cos(ANGLE_SIGMA_RAD)
     found = peaks.ranges_m > 2.0 * reach_m
     index = np.flatnonzero(broadside)
     ranges, planes = peaks.ranges_m[index], peaks.planes[index]
     n_planes = len(np.unique(peaks.planes))
-    least = max(_LEAKING_PLANES, _LEAKING_SHARE * n_planes)
-    for middle in np.unique(np.rint(ranges / _SAME_RANGE_M)) * _SAME_RANGE_M:
-        same = np.abs(ranges - middle) < _SAME_RANGE_M
-        if len(np.unique(planes[same])) >= least:
+    for middle in np.unique(np.rint(ranges / OFFSET_SIGMA_M)) * OFFSET_SIGMA_M:
+        same = np.abs(ranges - middle) < OFFSET_SIGMA_M
+        if len(np.unique(planes[same])) > max(4.0, _LEAKING_SHARE * n_planes):
             found[index[same]] = True
     return found
 

@@ -161,16 +161,16 @@ def phase_gain(
 
     channels: of each antenna of each pose, [(n_antennas,)]. phases_rad: of each channel.
 
-    Returns the gain and the mean coherence without and with the phases removed.
+    Returns the gain and the RMS coherence, weighted by power, without and with the phases removed.
     """
     turns = np.exp(-1j * phases_rad)
     coherence = np.zeros((2, len(echoes)))
     for number, echo in enumerate(echoes):
         removed = replace(echo, values=echo.values * turns[channels[echo.pose][echo.antennas]])
         coherence[:, number] = echo.coherence, removed.coherence
-    sizes = np.array([float(np.abs(echo.values).sum()) for echo in echoes])
-    before, after = (float(c.sum()) / max(len(echoes), 1) for c in coherence)
-    return Gain.of(coherence_nats(coherence[0], coherence[1], sizes**2)), before, after
+    powers = np.array([float(np.abs(echo.values).sum()) ** 2 for echo in echoes])
+    before, after = np.sqrt(coherence**2 @ powers / max(float(powers.sum()), 1e-300)).tolist()
+    return Gain.of(coherence_nats(coherence[0], coherence[1], powers)), before, after
 
 
 def with_channel_phases(capture: Capture, channels: list[Ints], phases_rad: Floats) -> Capture:

@@ -10,15 +10,12 @@ from scipy.spatial.transform import Rotation
 from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
-from geraf2.calibration.wall_echoes import (
-    OVERLAP,
-    find_wall_offset,
-    wall_peaks,
-)
+from geraf2.calibration.wall_echoes import find_wall_offset, wall_peaks
 from geraf2.echoes.flashes import (
     ANGLE_SIGMA_RAD,
     N_SIGMAS,
     OFFSET_SIGMA_M,
+    OVERLAP,
     WallEchoes,
     WallMiddles,
     wall_echoes,

@@ -25,8 +25,6 @@ _STEP_M = 0.04
 _MISSING_FAR_SHARE = 0.1
 # Near walls alone are the first peak with this share of the highest.
 _FIRST_PEAK_SHARE = 0.6
-OVERLAP = 4.0
-"""Echoes that count as one: neighbouring sub-apertures overlap by halves in both directions."""
 
 
 def wall_peaks(

@@ -28,6 +28,10 @@ OFFSET_SIGMA_M, ANGLE_SIGMA_RAD = 0.004, 0.03
 prior is off by 5 mm at most, and of its angle to the normal, by the slope of the bulge."""
 N_SIGMAS = 3.0
 """Largest deviation of a flash from its wall, in standard deviations."""
+MAX_OFFSET_M, MAX_ANGLE_RAD = N_SIGMAS * OFFSET_SIGMA_M, N_SIGMAS * ANGLE_SIGMA_RAD
+"""The same as a distance and as an angle: what is nearer to a wall lies on it."""
+OVERLAP = 4.0
+"""Echoes that count as one: neighbouring sub-apertures overlap by halves in both directions."""
 MIDDLE_SIGMA_M = 2e-4
 """Standard deviation of the middle of a known wall, in addition to that of its loss [m]: defocused
 mirror images shift it."""
@@ -141,7 +145,7 @@ def find_flashes(peaks: PeakSet, faces: WallFaces, middles: WallMiddles) -> Wall
 
     peaks: with corrected delay. middles: of the walls; typical ones do where they are unknown.
     """
-    maybe = wall_echoes(peaks, faces, N_SIGMAS * ANGLE_SIGMA_RAD)
+    maybe = wall_echoes(peaks, faces, MAX_ANGLE_RAD)
     return maybe.select(maybe.deviations(middles) < N_SIGMAS)
 
 
