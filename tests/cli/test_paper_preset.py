@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pytest
@@ -41,7 +40,7 @@ def fields(folder):
 @pytest.fixture(scope="module")
 def paper_run(built_scene, tmp_path_factory):
     out = tmp_path_factory.mktemp("paper") / "out"
-    assert run(built_scene, out, "--paper.slice-every", "4") == 0
+    assert run(built_scene, out) == 0
     return out
 
 
@@ -49,10 +48,6 @@ def test_a_run_holds_fields_meshes_and_pictures(paper_run):
     for name in ("fields.safetensors", "sdf_fit.npz", "sdf.npz", "mesh.ply", "mesh_content.glb"):
         assert (paper_run / name).is_file()
     assert not (paper_run / "training").exists()
-    assert [p.name for p in sorted((paper_run / "live").iterdir())] == [
-        "step_000004.png",
-        "step_000008.png",
-    ]
     content = read_mesh(paper_run / "mesh_content.ply")
     assert np.abs(content.vertices).max() < 0.1 - 0.012 + 1e-3
     assert set(RunFolder.read(paper_run).stages) == {"train", "mesh"}
@@ -74,7 +69,7 @@ def test_the_corrected_form_reports_the_shift_of_the_level(built_scene, tmp_path
 def test_interrupted_and_resumed_is_bit_identical(
     built_scene, paper_run, tmp_path, monkeypatch, capsys
 ):
-    real, more = learned._Watcher.__call__, ["--paper.slice-every", "4"]
+    real = learned._Watcher.__call__
 
     def interrupted(watcher, step):
         real(watcher, step)
@@ -82,18 +77,18 @@ def test_interrupted_and_resumed_is_bit_identical(
             raise KeyboardInterrupt
 
     monkeypatch.setattr(learned._Watcher, "__call__", interrupted)
-    assert run(built_scene, tmp_path / "out", *more) == 130
+    assert run(built_scene, tmp_path / "out") == 130
     assert "interrupted; OUT is as it was; a training continues" in the_error(capsys)
-    assert run(built_scene, tmp_path / "out", *more, "--overwrite") == 130  # from the start
+    assert run(built_scene, tmp_path / "out", "--overwrite") == 130  # from the start
     assert "interrupted" in the_error(capsys)
-    left = {"checkpoint.safetensors", "log.jsonl", "live"}
+    left = {"checkpoint.safetensors", "log.jsonl"}
     assert {path.name for path in (tmp_path / "out" / "training").iterdir()} == left
     monkeypatch.setattr(learned._Watcher, "__call__", real)
     assert main(["verify", str(tmp_path / "out")]) == 2
     assert "holds a training that is not finished" in the_error(capsys)
-    assert run(built_scene, tmp_path / "out", *more) == 2
+    assert run(built_scene, tmp_path / "out") == 2
     assert "a training that --resume would finish" in the_error(capsys)
-    assert run(built_scene, tmp_path / "out", *more, "--resume") == 0
+    assert run(built_scene, tmp_path / "out", "--resume") == 0
     assert contents(tmp_path / "out") == contents(paper_run)
     whole, parts = fields(paper_run), fields(tmp_path / "out")
     assert whole.keys() == parts.keys()
@@ -108,20 +103,6 @@ def test_too_little_memory_is_reported_before_the_run(built_scene, tmp_path, mon
     assert "the run will not fit into memory, expected about" in message
     assert "lower --paper.n-cells" in message
     assert not (tmp_path / "out").exists()
-
-
-def test_the_missing_extra_of_tensorboard_is_named(built_scene, tmp_path, monkeypatch, capsys):
-    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
-    assert run(built_scene, tmp_path / "out", "--paper.tensorboard") == 2
-    assert "pip install 'geraf2[tensorboard]'" in the_error(capsys)
-
-
-def test_tensorboard_gets_the_losses(built_scene, tmp_path):
-    pytest.importorskip("tensorboard", reason="the extra geraf2[tensorboard] is not installed")
-    assert run(built_scene, tmp_path / "out", "--paper.tensorboard") == 0
-    (events,) = (tmp_path / "out" / "tensorboard").iterdir()
-    written = events.read_bytes()
-    assert all(tag in written for tag in (b"loss/heatmap", b"loss/rsdf", b"fields/power"))
 
 
 def test_planes_can_be_held_out(built_scene, tmp_path):

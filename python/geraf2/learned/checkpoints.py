@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
@@ -16,13 +15,12 @@ from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
 from geraf2.learned.model import PaperModel
 from geraf2.learned.optimiser import make_optimiser
-from geraf2.learned.plane_loss import Remembered
 from geraf2.learned.trainer import PaperTrainer
 
 KIND = "paper"
-VERSION = 2
+VERSION = 3
 """Version of the layout below; raised when it changes."""
-_PARTS = ("model", "optimiser", "generator", "remembered")
+_PARTS = ("model", "optimiser", "generator")
 
 
 def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
@@ -33,11 +31,6 @@ def save_state(trainer: PaperTrainer, key: str) -> Checkpoint:
         for name, value in stored["state"].get(group["params"][0], {}).items():
             arrays[f"optimiser.{group['name']}.{name}"] = value.cpu().numpy()
     arrays["generator"] = trainer.draws.generator.get_state().numpy()
-    for plane, entries in trainer.loss.remembered.items():
-        for number, entry in enumerate(entries):
-            arrays[f"remembered.{plane}.{number}.antennas"] = entry.antennas
-            signal = torch.view_as_real(entry.signal).cpu().numpy()
-            arrays[f"remembered.{plane}.{number}.signal"] = signal
     header = {
         "stage": trainer.stages.stage,
         "step_in_stage": trainer.stages.step,
@@ -71,7 +64,6 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
             stored["state"][group["params"][0]] = state
     trainer.optimiser.load_state_dict(stored)
     trainer.draws.generator.set_state(torch.from_numpy(arrays["generator"]))
-    trainer.loss.remembered = _read_remembered(arrays, trainer.device)
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
@@ -123,16 +115,3 @@ def _stored_tensors(model: PaperModel) -> Iterator[tuple[str, Tensor]]:
 def config_of(header: dict[str, Any], where: object) -> PaperConfig:
     """Return the settings of a checkpoint; UserError names an unknown key."""
     return from_table(header.get("config"), PaperConfig, f"{where}: settings")
-
-
-def _read_remembered(
-    arrays: dict[str, NDArray[Any]], device: torch.device
-) -> dict[int, list[Remembered]]:
-    found: dict[int, list[Remembered]] = {}
-    names = [name.split(".") for name in arrays if name.startswith("remembered.")]
-    for plane, number in sorted({(int(n[1]), int(n[2])) for n in names}):
-        prefix = f"remembered.{plane}.{number}."
-        signal = torch.view_as_complex(torch.from_numpy(arrays[prefix + "signal"])).to(device)
-        antennas = np.asarray(arrays[prefix + "antennas"], dtype=np.int64)
-        found.setdefault(plane, []).append(Remembered(antennas, signal))
-    return found

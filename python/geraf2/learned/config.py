@@ -86,8 +86,6 @@ class PaperConfig(RenderConfig):
     """Active octaves from the end of stage 1 on; the paper's 10."""
     grid_n: Annotated[tuple[Annotated[int, Interval(ge=3, le=2048)], ...], MinLen(1)] = (13, 25)
     """Open. Voxels along a side of the distance grid, one entry a level; levels share stage 1."""
-    grid_smoothing: NotNegative = 0.0
-    """Open. Standard deviation, in voxels, by which gradients to the grid are blurred; 0: none."""
     reflectivity_n: Annotated[int, Interval(ge=2, le=2048)] = 33
     """Open. Voxels along a side of the reflectivity grid."""
     sharpness: SharpnessRule = "scheduled"
@@ -104,8 +102,6 @@ class PaperConfig(RenderConfig):
     """Open. Largest number of antennas of a plane in a step; few of them raise the side lobes."""
     window_m: MarginM = 0.05
     """Open. Side of the square from which antennas are drawn [m]; 0: the whole plane."""
-    bank: Count = 1
-    """One in `bank` antennas is rendered, the others reuse earlier signals; 1 with a window."""
     n_planes: Count = 4
     """Open. Planes over whose gradients a step averages, evenly spaced among all."""
     n_targets: Count = 512
@@ -126,8 +122,6 @@ class PaperConfig(RenderConfig):
         default_factory=lambda: StageConfig(n_steps=1000, rsdf_weight=1.0, train_reflectivity=True)
     )
     """All fields, with the depth alignment."""
-    rsdf_region: Literal["ray", "wall"] = "ray"
-    """Open. Depths compared along the whole ray (equation 15), or near the wall's outer face."""
     mlp_rate: Positive = 1e-4
     """Learning rate of the distance network; the paper's."""
     grid_rate: Positive = 2.5e-3
@@ -158,10 +152,6 @@ class PaperConfig(RenderConfig):
     torch has one. Rays are drawn and clipped on the CPU."""
     checkpoint_every: Count = 500
     """Steps between checkpoints, which are also written every five minutes."""
-    slice_every: CountOrZero = 0
-    """Steps between pictures of a slice of the distance in `live/`; 0 for none."""
-    tensorboard: bool = False
-    """Write scalars for TensorBoard; needs the extra `geraf2[tensorboard]`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -174,17 +164,8 @@ class PaperConfig(RenderConfig):
                 f"got {self.octaves_start}"
             )
             raise ValueError(msg)
-        if self.region == "content" and (self.start, self.rsdf_region) != ("ball", "ray"):
-            msg = (
-                'region "content" holds no walls: start must be "ball" and rsdf_region "ray", got '
-                f"{self.start} and {self.rsdf_region}"
-            )
-            raise ValueError(msg)
-        if self.bank > self.n_antennas:
-            msg = f"bank must be at most n_antennas = {self.n_antennas}, got {self.bank}"
-            raise ValueError(msg)
-        if self.bank > 1 and self.window_m > 0.0:
-            msg = f"bank must be 1 where window_m is not 0, got {self.bank} and {self.window_m}"
+        if self.region == "content" and self.start != "ball":
+            msg = f'region "content" holds no walls: start must be "ball", got {self.start}'
             raise ValueError(msg)
 
 

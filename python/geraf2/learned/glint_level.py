@@ -195,9 +195,7 @@ class GlintDepths:
         """Powers of the rendered and of the measured map at points (n, 3) [m], (n,) each."""
         parts = np.array_split(points, -(-len(points) // POINTS_AT_ONCE))
         maps = [
-            self._loss.heat_maps(
-                draw._replace(targets=torch.from_numpy(part)), draw.antennas, signal
-            )
+            self._loss.heat_maps(draw._replace(targets=torch.from_numpy(part)), signal)
             for part in parts
         ]
         rendered, measured = (

@@ -122,7 +122,6 @@ def heat_maps(
     targets: Floats,
     *,
     floor: float,
-    n_fresh: int | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Heat maps of rendered and measured signals of the same antennas.
 
@@ -132,22 +131,14 @@ def heat_maps(
     rendered: complex (n_looks, n_antennas, n_samples).
     targets: (n_targets, 3) [m].
     floor: added below the root, which has no derivative at zero.
-    n_fresh: gradients go to the signals of that many antennas, the first; of all when None.
     """
-    n_fresh = len(antennas) if n_fresh is None else n_fresh
-    totals: list[Tensor] = []
-    for fresh, rows in ((True, slice(n_fresh)), (False, slice(n_fresh, None))):
-        used, signals = antennas[rows], rendered[:, rows]
-        if len(used):
-            images = point_images(
-                signals if fresh else signals.detach(),
-                torch.from_numpy(pose.signal[used])[None].to(signals.device),
-                *(pose.tx_positions[used], pose.rx_positions[used], targets, waveform),
-            )
-            own = [image * (len(used) / len(antennas)) for image in images]
-            totals = [a + b for a, b in zip(totals, own, strict=True)] if totals else own
+    images = point_images(
+        rendered,
+        torch.from_numpy(pose.signal[antennas])[None].to(rendered.device),
+        *(pose.tx_positions[antennas], pose.rx_positions[antennas], targets, waveform),
+    )
     rendered_map, measured_map = (
-        torch.sqrt(torch.view_as_real(total).square().sum(dim=(0, 2)) + floor**2)
-        for total in totals
+        torch.sqrt(torch.view_as_real(image).square().sum(dim=(0, 2)) + floor**2)
+        for image in images
     )
     return rendered_map, measured_map

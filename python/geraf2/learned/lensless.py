@@ -50,8 +50,6 @@ class RenderedSignal(NamedTuple):
     """Gradient of the distance at the samples, (n_points, 3), for the eikonal term."""
     depth: Tensor
     """Expected depth of each ray from where it enters the scene, (n_rays,) [m]."""
-    weight: Tensor
-    """One-way weights, (n_rays, n_samples)."""
 
 
 class LenslessRenderer:
@@ -104,8 +102,8 @@ class LenslessRenderer:
             two_way="none",
         )
         alpha, transmittance = torch.as_tensor(march.alpha), torch.as_tensor(march.transmittance)
-        weight = torch.as_tensor(march.weight)
-        depth = torch.as_tensor(march.depth) + rays.offset * weight.sum(dim=1)
+        depth = torch.as_tensor(march.depth)
+        depth = depth + rays.offset * torch.as_tensor(march.weight).sum(dim=1)
         groups = antenna_clusters(0.5 * (tx + rx), self.config.n_clusters)
         centers = np.stack([0.5 * (tx[g] + rx[g]).mean(axis=0) for g in groups])
         spreads = self.config.spreading == "two-way"
@@ -136,7 +134,7 @@ class LenslessRenderer:
             of_pair = torch.from_numpy(which).to(points.device)
             amplitude = amplitude * rho.index_select(0, of_pair)
         signal = trace_pairs(amplitude, positions, normals, pairs, tx, rx, groups, self._delayed)
-        return RenderedSignal(signal, gradient, depth, weight)
+        return RenderedSignal(signal, gradient, depth)
 
     @torch.no_grad()
     def _boundary_shift(

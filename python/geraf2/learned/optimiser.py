@@ -1,9 +1,8 @@
-"""Optimiser of the paper's method: rates of the parameters, gradients on grids."""
+"""Optimiser of the paper's method: rates of the parameters."""
 
 import math
 
 import torch
-from torch import Tensor
 
 from geraf2.learned.config import FULL_RATE_STEPS, PaperConfig, StageConfig
 from geraf2.learned.fields import LearnedSdfGrid
@@ -51,26 +50,6 @@ def take_over(optimiser: torch.optim.Optimizer, earlier: torch.optim.Optimizer) 
         state = known.get(group["name"])
         if state:
             optimiser.state[group["params"][0]] = {k: v.clone() for k, v in state.items()}
-
-
-def blur(volume: Tensor, width: float) -> Tensor:
-    """Blur a volume (x, y, z) by a Gaussian of standard deviation `width` [voxels].
-
-    Edges are repeated outward. Descending along blurred gradients is descent in a smoother
-    metric (Renka and Neuberger 1995), as used for surfaces by Nicolet et al. 2021.
-    """
-    reach = max(math.ceil(2.5 * width), 1)
-    offsets = torch.arange(-reach, reach + 1, dtype=volume.dtype, device=volume.device)
-    kernel = torch.exp(-0.5 * (offsets / width).square())
-    kernel = kernel / kernel.sum()
-    out = volume[None, None]
-    for axis in range(3):
-        shape, padding = [1, 1, 1], [0] * 6
-        shape[axis] = kernel.numel()
-        padding[4 - 2 * axis] = padding[5 - 2 * axis] = reach
-        padded = torch.nn.functional.pad(out, padding, mode="replicate")
-        out = torch.nn.functional.conv3d(padded, kernel.reshape(1, 1, *shape))
-    return out[0, 0]
 
 
 def set_rates(optimiser: torch.optim.Optimizer, progress: float, final: float) -> None:

@@ -86,8 +86,7 @@ class PlaneDraws:
             share = torch.rand(2, generator=self.generator, dtype=torch.float64).numpy()
             middle = low + half + share * (high - low - 2.0 * half)
             candidates = np.flatnonzero((np.abs(positions - middle) <= half + 1e-6).all(axis=1))
-        n_fresh = max(min(config.n_antennas, pose.n_antennas) // config.bank, 1)
-        drawn = torch.randperm(len(candidates), generator=self.generator)[:n_fresh]
+        drawn = torch.randperm(len(candidates), generator=self.generator)[: config.n_antennas]
         return np.sort(candidates[drawn.numpy()])
 
     @contextmanager

@@ -1,13 +1,10 @@
 """Loss of one plane: the terms of equations 13 and 16 of the paper."""
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from geraf2._types import Ints
 from geraf2.learned.config import PaperConfig
 from geraf2.learned.fields import SdfField
 from geraf2.learned.heatmaps import MeasuredMaps, heat_maps
@@ -19,9 +16,6 @@ from geraf2.learned.stages import TrainingStages
 from geraf2.ops import ray_march
 from geraf2.ops.lensless import length_defect
 from geraf2.scene import Capture
-
-_MIN_WEIGHT = 1e-3
-"""Guards the mean depth of a ray that meets no wall."""
 
 
 def charbonnier(difference: Tensor, width: float) -> Tensor:
@@ -56,14 +50,6 @@ class PlaneGradient(NamedTuple):
     """Gradients to the given leaves, in their order."""
 
 
-@dataclass
-class Remembered:
-    """Antennas of a plane and their signals, rendered in an earlier step."""
-
-    antennas: Ints
-    signal: Tensor
-
-
 class PlaneLoss:
     """Renders draws of planes and compares them with the measured signals.
 
@@ -82,15 +68,14 @@ class PlaneLoss:
     ) -> None:
         self.capture, self.config, self.renderer = capture, config, renderer
         self.model, self.maps, self.stages = model, maps, stages
-        self.remembered: dict[int, list[Remembered]] = {}
-        """Latest signals of each plane, newest first; see `PaperConfig.bank`."""
 
     def gradient(self, draw: PlaneDraw, leaves: list[Tensor], share: int) -> PlaneGradient:
         """Terms of a plane's loss, and the gradient of that loss divided by `share`."""
         config, stage = self.config, self.stages.current
-        rendered, antennas, signal = self.render_with_remembered(draw)
-        maps = self.heat_maps(draw, antennas, signal, rendered.signal.shape[1])
-        heatmap = heatmap_loss(*maps, self.maps.scale, config.charbonnier)
+        rendered = self.render(draw)
+        heatmap = heatmap_loss(
+            *self.heat_maps(draw, rendered.signal), self.maps.scale, config.charbonnier
+        )
         eikonal = eikonal_loss(rendered.gradient)
         rsdf = heatmap.new_zeros(())
         if stage.rsdf_weight > 0.0:
@@ -121,25 +106,12 @@ class PlaneLoss:
             pose.rx_positions[antennas],
         )
 
-    def render_with_remembered(self, draw: PlaneDraw) -> tuple[RenderedSignal, Ints, Tensor]:
-        """Render a draw; also all antennas with a signal, the remembered ones last."""
-        rendered, earlier = self.render(draw), self.remembered.get(draw.plane, [])
-        antennas = np.concatenate([draw.antennas, *(e.antennas for e in earlier)])
-        signal = torch.cat([rendered.signal, *(e.signal for e in earlier)], dim=1)
-        if self.config.bank > 1:
-            now = Remembered(draw.antennas, rendered.signal.detach())
-            self.remembered[draw.plane] = [now, *earlier][: self.config.bank - 1]
-        return rendered, antennas, signal
-
-    def heat_maps(
-        self, draw: PlaneDraw, antennas: Ints, signal: Tensor, n_fresh: int | None = None
-    ) -> tuple[Tensor, Tensor]:
-        """Heat maps of rendered and of measured signals; gradients go to the first n_fresh."""
+    def heat_maps(self, draw: PlaneDraw, signal: Tensor) -> tuple[Tensor, Tensor]:
+        """Heat maps of rendered and of measured signals."""
         pose = self.capture.poses[draw.plane]
         return heat_maps(
-            *(pose, self.capture.waveform, antennas, signal, draw.targets.numpy()),
+            *(pose, self.capture.waveform, draw.antennas, signal, draw.targets.numpy()),
             floor=1e-6 * self.maps.scale,
-            n_fresh=n_fresh,
         )
 
     def depth_alignment(self, rendered: RenderedSignal, rays: PrimaryRays) -> Tensor:
@@ -158,14 +130,5 @@ class PlaneLoss:
             inv_s = self.model.sharpness().detach()
             march = ray_march(value.reshape(shape), cosine, step, inv_s, two_way="none")
         weight = torch.as_tensor(march.weight)
-        if self.config.rsdf_region == "ray":
-            depth = torch.as_tensor(march.depth) + offset * weight.sum(dim=1)
-            return depth_loss(rendered.depth, depth)
-        # Both depths count the samples near the outer face, where the vision field is valid.
-        middle = rays.offset[:, None] + torch.cumsum(rays.step, dim=1) - 0.5 * rays.step
-        near = (value.reshape(shape) > -self.config.crop_m).to(weight.dtype)
-        radar, vision = (
-            (w * near * middle).sum(dim=1) / ((w * near).sum(dim=1) + _MIN_WEIGHT)
-            for w in (rendered.weight, weight)
-        )
-        return depth_loss(radar, vision)
+        depth = torch.as_tensor(march.depth) + offset * weight.sum(dim=1)
+        return depth_loss(rendered.depth, depth)

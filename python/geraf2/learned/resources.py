@@ -42,7 +42,7 @@ def training_device(config: PaperConfig) -> torch.device:
 def training_bytes(config: PaperConfig, capture: Capture, n_threads: int = 1) -> float:
     """Largest resident set of a training on a CPU [bytes], within a factor of 1.5."""
     n_points = 0.79 * config.n_cells**2 * config.n_samples  # the disc in its square
-    n_groups = config.n_clusters or -(-config.n_antennas // config.bank)
+    n_groups = config.n_clusters or config.n_antennas
     per_point = _BYTES_PER_POINT + _BYTES_PER_POINT_AND_GROUP * n_groups
     if config.field == "mlp":
         per_point += _MLP_BYTES_PER_NEURON * _MLP_NEURONS

@@ -16,7 +16,7 @@ from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
 from geraf2.learned.glint_level import GlintDepths, GlintShift
 from geraf2.learned.heatmaps import MeasuredMaps, measure_maps
 from geraf2.learned.model import PaperModel, StartDistance, domain_of, make_renderer
-from geraf2.learned.optimiser import blur, make_optimiser, set_rates, take_over
+from geraf2.learned.optimiser import make_optimiser, set_rates, take_over
 from geraf2.learned.plane_draws import PlaneDraws
 from geraf2.learned.plane_loss import PlaneLoss
 from geraf2.learned.resources import PlaneThreads, training_device
@@ -179,7 +179,7 @@ class PaperTrainer:
                 self.optimiser = make_optimiser(self.model, self.config, self.stages.current)
 
     def _condition_gradients(self) -> None:
-        """Refuse gradients that are not finite; blur those of a grid, clip those of networks."""
+        """Refuse gradients that are not finite, and clip those of networks."""
         for group in self.optimiser.param_groups:
             gradient = group["params"][0].grad
             # A sum is finite where all are; three times as fast as testing each element.
@@ -187,11 +187,7 @@ class PaperTrainer:
                 self.stages.require_finite(
                     f"the gradient to {group['name']}", gradient.sum().item()
                 )
-        if isinstance(self.model.sdf, LearnedSdfGrid):
-            values = self.model.sdf.values
-            if values.grad is not None and self.config.grid_smoothing > 0.0:
-                values.grad = blur(values.grad, self.config.grid_smoothing)
-        else:
+        if not isinstance(self.model.sdf, LearnedSdfGrid):
             torch.nn.utils.clip_grad_norm_(
                 [g["params"][0] for g in self.optimiser.param_groups], self.config.max_gradient_norm
             )
@@ -204,7 +200,7 @@ def _fit_power(draws: PlaneDraws, loss: PlaneLoss) -> None:
     with draws.aside():
         for plane in draws.planes[:: max(len(draws.planes) // _POWER_PLANES, 1)]:
             draw = draws.draw(plane)
-            maps = loss.heat_maps(draw, draw.antennas, loss.render(draw).signal)
+            maps = loss.heat_maps(draw, loss.render(draw).signal)
             rendered, measured = (m.double() for m in maps)
             numerator += float((rendered * measured).sum())
             denominator += float(rendered.square().sum())

@@ -10,12 +10,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from geraf2._memory import require_memory
 from geraf2.baselines.heat import counted_voxels
 from geraf2.baselines.level import best_level
-from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.io.locks import lock_folder
@@ -23,15 +22,11 @@ from geraf2.io.run_folder import (
     CHECKPOINT_NAME,
     FIELDS_NAME,
     FIT_NAME,
-    LIVE_FOLDER,
     LOG_NAME,
-    TENSORBOARD_FOLDER,
     TRAINING_FOLDER,
-    link_file,
     stage_key,
 )
 from geraf2.learned.config import TRAINING_VERSION, PaperConfig
-from geraf2.pipeline.prior_stage import PRIOR_STAGE
 from geraf2.pipeline.stages.direct import draw_surface
 from geraf2.pipeline.stages.job import Job, Step
 from geraf2.scene import LosPrior
@@ -108,15 +103,12 @@ def _train(job: Job, prior: LosPrior, config: PaperConfig) -> SdfGrid:
         run.log("device", level="info", device=str(trainer.device))
         if checkpoint.is_file():
             _resume(job, trainer, key)
-        watcher = _Watcher(job, step, trainer, config, key, prior.center_m)
         try:
-            run_steps(trainer, on_step=watcher)
+            run_steps(trainer, on_step=_Watcher(job, step, trainer, config, key))
             sdf, shift = trainer.distance(), trainer.glint_shift
         except KeyboardInterrupt:
             save_checkpoint(checkpoint, save_state(trainer, key))
             raise
-        finally:
-            watcher.close()
         save_checkpoint(checkpoint, save_state(trainer, key))
         if shift is not None:
             run.log(
@@ -142,9 +134,7 @@ def _keep_unfinished(job: Job) -> Iterator[None]:
     with lock_folder(folder):
         if not job.resume:
             for path in folder.iterdir():
-                if path.is_dir() and path.name != PRIOR_STAGE:
-                    shutil.rmtree(path)
-                elif path.is_file():
+                if path.is_file():
                     path.unlink()
         begun = run.log_path.read_bytes()
         run.log_path = folder / LOG_NAME
@@ -165,9 +155,6 @@ def _keep_unfinished(job: Job) -> Iterator[None]:
         ):
             (run.path / link).unlink(missing_ok=True)
             shutil.copy2(run.place / name, run.path / link)
-        for name in (LIVE_FOLDER, TENSORBOARD_FOLDER):
-            for path in sorted((folder / name).glob("*")):
-                link_file(path, run.path / name / path.name)
         run.log_path = run.path / LOG_NAME
 
 
@@ -183,7 +170,7 @@ def _resume(job: Job, trainer: "PaperTrainer", key: str) -> None:
 
 
 class _Watcher:
-    """Logs, saves and draws during the training, and reports its progress."""
+    """Logs and saves during the training, and reports its progress."""
 
     def __init__(
         self,
@@ -192,26 +179,12 @@ class _Watcher:
         trainer: "PaperTrainer",
         config: PaperConfig,
         key: str,
-        center_m: tuple[float, float, float],
     ) -> None:
         self._run, self._progress = job.run, step.progress
-        self._trainer, self._config, self._key, self._center_m = trainer, config, key, center_m
-        self._folder = job.run.place / TRAINING_FOLDER
+        self._trainer, self._config, self._key = trainer, config, key
         self._sums: dict[str, float] = {}
         self._n_summed = 0
         self._saved = time.monotonic()
-        self._writer: Any = None
-        if config.tensorboard:
-            try:
-                from torch.utils.tensorboard import SummaryWriter  # noqa: PLC0415 - an extra
-            except ImportError as error:
-                raise UserError(
-                    what="--paper.tensorboard needs the package tensorboard",
-                    hint="pip install 'geraf2[tensorboard]'",
-                ) from error
-            self._writer = SummaryWriter(
-                str(self._folder / TENSORBOARD_FOLDER), purge_step=trainer.stages.steps_done
-            )
 
     def __call__(self, step: "StepReport") -> None:
         from geraf2.learned.checkpoints import save_state  # noqa: PLC0415 - needs torch
@@ -222,11 +195,6 @@ class _Watcher:
         for name, value in values.items():
             self._sums[name] = self._sums.get(name, 0.0) + value
         self._n_summed += 1
-        if self._writer is not None:
-            for name, value in values.items():
-                self._writer.add_scalar(f"loss/{name}", value, n_done)
-            self._writer.add_scalar("fields/power", step.power, n_done)
-            self._writer.add_scalar("fields/inv_s", step.inv_s, n_done)
         if n_done % _LOG_EVERY == 0 or self._trainer.stages.is_done:
             means = {n: round(v / self._n_summed, 6) for n, v in self._sums.items()}
             self._run.log(
@@ -244,18 +212,3 @@ class _Watcher:
             self._saved = time.monotonic()
             state = save_state(self._trainer, self._key)
             save_checkpoint(self._run.place / CHECKPOINT_NAME, state)
-        if config.slice_every and n_done % config.slice_every == 0:
-            self._draw(n_done)
-
-    def _draw(self, n_done: int) -> None:
-        from geraf2.report.figures import sdf_slices  # noqa: PLC0415 - matplotlib takes 0.5 s
-
-        folder = self._folder / LIVE_FOLDER
-        folder.mkdir(exist_ok=True)
-        sdf = self._trainer.model.sdf.sample_grid(self._trainer.domain.grid(65))
-        sdf_slices(sdf, folder / f"step_{n_done:06d}.png", center_m=self._center_m)
-
-    def close(self) -> None:
-        """Close the TensorBoard writer."""
-        if self._writer is not None:
-            self._writer.close()
