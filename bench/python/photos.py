@@ -20,7 +20,6 @@ import os
 import resource
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import get_args
@@ -65,15 +64,14 @@ def score_views(surface, photos, names, threshold):
     scores, pictures = {}, []
     for index, name in enumerate(names):
         view, photo = surface.render(photos.cameras[index]), photos.images[index] / 255.0
-        mask = np.ones(photo.shape[:2], bool) if photos.masks is None else photos.masks[index]
+        mask = photos.masks[index]
         alone = photo * mask[..., None]
         solid = view.opacity > 0.5
         scores[name] = {
             "psnr_object_db": psnr((view.colour - photo)[mask]),
             "psnr_picture_db": psnr(view.colour - alone),
+            "iou": overlap(solid, mask),
         }
-        if photos.masks is not None:
-            scores[name]["iou"] = overlap(solid, mask)
         if threshold is not None:
             unfilled = threshold_mask(photos.images[index], threshold, fill_shadows=False)
             scores[name]["iou_unfilled"] = overlap(solid, unfilled)
@@ -149,7 +147,6 @@ def parse_arguments():
     parser.add_argument("--box", type=float, nargs=3, help="true sides about the origin [m]")
     parser.add_argument("--hold-out", type=int, default=HOLD_OUT, help="every so many")
     parser.add_argument("--preset", default="default", choices=get_args(PhotoPreset))
-    parser.add_argument("--no-masks", action="store_true", help="train and score without them")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--out", type=Path, help="folder for mesh.ply, views.png, surface, scores")
     return parser.parse_args()
@@ -159,8 +156,6 @@ def main():
     options = parse_arguments()
     torch.set_num_threads(options.threads)
     photos = read(options)
-    if options.no_masks:
-        photos = replace(photos, masks=None)
     held = np.arange(len(photos)) % options.hold_out == options.hold_out - 1
     config = photo_config(options.preset, options.seed)
 

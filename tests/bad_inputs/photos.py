@@ -62,6 +62,7 @@ ROWS = [
         )
     ),
     *sweep("los nerf out {}", "mask-threshold|-1|256|nan\nmasks|nowhere"),
+    bad("los nerf out", text="shows no silhouettes of the box"),
     bad("los nerf out --masks nerf --mask-threshold 20", text="both"),
     bad("los colmap/images out", text="run COLMAP"),
     bad("los none out", text="none"),

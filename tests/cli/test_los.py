@@ -168,17 +168,16 @@ def test_the_key_differs_with_photos_and_settings(photo_folder, tiny_training):
 @pytest.mark.parametrize(
     ("numbers", "refuted", "warned"),
     [
-        ({"psnr_db": 11.0, "one_colour_db": 14.0}, True, True),
-        ({"trained_psnr_db": 11.0, "trained_one_colour_db": 14.0}, True, True),
-        ({"psnr_db": 15.0, "one_colour_db": 14.0}, False, True),
-        ({"trained_psnr_db": 25.0, "trained_one_colour_db": 14.0}, False, False),
-        ({"psnr_db": 11.0, "one_colour_db": 14.0, "silhouette_iou": 0.97}, False, True),
-        ({"psnr_db": 25.0, "one_colour_db": 14.0, "silhouette_iou": 0.9}, False, True),
-        ({"psnr_db": 25.0, "one_colour_db": 14.0, "silhouette_iou": 0.6}, True, True),
+        ((25.0, 0.97), False, False),
+        ((11.0, 0.97), False, True),
+        ((25.0, 0.9), False, True),
+        ((25.0, 0.6), True, True),
     ],
 )
-def test_silhouettes_decide_or_one_colour_for_all(numbers, refuted, warned):
-    reported = []
+@pytest.mark.parametrize("of", ["", "trained_"])
+def test_silhouettes_decide_and_one_colour_for_all(numbers, of, refuted, warned):
+    names = (f"{of}psnr_db", f"{of}silhouette_iou")
+    numbers, reported = dict(zip(names, numbers, strict=True)) | {f"{of}one_colour_db": 14.0}, []
     listener = Listener()
     listener.warning = reported.append
     assert los_views.is_refuted(numbers) == refuted

@@ -43,12 +43,12 @@ def photo(camera, background=(0.1, 0.2, 0.3)):
 
 
 @cache
-def photo_set(n_photos=8, masks=True):
+def photo_set(n_photos):
     made = cameras(n_photos)
     pictures = [photo(camera) for camera in made]
     return PhotoSet(
         names=tuple(f"{index}.png" for index in range(n_photos)),
         cameras=tuple(made),
         images=tuple(image for image, _ in pictures),
-        masks=tuple(mask for _, mask in pictures) if masks else None,
+        masks=tuple(mask for _, mask in pictures),
     )

@@ -7,7 +7,7 @@ def logistic(x, inv_s):
     return 1.0 / (1.0 + math.exp(-inv_s * x))
 
 
-def render_ray(sdf, gradients, colours, direction, edges, inv_s, background):
+def render_ray(sdf, gradients, colours, direction, edges, inv_s):
     """Colour, opacity and depth of one ray; one list entry a sample, edges one more."""
     through, opacity, depth, colour = 1.0, 0.0, 0.0, [0.0, 0.0, 0.0]
     for i in range(len(sdf)):
@@ -21,5 +21,4 @@ def render_ray(sdf, gradients, colours, direction, edges, inv_s, background):
         opacity += weight
         depth += weight * middle
         colour = [c + weight * s for c, s in zip(colour, colours[i], strict=True)]
-    colour = [c + (1.0 - opacity) * b for c, b in zip(colour, background, strict=True)]
     return colour, opacity, depth

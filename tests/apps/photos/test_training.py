@@ -8,7 +8,6 @@ import torch
 
 from geraf2.apps.photos.config import GridStage, PhotoConfig
 from geraf2.apps.photos.neural_surface import NeuralSurface
-from geraf2.apps.photos.neus.background import BackgroundConfig
 from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
 from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 from geraf2.apps.photos.training import start_surface, train_neural_surface
@@ -16,14 +15,10 @@ from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
 from helpers import photo_sphere
 
-SMALL_BACKGROUND = BackgroundConfig(
-    n_layers=1, width=8, n_octaves=2, n_direction_octaves=1, n_samples=4
-)
 GRID = PhotoConfig(
     stages=(GridStage(n_longest=16, n_steps=40), GridStage(n_longest=24, n_steps=40)),
     rays_per_step=256,
     model=ColouredGridConfig(width=16),
-    background=SMALL_BACKGROUND,
     sampling=PhotoSamplingConfig(n_coarse=24, n_fine=8, n_rounds=2),
 )
 REGION = Region(low_m=tuple(photo_sphere.CENTER - 0.12), high_m=tuple(photo_sphere.CENTER + 0.12))
@@ -37,7 +32,7 @@ def radius_errors(surface):
 def psnr(surface, photos, index):
     view = surface.render(photos.cameras[index])
     wanted = photos.images[index] / 255.0
-    inside = np.ones(wanted.shape[:2], bool) if photos.masks is None else photos.masks[index]
+    inside = photos.masks[index]
     return -10.0 * np.log10(np.mean((view.colour - wanted)[inside] ** 2))
 
 
@@ -55,14 +50,6 @@ def test_photos_with_silhouettes_give_the_ball_and_its_colours():
     assert depth == pytest.approx(distance - photo_sphere.RADIUS_M, abs=0.005)
     towards = view.normal[solid].mean(axis=0)
     assert towards @ photos.cameras[8].view_direction < -0.5
-
-
-def test_photos_without_silhouettes_are_explained_with_a_background():
-    photos = photo_sphere.photo_set(8, masks=False)
-    start = start_surface(photos, GRID, REGION)
-    surface = train_neural_surface(photos, GRID, region=REGION)
-    assert psnr(surface, photos, 0) > psnr(start, photos, 0) + 3.0
-    assert np.median(radius_errors(surface)) < 0.015
 
 
 SHORT_GRID = replace(GRID, stages=tuple(replace(stage, n_steps=6) for stage in GRID.stages))
@@ -132,15 +119,3 @@ def test_silhouettes_without_a_common_body_are_one_line():
         mask[16:20, index : 4 + index] = True
     with pytest.raises(UserError, match="no common body"):
         train_neural_surface(replace(photos, masks=tuple(masks)), GRID)
-
-
-def test_rays_along_the_axes_that_miss_the_region_show_the_background():
-    photos = photo_sphere.photo_set(4, masks=False)
-    surface = start_surface(photos, GRID, REGION)
-    pose = np.eye(4)
-    pose[:3, 3] = photo_sphere.CENTER - [0.5, 0.0, 0.4]
-    camera = replace(photos.cameras[0], camera_to_world=pose)
-    view = surface.render(camera)
-    assert np.isfinite(view.colour).all()
-    assert view.colour.max() > 0.0
-    assert view.opacity.max() < 0.01

@@ -29,12 +29,6 @@ def test_the_hull_of_a_ball_is_the_ball_and_its_region_holds_it():
     assert max(region.sides_m) < 4 * photo_sphere.RADIUS_M
 
 
-def test_without_silhouettes_the_region_is_what_all_cameras_see():
-    region = find_region(photo_sphere.photo_set(8, masks=False))
-    np.testing.assert_allclose(region.center_m, photo_sphere.CENTER, atol=1e-6)
-    assert min(region.sides_m) > 2 * photo_sphere.RADIUS_M
-
-
 def test_a_body_is_closed_at_the_rim_without_crumbs_and_hollows():
     grid, values = ball(CUBE, 33, 1.2)  # reaches beyond the grid
     points = grid.points()

@@ -3,7 +3,6 @@
 from dataclasses import dataclass, field
 
 from geraf2._validation import require_each, require_least, require_positive
-from geraf2.apps.photos.neus.background import BackgroundConfig
 from geraf2.apps.photos.neus.coloured_grid import ColouredGridConfig
 from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig
 
@@ -35,8 +34,6 @@ class PhotoConfig:
     """Rays drawn for a step."""
     model: ColouredGridConfig = field(default_factory=ColouredGridConfig)
     """Size of the colour's part."""
-    background: BackgroundConfig = field(default_factory=BackgroundConfig)
-    """Network behind the region, for photos without masks."""
     sampling: PhotoSamplingConfig = field(default_factory=PhotoSamplingConfig)
     """Samples of a ray: only those near the surface are rendered."""
     first_sharpness: float = 1.0

@@ -220,15 +220,11 @@ def read_photos(source: Path, options: LosOptions, listener: Listener | None = N
         listener.warning(f"{source}: {len(loaded.notes) - _MAX_NOTES} more such lines")
     listener.findings(require_plausible_photos(loaded.photos, source))
     if loaded.photos.masks is None:
-        listener.warning(
-            f"{source}: without silhouettes the surface may be off by centimetres; give "
-            f"--masks, or --hold-out 8, and look at {VIEWS_NAME}"
+        raise UserError(
+            what="shows no silhouettes of the box, without which its surface is not found",
+            where=source,
+            hint="give --masks or --mask-threshold, or photos with an alpha channel",
         )
-        if options.bounds is None:
-            listener.warning(
-                f"{source}: no masks: what the box stands on becomes part of the surface; give "
-                "--masks or cut it off with --bounds"
-            )
     return LosPhotos(source=source, photos=loaded.photos, options=options)
 
 

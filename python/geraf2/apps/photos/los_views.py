@@ -19,10 +19,6 @@ _N_VIEWS = 3
 # Overlap of silhouettes. Right poses reach 0.966 to 0.994 on photos that were left out
 # (docs/math/photos.md) and 0.98 after 20 steps; poses turned by 2 degrees 0.94, shuffled ones 0.78.
 _GOOD_OVERLAP, _MIN_OVERLAP = 0.95, 0.8
-# Without masks: PSNR over that of a single colour, on photos left out. Right poses reach 1.3 dB
-# after 300 steps with 13 photos, shuffled ones -1.2 dB; the temple without masks, of which half the
-# size is found, 1.2 dB (with them 5.4 dB, preset quick).
-_GOOD_GAIN_DB, _MIN_GAIN_DB = 3.0, 0.0
 
 
 def hold_out(photos: PhotoSet, every: int) -> tuple[PhotoSet, PhotoSet | None]:
@@ -49,9 +45,10 @@ def compare_views(
 
     height: of the views, about; that of the photos when None [pixel].
 
-    Numbers: psnr_db over the object (the whole picture without masks); one_colour_db, the same for
-    the mean colour of all these pixels; silhouette_iou of the silhouettes, with masks.
+    Numbers: psnr_db over the object; one_colour_db, the same for the mean colour of all these
+    pixels; silhouette_iou of the silhouettes.
     """
+    assert photos.masks is not None
     views, errors, overlaps, colours = [], [], [], []
     for index, camera in enumerate(photos.cameras):
         step = 1 if height is None else max(1, camera.height // height)
@@ -60,19 +57,15 @@ def compare_views(
         name = photos.names[index]
         views.append(SurfaceView(name, image, view.colour, view.normal, view.opacity))
         photo, seen = image.astype(np.float32) / 255.0, view.opacity > 0.5
-        mask = np.ones(seen.shape, dtype=bool)
-        if photos.masks is not None:
-            mask = bin_pixels(photos.masks[index], step) >= 0.5
-            overlaps.append(float((mask & seen).sum() / max((mask | seen).sum(), 1)))
+        mask = bin_pixels(photos.masks[index], step) >= 0.5
+        overlaps.append(float((mask & seen).sum() / max((mask | seen).sum(), 1)))
         error = (view.colour - photo)[mask] ** 2
         errors.append(float(np.mean(error)) if mask.any() else 0.0)
         colours.append(photo[mask])
     flat = np.concatenate(colours)
     spread = float(np.var(flat, axis=0, dtype=np.float64).mean()) if len(flat) else 0.0
     numbers = {"psnr_db": _decibel(float(np.mean(errors))), "one_colour_db": _decibel(spread)}
-    if overlaps:
-        numbers["silhouette_iou"] = float(np.mean(overlaps))
-    return views, numbers
+    return views, numbers | {"silhouette_iou": float(np.mean(overlaps))}
 
 
 def _decibel(error: float) -> float:
@@ -81,8 +74,7 @@ def _decibel(error: float) -> float:
 
 def is_refuted(numbers: Mapping[str, Any]) -> bool:
     """Whether a surface is clearly not that of its photos."""
-    overlap, gain = _evidence(numbers)
-    return gain < _MIN_GAIN_DB if overlap is None else overlap < _MIN_OVERLAP
+    return _evidence(numbers)[0] < _MIN_OVERLAP
 
 
 def refutation_error(numbers: Mapping[str, Any], source: object, pictures: object) -> UserError:
@@ -97,27 +89,22 @@ def refutation_error(numbers: Mapping[str, Any], source: object, pictures: objec
 def warn_unexplained(numbers: Mapping[str, Any], source: object, listener: Listener) -> None:
     """Warn where a surface explains its photos badly."""
     overlap, gain = _evidence(numbers)
-    if overlap is None:
-        is_weak = gain < _GOOD_GAIN_DB
-    else:  # silhouettes do not show hollows
-        is_weak = overlap < _GOOD_OVERLAP or gain < _MIN_GAIN_DB
-    if is_weak:
+    if overlap < _GOOD_OVERLAP or gain < 0.0:  # silhouettes do not show hollows
         listener.warning(f"{source}: the surface explains the photos badly: {_words(numbers)}")
 
 
-def _evidence(numbers: Mapping[str, Any]) -> tuple[float | None, float]:
-    """Overlap of silhouettes, None without, and gain of PSNR over a single colour [dB]."""
+def _evidence(numbers: Mapping[str, Any]) -> tuple[float, float]:
+    """Overlap of silhouettes, and gain of PSNR over a single colour [dB]."""
     first = "" if "psnr_db" in numbers else TRAINED
     gain = numbers[f"{first}psnr_db"] - numbers[f"{first}one_colour_db"]
-    return numbers.get(f"{first}silhouette_iou"), gain
+    return numbers[f"{first}silhouette_iou"], gain
 
 
 def _words(numbers: Mapping[str, Any]) -> str:
     overlap, _ = _evidence(numbers)
     first = "" if "psnr_db" in numbers else TRAINED
     of = "" if first else " left out"
-    masks = f", and silhouettes overlap by {overlap:.2f}" if overlap is not None else ""
     return (
         f"photos{of} have {numbers[f'{first}psnr_db']:.1f} dB, where one colour for all has "
-        f"{numbers[f'{first}one_colour_db']:.1f} dB{masks}"
+        f"{numbers[f'{first}one_colour_db']:.1f} dB, and silhouettes overlap by {overlap:.2f}"
     )

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from geraf2._types import AnyPath, Array
 from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
-from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.neus.ray_samples import intersect_box
 from geraf2.apps.photos.neus.rendering import Rendering, render_rays, sample_edges
@@ -40,7 +39,7 @@ class RenderedView:
     """Picture of a surface as a camera sees it."""
 
     colour: NDArray[np.float32]
-    """sRGB from 0 to 1, (height, width, 3); black or the background off the surface."""
+    """sRGB from 0 to 1, (height, width, 3); black off the surface."""
     opacity: NDArray[np.float32]
     """0 to 1, (height, width)."""
     normal: NDArray[np.float32]
@@ -53,7 +52,7 @@ class NeuralSurface:
     """Result of `train_neural_surface`, in metres in the frame of the cameras.
 
     config, region: settings of its training, and box in which it lies.
-    field, background: signed distance and colour; radiance behind the region, None: unknown.
+    field: signed distance and colour.
     inv_s: sharpness of the logistic density [1/m].
     """
 
@@ -62,21 +61,12 @@ class NeuralSurface:
         config: PhotoConfig,
         region: Region,
         field: ColouredGrid,
-        background: NerfBackground | None,
         *,
         inv_s: float,
         frame: str = "capture",
     ) -> None:
         self.config, self.region, self.frame = config, region, frame
-        self.field, self.background = field, background
-        self.inv_s = inv_s
-
-    def modules(self) -> nn.ModuleDict:
-        """All modules with parameters."""
-        parts: dict[str, nn.Module] = {"field": self.field}
-        if self.background is not None:
-            parts["background"] = self.background
-        return nn.ModuleDict(parts)
+        self.field, self.inv_s = field, inv_s
 
     def span(self, origins: Tensor, directions: Tensor) -> tuple[Tensor, Tensor]:
         """Entry and exit of rays (n, 3) in the region, (n,) each [m]; entry >= exit: missed."""
@@ -100,7 +90,7 @@ class NeuralSurface:
         first_inv_s = min(self.inv_s, 0.5 * sampling.n_coarse / radius_m)
         inv_s_range = (first_inv_s, self.inv_s)
         edges = sample_edges(self.field, rays, (near, far), sampling, inv_s_range, generator)
-        return render_rays(self.field, rays, edges, self.inv_s, background=self.background)
+        return render_rays(self.field, rays, edges, self.inv_s)
 
     @torch.no_grad()
     def render(self, camera: Camera) -> RenderedView:
@@ -110,10 +100,9 @@ class NeuralSurface:
         first = torch.from_numpy(origins).to(torch.float32)
         towards = torch.from_numpy(directions).to(torch.float32)
         near, far = self.span(first, towards)
-        meets = far > near if self.background is None else torch.ones_like(far, dtype=torch.bool)
         out = torch.zeros((first.shape[0], 8))
         chunk = max(1, _CHUNK_SAMPLES // (sampling.n_coarse + sampling.n_fine))
-        for part in torch.split(torch.nonzero(meets)[:, 0], chunk):
+        for part in torch.split(torch.nonzero(far > near)[:, 0], chunk):
             seen = self.render_rays((first[part], towards[part]))
             rest = torch.stack([seen.opacity, seen.depth], dim=1)
             out[part] = torch.cat([seen.colour, seen.normal, rest], dim=1)
@@ -153,7 +142,7 @@ class NeuralSurface:
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:
         """Arrays by name and plain values, the input of `from_state`."""
-        arrays = {k: v.detach().numpy() for k, v in self.modules().state_dict().items()}
+        arrays = {f"field.{k}": v.detach().numpy() for k, v in self.field.state_dict().items()}
         header: dict[str, Any] = {
             "config": asdict(self.config),
             "region": asdict(self.region),
@@ -174,15 +163,8 @@ class NeuralSurface:
             enclosing_cube(region), grid, tensors["field.distance.values"], config.model
         )
         field.features.restore(tensors["field.features.rows"])
-        background = None
-        if any(name.startswith("background.") for name in arrays):
-            background = NerfBackground(region.center_m, region.radius_m, config.background)
-        surface = cls(
-            config, region, field, background, inv_s=header["inv_s"], frame=header["frame"]
-        )
-        modules = surface.modules()
-        modules.load_state_dict({name: tensors[name] for name in modules.state_dict()})
-        return surface
+        field.load_state_dict({name: tensors[f"field.{name}"] for name in field.state_dict()})
+        return cls(config, region, field, inv_s=header["inv_s"], frame=header["frame"])
 
     def save(self, path: AnyPath) -> None:
         """Write everything in safetensors with a JSON header."""

@@ -82,7 +82,7 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
         )
     known = [mask for mask in masks if mask is not None]
     if known and len(known) < len(masks):
-        notes.append(f"only {len(known)} of {len(masks)} photos have a mask; no mask is used")
+        notes.append(f"only {len(known)} of {len(masks)} photos have a mask")
     photos = PhotoSet(
         names=tuple(names),
         cameras=tuple(cameras),

@@ -14,7 +14,7 @@ from geraf2.apps.photos.formats.masks import close_cracks
 from geraf2.apps.photos.neus.ray_samples import intersect_box
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.errors import UserError
-from geraf2.scene.photos import PhotoSet, bin_pixels
+from geraf2.scene.photos import Camera, PhotoSet, bin_pixels
 
 MAX_RAYS = 24_000_000
 """Limit of rays: 21 bytes each, 500 MB, 78 photos of 640 x 480; larger sets lose resolution."""
@@ -46,14 +46,15 @@ class RayBatch(NamedTuple):
 
 
 class PhotoRays:
-    """Rays of all photos that meet the region; with masks, those about the silhouettes."""
+    """Rays of all photos that meet the region, about the silhouettes."""
 
     def __init__(self, photos: PhotoSet, region: Region, *, seed: int = 0) -> None:
-        self.has_masks = photos.masks is not None
+        assert photos.masks is not None
         self.region = region
         self._positions = torch.tensor(photos.positions, dtype=torch.float32)
         rng = np.random.default_rng(seed)
-        parts = [self._photo_rays(photos, index, rng) for index in range(len(photos))]
+        pictures = zip(photos.cameras, photos.images, photos.masks, strict=True)
+        parts = [self._photo_rays(*picture, rng) for picture in pictures]
         self._directions, self._colours, self._inside, self._known = (
             torch.from_numpy(np.concatenate(column)) for column in zip(*parts, strict=True)
         )
@@ -71,15 +72,10 @@ class PhotoRays:
         return self._inside.shape[0]
 
     def _photo_rays(
-        self, photos: PhotoSet, index: int, rng: np.random.Generator
+        self, camera: Camera, image: NDArray[np.uint8], mask: Bools, rng: np.random.Generator
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8], Bools, Bools]:
-        camera, image = photos.cameras[index], photos.images[index]
-        mask = None if photos.masks is None else photos.masks[index]
-        chosen = np.ones(image.shape[:2], dtype=bool)
-        if mask is not None:
-            rim = ndimage.distance_transform_edt(~mask) <= max(_MIN_RIM, _RIM * max(mask.shape))
-            chosen = rim | (rng.random(mask.shape) < _FAR_RIM_SHARE)
-        pixels = np.argwhere(chosen)
+        rim = ndimage.distance_transform_edt(~mask) <= max(_MIN_RIM, _RIM * max(mask.shape))
+        pixels = np.argwhere(rim | (rng.random(mask.shape) < _FAR_RIM_SHARE))
         origins, directions = camera.rays(pixels[:, ::-1] + 0.5)
         near, far = intersect_box(
             torch.from_numpy(origins),
@@ -89,15 +85,11 @@ class PhotoRays:
         )
         pixels = pixels[(far > near).numpy()]
         rows, columns = pixels[:, 0], pixels[:, 1]
-        inside = known = np.ones(rows.size, dtype=bool)
-        if mask is not None:
-            inside = mask[rows, columns]
-            known = (close_cracks(mask) == mask)[rows, columns]
         return (
             directions[(far > near).numpy()].astype(np.float32),
             np.ascontiguousarray(image[rows, columns]),
-            inside,
-            known,
+            mask[rows, columns],
+            (close_cracks(mask) == mask)[rows, columns],
         )
 
     def batch(self, n: int, generator: torch.Generator) -> RayBatch:

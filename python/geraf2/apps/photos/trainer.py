@@ -110,9 +110,6 @@ class PhotoTrainer:
         """Continue with this surface and a new optimiser."""
         self.surface = surface
         config, field = self.config, surface.field
-        networks = list(field.view.parameters())
-        if surface.background is not None:
-            networks += list(surface.background.parameters())
         self._rates = (
             config.distance_rate * field.grid.spacing_m,
             config.feature_rate,
@@ -121,7 +118,7 @@ class PhotoTrainer:
         groups: list[dict[str, Any]] = [
             {"params": [field.distance.values]},
             {"params": [field.features.table]},
-            {"params": networks},
+            {"params": list(field.view.parameters())},
         ]
         self.optimiser = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
 
@@ -168,7 +165,7 @@ class PhotoTrainer:
         body = (
             close_body(self.surface.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
         )
-        if self.rays.has_masks and body.any():
+        if body.any():
             surface.region = _shrink_region(body, before, surface.region)
         grid = surface.region.grid(n_longest)
         values = self._sample_values(grid)
@@ -185,10 +182,9 @@ class PhotoTrainer:
         """Colour, silhouette, and the eikonal term at samples and all over the region."""
         config = self.config
         rays = (batch.origins, batch.directions)
-        if self.rays.has_masks:
-            near, far = self.surface.span(*rays)
-            batch = batch.subset(far > near)
-            rays = (batch.origins, batch.directions)
+        near, far = self.surface.span(*rays)
+        batch = batch.subset(far > near)
+        rays = (batch.origins, batch.directions)
         rendering = self.surface.render_rays(rays, generator=self.generator)
         terms = self.photo_terms(rendering, batch)
         region = self.surface.region
@@ -201,7 +197,7 @@ class PhotoTrainer:
         return terms
 
     def photo_terms(self, rendering: Rendering, batch: RayBatch) -> dict[str, Tensor]:
-        """Colour, and silhouette where it is known.
+        """Colour and silhouette.
 
         The colour is divided by the opacity before the comparison, and weighted by it without
         gradient: otherwise a soft rim would be pushed outwards.
@@ -209,8 +205,6 @@ class PhotoTrainer:
         Silhouettes pull only where a ray is on the wrong side of one half: a ray that grazes a face
         is never opaque while the density is soft.
         """
-        if not self.rays.has_masks:
-            return {"colour": (rendering.colour - batch.colours).abs().mean()}
         colour = rendering.colour / rendering.opacity.clamp(min=_OPACITY_RIM)[:, None]
         share = batch.inside * rendering.opacity.detach()
         difference = (colour - batch.colours).abs().mean(dim=1)

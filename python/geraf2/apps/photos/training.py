@@ -16,7 +16,6 @@ from geraf2._types import AnyPath
 from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import quick_redistance
 from geraf2.apps.photos.neural_surface import KIND, VERSION, NeuralSurface, enclosing_cube
-from geraf2.apps.photos.neus.background import NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
 from geraf2.apps.photos.photo_checks import MIN_PHOTOS
 from geraf2.apps.photos.rays import fit_resolution
@@ -29,8 +28,6 @@ from geraf2.io.toml import from_table
 from geraf2.scene.photos import PhotoSet
 
 _CHECKPOINT_EVERY_S = 60.0
-_START_BALL = 0.5
-"""Radius of the first ball over the region's smallest half side, as in NeuS."""
 
 Progress = Callable[[PhotoTrainer, dict[str, float]], None]
 
@@ -46,9 +43,9 @@ def train_neural_surface(
 ) -> NeuralSurface:
     """Surface of a photo set, trained by volume rendering.
 
-    photo_set: photos with cameras, at least three; masks are used where it has them.
+    photo_set: photos with cameras and masks, at least three.
     config: PhotoConfig() when None.
-    region: box in which the surface lies; else found from the silhouettes or the common view.
+    region: box in which the surface lies; else found from the silhouettes.
     progress: receives the trainer and the weighted terms of its loss after every step.
     checkpoint: file that is written every minute and at the end.
     resume: continue from `checkpoint` if it exists, with bit-identical result.
@@ -85,27 +82,16 @@ def train_neural_surface(
 def start_surface(
     photos: PhotoSet, config: PhotoConfig, region: Region | None = None
 ) -> NeuralSurface:
-    """Start of the training: visual hull with silhouettes, else a ball."""
+    """Start of the training: the visual hull of the silhouettes."""
     torch.manual_seed(config.seed)
-    hull = None if photos.masks is None else VisualHull(photos)
+    hull = VisualHull(photos)
     region = find_region(photos, hull) if region is None else region
     grid = region.grid(config.stages[0].n_longest)
-    points = grid.points()
-    if hull is None:
-        radius = _START_BALL * 0.5 * min(region.sides_m)
-        offset = torch.from_numpy(points) - torch.tensor(region.center_m, dtype=torch.float64)
-        values = offset.norm(dim=1) - radius
-    else:
-        distance = hull.distance(points).reshape(grid.shape)
-        values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
-    field = ColouredGrid(enclosing_cube(region), grid, values.reshape(grid.shape), config.model)
+    distance = hull.distance(grid.points()).reshape(grid.shape)
+    values = torch.from_numpy(quick_redistance(distance, grid.spacing_m))
+    field = ColouredGrid(enclosing_cube(region), grid, values, config.model)
     inv_s = config.first_sharpness / grid.spacing_m
-    background = None
-    if hull is None:
-        background = NerfBackground(
-            region.center_m, region.radius_m, config.background, seed=config.seed
-        )
-    return NeuralSurface(config, region, field, background, inv_s=inv_s, frame=photos.frame)
+    return NeuralSurface(config, region, field, inv_s=inv_s, frame=photos.frame)
 
 
 def _run(

@@ -22,8 +22,6 @@ _REGION_VOXELS = 64
 """Voxels along a side of the cube in which the hull is searched."""
 _VIEWS_PER_MISTAKE = 100
 """Silhouettes of which one may be wrong at a point."""
-_VIEW_SHARE = 0.9
-"""Share of the smallest view that the region fills where no silhouettes are known."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,15 +125,13 @@ def silhouette_distance(mask: Bools) -> NDArray[np.float32]:
     return steps_to_outline(mask).astype(np.float32)
 
 
-def find_region(photos: PhotoSet, hull: VisualHull | None = None) -> Region:
-    """Box around the hull, or without silhouettes around the common focus of all cameras.
+def find_region(photos: PhotoSet, hull: VisualHull) -> Region:
+    """Box around the hull.
 
     UserError where the silhouettes have no common body.
     """
     focus = photos.focus()
-    if hull is None or photos.masks is None:
-        half = _VIEW_SHARE * min(_seen_radius(camera, focus) for camera in photos.cameras)
-        return Region.from_corners(focus - half, focus + half)
+    assert photos.masks is not None
     half = max(
         _mask_radius(camera, mask, focus)
         for camera, mask in zip(photos.cameras, photos.masks, strict=True)
@@ -165,17 +161,5 @@ def _mask_radius(camera: Camera, mask: Bools, focus: Floats) -> float:
     pixels = np.argwhere(edge)[:, ::-1] + 0.5
     if pixels.shape[0] == 0:
         return 0.0
-    return float(_ray_distances(camera, pixels, focus).max())
-
-
-def _seen_radius(camera: Camera, focus: Floats) -> float:
-    """Distance from the focus to the nearest ray at the middle of an edge of the picture [m]."""
-    w, h = float(camera.width), float(camera.height)
-    edges = np.array([[0.0, h / 2], [w, h / 2], [w / 2, 0.0], [w / 2, h]])
-    return float(_ray_distances(camera, edges, focus).min())
-
-
-def _ray_distances(camera: Camera, pixels: NDArray[np.floating], focus: Floats) -> Floats:
-    """Distance from the focus to the ray through each pixel, (n,) [m]."""
     origins, directions = camera.rays(pixels)
-    return np.asarray(np.linalg.norm(np.cross(directions, focus - origins), axis=1))
+    return float(np.linalg.norm(np.cross(directions, focus - origins), axis=1).max())

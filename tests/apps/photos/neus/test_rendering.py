@@ -6,7 +6,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from geraf2.apps.photos.neus.background import BackgroundConfig, NerfBackground
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid, ColouredGridConfig
 from geraf2.apps.photos.neus.rendering import PhotoSamplingConfig, render_rays, sample_edges
 from geraf2.fields.sdf_field import CubeDomain, SdfSample
@@ -76,8 +75,7 @@ def test_the_weight_of_a_plane_is_unbiased(height, slant, inv_s, shift):
 
 def test_rendering_is_that_of_the_slow_twin():
     field, (rays, edges) = small_grid(), rays_and_edges()
-    behind = torch.tensor([0.2, 0.5, 0.9], dtype=torch.float64)
-    seen = render_rays(field, rays, edges, 20.0, background=lambda o, _: behind.expand(len(o), 3))
+    seen = render_rays(field, rays, edges, 20.0)
     middles = 0.5 * (edges[:, 1:] + edges[:, :-1])
     points = rays[0][:, None] + middles[:, :, None] * rays[1][:, None]
     for ray in range(edges.shape[0]):
@@ -93,7 +91,6 @@ def test_rendering_is_that_of_the_slow_twin():
             direction.tolist(),
             edges[ray].tolist(),
             20.0,
-            behind.tolist(),
         )
         assert seen.colour[ray].tolist() == pytest.approx(colour, rel=1e-7)
         assert float(seen.opacity[ray].detach()) == pytest.approx(opacity, rel=1e-9)
@@ -144,31 +141,3 @@ def test_few_samples_in_rounds_find_all_of_a_thin_density(n_rounds):
     hit = origins[:, 2] / -directions[0, 2]
     assert (seen.opacity > 0.99).all()
     assert ((seen.depth / seen.opacity - hit).abs() < 1e-3).all()
-
-
-def small_background():
-    config = BackgroundConfig(n_layers=2, width=8, n_octaves=2, n_direction_octaves=1, n_samples=9)
-    return NerfBackground((0.1, 0.0, 0.0), 0.5, config, seed=1)
-
-
-@pytest.mark.parametrize("bias", [-10.0, 0.0, 10.0])
-def test_the_background_is_opaque_at_infinity(bias):
-    """Whatever the density, the weights of a ray sum to one: the last sample has no end."""
-    background, (rays, _) = small_background(), rays_and_edges(dtype=torch.float32)
-    expected = torch.tensor([0.2, 0.5, 0.8])
-    with torch.no_grad():
-        background.colour.weight.zero_()
-        background.colour.bias.copy_(torch.logit(expected))
-        background.density.bias.fill_(bias)
-        torch.testing.assert_close(background(*rays), expected.expand(5, 3))
-
-
-@pytest.mark.gradient
-def test_the_background_is_differentiable():
-    background, (rays, _) = small_background().double(), rays_and_edges(n_rays=2)
-
-    def evaluate(weight):
-        return torch.func.functional_call(background, {"density.weight": weight}, rays)
-
-    weight = background.density.weight.detach().clone().requires_grad_()
-    assert torch.autograd.gradcheck(evaluate, weight)

@@ -1,1 +1,1 @@
-"""Volume rendering of photos: coloured signed distances, background, samples along rays."""
+"""Volume rendering of photos: coloured signed distances, samples along rays."""

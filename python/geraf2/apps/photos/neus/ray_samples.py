@@ -24,17 +24,6 @@ def intersect_box(
     return near, torch.maximum(first, second).amin(dim=1)
 
 
-def intersect_ball(
-    origins: torch.Tensor, directions: torch.Tensor, center: torch.Tensor, radius_m: float
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Entry and exit of rays (n, 3) in a ball, (n,) each [m]; entry >= exit: missed."""
-    offset = origins - center
-    middle = -(offset * directions).sum(dim=1)
-    inside = radius_m**2 - (offset * offset).sum(dim=1) + middle * middle
-    half = inside.clamp(min=0.0).sqrt()
-    return (middle - half).clamp(min=0.0), middle + half
-
-
 def even_edges(
     near: torch.Tensor,
     far: torch.Tensor,

@@ -1,6 +1,5 @@
 """Photos of a signed distance by volume rendering, after NeuS (Wang et al. 2021)."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,9 +12,6 @@ from geraf2.ops import ray_march
 
 _LAST_ROUND = 0.5
 """Sharpness of the last round over that of the rendering: samples reach to 7 / s."""
-
-Background = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
-"""Colour (n_rays, 3) behind the scene for origins and directions (n_rays, 3)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +33,7 @@ class Rendering(NamedTuple):
     """Rendered quantities of rays."""
 
     colour: torch.Tensor
-    """(n_rays, 3), in front of the background."""
+    """(n_rays, 3), before black."""
     opacity: torch.Tensor
     """Sum of the weights, (n_rays,)."""
     normal: torch.Tensor
@@ -86,20 +82,17 @@ def render_rays(
     rays: tuple[torch.Tensor, torch.Tensor],
     edges: torch.Tensor,
     inv_s: float,
-    *,
-    background: Background | None = None,
 ) -> Rendering:
     r"""Colour, opacity, normal and depth along rays.
 
-    .. math:: C = \sum_i T_i \alpha_i c_i + \left(1 - \sum_i T_i \alpha_i\right) C_\infty
+    .. math:: C = \sum_i T_i \alpha_i c_i
 
     field: signed distance and colour.
     rays: origins and unit directions, (n_rays, 3) [m].
     edges: of contiguous intervals along each ray, (n_rays, n + 1) [m]. Not differentiable.
     inv_s: sharpness of the logistic density [1/m].
-    background: colour behind the region; none: black.
 
-    Returns rendering, differentiable in the parameters of field and background.
+    Returns rendering, differentiable in the parameters of the field.
     docs/math/photos.md#rendering.
     """
     origins, directions = rays
@@ -112,12 +105,9 @@ def render_rays(
     march = ray_march(sample.value.reshape(n_rays, n), cos, steps, inv_s, two_way="none")
     weight = torch.as_tensor(march.weight)
     opacity = weight.sum(dim=1)
-    colour = field.shade(points, directions, sample, weight)
-    if background is not None:
-        colour = colour + (1.0 - opacity)[:, None] * background(origins, directions)
     unit = torch.nn.functional.normalize(gradient, dim=2)
     return Rendering(
-        colour=colour,
+        colour=field.shade(points, directions, sample, weight),
         opacity=opacity,
         normal=(weight[:, :, None] * unit).sum(dim=1),
         depth=(weight * middles).sum(dim=1),
