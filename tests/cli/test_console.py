@@ -1,14 +1,13 @@
-"""What all commands share: --json, --quiet, --verbose, one bar over all steps, completion."""
+"""What all commands share: --json, --quiet, --verbose, one bar over all steps."""
 
 import json
-import subprocess
 import webbrowser
 
 import numpy as np
 import pytest
 
 from geraf2.cli._console import CONSOLE
-from geraf2.cli.main import COMMANDS, main
+from geraf2.cli.main import main
 from helpers.small_scene import BOX, FAST
 
 
@@ -84,29 +83,3 @@ def test_steps_of_a_run_say_how_much_of_all_is_done(capsys):
     with CONSOLE.step("later"):
         pass
     assert "later ..." in capsys.readouterr().err
-
-
-def completed(script, *words):
-    line = f"COMP_WORDS=({' '.join(map(repr, words))}); COMP_CWORD={len(words) - 1}; _geraf2"
-    code = f'{script}\n{line}; printf "%s\\n" "${{COMPREPLY[@]}}"'
-    done = subprocess.run(["bash", "-c", code], capture_output=True, text=True, check=True)
-    return done.stdout.split()
-
-
-def test_a_shell_completes_commands_flags_and_choices(capsys):
-    assert main(["completion", "bash"]) == 0
-    script = capsys.readouterr().out
-    assert set(completed(script, "geraf2", "")) >= set(COMMANDS)
-    assert completed(script, "geraf2", "reco") == ["reconstruct"]
-    assert "--overwrite" in completed(script, "geraf2", "reconstruct", "scene", "--ov")
-    assert completed(script, "geraf2", "reconstruct", "--preset", "fa") == ["fast"]
-    assert completed(script, "geraf2", "import", "dca") == ["dca1000"]
-
-
-@pytest.mark.parametrize("shell", ["zsh", "fish"])
-def test_other_shells_get_every_command_and_flag(shell, capsys):
-    assert main(["completion", shell]) == 0
-    script = capsys.readouterr().out
-    assert all(name in script for name in COMMANDS)
-    assert "overwrite" in script
-    assert main(["completion", "tcsh"]) == 2

@@ -69,7 +69,6 @@ COMMANDS = {
     "benchmark": Command(
         "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _CONTINUES
     ),
-    "completion": Command("completion", "completion of a shell: bash, zsh or fish", "SHELL"),
     "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
 }
 

@@ -123,11 +123,6 @@ class Importer(Protocol):
         """
 
 
-def importer_names() -> list[str]:
-    """Names of all formats that can be imported."""
-    return sorted(_points())
-
-
 def load_importer(name: str) -> Importer:
     """Return the importer of a format; UserError for an unknown one."""
     points = _points()

@@ -61,7 +61,7 @@ def import_capture(
     Parameters
     ----------
     format_name
-        One of :func:`geraf2.apps.importers.importer_names`.
+        Name of an importer, as "dca1000"; an unknown one names all.
     source
         File or folder of the capture.
     scene
