@@ -208,12 +208,12 @@ def run_view(run_dir: AnyPath) -> str | None:
     )
 
 
-def run_scene(folder: Path, *, num_threads: int | None = None) -> dict[str, Any] | None:
+def run_scene(folder: Path) -> dict[str, Any] | None:
     """Scene of the 3D view of a run, with slices of its field; None where it holds nothing yet."""
     run = read_run(folder)
     if run.surface is None and run.glints is None and run.sdf is None and run.box is None:
         return None
-    return _view(run, folder, _known_truth(run, folder), None, num_threads, with_field=True)
+    return _view(run, folder, _known_truth(run, folder), None, None, with_field=True)
 
 
 def _known_truth(run: RunArtefacts, folder: Path) -> tuple[TriangleMesh, Floats] | None:

@@ -89,9 +89,9 @@ def require_no_errors(findings: Iterable[Finding], where: object) -> tuple[Findi
     return kept
 
 
-def error(message: str, action: str = "") -> Finding:
+def error(message: str) -> Finding:
     """Make a finding after which nothing useful can come out."""
-    return Finding(severity="error", message=message, action=action)
+    return Finding(severity="error", message=message)
 
 
 def warning(message: str, action: str = "") -> Finding:

@@ -85,14 +85,11 @@ class LosPrior:
         return cls(vertices=corners, faces=FACES.copy(), walls=walls)
 
     @classmethod
-    def from_mesh(
-        cls, mesh: TriangleMesh, walls: tuple[Wall, ...] = (), *, where: object = None
-    ) -> "LosPrior":
+    def from_mesh(cls, mesh: TriangleMesh, *, where: object = None) -> "LosPrior":
         """Prior from a closed mesh in the capture frame [m]; turned outward if wound inward.
 
         mesh: outer surface of the box; every edge shared by two triangles. Shells inside another
             one, as the inner skin of its walls, are left out.
-        walls: known dielectric walls, outermost first.
         where: named in the error, e.g. the file.
         """
         n_open = count_open_edges(mesh.faces)
@@ -111,7 +108,7 @@ class LosPrior:
         faces = mesh.faces
         if enclosed_volume_m3(mesh.vertices, mesh.faces) < 0:
             faces = np.ascontiguousarray(faces[:, ::-1])
-        return cls(vertices=mesh.vertices, faces=faces, walls=walls)
+        return cls(vertices=mesh.vertices, faces=faces)
 
     @property
     def mesh(self) -> TriangleMesh:

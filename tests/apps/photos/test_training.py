@@ -25,7 +25,7 @@ REGION = Region(low_m=tuple(photo_sphere.CENTER - 0.12), high_m=tuple(photo_sphe
 
 
 def radius_errors(surface):
-    vertices = surface.mesh(48).vertices
+    vertices = surface.mesh().vertices
     return np.abs(np.linalg.norm(vertices - photo_sphere.CENTER, axis=1) - photo_sphere.RADIUS_M)
 
 

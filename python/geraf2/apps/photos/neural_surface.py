@@ -115,29 +115,21 @@ class NeuralSurface:
             depth=np.where(opacity > 0.5, depth / np.maximum(opacity, 0.5), np.nan),
         )
 
-    def sdf(self, n_longest: int | None = None) -> SdfGrid:
+    def sdf(self) -> SdfGrid:
         """Signed distance f_v over the region, closed, main parts only [m].
 
-        The grid is that of the field, or has `n_longest` voxels along its longest side. Near the
-        zero level the distance is exact to first order, farther out to half a voxel.
+        Near the zero level the distance is exact to first order, farther out to half a voxel.
         """
-        closed = self._close(n_longest)
+        closed = self._close()
         values = quick_redistance(closed.values, closed.grid.spacing_m)
         return SdfGrid(grid=closed.grid, values=values)
 
-    def mesh(self, n_longest: int | None = None) -> TriangleMesh:
+    def mesh(self) -> TriangleMesh:
         """Zero level of the closed main parts, outward winding [m]."""
-        return extract_surface(self._close(n_longest))
+        return extract_surface(self._close())
 
-    @torch.no_grad()
-    def _close(self, n_longest: int | None) -> SdfGrid:
-        if n_longest is None:
-            grid, values = self.field.grid, self.field.distance.values.detach()
-        else:
-            grid = self.region.grid(n_longest)
-            points = torch.from_numpy(grid.points()).to(torch.float32)
-            parts = [self.field.value(part) for part in torch.split(points, _CHUNK_SAMPLES)]
-            values = torch.cat(parts).reshape(grid.shape)
+    def _close(self) -> SdfGrid:
+        grid, values = self.field.grid, self.field.distance.values.detach()
         return SdfGrid(grid=grid, values=close_body(values.numpy(), grid.spacing_m))
 
     def state(self) -> tuple[dict[str, Array], dict[str, Any]]:

@@ -10,6 +10,9 @@ from geraf2.fields.sdf_field import CubeDomain, require_points
 from geraf2.learned.fields.encoding import encoded_size, positional_encoding
 from geraf2.ops import sdf_grid
 
+_MAX_INV_S = 1e4
+"""Largest s [1/m]: rays sampled every few millimetres miss a sharper surface."""
+
 
 class ReflectivityMlp(nn.Module):
     """Reflectivity in (0, 2) as a perceptron of the position; starts as 1 everywhere.
@@ -71,10 +74,9 @@ class ReflectivityGrid(nn.Module):
 class Power(nn.Module):
     """Equivalent transmitted amplitude: a positive scalar, trained as its logarithm."""
 
-    def __init__(self, value: float = 1.0) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        require_positive("value", value)
-        self.log_value = nn.Parameter(torch.tensor(math.log(value)))
+        self.log_value = nn.Parameter(torch.tensor(0.0))
 
     def forward(self) -> Tensor:
         """Amplitude, a tensor without dimensions."""
@@ -85,19 +87,16 @@ class Sharpness(nn.Module):
     """Sharpness s of the opacity's sigmoid [1/m]: a positive scalar, trained as its logarithm.
 
     inv_s: s at the start [1/m]; an opacity's width is about 1/s.
-    max_inv_s: largest s [1/m]: rays sampled every few millimetres miss a sharper surface.
     """
 
-    def __init__(self, inv_s: float, *, max_inv_s: float = 1e4) -> None:
+    def __init__(self, inv_s: float) -> None:
         super().__init__()
         require_positive("inv_s", inv_s)
-        require_positive("max_inv_s", max_inv_s)
-        self.max_inv_s = max_inv_s
         self.log_inv_s = nn.Parameter(torch.tensor(math.log(inv_s)))
 
     def forward(self) -> Tensor:
         """Sharpness s [1/m], a tensor without dimensions."""
-        return torch.exp(self.log_inv_s.clamp(max=math.log(self.max_inv_s)))
+        return torch.exp(self.log_inv_s.clamp(max=math.log(_MAX_INV_S)))
 
     @torch.no_grad()
     def set(self, inv_s: float) -> None:
