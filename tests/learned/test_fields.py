@@ -10,7 +10,6 @@ from geraf2.learned.fields import (
     ReflectivityMlp,
     SdfMlp,
     SdfMlpConfig,
-    SdfMlpGrid,
     sdf_mlp,
 )
 
@@ -64,29 +63,6 @@ def test_value_and_gradient_are_differentiable_to_the_parameters(field):
 
     inputs = [p.detach().clone().requires_grad_() for p in field.parameters()]
     assert torch.autograd.gradcheck(evaluate, inputs, eps=1e-6, atol=1e-5, fast_mode=True)
-
-
-def test_a_network_seen_through_voxels_is_the_grid_of_its_values():
-    field = SdfMlpGrid(DOMAIN, SMALL_MLP, n_per_side=4, seed=1).double()
-    field.upsample(6)
-    grid = LearnedSdfGrid(DOMAIN, n_per_side=6).double()
-    with torch.no_grad():
-        positions = torch.from_numpy(grid.grid.points())
-        grid.values.copy_(field.network.value(positions).reshape(grid.grid.shape))
-    points = random_points(30)
-    for found, wanted in zip(field(points), grid(points), strict=True):
-        torch.testing.assert_close(found, wanted, rtol=0.0, atol=1e-12)
-    # Gradients of the voxels reach the weights as autograd takes it there.
-    weights = list(field.network.parameters())
-    field(points).gradient.square().sum().backward()
-    taken = field.values.grad.clone()
-    field.pull_back()
-    assert field.values.grad is None
-    through = torch.autograd.grad(field.network.value(positions), weights, taken.reshape(-1))
-    for parameter, wanted in zip(weights, through, strict=True):
-        torch.testing.assert_close(parameter.grad, wanted, rtol=1e-9, atol=1e-12)
-    with pytest.raises(ValueError, match="n_per_side must be at least 6, got 5"):
-        field.upsample(5)
 
 
 @pytest.mark.gradient

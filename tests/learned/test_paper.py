@@ -11,11 +11,9 @@ from geraf2.fields import BoxSolid, SdfGrid
 from geraf2.io.checkpoint import load_checkpoint, save_checkpoint
 from geraf2.learned.checkpoints import KIND, VERSION, config_of, load_model, load_state, save_state
 from geraf2.learned.config import PaperConfig, StageConfig
-from geraf2.learned.fields import SdfMlpGrid
 from geraf2.learned.heatmaps import heat_maps
 from geraf2.learned.model import PaperModel, domain_of
 from geraf2.learned.optimiser import make_optimiser
-from geraf2.learned.plane_loss import eikonal_loss, heatmap_loss
 from geraf2.learned.resources import training_device
 from geraf2.learned.trainer import PaperTrainer, StepReport, run_steps, without_wall_pieces
 from geraf2.ops import _tensors, matched_filter
@@ -80,13 +78,13 @@ def test_training_lowers_the_heat_map_loss(capture, maps):
     assert np.mean(losses[-15:]) < 0.8 * np.mean(losses[:15])
 
 
-@pytest.mark.parametrize(("stop_after", "field"), [(6, "grid"), (2, "mlp-grid")])
+@pytest.mark.parametrize(("stop_after", "field"), [(6, "grid"), (2, "mlp")])
 def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
     capture, maps, tmp_path, stop_after, field
 ):
     config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
-    if field == "mlp-grid":
-        config = replace(config, grid_n=(9,), stage1=StageConfig(n_steps=1))
+    if field == "mlp":
+        config = replace(config, n_cells=4, stage1=StageConfig(n_steps=1))
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
@@ -181,7 +179,7 @@ def test_a_checkpoint_of_other_settings_or_networks_is_one_line(capture, maps):
 def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(capture, maps):
     config = replace(
         SMALL,
-        field="mlp-grid",
+        field="mlp",
         mlp_fit_steps=1,
         octaves_start=2.0,
         octaves_end=6.0,
@@ -191,10 +189,9 @@ def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(captur
         n_samples=6,
         n_antennas=4,
         start="ball",
-        grid_n=(9,),
     )
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
-    network = trainer.model.sdf.network
+    network = trainer.model.sdf
     seen = []
     while not trainer.stages.is_done:
         trainer.advance()
@@ -204,44 +201,9 @@ def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(captur
     other = PaperModel(domain_of(PRIOR, config), config)
     load_model(other, save_state(trainer, "key").arrays, "c")
     grid = trainer.domain.grid(5)
-    trainer.model.sdf.refresh()
     np.testing.assert_array_equal(
         other.sdf.sample_grid(grid).values, trainer.model.sdf.sample_grid(grid).values
     )
-
-
-def test_a_network_behind_voxels_takes_the_gradient_that_runs_through_them(capture, maps):
-    config = replace(SMALL, field="mlp-grid", mlp_fit_steps=2, n_planes=2, grid_n=(9,))
-    voxels = PaperTrainer(capture, PRIOR, config, maps=maps, num_threads=2)
-    network = voxels.model.sdf
-    assert isinstance(network, SdfMlpGrid)
-    before = parameters(voxels)
-    # The twin lets autograd run from each plane's loss through the voxels to the weights.
-    state = voxels.draws.generator.get_state()
-    draws = [voxels.draws.draw(plane) for plane in voxels.draws.planes_of_step()]
-    voxels.draws.generator.set_state(state)
-    wanted = []
-    for draw in draws:
-        network.refresh()
-        network.values = network._live
-        rendered = voxels.loss.render(draw)
-        both = voxels.loss.heat_maps(draw, rendered.signal)
-        loss = heatmap_loss(*both, maps.scale, config.charbonnier)
-        loss = loss + config.eikonal_weight * eikonal_loss(rendered.gradient)
-        wanted.append(torch.autograd.grad(loss, list(network.parameters())))
-    voxels.take_gradients()
-    for parameter, *shares in zip(network.parameters(), *wanted, strict=True):
-        mean = sum(shares) / len(shares)
-        torch.testing.assert_close(parameter.grad, mean, rtol=1e-3, atol=1e-5 * mean.abs().max())
-    run_steps(voxels)
-    changed = [n for n, v in parameters(voxels).items() if (v != before[n]).any()]
-    assert any(name.startswith("sdf.network.layers.8") for name in changed)
-    found = voxels.distance()
-    positions = torch.from_numpy(network.grid.points()).float()
-    np.testing.assert_allclose(
-        network.values.detach().reshape(-1), network.network.value(positions).detach(), atol=1e-6
-    )
-    assert np.isfinite(found.values).all()
 
 
 def test_a_plane_that_is_not_finite_is_named(capture):

@@ -74,16 +74,6 @@ class SdfField(nn.Module, ABC):
     def initialise(self, target: Distance, *, seed: int = 0) -> None:
         """Approximate `target` by the field."""
 
-    def leaves(self) -> list[Tensor]:
-        """Return the tensors of a loss's gradient: parameters, or tensors that depend on them."""
-        return list(self.parameters())
-
-    def refresh(self) -> None:
-        """Recompute tensors that depend on the parameters; here there are none."""
-
-    def pull_back(self) -> None:
-        """Propagate gradients of the leaves to the parameters; here they are the same."""
-
     @torch.no_grad()
     def sample_grid(self, grid: Grid) -> SdfGrid:
         """Values at the voxel centres of a grid, for meshes and pictures; not differentiable."""

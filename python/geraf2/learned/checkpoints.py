@@ -12,7 +12,7 @@ from geraf2.errors import UserError
 from geraf2.io.checkpoint import Checkpoint
 from geraf2.io.toml import from_table
 from geraf2.learned.config import PaperConfig
-from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
+from geraf2.learned.fields import LearnedSdfGrid
 from geraf2.learned.model import PaperModel
 from geraf2.learned.optimiser import make_optimiser
 from geraf2.learned.trainer import PaperTrainer
@@ -67,16 +67,13 @@ def load_state(trainer: PaperTrainer, checkpoint: Checkpoint, key: str, where: o
 
 
 def model_arrays(model: PaperModel) -> dict[str, NDArray[Any]]:
-    """Parameters and open octaves by name, and the last voxel values of a network."""
-    arrays = {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored_tensors(model)}
-    if isinstance(model.sdf, SdfMlpGrid):
-        arrays["model.sdf.values"] = model.sdf.values.detach().cpu().numpy()
-    return arrays
+    """Parameters and open octaves by name."""
+    return {f"model.{name}": p.detach().cpu().numpy() for name, p in _stored_tensors(model)}
 
 
 def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object) -> None:
     """Set parameters, open octaves, and the resolution of the distance's grid."""
-    if isinstance(model.sdf, LearnedSdfGrid | SdfMlpGrid) and "model.sdf.values" in arrays:
+    if isinstance(model.sdf, LearnedSdfGrid) and "model.sdf.values" in arrays:
         n_per_side = arrays["model.sdf.values"].shape[0]
         if n_per_side > model.sdf.grid.shape[0]:
             model.sdf.upsample(n_per_side)
@@ -103,7 +100,6 @@ def load_model(model: PaperModel, arrays: dict[str, NDArray[Any]], where: object
                     got=None if stored is None else stored.shape,
                 )
             parameter.copy_(torch.from_numpy(stored))
-    model.sdf.refresh()
 
 
 def _stored_tensors(model: PaperModel) -> Iterator[tuple[str, Tensor]]:

@@ -18,7 +18,7 @@ TwoWayForm = Literal["squared", "unbiased"]
 Spreading = Literal["none", "two-way"]
 LobePower = Annotated[float, Interval(gt=0.0, le=100.0)]
 Octaves = Annotated[float, Interval(ge=0, le=10)]
-FieldKind = Literal["grid", "mlp", "mlp-grid"]
+FieldKind = Literal["grid", "mlp"]
 Start = Literal["vision", "nested", "ball"]
 Region = Literal["scene", "content"]
 SharpnessRule = Literal["scheduled", "learned"]
@@ -68,7 +68,7 @@ class PaperConfig(RenderConfig):
 
     field: FieldKind = "grid"
     """"mlp": the paper's networks, 8 x 256, 10 octaves; "grid": the same distance on a finer and
-    finer grid; "mlp-grid": that network, evaluated at the voxels of the grid once a step."""
+    finer grid."""
     start: Start = "ball"
     """Open. "vision": f_v, negative in the whole box. "nested": section 4.1 with a ball. "ball"
     alone."""

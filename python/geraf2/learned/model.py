@@ -17,7 +17,6 @@ from geraf2.learned.fields import (
     SdfField,
     SdfMlp,
     SdfMlpConfig,
-    SdfMlpGrid,
     Sharpness,
 )
 from geraf2.learned.lensless import LenslessRenderer, VisionPrior
@@ -38,13 +37,10 @@ class PaperModel(nn.Module):
 
     def __init__(self, domain: CubeDomain, config: PaperConfig, *, seed: int = 0) -> None:
         super().__init__()
-        network, n_first = SdfMlpConfig(fit_steps=config.mlp_fit_steps), config.grid_n[0]
         if config.field == "grid":
-            self.sdf = LearnedSdfGrid(domain, n_per_side=n_first)
-        elif config.field == "mlp-grid":
-            self.sdf = SdfMlpGrid(domain, network, n_per_side=n_first, seed=seed)
+            self.sdf = LearnedSdfGrid(domain, n_per_side=config.grid_n[0])
         else:
-            self.sdf = SdfMlp(domain, network, seed=seed)
+            self.sdf = SdfMlp(domain, SdfMlpConfig(fit_steps=config.mlp_fit_steps), seed=seed)
         self.reflectivity: nn.Module
         if config.field == "grid":
             self.reflectivity = ReflectivityGrid(domain, n_per_side=config.reflectivity_n)

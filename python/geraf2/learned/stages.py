@@ -4,7 +4,7 @@ import math
 
 from geraf2.errors import UserError
 from geraf2.learned.config import PaperConfig, StageConfig
-from geraf2.learned.fields import SdfField, SdfMlp, SdfMlpGrid
+from geraf2.learned.fields import SdfField, SdfMlp
 
 
 class TrainingStages:
@@ -61,9 +61,8 @@ class TrainingStages:
     def open_octaves(self, sdf: SdfField) -> None:
         """Open as many octaves of a network's encoding as are due; grids have none."""
         first, last = self._config.octaves_start, self._config.octaves_end
-        network = sdf.network if isinstance(sdf, SdfMlpGrid) else sdf
-        if isinstance(network, SdfMlp):
-            network.open_octaves(first + self._stage_1_progress * (last - first))
+        if isinstance(sdf, SdfMlp):
+            sdf.open_octaves(first + self._stage_1_progress * (last - first))
 
     def require_finite(self, name: str, value: float) -> None:
         """Raise UserError with stage and step where a value is not finite."""

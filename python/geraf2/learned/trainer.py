@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy.ndimage import label, maximum
-from torch import Tensor
 
 from geraf2.fields import SdfGrid
 from geraf2.learned import glint_level
 from geraf2.learned.config import PaperConfig
-from geraf2.learned.fields import LearnedSdfGrid, SdfMlpGrid
+from geraf2.learned.fields import LearnedSdfGrid
 from geraf2.learned.glint_level import GlintDepths, GlintShift
 from geraf2.learned.heatmaps import MeasuredMaps, measure_maps
 from geraf2.learned.model import PaperModel, StartDistance, domain_of, make_renderer
@@ -94,7 +93,6 @@ class PaperTrainer:
         self.stages.open_octaves(self.model.sdf)
         self.model.sdf.initialise(start, seed=seed)
         self.model.to(self.device)
-        self.model.sdf.refresh()
         self.loss = PlaneLoss(capture, config, renderer, self.model, maps, self.stages)
         self.glint_shift: GlintShift | None = None
         """Shift of the last :meth:`distance`, with `glint_level`."""
@@ -131,7 +129,6 @@ class PaperTrainer:
 
         With `glint_level` the zero level is moved to the depth of the measured glints.
         """
-        self.model.sdf.refresh()
         sdf = self.model.sdf.sample_grid(self.domain.grid(self.config.mesh_n))
         detail_m = 2.0 * self.domain.half_side_m / (self.config.grid_n[-1] - 1)
         if self.config.glint_level:
@@ -146,8 +143,7 @@ class PaperTrainer:
 
     def take_gradients(self) -> list[tuple[float, float, float]]:
         """Give the parameters the mean gradient of the planes drawn; returns each plane's terms."""
-        self.model.sdf.refresh()
-        leaves = self.leaves
+        leaves = [group["params"][0] for group in self.optimiser.param_groups]
         # A generator: a plane is rendered while the next is drawn, in order.
         draws = (self.draws.draw(plane) for plane in self.draws.planes_of_step())
         found = self.threads.map(
@@ -159,24 +155,16 @@ class PaperTrainer:
             present = [share for share in shares if share is not None]
             if present:
                 leaf.grad = sum(present[1:], present[0])
-        self.model.sdf.pull_back()
         return [f.terms for f in found]
-
-    @property
-    def leaves(self) -> list[Tensor]:
-        """Tensors that receive a plane's gradient: leaves of the distance, other parameters."""
-        others = [g for g in self.optimiser.param_groups if not g["name"].startswith("sdf.")]
-        return [*self.model.sdf.leaves(), *(p for g in others for p in g["params"])]
 
     def _refine_grid(self) -> None:
         """Resample the distance on the finer grid of its next level, where one is due."""
         sdf, wanted = self.model.sdf, self.stages.grid_n
-        if self.stages.stage != 1 or not isinstance(sdf, LearnedSdfGrid | SdfMlpGrid):
+        if self.stages.stage != 1 or not isinstance(sdf, LearnedSdfGrid):
             return
         if wanted > sdf.grid.shape[0]:
             sdf.upsample(wanted)
-            if isinstance(sdf, LearnedSdfGrid):
-                self.optimiser = make_optimiser(self.model, self.config, self.stages.current)
+            self.optimiser = make_optimiser(self.model, self.config, self.stages.current)
 
     def _condition_gradients(self) -> None:
         """Refuse gradients that are not finite, and clip those of networks."""

@@ -5,7 +5,6 @@ from geraf2.learned.fields.encoding import positional_encoding
 from geraf2.learned.fields.learned_sdf_grid import LearnedSdfGrid
 from geraf2.learned.fields.reflectivity import Power, ReflectivityGrid, ReflectivityMlp, Sharpness
 from geraf2.learned.fields.sdf_mlp import SdfMlp, SdfMlpConfig
-from geraf2.learned.fields.sdf_mlp_grid import SdfMlpGrid
 
 __all__ = [
     "CubeDomain",
@@ -17,7 +16,6 @@ __all__ = [
     "SdfField",
     "SdfMlp",
     "SdfMlpConfig",
-    "SdfMlpGrid",
     "SdfSample",
     "Sharpness",
     "positional_encoding",
