@@ -84,7 +84,8 @@ def test_a_resumed_training_is_the_uninterrupted_one_bit_by_bit(
 ):
     config = replace(SMALL, n_planes=2, field=field, mlp_fit_steps=1)
     if field == "mlp":
-        config = replace(config, n_cells=4, stage1=StageConfig(n_steps=1))
+        stages = StageConfig(n_steps=1), StageConfig(n_steps=2)
+        config = replace(config, n_cells=3, n_samples=4, stage1=stages[0], stage2=stages[1])
     whole = PaperTrainer(capture, PRIOR, config, maps=maps)
     run_steps(whole)
     first = PaperTrainer(capture, PRIOR, config, maps=maps)
@@ -185,10 +186,10 @@ def test_octaves_open_evenly_over_stage_1_and_a_checkpoint_knows_how_many(captur
         octaves_end=6.0,
         stage1=StageConfig(n_steps=4),
         stage2=StageConfig(n_steps=1),
-        n_cells=4,
-        n_samples=6,
+        n_planes=1,
+        n_cells=3,
+        n_samples=4,
         n_antennas=4,
-        start="ball",
     )
     trainer = PaperTrainer(capture, PRIOR, config, maps=maps)
     network = trainer.model.sdf
