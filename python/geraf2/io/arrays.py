@@ -53,9 +53,10 @@ def read_npz(path: AnyPath, names: Iterable[str]) -> dict[str, Array]:
             missing = [name for name in wanted if name not in stored]
             if not missing:
                 parts = [p for p in stored.zip.infolist() if p.filename[:-4] in wanted]
-                n_bytes = sum(part.file_size for part in parts)
-                require_unpacked(n_bytes, sum(part.compress_size for part in parts), source)
-                require_memory(2.0 * n_bytes, "the arrays are too large", where=source)
+                for part in parts:
+                    require_unpacked(part.file_size, part.compress_size, source)
+                n_bytes = 2.0 * sum(part.file_size for part in parts)
+                require_memory(n_bytes, "the arrays are too large", where=source)
                 return {name: stored[name] for name in wanted}
     except MemoryError as error:
         raise UserError(what=f"the arrays do not fit into memory: {error}", where=source) from error

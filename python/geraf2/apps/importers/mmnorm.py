@@ -27,13 +27,7 @@ from geraf2.apps.importers import NO_OPTIONS, ImportOptions, Scan
 from geraf2.apps.importers._board import Board, board_of, plane_axes, ti_receivers
 from geraf2.apps.importers._recording import Recording, open_recording, read_positions
 from geraf2.apps.importers._robot_log import RobotLog
-from geraf2.apps.importers._rows import (
-    NpzRows,
-    good_rows,
-    note_omission,
-    require_equal,
-    wrong_shape,
-)
+from geraf2.apps.importers._rows import good_rows, note_omission, require_equal, wrong_shape
 from geraf2.apps.importers._scene_manifest import scene_manifest
 from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
@@ -62,10 +56,10 @@ class MmnormImporter:
 
 
 def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
-    rows, positions = _npz_arrays(source)
-    _, n_samples, n_rx = rows.shape
+    stored, positions = _npz_arrays(source)
+    _, n_samples, n_rx = stored.shape
     check = partial(good_rows, keep_good=options.keep_good, where=source)
-    good, notes = check(rows.blocks(), what="positions of received_signals")
+    good, notes = check([stored], what="positions of received_signals")
     finite, more = check([positions], what="antenna_locations")
     good &= finite
     info = _experiment_info(source.parent, source.parent)
@@ -73,22 +67,16 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
     manifest, still_more = _scene_manifest(source, radar, n_samples)
 
     def poses() -> Iterator[RawPose]:
-        first = 0
-        for samples in rows.blocks():
-            chosen, here = good[first:][: len(samples)], positions[first:][: len(samples)]
-            first += len(samples)
-            if not chosen.any():
-                continue
-            here = here[chosen]
-            tx, rx = board.antennas(here, np.broadcast_to(np.eye(3), (len(here), 3, 3)))
-            signal = samples[chosen].transpose(0, 2, 1).reshape(-1, n_samples)
-            yield RawPose(
-                signal=np.ascontiguousarray(signal, dtype=np.complex64),
-                tx_positions=tx,
-                rx_positions=rx,
-                axes=board.axes,
-                name=source.stem,
-            )
+        here = positions[good]
+        tx, rx = board.antennas(here, np.broadcast_to(np.eye(3), (len(here), 3, 3)))
+        signal = stored[good].transpose(0, 2, 1).reshape(-1, n_samples)
+        yield RawPose(
+            signal=np.ascontiguousarray(signal, dtype=np.complex64),
+            tx_positions=tx,
+            rx_positions=rx,
+            axes=board.axes,
+            name=source.stem,
+        )
 
     return Scan(
         manifest=manifest,
@@ -100,16 +88,16 @@ def _open_npz(source: Path, radar: RadarManifest, options: ImportOptions) -> Sca
     )
 
 
-def _npz_arrays(source: Path) -> tuple[NpzRows, Floats]:
-    locations = read_npz(source, ["antenna_locations"])["antenna_locations"]
-    rows = NpzRows(source, "received_signals")
-    if len(rows.shape) != 3 or rows.dtype.kind != "c" or 0 in rows.shape:
-        expected, got = "complex (n_positions, n_samples, n_rx)", f"{rows.dtype} {rows.shape}"
-        raise wrong_shape(source, "received_signals", expected, got)
-    positions = _positions(locations, source, "antenna_locations")
+def _npz_arrays(source: Path) -> tuple[Array, Floats]:
+    arrays = read_npz(source, ["received_signals", "antenna_locations"])
+    signals = arrays["received_signals"]
+    if signals.ndim != 3 or signals.dtype.kind != "c" or not signals.size:
+        expected = "complex (n_positions, n_samples, n_rx)"
+        raise wrong_shape(source, "received_signals", expected, signals)
+    positions = _positions(arrays["antenna_locations"], source, "antenna_locations")
     what = "antenna_locations and received_signals differ in length"
-    require_equal(what, source, rows.shape[0], len(positions))
-    return rows, positions
+    require_equal(what, source, len(signals), len(positions))
+    return signals, positions
 
 
 def _open_folder(source: Path, radar: RadarManifest, options: ImportOptions) -> Scan:
