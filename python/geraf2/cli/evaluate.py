@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from geraf2._bounds import Arg, SampleCount, Seed
-from geraf2.cli._console import CONSOLE, keep, rows, say, threads
+from geraf2.cli._console import CONSOLE, keep, rows, threads
 from geraf2.cli._fields import Positional
 from geraf2.evaluation import MeshMetrics
 from geraf2.evaluation.mesh_metrics import SightScore
@@ -27,8 +27,6 @@ class Config:
     """Mesh of the true surface, metres, capture frame (PLY, OBJ, STL, GLB)."""
     n_samples: Annotated[SampleCount, Arg(hidden=True)] = 10000
     """Points drawn from each surface."""
-    explain: bool = False
-    """Also print the definition of each number."""
     report: bool = False
     """Draw the report again, with the truth in it; done anyway if it has scores already."""
     seed: Annotated[Seed | None, Arg(hidden=True)] = None
@@ -50,9 +48,6 @@ def main(config: Config) -> int:
     run = load_run(config.out)
     sizes = size_lines(run.numbers.get("mesh", {}), confidence(run.verdict))
     rows([*sizes, ("metrics", str(config.out / METRICS_NAME))])
-    if config.explain:
-        say()
-        rows(list(metrics.describe().items()))
     keep(metrics.to_dict())
     return 0
 

@@ -3,7 +3,6 @@
 from geraf2.evaluation.mesh_metrics import (
     MeshMetrics,
     SizeErrors,
-    describe,
     evaluate_mesh,
     sample_surface,
     write_metrics,
@@ -14,7 +13,6 @@ __all__ = [
     "MeshMetrics",
     "OracleScore",
     "SizeErrors",
-    "describe",
     "evaluate_mesh",
     "oracle_matched_filter",
     "sample_surface",

@@ -1,4 +1,4 @@
-"""Distances between a reconstructed and a true surface, each with its definition."""
+"""Distances between a reconstructed and a true surface; the page on evaluation defines each."""
 
 import json
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ class SightScore:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class MeshMetrics(Short):
-    """Distances between a mesh and the truth; definitions in :meth:`describe`."""
+    """Distances between a mesh and the truth, each defined by docs/evaluation.md."""
 
     chamfer_1e3_m2: float
     """Chamfer distance [1e-3 m^2]."""
@@ -158,61 +158,8 @@ class MeshMetrics(Short):
         return scores
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers for JSON, with their definitions."""
-        return {**asdict(self), "definitions": describe(self.n_samples, self.seed)}
-
-    def describe(self) -> dict[str, str]:
-        """Definition of each number, as text."""
-        return describe(self.n_samples, self.seed)
-
-
-def describe(n_samples: int = 10000, seed: int = 0) -> dict[str, str]:
-    """Definition of each metric as text, printed wherever the numbers are."""
-    return {
-        "samples": (
-            f"{n_samples} points drawn uniformly by area from each surface (seed {seed}); "
-            "S from the mesh, T from the truth; no alignment, scaling or cropping is applied"
-        ),
-        "nearest distance": "d(s) = min over t in T of |s - t|, d(t) = min over s in S of |t - s|",
-        "chamfer_1e3_m2": "mean over S of d(s)^2 + mean over T of d(t)^2, in 1e-3 m^2",
-        "precision": "share of s with d(s) < tau",
-        "recall": "share of t with d(t) < tau",
-        "f1": (
-            "2 precision recall / (precision + recall); where tau is at most "
-            f"{1e3 * FINE_THRESHOLD_M:g} mm, of at least {FINE_SAMPLES} points on each surface"
-        ),
-        "mesh_to_truth, truth_to_mesh, both_ways": (
-            "median, 95th percentile, mean and largest of d(s), of d(t), of both together"
-        ),
-        "surface_mesh_to_truth, surface_truth_to_mesh": (
-            "the same of the exact distance from each sample to the nearest point of the other "
-            "surface's triangles, free of the spacing of samples"
-        ),
-        "surface_bias_m": (
-            "median signed exact distance of the mesh's samples, positive outside the truth"
-        ),
-        "volume_ratio": "volume of the mesh over that of the truth, where both are closed",
-        "extent_errors_m": (
-            "extents of the mesh along x, y and z of the capture's frame less those of the truth"
-        ),
-        "floor_chamfer_1e3_m2, floor_median_m": (
-            "the truth against a second sample of itself: the best that sampled points can show"
-        ),
-        "expected_error": (
-            "of samples of the mesh with an expected error: share whose exact distance to the "
-            "truth is not larger (within_one), not larger than twice it (within_two), Spearman's "
-            "rank correlation of both; over all and by what the vertices rest on"
-        ),
-        "expected_error_aligned": (
-            "the same after the rigid motion that brings the mesh's samples nearest to the truth "
-            "(point to plane, samples beyond 3 times the median distance left out)"
-        ),
-        "by_sight": (
-            "scores of two parts: in sight are samples of the truth whose normal, prolonged, meets "
-            "a plane of antennas and nothing of the truth before; a sample of the mesh counts to "
-            "the part of its nearest sample of the truth"
-        ),
-    }
+        """Plain numbers for JSON."""
+        return asdict(self)
 
 
 def evaluate_mesh(
@@ -233,7 +180,7 @@ def evaluate_mesh(
     thresholds_m: thresholds of the F1 score [m].
     planes: of the scan; the parts of the truth in and out of their sight are scored separately.
 
-    Returns all distances; definitions by `describe()`.
+    Returns all distances.
     """
     _require_comparable(mesh, truth, n_samples, thresholds_m)
     # Independent streams: with one stream for both, a surface against itself would give 0.
@@ -404,7 +351,7 @@ def threshold_score(to_truth: Floats, to_mesh: Floats, threshold_m: float) -> Th
 def write_metrics(
     metrics: MeshMetrics, path: AnyPath, *, extra: dict[str, Any] | None = None
 ) -> None:
-    """Write metrics.json: numbers in SI units (Chamfer as named), definitions, version, extras."""
+    """Write metrics.json: numbers in SI units (Chamfer as named), version, extras."""
     document = {
         "format": "geraf2-metrics",
         "format_version": 1,

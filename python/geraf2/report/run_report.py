@@ -174,7 +174,7 @@ def write_report(
         *run_sections.tables(run.stages, run.metrics, run.surface),
         *run_sections.provenance(folder, run.scene, run.files, known, log),
         *run_sections.settings(run.config_text, run.stages),
-        *run_sections.definitions(run.stages, run.metrics, run.surface),
+        *run_sections.definitions(run.stages, run.surface),
     ]
     # Notes of calibration are in its section, not among the warnings.
     notes = {f"calibrated {text}" for text in run.numbers.get("calibration", {}).get("applied", ())}

@@ -168,7 +168,6 @@ def tables(
         sections += _calibration(calibration.numbers)
     known = {
         *MeshMetrics.__dataclass_fields__,
-        "definitions",
         "mesh_digest",
         "format",
         "format_version",
@@ -246,18 +245,15 @@ def settings(config_text: str | None, stages: Mapping[str, StageRecord]) -> list
     return [Section("settings", "Configuration", note=note, parts=(body,), folded=folded)]
 
 
-def definitions(
-    stages: Mapping[str, StageRecord], metrics: Mapping[str, Any], content: TriangleMesh | None
-) -> list[Section]:
+def definitions(stages: Mapping[str, StageRecord], content: TriangleMesh | None) -> list[Section]:
     """Section with definitions of the terms in this report."""
     found = content is not None
     expected = content is not None and content.expected_error_m is not None
     glints = "glints" in stages
-    more = metrics.get("definitions", {})
-    if not (glints or expected or more):
+    if not (glints or expected):
         return []
     seen_mm = 1e3 * SEEN_REACH_M if found and glints else None
     seen_deg = np.rad2deg(SEEN_ANGLE_RAD)
-    terms = html.part("terms", glints, expected, seen_mm, seen_deg, more)
+    terms = html.part("terms", glints, expected, seen_mm, seen_deg)
     note, folded = "Meaning of the words and numbers of this page.", "What the numbers mean"
     return [Section("definitions", "Definitions", note=note, parts=(terms,), folded=folded)]

@@ -12,7 +12,6 @@ from geraf2.report.run_sections import read_object
 
 @dataclass(frozen=True, kw_only=True)
 class _Metrics(MeshMetrics):
-    definitions: dict[str, str]
     mesh_digest: str
 
 
