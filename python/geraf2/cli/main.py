@@ -62,11 +62,9 @@ def run() -> None:
 
 
 def _stopper() -> Callable[[int, FrameType | None], None]:
-    """Make a handler of signals that raises KeyboardInterrupt with the signal's number.
-
-    A second signal within a second, as `timeout` and process groups send it, does not disturb the
-    cleaning up; a later one stops that, too.
-    """
+    """Make a handler of signals that raises KeyboardInterrupt with the signal's number."""
+    # A second signal within a second, as `timeout` and process groups send it, does not disturb the
+    # cleaning up; a later one stops that, too.
     last = -1.0
 
     def stop(number: int, frame: FrameType | None) -> None:
@@ -92,10 +90,8 @@ def _raise_again(_: int, frame: FrameType | None) -> None:
 
 
 def _report_unraisable(args: "sys.UnraisableHookArgs") -> None:
-    """Report an error in a destructor; suppress errors of half-finished objects after a signal.
-
-    A destructor swallows what the signal's handler raises, so that comes again.
-    """
+    """Report an error in a destructor; suppress errors of half-finished objects after a signal."""
+    # A destructor swallows what the signal's handler raises, so that comes again.
     if not _received:
         sys.__unraisablehook__(args)
     elif isinstance(args.exc_value, KeyboardInterrupt):

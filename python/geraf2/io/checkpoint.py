@@ -47,10 +47,9 @@ def save_checkpoint(path: AnyPath, checkpoint: Checkpoint) -> None:
 
 
 def _in_order(data: bytes) -> bytes:
-    """Sort the names in the header, whose order safetensors leaves to chance.
-
-    The file begins with the header's length, 8 bytes, and its JSON; arrays are relative to its end.
-    """
+    """Sort the names in the header, whose order safetensors leaves to chance."""
+    # The file begins with the header's length, 8 bytes, and its JSON; arrays are relative to its
+    # end.
     end = 8 + int.from_bytes(data[:8], "little")
     text = json.dumps(parse_json(data[8:end]), sort_keys=True, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 8)  # arrays begin at a multiple of 8

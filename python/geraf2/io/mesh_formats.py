@@ -143,11 +143,9 @@ def _too_short(name: str, count: int, got: int) -> ValueError:
 
 
 def _require_rows(text: bytes, n_before: int, elements: Sequence[_Element]) -> None:
-    """Raise ValueError for the first line that is no row as the header states it.
-
-    Without that check words are read on across line ends. Files with fewer lines than rows are cut
-    off, or have several rows in a line.
-    """
+    """Raise ValueError for the first line that is no row as the header states it."""
+    # Without that check words are read on across line ends. Files with fewer lines than rows are
+    # cut off, or have several rows in a line.
     lines = enumerate(text.split(b"\n"), start=n_before + 1)
     rows = [(number, words) for number, line in lines if (words := line.split())]
     if len(rows) < sum(count for _, count, _ in elements):

@@ -456,10 +456,8 @@ def _are_noisy(power: Floats) -> Bools:
 
 
 def _range_power(signal: NDArray[np.complex64]) -> Floats:
-    """Power over range under a Hann window, (n_antennas, n_samples).
-
-    The signal is exp(-j 2 pi k t d / c): the inverse transform turns delay into range.
-    """
+    """Power over range under a Hann window, (n_antennas, n_samples)."""
+    # The signal is exp(-j 2 pi k t d / c): the inverse transform turns delay into range.
     window, weighted = np.hanning(signal.shape[1] + 2)[1:-1], signal.astype(np.complex128)
     # By parts: NumPy 2 crashes where it lacks memory for the buffers of a complex product.
     weighted.real *= window

@@ -254,11 +254,9 @@ def wall_layers(
 def _find_crossed(
     walls: Sequence[Wall], number: int, shape: WallShape, inside: bool
 ) -> tuple[Wall, ...]:
-    """Boxes that rays to a bulged wall cross, none of which its patches stick into.
-
-    To its outer side: the boxes around it. To its inner side: also its own, enlarged: a plane
-    slab's path depends on the angle of crossing, not on the slab's position.
-    """
+    """Boxes that rays to a bulged wall cross, none of which its patches stick into."""
+    # To its outer side: the boxes around it. To its inner side: also its own, enlarged: a plane
+    # slab's path depends on the angle of crossing, not on the slab's position.
     outer = tuple(walls[:number])
     if not inside:
         return outer

@@ -167,10 +167,8 @@ def _mirror_echo(
 
 
 def _gain(antennas: AntennaBlocks, points: Floats, leg: Floats, mirror: Mirror) -> Floats:
-    """Antenna pattern towards the object and towards the wall, (n_blocks, n_points).
-
-    leg: from the points to the images of the blocks' middles, (n_blocks, n_points, 3) [m].
-    """
+    """Antenna pattern towards the object and towards the wall, (n_blocks, n_points)."""
+    # leg: from the points to the images of the blocks' middles, (n_blocks, n_points, 3) [m].
     if antennas.pattern_exponent == 0:
         return np.ones(leg.shape[:2])
     real = -leg

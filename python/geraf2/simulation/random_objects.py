@@ -116,10 +116,8 @@ def choose(rng: np.random.Generator, weights: Weights) -> str:
 def _sized_body(
     rng: np.random.Generator, population: Population, size_m: float, *, upright: bool
 ) -> _Body:
-    """Body of about one extent; the thickness of its plates and wires is drawn in metres.
-
-    The same draws are made twice: at first to see how large the body becomes.
-    """
+    """Body of about one extent; the thickness of its plates and wires is drawn in metres."""
+    # The same draws are made twice: at first to see how large the body becomes.
     state = rng.bit_generator.state
     first_m = size_m
     for _ in range(2):

@@ -209,10 +209,8 @@ def _cast_rays(eye: Floats, scene: TubeScene) -> _Beam:
 
 
 def _meet(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
-    """Beam of the rays that hit the object from one side, with the hits.
-
-    index: of refraction along the path; above 1 inside the object, which is then hit from within.
-    """
+    """Beam of the rays that hit the object from one side, with the hits."""
+    # index: of refraction along the path; above 1 inside the object, which is then hit from within.
     hits = scene.mesh.meet(beam.starts, beam.directions, beam.across, beam.turning)
     beam = _take(beam, hits.rays)
     if first:
@@ -273,10 +271,8 @@ def _leave(beam: _Beam, hits: Hits, directions: Floats, turning: Floats) -> _Bea
 
 
 def _refract(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
-    """Beam refracted at the surface, by Snell's law; totally reflected rays are dropped.
-
-    ratio: of the refractive indices, here over there.
-    """
+    """Beam refracted at the surface, by Snell's law; totally reflected rays are dropped."""
+    # ratio: of the refractive indices, here over there.
     side = -np.sign(np.einsum("ni,ni->n", beam.directions, hits.normals))
     normals, turns = side[:, None] * hits.normals, side[:, None, None] * hits.turns
     cosine = -np.einsum("ni,ni->n", beam.directions, normals)
@@ -337,11 +333,8 @@ def back_face(
 def _receive(
     scene: TubeScene, beam: _Beam, hits: Hits, eye: Floats, antennas: AntennaBlocks
 ) -> Tubes:
-    """Kirchhoff's integral over the field that leaves a surface, one tube a term.
-
-    beam: as it leaves the surface.
-    hits: where it does.
-    """
+    """Kirchhoff's integral over the field that leaves a surface, one tube a term."""
+    # beam: as it leaves the surface. hits: where it does.
     toward = eye - hits.points
     range_m = np.linalg.norm(toward, axis=1)
     toward /= range_m[:, None]

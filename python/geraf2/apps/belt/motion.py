@@ -266,10 +266,8 @@ def _pairs(line: Line, one: PeakSet, other: PeakSet) -> tuple[Floats, Floats]:
 
 
 def _design(line: Line, one: Floats, other: Floats, directions: Floats) -> Floats:
-    """Return the derivatives of R_2 - R_1 by scale, change, turn and delay, (n, 4).
-
-    one, other: positions of both arrays' sub-apertures, (n, 3) [m]. directions: (n, 3).
-    """
+    """Return the derivatives of R_2 - R_1 by scale, change, turn and delay, (n, 4)."""
+    # one, other: positions of both arrays' sub-apertures, (n, 3) [m]. directions: (n, 3).
     moves = [
         _moves(array.station_m - c[:, 0], c)
         for array, c in zip(line.arrays, (one, other), strict=True)
@@ -282,11 +280,9 @@ def _design(line: Line, one: Floats, other: Floats, directions: Floats) -> Float
 def _phase_misfits(
     waveform: Waveform, line: Line, motions: tuple[Motion, Motion], peaks: PeakSet, size_m: float
 ) -> tuple[Floats, Floats]:
-    """R_2 - R_1 by the phases of both arrays at the strongest peaks, (n,) [m], and derivatives.
-
-    motions: in whose frame the peaks are, and at which both arrays are focused. size_m: of the
-    sub-apertures.
-    """
+    """R_2 - R_1 by the phases of both arrays at the strongest peaks, (n,) [m], and derivatives."""
+    # motions: in whose frame the peaks are, and at which both arrays are focused. size_m: of the
+    # sub-apertures.
     first, motion = motions
     margins = peaks.margins_db
     strong = peaks.select(np.sort(np.argsort(-margins, kind="stable")[:_N_PHASES]))

@@ -143,11 +143,9 @@ def _require_sizes(handle: BinaryIO, path: Path) -> None:
 
 
 def _unpack(handle: BinaryIO, wanted: list[bool], path: Path) -> BytesIO:
-    """File of version 5 with those of the variables that are wanted, unpacked and checked.
-
-    SciPy indexes a table by the number type of an element without a check, so that one broken byte
-    may end the process, and it states no size of a struct before it reads it.
-    """
+    """File of version 5 with those of the variables that are wanted, unpacked and checked."""
+    # SciPy indexes a table by the number type of an element without a check, so that one broken
+    # byte may end the process, and it states no size of a struct before it reads it.
     parts = [handle.read(_HEADER_BYTES)]
     order = "<" if parts[0].endswith(b"IM") else ">"
     hint = "save fewer antennas in a file, or without compression ('-v7.3')"

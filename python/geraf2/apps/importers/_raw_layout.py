@@ -282,11 +282,9 @@ def _order_of_pairs(
     chosen: WordOrder,
     n_samples: int | None,
 ) -> WordOrder:
-    """Order of I Q pairs of several receivers: sample after sample, or receiver after receiver.
-
-    The given length of a chirp decides, or else the ratios: receivers with similar phases that
-    alternate are a signal of several lines when read in sequence.
-    """
+    """Order of I Q pairs of several receivers: sample after sample, or receiver after receiver."""
+    # The given length of a chirp decides, or else the ratios: receivers with similar phases that
+    # alternate are a signal of several lines when read in sequence.
     kin = [replace(chosen, layout=layout) for layout in _PAIRS]
     if chosen.layout not in _PAIRS or any(order not in ratios for order in kin):
         return chosen
@@ -338,10 +336,8 @@ def _choose_order(
 
 
 def _is_float(words: NDArray[np.int16], kind: str) -> bool:
-    """Whether words are parts of floating-point numbers of ordinary size.
-
-    Integers of 16 bits have exponents near the least or largest one where they are small.
-    """
+    """Whether words are parts of floating-point numbers of ordinary size."""
+    # Integers of 16 bits have exponents near the least or largest one where they are small.
     data = words.tobytes()
     values = np.abs(np.frombuffer(data[: len(data) // 8 * 8], dtype=kind))
     with np.errstate(invalid="ignore"):
@@ -374,11 +370,9 @@ def _found_samples(
 
 
 def _of_most_parts(words: NDArray[np.int16], order: WordOrder, n_words: int) -> int | None:
-    """Return the samples per chirp that most parts of the words have; None where they differ.
-
-    n_words: of all parts. Behind a missing packet chirps begin elsewhere, so that none may be seen
-    in longer parts, or losses at equal distances are taken for the ends of chirps.
-    """
+    """Return the samples per chirp that most parts of the words have; None where they differ."""
+    # n_words: of all parts. Behind a missing packet chirps begin elsewhere, so that none may be
+    # seen in longer parts, or losses at equal distances are taken for the ends of chirps.
     size = n_words // _N_PARTS // 64 * 64
     starts = [k * len(words) // _N_PARTS // 64 * 64 for k in range(_N_PARTS)]
     parts = [words[start : start + size] for start in starts]

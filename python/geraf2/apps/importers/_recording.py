@@ -283,10 +283,8 @@ def _compensation(recording: Recording) -> list[tuple[str, str]]:
 def _repaired(
     stream: ByteStream, evidence: LayoutEvidence, frame_bytes: int, source: Path
 ) -> tuple[ByteStream, int, list[str]]:
-    """Stream with zeros where packets are missing, the bytes of zeros at its end, and notes.
-
-    UserError if the recording begins within a chirp.
-    """
+    """Stream with zeros where packets are missing, the bytes of zeros at its end, and notes."""
+    # UserError if the recording begins within a chirp.
     order, n_samples = evidence.order, evidence.n_samples
     n_empty = trailing_zeros(stream)
     late, gaps = find_gaps(stream, order, n_samples, stream.n_bytes - n_empty)

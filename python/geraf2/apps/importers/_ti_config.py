@@ -209,10 +209,8 @@ def _from_capture_card(values: Any, path: Path) -> TiConfig:
 
 
 def _from_xml(text: str, path: Path) -> TiConfig:
-    """Read settings of mmWave Studio: sections of parameters, units as in its windows.
-
-    It saves a single one of several chirps, so that the transmitters of a loop may be unknown.
-    """
+    """Read settings of mmWave Studio: sections of parameters, units as in its windows."""
+    # It saves a single one of several chirps, so that the transmitters of a loop may be unknown.
     try:
         # Entities unpack to any size.
         has_entities = "<!" in re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)

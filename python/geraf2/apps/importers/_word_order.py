@@ -105,10 +105,8 @@ def decode_integers(
 def _pack(
     words: NDArray[np.int16], packed: NDArray[np.int16], order: WordOrder, n_samples: int
 ) -> None:
-    """Copy words into the order (n_chirps, n_rx, n_samples, I and Q), one strided copy a part.
-
-    A single NumPy call, whose inner loop is the short axis, takes 2 to 4 times as long.
-    """
+    """Copy words into the order (n_chirps, n_rx, n_samples, I and Q), one strided copy a part."""
+    # A single NumPy call, whose inner loop is the short axis, takes 2 to 4 times as long.
     n_rx = order.n_rx
     if order.layout == "iq" and not order.swap_iq:  # I and Q of a sample move together
         pairs = words.view(np.uint32).reshape(-1, n_samples, n_rx)
@@ -266,10 +264,8 @@ def words_per_sample(order: WordOrder) -> int:
 
 
 def _jump_score(jumps: Floats, period: int) -> float:
-    """Median jump at multiples of `period`, least over the four residues of the multiple.
-
-    A fraction of a chirp therefore scores low.
-    """
+    """Median jump at multiples of `period`, least over the four residues of the multiple."""
+    # A fraction of a chirp therefore scores low.
     n_rounds = len(jumps) // (4 * period)
     if n_rounds == 0:
         return 0.0

@@ -316,11 +316,9 @@ def capture_manifest(
 
 
 def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
-    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given.
-
-    box_size_m is a side, or a list from the outer box to the inner one of sides or triples. Three
-    numbers are the sides of one box, unless three thicknesses are given.
-    """
+    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given."""
+    # box_size_m is a side, or a list from the outer box to the inner one of sides or triples. Three
+    # numbers are the sides of one box, unless three thicknesses are given.
     values = [capture.get(key) for key in _WALL_KEYS]
     if any(value is None for value in values):
         return []

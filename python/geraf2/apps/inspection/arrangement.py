@@ -176,11 +176,9 @@ def arrange_models(
 def _choose_greedily(
     search: _Search, *, by_share: bool, progress: Progress
 ) -> dict[int, _Candidate]:
-    """Models at poses that gain most, one after the other.
-
-    by_share: gains are relative to the measurements of a model's surface, so that a small part
-    precedes a large one elsewhere.
-    """
+    """Models at poses that gain most, one after the other."""
+    # by_share: gains are relative to the measurements of a model's surface, so that a small part
+    # precedes a large one elsewhere.
     chosen: dict[int, _Candidate] = {}
     pool, n = search.pool, len(search.pool)
     while len(chosen) < n:

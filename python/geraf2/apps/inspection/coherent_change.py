@@ -331,10 +331,8 @@ def _view(here: Signals, there: Signals, planes: tuple[int, int], at: _Placed) -
 
 
 def _turn(design: Floats, slopes: Floats, weights: Floats) -> tuple[Floats, float]:
-    """Turn (3,) [rad] with design @ turn near slopes (n,), with less regard to those far off.
-
-    Also returns the median error [rad].
-    """
+    """Turn (3,) [rad] with design @ turn near slopes (n,), with less regard to those far off."""
+    # Also returns the median error [rad].
     own, turn = weights, np.asarray(np.zeros(3))
     for _ in range(_N_WEIGHTS):
         turn = np.asarray(np.linalg.lstsq(design * own[:, None], slopes * own, rcond=None)[0])

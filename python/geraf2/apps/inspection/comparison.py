@@ -247,10 +247,8 @@ class _Group(NamedTuple):
 def _missed_groups(
     one: Scanned, other: Scanned, pose: Floats, what: What
 ) -> tuple[list[_Group], float]:
-    """Find groups of one scan that another one did not see, in the frame of the first.
-
-    Also returns the share of the glints that the other scan should see.
-    """
+    """Find groups of one scan that another one did not see, in the frame of the first."""
+    # Also returns the share of the glints that the other scan should see.
     visible, missed = find_missed(one.evidence, other.evidence, pose)
     glints, found = one.evidence.glints, list[_Group]()
     owner = owners_of(glints.positions, one.bodies)
@@ -266,10 +264,8 @@ def _missed_groups(
 
 
 def _group_changes(groups: Sequence[_Group]) -> list[Change]:
-    """Join neighbouring groups to changes.
-
-    What vanished and appeared in one position is swapped.
-    """
+    """Join neighbouring groups to changes."""
+    # What vanished and appeared in one position is swapped.
     if not groups:
         return []
     middles = np.array([group.points.mean(axis=0) for group in groups])

@@ -253,11 +253,9 @@ def _silent_regions(
     near: tuple[Floats, Floats, Floats],
     tolerance_m: float,
 ) -> list[Region]:
-    """Regions of a model whose echo did not come; how far what was found lies from them.
-
-    Where that is within the tolerance the surface exists, and a missing echo shows nothing.
-    near: points of the model, distance of the nearest surface, its uncertainty.
-    """
+    """Regions of a model whose echo did not come; how far what was found lies from them."""
+    # Where that is within the tolerance the surface exists, and a missing echo shows nothing. near:
+    # points of the model, distance of the nearest surface, its uncertainty.
     centers, gap, sigma = near
     points, areas = apply_rigid(placement.pose, echoes.pieces.points), echoes.pieces.areas
     nearest = KDTree(centers).query(points)[1]

@@ -299,10 +299,8 @@ def _compare_echoes(
     options: InspectOptions,
     num_threads: int | None,
 ) -> tuple[list[Match], dict[int, Patches], list[str]]:
-    """Refine matches by expected echoes; returns their patches, and a note without a scan, too.
-
-    scan: that of the run's record when None.
-    """
+    """Refine matches by expected echoes; returns their patches, and a note without a scan, too."""
+    # scan: that of the run's record when None.
     try:
         scan = capture_of(result, None) if scan is None else scan
         scan = keep_planes(scan, result.record.options.hold_out, result.run.scene_name)
@@ -325,11 +323,9 @@ def _reports(
     compare: Callable[..., Deviation],
     listener: Listener,
 ) -> tuple[ModelReport, ...]:
-    """Report on each model, with its own comparison of surfaces where it was found.
-
-    patches: of each match with expected echoes. compare: `deviation_of` with what all have in
-    common.
-    """
+    """Report on each model, with its own comparison of surfaces where it was found."""
+    # patches: of each match with expected echoes. compare: `deviation_of` with what all have in
+    # common.
     reports = list[ModelReport]()
     if not matches:
         return ()
@@ -435,10 +431,8 @@ def _write(
 
 
 def _put_on_content(tree: KDTree, found: Iterable[tuple[Body, Floats]], values: Floats) -> Floats:
-    """Values of the vertices of parts, put over those of all of the content, (n_vertices,).
-
-    tree: of the vertices of the content.
-    """
+    """Values of the vertices of parts, put over those of all of the content, (n_vertices,)."""
+    # tree: of the vertices of the content.
     for body, own in found:
         gap, at = tree.query(body.mesh.vertices)
         values[at[gap == 0.0]] = own[gap == 0.0]  # a cut made the others

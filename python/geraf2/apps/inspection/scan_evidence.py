@@ -183,10 +183,8 @@ def shifts_of(
 
 
 def _widen_tails(e: Floats, variances_m2: Floats, explained: Floats) -> Floats:
-    """Variances for errors of Student's t: larger where even shifts of all parts explain little.
-
-    explained: covariance of all that is no error, (n, n) [m^2].
-    """
+    """Variances for errors of Student's t: larger where even shifts of all parts explain little."""
+    # explained: covariance of all that is no error, (n, n) [m^2].
     found = variances_m2
     for _ in range(_N_WEIGHTS):
         rest = found * np.linalg.solve(explained + np.diag(found), e)

@@ -166,10 +166,8 @@ def _is_file(path: Path) -> bool:
 
 
 def _path_ends(name: str) -> Iterator[Path]:
-    """Trailing parts of a path of any system, the longest first, without upward steps.
-
-    For /elsewhere/../scan/0001.png: scan/0001.png, 0001.png, then images/0001.png.
-    """
+    """Trailing parts of a path of any system, the longest first, without upward steps."""
+    # For /elsewhere/../scan/0001.png: scan/0001.png, 0001.png, then images/0001.png.
     parts = re.split(r"[\\/]", name)
     last = max((at for at, part in enumerate(parts) if part == ".."), default=-1)
     parts = [part for part in parts[last + 1 :] if part not in ("", ".") and ":" not in part]
