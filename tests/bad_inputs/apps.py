@@ -25,7 +25,7 @@ ROWS = [
             live tcp://example.org:80 out|is no socket of this machine
             live tcp://localhost out|is no socket of this machine
             live tcp://localhost:x out|is no socket of this machine
-            belt empty out|belt.json
+            belt empty out --idle-s 0.2|belt.json
             belt scene other|holds files
             batch nowhere out|nowhere: no such scene
             batch nowhere* out|no scene has such a name

@@ -23,7 +23,10 @@ from geraf2.scene import LosPrior
 from geraf2.surfaces import FitConfig
 from helpers.run_folders import add_steps
 
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+COARSE, FINER = (
+    geraf2.FastPreset(fit=FitConfig(spacing_m=spacing_m, distance_rounds=1))
+    for spacing_m in (0.01, 0.005)
+)
 SIZE = np.array([0.30, 0.20, 0.25])
 
 
@@ -102,11 +105,17 @@ def test_what_was_compared_is_stated(seen, stated, monkeypatch):
     assert stated in check(given(SIZE + 0.002), a_box(seen=seen), monkeypatch).text
 
 
-def test_a_prior_that_nothing_was_compared_with_is_a_line(tmp_path):
+@pytest.fixture(scope="module")
+def in_free_air():
+    """Content without a box, and the truth."""
+    return simulate(replace(examples.small_scene(), walls=()), seed=0)
+
+
+def test_a_prior_that_nothing_was_compared_with_is_a_line(in_free_air, tmp_path):
     heard = []
     listener = Listener()
     listener.note = heard.append
-    capture, truth = simulate(replace(examples.small_scene(), walls=()), seed=0)
+    capture, truth = in_free_air
     sides = tuple(float(s) for s in np.ptp(truth.vertices, axis=0) + 0.03)
     geraf2.reconstruct(capture, sides, COARSE, tmp_path / "run", listener=listener)
     assert "no wall is seen squarely: the prior was compared with nothing" in heard
@@ -149,10 +158,9 @@ def test_flat_content_is_not_another_box(monkeypatch):
         check(given(0.7 * SIZE), solid, monkeypatch)
 
 
-def test_content_in_free_air_is_reconstructed_with_a_warning(tmp_path):
-    spec = examples.small_scene()
-    capture, truth = simulate(replace(spec, walls=()), seed=0)
-    run = geraf2.reconstruct(capture, None, "fast", tmp_path / "run")
+def test_content_in_free_air_is_reconstructed_with_a_warning(in_free_air, tmp_path):
+    capture, truth = in_free_air
+    run = geraf2.reconstruct(capture, None, FINER, tmp_path / "run")
     assert geraf2.evaluate(run, truth).f1(0.005) > 0.8
     log = (tmp_path / "run" / "log.jsonl").read_text()
     assert "no walls of a box are seen" in log
@@ -233,11 +241,11 @@ def test_content_in_free_air_gives_no_delay(tmp_path):
     spec = replace(examples.small_scene(), walls=())
     spec = replace(spec, waveform=replace(spec.waveform, path_bias_m=0.0))
     capture, truth = simulate(spec, seed=0)
-    run = geraf2.reconstruct(capture, None, "fast", tmp_path / "run")
+    run = geraf2.reconstruct(capture, None, FINER, tmp_path / "run")
     assert geraf2.evaluate(run, truth, report=False).f1(0.005) > 0.8
     assert not any("delay" in text for text in run.numbers["calibration"]["applied"])
     with pytest.raises(UserError, match="delay was not recorded, and the scan does not show it"):
-        geraf2.reconstruct(not_recorded(capture), None, "fast")
+        geraf2.reconstruct(not_recorded(capture), None, FINER)
 
 
 def test_walls_of_a_turned_box_are_not_those_along_the_frame(monkeypatch):

@@ -88,7 +88,7 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path,
         scene = _growing(capture, tmp_path / "scene", announced=announced)
         for pose in capture.poses:
             scene.append(pose)
-            time.sleep(0.3)
+            time.sleep(0.1)
 
     player = threading.Thread(target=play)
     player.start()
