@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from geraf2.apps.photos import los
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
 from geraf2.surfaces.extraction import extract_meshes
@@ -76,7 +77,8 @@ def test_a_scene_that_would_be_refused_is_refused_before_the_work(
     assert contents(built_scene) == before
 
 
-def test_a_finished_prior_is_replaced_only_on_request(tmp_path, capsys):
+def test_a_finished_prior_is_replaced_only_on_request(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(los, "_N_LONGEST", 32)
     out = tmp_path / "los"
     assert main(["los", "0.2x0.2x0.2", str(out)]) == 0
     before = contents(out)

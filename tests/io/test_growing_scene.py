@@ -62,7 +62,7 @@ def test_a_plane_that_was_half_written_is_written_again(capture, tmp_path, monke
         left[0] -= 1
         write(path)
 
-    for n_files in range(n_whole, 40, 2):
+    for n_files in range(n_whole, 40, 3):
         folder, left = tmp_path / str(n_files), [10**9]
         with monkeypatch.context() as patch:
             for name in ("write_bytes_atomic", "write_text_atomic", "write_toml"):

@@ -15,7 +15,7 @@ from geraf2.simulation.belt import belt_planes
 from geraf2.simulation.belt_spec import BeltArraySpec, BeltSpec
 from helpers.belt_stream import small_parcel
 
-MOVED = {"speed_error": 0.01, "yaw_drift_deg": 1.0}
+MOVED = {"speed_error": 0.01, "yaw_drift_deg": 1.0, "encoder": False}
 
 
 def spec_of(changes):
@@ -28,7 +28,7 @@ def found(**changes):
     return parcel_scan(*small_parcel(**changes), num_threads=1)
 
 
-def test_speed_and_yaw_are_found_and_move_the_antennas():
+def test_speed_and_yaw_are_found_without_an_encoder_and_move_the_antennas():
     scan, motion = found(**MOVED)
     assert 1.0 + motion.scale == pytest.approx(1.0 / 1.01, abs=5e-4)
     assert motion.scale_sigma < 5e-4
@@ -41,11 +41,6 @@ def test_speed_and_yaw_are_found_and_move_the_antennas():
     assert {pose.name.rpartition("/")[0] for pose in scan.poses} == {"left", "above"}
     for pose in scan.poses:
         assert np.array_equal(pose.tx_positions, pose.rx_positions)
-
-
-def test_the_speed_is_found_without_an_encoder():
-    _, motion = found(speed_error=0.01, encoder=False)
-    assert 1.0 + motion.scale == pytest.approx(1.0 / 1.01, abs=5e-4)
 
 
 def test_the_constant_of_a_channel_is_subtracted_and_echoes_are_kept():

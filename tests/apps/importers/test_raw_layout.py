@@ -81,8 +81,7 @@ def test_dead_receivers_are_named(tmp_path, share):
     assert reason in note
 
 
-@pytest.mark.parametrize("n_rx", [2, 4])
-@pytest.mark.parametrize("n_samples", [64, 256])
+@pytest.mark.parametrize(("n_rx", "n_samples"), [(2, 64), (4, 256)])
 @pytest.mark.parametrize("layout", ["iq", "iq-sequential"])
 @pytest.mark.parametrize("in_phase", [False, True])
 def test_pairs_of_receivers_alternate_or_follow_each_other(
@@ -107,8 +106,9 @@ def test_one_receiver_is_said_to_be_assumed(tmp_path):
     assert any("n_rx (receivers) is not known" in note for note in recording.notes)
 
 
-@pytest.mark.parametrize("kind", ["<f4", "<f8", "<c8", "<c16"])
-@pytest.mark.parametrize("scale", [1e-4, 3e4])
+@pytest.mark.parametrize(
+    ("kind", "scale"), [("<f4", 1e-4), ("<f8", 3e4), ("<c8", 3e4), ("<c16", 1e-4)]
+)
 def test_floating_point_numbers_are_no_words(tmp_path, kind, scale):
     signal = beat().reshape(-1) * scale / 32768
     values = signal if "c" in kind else np.stack([signal.real, signal.imag], axis=-1)
@@ -118,8 +118,7 @@ def test_floating_point_numbers_are_no_words(tmp_path, kind, scale):
         opened(tmp_path / "a.bin")
 
 
-@pytest.mark.parametrize("amplitude", [3, 300, 30000])
-@pytest.mark.parametrize("offset", [False, True])
+@pytest.mark.parametrize(("amplitude", "offset"), [(3, True), (300, False), (30000, True)])
 def test_words_of_any_amplitude_are_no_floating_point_numbers(tmp_path, amplitude, offset):
     signal = beat()
     signal = np.round(signal * amplitude / np.abs(signal).max())
@@ -133,9 +132,17 @@ def packets_without(data, lost):
     return b"".join(part for k, part in enumerate(parts) if k not in lost)
 
 
-@pytest.mark.parametrize("layout", ["4-lane", "2-lane-sequential", "iq"])
-@pytest.mark.parametrize("given", [False, True])
-@pytest.mark.parametrize("lost", [{60}, {190}, {350}, {100, 101, 102}, {40, 200, 320}])
+@pytest.mark.parametrize(
+    ("layout", "given", "lost"),
+    [
+        ("4-lane", False, {60}),
+        ("2-lane-sequential", True, {190}),
+        ("iq", False, {350}),
+        ("4-lane", True, {40, 200, 320}),
+        ("2-lane-sequential", False, {100, 101, 102}),
+        ("iq", True, {60}),
+    ],
+)
 def test_lost_packets_are_put_back_as_zeros(tmp_path, layout, given, lost):
     signal = beat(n_chirps=600, noise=0.0)
     path = tmp_path / "a.bin"
@@ -149,8 +156,14 @@ def test_lost_packets_are_put_back_as_zeros(tmp_path, layout, given, lost):
     assert 0 < wrong.sum() <= 3 * len(lost)
 
 
-@pytest.mark.parametrize("kept", [lambda k: k % 2 == 0, lambda k: k % 3 < 2, lambda k: k % 5 < 3])
-@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize(
+    ("kept", "given"),
+    [
+        (lambda k: k % 2 == 0, False),
+        (lambda k: k % 3 < 2, True),
+        (lambda k: k % 5 < 3, False),
+    ],
+)
 def test_packets_that_are_missing_throughout_are_no_chirps(tmp_path, kept, given):
     data = words_of(beat(n_chirps=1200), "2-lane-sequential").tobytes()
     lost = {k for k in range(len(data) // 1456 + 1) if not kept(k)}
