@@ -1,7 +1,8 @@
 """Commands of tutorials and how-tos: each runs as the page prints it, in the order of the page.
 
 Only what is slow is made smaller: a simulation gives the small capture of the examples in the box
-of its spec, a reconstruction without a preset is coarse, and the demo is made once.
+of its spec, reconstructions and pictures are coarse, a batch has one worker, and the demo is made
+once.
 """
 
 import doctest
@@ -23,6 +24,9 @@ from geraf2 import examples, save_capture
 from geraf2 import simulate as simulate_whole
 from geraf2.cli.main import main
 from geraf2.pipeline.commands import simulate
+from geraf2.report import overview
+from helpers.drawing import not_drawn  # noqa: F401 - a fixture of the tests here
+from helpers.inspected import few_starts
 
 PAGES = ("tutorials/*", "how-to/*")
 ELSEWHERE = {
@@ -35,7 +39,9 @@ LEFT_OUT = {
     "--resume": "continues a long training: tests/cli/test_paper_preset.py",
 }
 """Words of commands that are not run."""
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.008", "--no-report"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.008", "--fit.distance-rounds", "1"]
+SMALLER = {"reconstruct": [*COARSE, "--no-report"], "batch": [*COARSE, "--workers", "1"]}
+"""Flags that are added to commands."""
 STEP = re.compile(
     r"^```(?P<kind>\w+)\n(?P<fenced>.*?)^```$|^(?: {4}| {6})(?P<line>\S[^\n]*)$",
     re.MULTILINE | re.DOTALL,
@@ -61,6 +67,9 @@ def small(walls):
 @pytest.fixture
 def quick(monkeypatch):
     monkeypatch.setattr(simulate, "simulate", lambda spec, **_: small(spec.walls))
+    monkeypatch.setattr(overview, "_N_VOXELS", 12)
+    with few_starts():
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +79,8 @@ def demo(tmp_path_factory):
         patch.setattr(simulate, "simulate", lambda spec, **_: small(spec.walls))
         spec, scene = ROOT / "python/geraf2/simulation/demo.toml", str(folder / "scene")
         assert main(["simulate", str(spec), scene, "--quiet"]) == 0
-        assert main(["reconstruct", scene, str(folder / "run"), *COARSE, "--quiet"]) == 0
+        coarse = [*SMALLER["reconstruct"], "--quiet"]
+        assert main(["reconstruct", scene, str(folder / "run"), *coarse]) == 0
     return folder
 
 
@@ -101,9 +111,9 @@ def run(words: list[str], demo: Path, exit_code: int) -> None:
     elif words[0] == "geraf2" and not set(words) & set(LEFT_OUT):
         if words[1] == "import" and Path("scene").exists():  # another recipe's
             words = ["imported" if word == "scene" else word for word in words]
-        chosen = {"--preset", "--config"} & set(words)
-        coarse = COARSE if words[1] == "reconstruct" and not chosen else []
-        assert main([*words[1:], *coarse]) == exit_code, " ".join(words)
+        chosen = words[1] == "reconstruct" and {"--preset", "--config"} & set(words)
+        smaller = [] if chosen else SMALLER.get(words[1], [])
+        assert main([*words[1:], *smaller]) == exit_code, " ".join(words)
 
 
 def prepare(name: str, demo: Path) -> None:
@@ -113,7 +123,7 @@ def prepare(name: str, demo: Path) -> None:
     if name in {"how-to/recipes", "how-to/verdict"}:
         save_capture(examples.small_capture()[0], "scene")
     if name == "how-to/recipes":
-        assert main(["reconstruct", "scene", "out", *COARSE]) == 0
+        assert main(["reconstruct", "scene", "out", *SMALLER["reconstruct"]]) == 0
         raw = (ROOT / "docs" / "tutorials" / "raw-files.md").read_text(encoding="utf-8")
         run_code(raw.partition("## Import it")[0], {})
 
