@@ -16,6 +16,7 @@ from geraf2.report import write_report
 from geraf2.scene import Grid
 from helpers.browsing import (
     DESKTOP,
+    PHONE,
     SCREENS,
     pixels,
     require_first_screen,
@@ -104,8 +105,10 @@ def view_from(page, name):
     return width / number(page.locator('.viewer [data-part="length"]').inner_text())
 
 
-@pytest.mark.parametrize(("size", "dark"), SCREENS)
-@pytest.mark.parametrize("without_webgl", [False, True])
+@pytest.mark.parametrize(
+    ("size", "dark", "without_webgl"),
+    [*((*screen, False) for screen in SCREENS), (DESKTOP, True, True), (PHONE, False, True)],
+)
 def test_the_report_in_a_browser(open_page, page_url, axe, size, dark, without_webgl):
     page = open_page(page_url, size, dark, without_webgl)
     assert [url for url in page.requests if not url.startswith("data:")] == [page_url]
@@ -125,7 +128,7 @@ def test_the_report_in_a_browser(open_page, page_url, axe, size, dark, without_w
     settle(page)
     changed = np.abs(pixels(page) - with_content).max(axis=2) > 20
     assert 0.05 < changed.mean() < 0.6
-    if size == DESKTOP and not dark:
+    if size == DESKTOP:
         page.locator(".viewer").get_by_label("content", exact=True).check()
         require_what_a_click_measures(page)
         require_slice_and_faces(page)

@@ -10,7 +10,7 @@ import pytest
 from geraf2.apps.batch.folder import JobPaths, JobResult
 from geraf2.apps.batch.page import Pages
 from geraf2.io.verdict import Trust
-from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
+from helpers.browsing import SCREENS, require_readable, serious_findings
 from helpers.run_folders import CAUSE, VERDICTS
 
 pytestmark = pytest.mark.browser
@@ -55,7 +55,7 @@ def shown(page):
     return page.locator("#jobs tbody tr:visible td.name").all_inner_texts()
 
 
-@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_nothing_is_cut_off_and_every_link_leads_somewhere(open_page, page_url, axe, size, dark):
     page = open_page(page_url, size, dark)
     assert page.trouble == []

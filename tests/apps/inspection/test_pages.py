@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from geraf2.cli.main import main
-from helpers.browsing import FEW_SCREENS, hidden_share, pixels, require_sound, settle
+from helpers.browsing import SCREENS, hidden_share, pixels, require_sound, settle
 
 APPEARED, VANISHED = 1, 2
 APART = """() => {
@@ -29,7 +29,7 @@ APART = """() => {
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_an_inspection_is_drawn_and_its_parts_move_apart(open_page, failed, axe, size, dark):
     """A picked point keeps its true position."""
     url = failed.page.resolve().as_uri()
@@ -80,7 +80,7 @@ def test_a_new_part_and_no_other_is_marked(tmp_path, packed, robbed):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_a_comparison_is_drawn(open_page, vanished, axe, size, dark):
     url = (vanished[0] / "comparison.html").resolve().as_uri()
     page = open_page(url, size, dark)

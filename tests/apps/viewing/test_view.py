@@ -25,7 +25,7 @@ from geraf2.io.run_folder import mesh_digest
 from geraf2.io.verdict import Trust
 from geraf2.scene import Grid, LosPrior
 from helpers import solids
-from helpers.browsing import FEW_SCREENS, require_readable, serious_findings
+from helpers.browsing import PHONE, SCREENS, require_readable, serious_findings
 from helpers.glint_sets import glints_on_sphere
 from helpers.run_folders import judge, record_run
 
@@ -119,12 +119,15 @@ def test_the_page_is_read_anew_at_each_visit(view, run):
 
 
 @pytest.mark.browser
-@pytest.mark.parametrize(("size", "dark"), FEW_SCREENS)
+@pytest.mark.parametrize(("size", "dark"), SCREENS)
 def test_two_runs_have_linked_cameras_scales_and_slices(open_page, view, axe, size, dark):
     page = open_page(view.url, size, dark)
     first, second = page.locator(".viewer.works").all()
     require_readable(page, size)
     assert serious_findings(page, axe) == []
+    assert page.trouble == []
+    if size == PHONE:
+        return
     cameras = "[...document.querySelectorAll('.viewer')].map(e => e.viewer.camera.azimuth)"
     first.locator('[data-view="+y"]').click()
     assert page.evaluate(cameras) == pytest.approx([np.pi / 2] * 2)
@@ -170,14 +173,7 @@ def test_only_a_page_of_the_server_itself_may_ask(asked, origin, host, same):
     assert is_same_origin(headers, host) == same
 
 
-@pytest.mark.parametrize(
-    ("number", "code", "stated"),
-    [
-        (signal.SIGINT, 0, ""),
-        (signal.SIGTERM, 143, "geraf2: interrupted; nothing was written\n"),
-    ],
-)
-def test_ctrl_c_is_the_normal_end_of_view(number, code, stated, small_capture_folder):
+def test_ctrl_c_is_the_normal_end_of_view(small_capture_folder):
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
@@ -191,9 +187,9 @@ def test_ctrl_c_is_the_normal_end_of_view(number, code, stated, small_capture_fo
         text=True,
     ) as process:
         assert any("Ctrl-C ends it" in line for line in process.stdout)
-        process.send_signal(number)
+        process.send_signal(signal.SIGINT)
         error = process.communicate(timeout=60)[1]
-    assert (process.returncode, error) == (code, stated)
+    assert (process.returncode, error) == (0, "")
 
 
 @pytest.mark.browser
