@@ -231,5 +231,5 @@ def test_sides_of_a_box_are_given_in_any_usual_form(sides, tmp_path, capsys):
     assert "160.0 x 120.0 x 100.0 mm" in capsys.readouterr().out
     if len(sides) == 1:  # as one word after a flag
         sides = sides[0].split()
-    assert main(["plan", "--box", *sides]) == 0
+    assert main(["plan", "--elevations-deg", "0", "--box", *sides]) == 0
     assert main(["los", "0.16", "0.12", str(tmp_path / "other")]) == 2

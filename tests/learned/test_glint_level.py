@@ -80,8 +80,8 @@ def put_spheres(trainer, outside_m):
     trainer.model.sdf.values = torch.nn.Parameter(values)
 
 
-@pytest.mark.parametrize("outside_m", [-0.003, 0.0015])
-def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps, outside_m):
+def test_a_moved_surface_is_found_by_the_depth_of_its_glints(capture, maps):
+    outside_m = -0.003  # the test below has one outside
     trainer = PaperTrainer(capture, PRIOR, CONFIG, maps=maps)
     put_spheres(trainer, outside_m)
     before = trainer.draws.generator.get_state()

@@ -52,9 +52,8 @@ def expected(tmp_path_factory):
     return ExpectedEchoes(capture, geraf2.LosPrior.from_box(BOX_M, walls=capture.walls))
 
 
-@pytest.mark.parametrize("turn_deg", [(0.6, -0.7, 0.8), (-4.0, 1.0, 6.0)])
-def test_a_pose_that_is_off_by_degrees_is_put_right(expected, turn_deg):
-    turn = Rotation.from_rotvec(np.deg2rad(turn_deg)).as_matrix()
+def test_a_pose_that_is_off_by_degrees_is_put_right(expected):
+    turn = Rotation.from_rotvec(np.deg2rad((-4.0, 1.0, 6.0))).as_matrix()
     (found,) = expected.match([prism()], [placed(rigid(turn, [5e-4, -4e-4, 3e-4]))])
     off = found.placement.pose[:3, 3]
     angle = Rotation.from_matrix(found.placement.pose[:3, :3]).magnitude()
