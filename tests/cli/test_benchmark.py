@@ -65,7 +65,7 @@ def suite(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def finished(suite, tmp_path_factory):
-    """Made in this process; those of the rows are for tests/apps/benchmark and the workers below."""
+    """Made in this process: others are for tests/apps/benchmark and the workers below."""
     out = tmp_path_factory.mktemp("benchmark") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Runner, "_call", lambda _, *call: time_call(*call))
