@@ -11,7 +11,6 @@ import pytest
 import trimesh
 
 import geraf2
-from geraf2.io.mesh import read_mesh
 from geraf2.surfaces import FitConfig
 
 NAMES = [name for name in geraf2.__all__ if name != "__version__"]
@@ -59,15 +58,6 @@ def test_the_examples_of_a_public_name_run(name, tmp_path, monkeypatch):
     results = [doctest.DocTestRunner(verbose=False).run(t, out=stated.append) for t in tests]
     assert sum(result.attempted for result in results) > 0
     assert sum(result.failed for result in results) == 0, "".join(stated)
-
-
-def test_a_mesh_that_is_exported_keeps_its_expected_errors(tmp_path):
-    result = geraf2.examples.small_run()
-    result.content.export(tmp_path / "content.ply")
-    again, written = read_mesh(tmp_path / "content.ply"), geraf2.load_run(result.path).content_mesh
-    assert np.array_equal(again.faces, written.faces)
-    assert again.expected_error_m == pytest.approx(written.expected_error_m, rel=1e-6)
-    assert np.array_equal(again.evidence, written.evidence)
 
 
 def test_the_truth_may_be_an_object_of_trimesh():

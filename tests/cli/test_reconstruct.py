@@ -74,11 +74,6 @@ def test_the_offset_that_calibration_leaves_open_is_part_of_every_sample(finishe
     assert spreads[1] > spreads[0] + 2e-3
 
 
-def test_samples_are_two_or_more(finished_run):
-    with pytest.raises(UserError, match="samples must be at least 2"):
-        load_run(finished_run).samples(1)
-
-
 @pytest.mark.parametrize(
     ("step", "stop", "stated"),
     [

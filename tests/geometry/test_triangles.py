@@ -16,7 +16,6 @@ from geraf2.geometry.triangles import (
     six_fold_volumes,
     split_triangles,
     unit_normals,
-    used_vertices,
     vertex_areas,
     vertex_normals,
     volume_centroid_m,
@@ -102,13 +101,6 @@ def test_barycentric_weights_outside_and_without_area():
     np.testing.assert_allclose(barycentric(FLAT[:, 0], FLAT), np.full((2, 3), 1.0 / 3.0))
 
 
-def test_short_flat_and_no_triangles_split_into_themselves(corners):
-    np.testing.assert_array_equal(split_triangles(corners, 100.0), corners)
-    assert split_triangles(corners[:0], 1.0).shape == (0, 3, 3)
-    lengths = np.linalg.norm(np.diff(split_triangles(FLAT, 0.5), axis=1), axis=2)
-    assert lengths.max() <= 0.5
-
-
 def test_the_volume_of_a_box_does_not_depend_on_its_position():
     for center in ((0.0, 0.0, 0.0), (1e4, -2e4, 3e4)):
         vertices = box_corners(center, (0.2, 0.3, 0.4))
@@ -158,10 +150,3 @@ def test_closed_edges_equals_a_plain_count(faces):
     np.testing.assert_array_equal(closed_edges(faces), np.array(want, dtype=bool))
     assert count_open_edges(faces) == want.count(False)
     assert len(directed_edges(faces)) == 3 * len(faces)
-
-
-def test_used_vertices_are_renumbered_in_their_order():
-    used, faces = used_vertices(np.array([[7, 2, 9], [2, 7, 4]]))
-    assert used.tolist() == [2, 4, 7, 9]
-    assert faces.tolist() == [[2, 0, 3], [0, 2, 1]]
-    assert [array.size for array in used_vertices(NO_FACES)] == [0, 0]

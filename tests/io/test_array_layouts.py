@@ -58,6 +58,7 @@ CHANGES = {
     "times": lambda a: np.zeros(a.shape, "M8[s]"),
     "records": lambda a: np.zeros(a.shape, [("a", "f8")]),
     "2^62": lambda a: np.full(a.shape, 2**62),
+    "objects": lambda _: np.array([{"a": 1}], dtype=object),
 }
 
 

@@ -11,7 +11,6 @@ from geraf2.learned import glint_level
 from geraf2.learned.config import CorrectedPaperConfig, StageConfig
 from geraf2.learned.glint_level import (
     GlintDepths,
-    GlintShift,
     moved,
     part_depths,
 )
@@ -28,15 +27,6 @@ CONFIG = replace(
     stage2=StageConfig(n_steps=0),
 )
 MAX_M = 0.002
-
-
-def test_what_is_rendered_too_deep_is_moved_outward_and_looks_add_up():
-    first = GlintShift().after([0.001, 0.003, 0.002, 0.05], MAX_M)
-    assert first.inward_m == pytest.approx(-0.0025)
-    both = first.after([-0.001, -0.002, -0.004], MAX_M)
-    assert both.inward_m == pytest.approx(-0.0005)
-    assert both.outside_m == pytest.approx((-0.0025, 0.002))
-    assert both.n_glints == 3
 
 
 def ball(radius_m, n_per_side=41):

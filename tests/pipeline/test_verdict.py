@@ -9,7 +9,7 @@ import geraf2
 from geraf2.echoes.plane_agreement import PlaneAgreement, Rival
 from geraf2.io.verdict import Trust
 from geraf2.pipeline.plane_check import PlaneCheck
-from geraf2.pipeline.verdict import DelayByWalls, RunTests, delay_log_odds
+from geraf2.pipeline.verdict import DelayByWalls, RunTests
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.confirmation import Confirmation
 from helpers.solids import ball
@@ -111,13 +111,6 @@ def test_planes_without_common_echoes_say_nothing_about_their_geometry():
     )
     same = replace(SOUND, planes=replace(PLANES, recorded=alone)).verdict()
     assert same.probability_of_failure == SOUND.verdict().probability_of_failure
-
-
-def test_small_radii_speak_for_the_delay_and_impossible_ones_against_it():
-    assert delay_log_odds(None) == 0.0
-    assert delay_log_odds(0.008) < -2.0
-    assert min(delay_log_odds(-0.04), delay_log_odds(0.1)) > 2.0
-    assert delay_log_odds(0.008) < delay_log_odds(0.045) < delay_log_odds(0.1)
 
 
 def test_a_run_is_judged_and_a_baseline_is_not():

@@ -80,14 +80,6 @@ def test_attributes_are_what_is_known():
     np.testing.assert_allclose([depth.min(), depth.max()], [40.0, 60.0], atol=0.8)
 
 
-@pytest.mark.parametrize(("typical_m", "end_mm"), [(0.001, 5.0), (0.011, 21.0)])
-def test_the_colours_of_errors_reach_as_far_as_the_errors(typical_m, end_mm):
-    content = ball(0.03)
-    errors = typical_m * np.linspace(0.0, 2.0, len(content.vertices))
-    found, *_ = content_attributes(replace(content, expected_error_m=errors))
-    assert (found.label, found.limits) == ("expected error", (0.0, end_mm))
-
-
 def test_pieces_are_parts_the_largest_first():
     small, large = ball(0.01, 2, (0.05, 0, 0)), ball(0.02, 3)
     both = joined(small, large)

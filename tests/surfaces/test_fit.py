@@ -92,13 +92,3 @@ def test_a_field_without_a_zero_level_is_a_user_error():
     with pytest.raises(UserError, match="do not enclose anything") as caught:
         zero_level(SdfGrid(grid=grid, values=values))
     assert "values from 0.0200 to 0.0200 m" in str(caught.value)
-
-
-def test_the_zero_level_of_a_sphere_is_wound_outward():
-    grid = Grid(origin_m=(-0.06, -0.06, -0.06), spacing_m=0.005, shape=(25, 25, 25))
-    values = (np.linalg.norm(grid.points(), axis=1) - RADIUS_M).reshape(grid.shape)
-    vertices, faces = zero_level(SdfGrid(grid=grid, values=values.astype(np.float32)))
-    a, b, c = (vertices[faces[:, k]] for k in range(3))
-    volume = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
-    assert volume == pytest.approx(4.0 / 3.0 * np.pi * RADIUS_M**3, rel=0.02)
-    np.testing.assert_allclose(np.linalg.norm(vertices, axis=1), RADIUS_M, atol=2e-4)

@@ -51,26 +51,6 @@ def test_a_point_on_the_middle_line_is_seen_as_from_the_midpoints(depth, least):
     assert size.min() > least
 
 
-def test_the_error_of_another_direction_is_the_second_order_term():
-    array, point = cascade(), np.array([0.0, 0.0, 0.10])
-    _, after, _ = phase_errors(array, point)
-    middles = array.phase_centers_m
-    half = 0.5 * (np.array(array.tx_m) - np.array(array.rx_m))
-    towards = [position - middles for position in (point, np.array([0.0, 0.0, 0.0]))]
-    ranges = [np.linalg.norm(d, axis=1) for d in towards]
-    along = [np.einsum("ni,ni->n", half, d) / r for d, r in zip(towards, ranges, strict=True)]
-    excess = (along[1] ** 2 - along[0] ** 2) / (2.0 * ranges[0])
-    predicted = -4.0 * np.pi / AWR1843.center_wavelength_m * excess
-    assert after == pytest.approx(predicted, abs=0.15)
-    assert np.abs(predicted).max() > 0.3
-
-
-def test_antennas_beside_each_other_are_kept():
-    rows = tuple((0.004 * k, 0.0005) for k in range(-3, 4))
-    others = tuple((across, -along) for across, along in rows)
-    assert stretch_matrices(cascade(tx_m=rows, rx_m=others), AWR1843) is None
-
-
 def test_images_take_account_of_one_baseline_of_all_channels():
     tx, rx = (tuple((0.005 * k + end, 0.0) for k in range(-9, 10)) for end in (0.1, -0.1))
     array = cascade(tx_m=tx, rx_m=rx)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from geraf2.apps.importers._log_columns import quantity_of
 from geraf2.apps.importers._robot_log import read_log
 from geraf2.apps.importers._tracks import log_track
 from geraf2.errors import UserError
@@ -333,15 +332,6 @@ def test_quaternions_without_names_are_reported_as_assumed(tmp_path):
 def test_what_cannot_be_read_names_row_and_column(tmp_path, text, reported):
     with pytest.raises(UserError, match=reported):
         read(tmp_path, text)
-
-
-@pytest.mark.parametrize(
-    "name",
-    ["vx", "target_x", "actual_q_0", "actual_TCP_speed_0", "target_TCP_pose_0", "fx", "joint_x",
-     "twist.linear.x", "accel_x", "x_kg", "", "status", "index", "q", "items"],
-)  # fmt: skip
-def test_other_quantities_are_no_positions(name):
-    assert quantity_of(name) is None
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us"), (1e9, "ns")])

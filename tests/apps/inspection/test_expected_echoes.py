@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 import geraf2
 from geraf2.apps.inspection.deviation import deviation_of
-from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, share_of
+from geraf2.apps.inspection.echo_shares import PatchEchoes, share_of
 from geraf2.apps.inspection.expected_echoes import (
     ExpectedEchoes,
     normal_equations,
@@ -133,11 +133,3 @@ def test_the_share_of_an_echo_that_came(share):
     # 0.46 of 0.2 over the root of two and of six groups, were all targets in phase
     assert found.sigma == pytest.approx(0.46 * 0.2 / np.sqrt(12), rel=0.3)
     assert share_of(windows, [4]).sigma == np.inf
-
-
-@pytest.mark.parametrize(
-    ("value", "sigma", "absent"),
-    [(0.0, 0.15, True), (0.0, 0.25, False), (-0.1, 0.15, True), (-130.0, 40.0, False)],
-)
-def test_a_share_that_absence_does_not_explain_is_no_absence(value, sigma, absent):
-    assert Share(value, sigma).is_absent is absent

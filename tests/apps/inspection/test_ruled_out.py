@@ -38,14 +38,6 @@ def test_what_was_ruled_out_is_told_everywhere(tmp_path, capsys):
     assert "What was ruled out" not in write_report(run).read_text()
 
 
-def test_a_run_without_the_level_of_metal_says_nothing(tmp_path, capsys):
-    run = run_of(tmp_path / "run", *CUBES)
-    assert main(["inspect", str(run)]) == 0
-    assert "ruled out" not in capsys.readouterr().out
-    assert "What was ruled out" not in (run / "inspection.html").read_text()
-    assert "What was ruled out" not in write_report(run).read_text()
-
-
 def test_echoes_that_belong_to_no_part_are_noted():
     bodies = [measured_body(CUBES[0], sigma_m=3e-4)]
     rng = np.random.default_rng(0)

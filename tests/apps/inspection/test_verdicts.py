@@ -1,7 +1,6 @@
 """What an inspection and a comparison still state of scans that may be wrong."""
 
 import json
-import math
 import shutil
 from dataclasses import replace
 
@@ -10,7 +9,7 @@ import pytest
 import geraf2
 from geraf2.apps.inspection.material import UNKNOWN, Measured
 from geraf2.cli.main import main
-from geraf2.io.text import NOT_DETERMINED, interval_text
+from geraf2.io.text import NOT_DETERMINED
 from geraf2.io.verdict import Trust
 from helpers.run_folders import CAUSE, VERDICTS, judge
 
@@ -86,21 +85,3 @@ def test_a_material_of_a_doubtful_scan_is_named_only_if_it_stays_certain():
     assert metal.weighed(0.97).kind == "metal"
     assert metal.weighed(0.6).kind == NOT_DETERMINED
     assert metal.weighed(0.0) == UNKNOWN
-
-
-@pytest.mark.parametrize(
-    ("value", "half", "scale", "text"),
-    [
-        (50.0, 2.0, None, "50.0 ± 2.0"),
-        (50.0, None, None, "50.0"),
-        (0.8, 1998.7, None, NOT_DETERMINED),
-        (0.8, 2.0, 40.0, "0.8 ± 2.0"),  # a position of a thing of 40 mm
-        (0.8, 41.0, 40.0, NOT_DETERMINED),
-        (0.8, math.nan, math.inf, NOT_DETERMINED),
-        (-3.0, 4.0, math.inf, "-3.0 ± 4.0"),
-    ],
-)
-def test_an_interval_larger_than_its_quantity_is_no_number(value, half, scale, text):
-    assert interval_text(value, half, scale=scale) == text
-    with_unit = text if text == NOT_DETERMINED else f"{text} mm"
-    assert interval_text(value, half, scale=scale, unit=" mm") == with_unit
