@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 from geraf2.calibration.wall_alignment import (
     AlignmentConfig,
     WallProblem,
+    find_wall_offset,
 )
-from geraf2.calibration.wall_echoes import find_wall_offset
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.flashes import WallMiddles, loss_shift
 from geraf2.imaging.peaks import KeptPeaks

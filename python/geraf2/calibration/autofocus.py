@@ -28,11 +28,9 @@ DRIFT_SIZE_M = 0.10
 """Side of the sub-apertures [m]: in 8 cm too much of a slow drift equals a curvature."""
 
 _N_ROUNDS = 6
-# Phases are sums of at least _MIN_PER_BIN antennas, about a column of a sub-aperture each. Sums of
-# less than _MIN_BIN_WEIGHT of the largest weight have no reliable phase and are left out.
+# Phases are sums of at least _MIN_PER_BIN antennas, about a column of a sub-aperture each.
 _MAX_BINS = 24
 _MIN_PER_BIN = 8
-_MIN_BIN_WEIGHT = 0.1
 # Singular value, relative to the largest, of shifts, slopes and curvatures that count as separable.
 _MIN_MODE = 0.05
 # Lower bound of the phase variance of an echo [rad^2].
@@ -174,8 +172,7 @@ class _Phases:
     """Phases of the echoes of a pose as linear functions of the coefficients.
 
     The free modes of each echo are removed. Consecutive antennas are summed: the sums exceed the
-    noise, and their phases change slowly enough to be unwrapped. A sum that is too weak has no
-    weight, and the phase of the one before.
+    noise, and their phases change slowly enough to be unwrapped.
     """
 
     sums: NDArray[np.complex128]  # (n_echoes, n_bins)
@@ -196,17 +193,15 @@ class _Phases:
             starts = -(-np.arange(n_bins) * n_antennas // n_bins)
             size = np.abs(echo.values)[order]
             weight = np.add.reduceat(size, starts)
-            kept = weight > _MIN_BIN_WEIGHT * weight.max()
-            last = np.maximum.accumulate(np.where(kept, np.arange(n_bins), kept.argmax()))
             phase_per_m = 2.0 * k * (echo.directions @ echo.looking_direction)
-            h, v = (echo.offsets_m / 0.04).T
+            h, v = (echo.offsets_m / (0.5 * DRIFT_SIZE_M)).T
             columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, phase_per_m], axis=1)
             columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
             binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)
-            binned /= np.where(kept, weight, np.inf)[:, None]
-            sums[number, :n_bins] = np.add.reduceat(echo.values[order], starts)[last]
+            binned /= np.maximum(weight, 1e-300)[:, None]
+            sums[number, :n_bins] = np.add.reduceat(echo.values[order], starts)
             sums[number, n_bins:] = sums[number, n_bins - 1]
-            weights[number, :n_bins] = np.where(kept, weight, 0.0)
+            weights[number, :n_bins] = weight
             modes[number, :n_bins], phase[number, :n_bins] = binned[:, :6], binned[:, 6:]
         root = np.sqrt(weights / weights.sum(axis=1, keepdims=True))
         left, strength, _ = np.linalg.svd(root[..., None] * modes, full_matrices=False)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -14,10 +13,12 @@ from geraf2.calibration.box_edges import (
     within,
 )
 from geraf2.calibration.box_search import (
-    APERTURE_M,
+    COARSE,
     FACING_COSINE,
+    LEVEL_STEP_DB,
     MIN_REACH_M,
     MIN_SIDE_M,
+    N_LEVELS,
     Flashes,
     RoughFaces,
     explained,
@@ -59,8 +60,6 @@ _SEEN_SHARE, _MIN_FLASHES = 0.5, 2
 _MAX_CURVED, _MIN_SPREAD_M = 0.4, 0.02
 # Largest share of energy outside of the walls: grating lobes and multipath.
 _MAX_OUTSIDE = 0.3
-# Least strength of echoes of walls and their edges, relative to the strongest peak [dB].
-_DYNAMIC_RANGE_DB = -45.0
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
@@ -133,29 +132,24 @@ def find_box(
     like = None if expected is None or expected.cuboid is None else expected.cuboid[0]
     seen = _SeenWalls.of(capture, peaks, reach, farther_m)
     box = expected and expected.move(rigid(np.eye(3), -focus))
-    search = seen.search
-    for any_yaw in (not is_recorded, True):
-        delay = delay_odds(search, box, is_recorded=is_recorded, any_yaw=any_yaw)
-        change_m = 0.0 if keep_delay else delay.change_m
-        if change_m:
-            seen = _SeenWalls.of(with_delay(capture, change_m), peaks, reach, farther_m)
-        try:
-            found = _find(seen, peaks, like)
-        except NoBoxError as error:
-            error.delay_change_m = change_m
-            if any_yaw or keep_delay or change_m:
-                raise
-        else:
-            break
+    delay = delay_odds(seen.search, box, is_recorded=is_recorded)
+    change_m = 0.0 if keep_delay else delay.change_m
+    if change_m:
+        seen = _SeenWalls.of(with_delay(capture, change_m), peaks, reach, farther_m)
+    try:
+        found = _find(seen, like)
+    except NoBoxError as error:
+        error.delay_change_m = change_m
+        raise
     return replace(found.moved(focus), delay=delay, delay_change_m=change_m)
 
 
-def _find(seen: "_SeenWalls", peaks: KeptPeaks, like: Floats | None) -> FoundBox:
+def _find(seen: "_SeenWalls", like: Floats | None) -> FoundBox:
     """Find the likeliest box that no echo contradicts."""
     contradicted = list[tuple[FoundBox, WallsNotFoundError]]()
     for start, corrected in seen.boxes(like):
         try:
-            box = _finished(seen.capture, start, _Known(peaks, corrected))
+            box = _finished(seen.capture, start, corrected)
         except WallsNotFoundError as error:
             contradicted.append((start, error))
             continue
@@ -174,15 +168,15 @@ def _require_cuboid(flashes: Flashes, sides: Floats) -> None:
         raise NoCuboidError
 
 
-def _finished(capture: Capture, box: FoundBox, peaks: "_Known") -> FoundBox:
+def _finished(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
     """Box after the fit, with bounds for its unseen faces."""
     if not box.size_m.min() > MIN_SIDE_M:
         raise WallsNotFoundError(seen=f"planes only {1e3 * box.size_m.min():.0f} mm apart")
     box = _refined(capture, box, peaks)
     if 0 < (box.seen == Seen.SQUARELY).sum() < _MIN_WALLS:
         raise WallsNotFoundError(seen="one flat surface, which may be content")
-    box = replace(box, content_share=_content_share(box, peaks.known))
-    return _bounded(capture, box, peaks.known)
+    box = replace(box, content_share=_content_share(box, peaks))
+    return _bounded(capture, box, peaks)
 
 
 def _shifted(capture: Capture, shift_m: Floats) -> Capture:
@@ -215,8 +209,8 @@ class _SeenWalls:
         capture = without_leakage(capture, find_leakage(capture, inner))
         found = peaks.of(capture)
         kept = found.select(~leaking(capture, found, reach_m + 0.5 * farther_m))
-        top = float(kept.strengths.max(initial=0.0))
-        kept = kept.select(20.0 * np.log10(kept.strengths / max(top, 1e-300)) > _DYNAMIC_RANGE_DB)
+        share = 10.0 ** (-N_LEVELS * LEVEL_STEP_DB / 20.0)
+        kept = kept.select(kept.strengths > share * kept.strengths.max(initial=0.0))
         if not len(kept):
             raise WallsNotFoundError(seen="no echo above the noise")
         lobes, index = with_lobes(capture, kept)
@@ -249,16 +243,12 @@ def _initial_box(rough: RoughFaces, peaks: PeakSet, middles: WallMiddles) -> Fou
     The seen walls extend to all apertures that see their flashes.
     """
     unseen = np.isnan(rough.offsets_m)
-    offsets = rough.offsets_m.copy()
-    half = float(np.nanmean(offsets))
-    for k in range(3):
-        if unseen[k].all():
-            offsets[k] = half
-        elif unseen[k].any():
-            offsets[k, unseen[k]] = 2.0 * half - offsets[k, ~unseen[k]]
+    half = float(np.nanmean(rough.offsets_m))
+    opposite = np.nan_to_num(rough.offsets_m[:, ::-1], nan=half)
+    offsets = np.where(unseen, 2.0 * half - opposite, rough.offsets_m)
     for k, side in np.argwhere(unseen):
         foot = flash_reach(peaks, rough.normals, rough.offsets_m, ~unseen, (k, side), middles)
-        offsets[k, side] = max(offsets[k, side], foot + APERTURE_M)
+        offsets[k, side] = max(offsets[k, side], foot + COARSE.size_m)
     return FoundBox(
         axes=rough.axes,
         turn_sigma_rad=np.full(3, _ROUGH.rotation_sigma_rad),
@@ -269,22 +259,10 @@ def _initial_box(rough: RoughFaces, peaks: PeakSet, middles: WallMiddles) -> Fou
     )
 
 
-class _Known(KeptPeaks):
-    """Peaks whose directions are already resolved."""
-
-    def __init__(self, peaks: KeptPeaks, known: PeakSet) -> None:
-        super().__init__(peaks.prior, peaks.subaperture, num_threads=peaks.num_threads)
-        self.known = known
-
-    def of(self, *_: Any, **__: Any) -> PeakSet:
-        """Return these peaks for any capture."""
-        return self.known
-
-
-def _refined(capture: Capture, box: FoundBox, peaks: KeptPeaks) -> FoundBox:
+def _refined(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
     """Box after one joint estimate of delay, orientation and each wall's distance."""
     try:
-        problem = WallProblem(capture, box.prior, _ROUGH, peaks, at_middles=True)
+        problem = WallProblem(capture, box.prior, _ROUGH, peaks)
     except UserError as error:
         raise WallsNotFoundError(str(error).partition(", expected")[0]) from error
     shapes = problem.parts["shapes"].reshape(-1, N_MODES)[:, 0]

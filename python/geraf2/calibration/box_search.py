@@ -28,8 +28,9 @@ from geraf2.imaging.peaks import REACH_M, KeptPeaks, PeakSet, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import Capture, LosPrior
 
-# Half as many sub-apertures and directions as for glints, in a fifth of the time.
-_COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
+"""Half as many sub-apertures and directions as for glints, in a fifth of the time: walls have
+hundreds of echoes."""
 # Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
 OFFSET_STEP_M = 0.002
@@ -37,8 +38,8 @@ OFFSET_STEP_M = 0.002
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].
 LEVEL_STEP_DB, _LEVEL_SIGMA_DB, N_LEVELS = 2.0, 4.0, 20
-LOWEST_DB = -22.0
-"""Lowest level of walls [dB]: flat metal is 18 dB stronger."""
+LOWEST_DB, LOWEST_PAIR_DB = -22.0, -32.0
+"""Lowest levels of walls, and of those whose faces cancel [dB]: flat metal is 18 dB stronger."""
 MAX_SHIFT_M = 0.024
 """Largest error of the recorded delay, one-way [m]."""
 MAX_SHIFT = round(MAX_SHIFT_M / OFFSET_STEP_M)
@@ -62,8 +63,6 @@ MIN_SIDE_M = 0.04
 """Least side length of a box [m]."""
 MIN_REACH_M = 0.5 * MIN_SIDE_M + 2.0 * MAX_SHIFT_M + OFFSET_STEP_M
 """Least distance of the planes: the smallest box at the largest error of the delay [m]."""
-APERTURE_M = _COARSE.size_m
-"""Side of the sub-apertures in which walls are searched [m]."""
 # Least cosine between a direction and the looking direction.
 _MIN_AHEAD = 0.8
 
@@ -77,7 +76,7 @@ def scene_peaks(
     """
     region = LosPrior.from_box((_REGION * reach_m,) * 3, triple(center_m))
     near, far = REACH_M
-    return KeptPeaks(region, _COARSE, reach_m=(near, far + farther_m), num_threads=num_threads)
+    return KeptPeaks(region, COARSE, reach_m=(near, far + farther_m), num_threads=num_threads)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

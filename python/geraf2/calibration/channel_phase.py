@@ -24,7 +24,6 @@ _OFFSET_TOLERANCE_M = 1.25e-4
 _MAX_CHANNELS = 256
 _MAX_CELLS = 1e15
 _N_NEIGHBORS = 24
-_SAME_POSITION_M = 1e-5
 _N_ROUNDS = 20
 _MIN_SAMPLES = 30
 # Least number of echoes, and largest number of channels, of a search for interleaved channels.
@@ -193,7 +192,7 @@ def _antenna_values(
     known: dict[bytes, Ints] = {}  # all sub-apertures of a raster have the same neighbours
     parts = []
     for echo in echoes:
-        key = np.round(echo.offsets_m / _SAME_POSITION_M).astype(np.int32).tobytes()
+        key = np.rint(echo.offsets_m / _OFFSET_TOLERANCE_M).astype(np.int32).tobytes()
         if key not in known:
             n = min(_N_NEIGHBORS + 1, len(echo.antennas))
             known[key] = KDTree(echo.offsets_m).query(echo.offsets_m, k=n)[1][:, 1:]

@@ -15,6 +15,7 @@ from geraf2._types import Floats
 from geraf2.calibration.box_search import (
     LEVEL_STEP_DB,
     LOWEST_DB,
+    LOWEST_PAIR_DB,
     MAX_SHIFT,
     MIN_SIDE_M,
     N_LEVELS,
@@ -48,8 +49,6 @@ _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 # Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
 # without loss. The null may lie off the middle.
 _PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
-# Lowest level of walls whose faces cancel, 10 dB weaker than others [dB].
-_LOWEST_PAIR_DB = -32.0
 
 
 def shift_penalty(cells: int) -> float:
@@ -106,7 +105,7 @@ class BoxSearch:
 
     def lowest_level(self, pair: int) -> int:
         """Index of the lowest level of walls. pair: half the distance of two echoes, in cells."""
-        return N_LEVELS + int((_LOWEST_PAIR_DB if pair else LOWEST_DB) / LEVEL_STEP_DB)
+        return N_LEVELS + int((LOWEST_PAIR_DB if pair else LOWEST_DB) / LEVEL_STEP_DB)
 
     def scores(
         self,
@@ -302,11 +301,7 @@ class DelayUnknownError(UserError):
 
 
 def delay_odds(
-    search: BoxSearch,
-    box: LosPrior | None = None,
-    *,
-    is_recorded: bool = True,
-    any_yaw: bool = False,
+    search: BoxSearch, box: LosPrior | None = None, *, is_recorded: bool = True
 ) -> DelayOdds:
     """Compare all delays that the hardware allows by the flashes that one cuboid explains.
 
@@ -315,7 +310,6 @@ def delay_odds(
 
     search: of the scan with the recorded delay.
     box: cuboid that is given, in the same frame; wrong once in a hundred.
-    any_yaw: the recorded delay may be wrong, and with it the yaws that fit it.
     """
     recorded_m = search.waveform.path_bias_m
     low = min(int(-0.5 * recorded_m / OFFSET_STEP_M), -MAX_SHIFT)
@@ -323,15 +317,13 @@ def delay_odds(
     shifts = np.arange(low + low % 2, high + 1, 2)
     penalties = dict.fromkeys(shifts.tolist(), 0.0)
     wide = BoxSearch(search.flashes, search.up, search.reach_m, search.waveform, max(-low, high))
-    yaws = [rival.yaw_rad for rival in search.rivals]
+    # The recorded delay may be wrong, and with it the yaws that fit it.
+    yaws = [max(_COARSE_YAWS_RAD, key=wide.bound), *(rival.yaw_rad for rival in search.rivals)]
     if box is not None and box.cuboid is not None:
         side = box.cuboid[0][int(np.abs(box.cuboid[0] @ search.up).argmin())]
         yaws.append(float(np.arctan2(side @ search.second, side @ search.first)))
     near = np.abs(shifts) <= MAX_SHIFT
     free, given = np.max([_delay_scores(wide, yaw, penalties, box) for yaw in yaws], axis=0)
-    if any_yaw or NATS * (free[near].max() - free[~near].max()) < _RARE_NATS:
-        more = _delay_scores(wide, max(_COARSE_YAWS_RAD, key=wide.bound), penalties, box)
-        free, given = np.maximum((free, given), more)
     other = int(np.where(near, -1.0, free).argmax())
     given = np.where(given > 0.0, given + 2.0 * _RARE_NATS / NATS, 0.0)
     total = np.maximum(free, given)

@@ -38,8 +38,8 @@ from geraf2.calibration.wall_alignment import (
     Group,
     WallAlignment,
     WallProblem,
+    walls_not_seen,
 )
-from geraf2.calibration.wall_echoes import walls_not_seen
 from geraf2.echoes.echo_phases import EchoPhases, collect_phases
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
@@ -48,8 +48,7 @@ from geraf2.scene import Capture, LosPrior
 CALIBRATION_VERSION = 15
 """Increase when the same capture gives other corrections."""
 
-# Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes per plane
-# for channels.
+# Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes a plane.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
 
@@ -261,10 +260,10 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.subset, drift=True)
+        few = _strong_echoes(capture, self.peaks, self.subset)
         drift = focus_antennas(capture, few, config)
         if drift.gain.is_sure:
-            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)), drift=True)
+            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)))
             drift = focus_antennas(capture, every, config)
         self.found["drift"] = drift
         rms_m = drift.rms_m(capture)
@@ -291,14 +290,10 @@ def _planes_around(capture: Capture) -> list[int]:
     return [int(order[step]) for step in sorted(steps)]
 
 
-def _strong_echoes(
-    capture: Capture, peaks: KeptPeaks, planes: Collection[int], *, drift: bool = False
-) -> list[EchoPhases]:
-    """Echoes of some planes; for drift more of them, in larger sub-apertures."""
+def _strong_echoes(capture: Capture, peaks: KeptPeaks, planes: Collection[int]) -> list[EchoPhases]:
+    """Echoes of some planes."""
     found = peaks.of(capture, planes).thinned(_STEP_M)
-    if drift:
-        return collect_phases(capture, found, size_m=DRIFT_SIZE_M)
-    return collect_phases(capture, found, n_echoes=_N_ECHOES)
+    return collect_phases(capture, found, size_m=DRIFT_SIZE_M, n_echoes=_N_ECHOES)
 
 
 def _describe(found: WallAlignment, group: Group) -> tuple[str, dict[str, float]]:

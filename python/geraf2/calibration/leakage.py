@@ -279,8 +279,8 @@ def _common_signal(
         parts.append(np.fft.fft(mean[share > 0.0]))
     each = np.concatenate(parts)
     common = np.median(each.real, axis=0) + 1j * np.median(each.imag, axis=0)
-    # 1.48: standard over median deviation; 1.25: uncertainty of a median over that of a mean.
-    sigma = 1.48 * 1.25 * np.median(np.abs(each - common), axis=0) / np.sqrt(len(each))
+    # Standard over median deviation, times the uncertainty of a median over that of a mean.
+    sigma = 1.85 * np.median(np.abs(each - common), axis=0) / np.sqrt(len(each))
     return np.asarray(np.fft.ifft(np.where(np.abs(common) > 3.0 * sigma, common, 0.0)))
 
 
@@ -289,7 +289,7 @@ def _nine_parts(pose: Pose) -> Floats:
     local = pose.phase_centers @ pose.axes[1:].T
     span = np.ptp(local, axis=0) + 1e-9
     third = np.floor(3.0 * (local - local.min(axis=0)) / span).clip(0, 2)
-    return np.asarray(np.arange(9.0)[:, None] == 3.0 * third[:, 0] + third[:, 1], np.float32)
+    return np.asarray(np.arange(9)[:, None] == 3.0 * third[:, 0] + third[:, 1], np.float32)
 
 
 def _faces_a_wall(pose: Pose, prior: LosPrior) -> bool:

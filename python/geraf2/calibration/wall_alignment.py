@@ -1,4 +1,9 @@
-"""Gauss-Newton estimate of the delay and of the box's frame from wall echoes."""
+"""Delay and frame of the box from its walls' echoes, by Gauss-Newton.
+
+A flat wall returns a flash along its normal, in a direction that does not depend on the delay. The
+range minus the distance to the prior's wall is common to all near and far walls. Echoes of the
+content have no such common offset (docs/math/calibration.md#delay-and-box).
+"""
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
@@ -10,9 +15,11 @@ from scipy.spatial.transform import Rotation
 from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
-from geraf2.calibration.wall_echoes import find_wall_offset, wall_peaks
+from geraf2.calibration.box_search import COARSE, LOWEST_PAIR_DB, MAX_SHIFT_M
+from geraf2.calibration.cuboid_search import MAX_PATH_M
 from geraf2.echoes.flashes import (
-    ANGLE_SIGMA_RAD,
+    MAX_ANGLE_RAD,
+    MAX_OFFSET_M,
     N_SIGMAS,
     OFFSET_SIGMA_M,
     OVERLAP,
@@ -22,8 +29,9 @@ from geraf2.echoes.flashes import (
 )
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.echoes.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
+from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
-from geraf2.imaging.peaks import KeptPeaks, PeakSet
+from geraf2.imaging.peaks import MAX_RANGE_SHIFT_M, KeptPeaks, PeakSet, box_spans, collect_peaks
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import is_delay_given
 
@@ -32,11 +40,11 @@ from geraf2.scene.summary import is_delay_given
 _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01, 0.015])
 _DEGREES_OF_FREEDOM = 4.0  # of an echo's Student-t: content and clutter are far outliers
 _N_ROUNDS = 6
-# Largest deviation of an echo from its wall in the first round, since the box may be turned or
-# moved; in the last it is that of a flash.
-_FIRST_SIGMAS = 2.0 * N_SIGMAS
-# Searched changes of the two-way path with a recorded delay, and without [m].
-_NEAR_SEARCH_M, _WIDE_SEARCH_M = (-0.03, 0.03), (-0.3, 1.0)
+# Share of the near walls' largest density that replaces hidden far walls. It is enough to find a
+# delay from near walls alone, and too small to interpret a far wall as a near one.
+_MISSING_FAR_SHARE = 0.1
+# Near walls alone are the first peak with this share of the highest.
+_FIRST_PEAK_SHARE = 0.6
 
 Group = Literal["delay", "frame"]
 """Groups that are accepted separately: delay; position of the prior."""
@@ -52,8 +60,8 @@ class AlignmentConfig(Bounded):
     """Prior of the estimate: expected errors as standard deviations."""
 
     delay_search_m: tuple[SignedM, SignedM] | None = None
-    """Searched changes of the instrument delay, on the two-way path [m]. By default -0.03 to 0.03
-    if a delay was recorded, and -0.3 to 1 if not."""
+    """Searched changes of the instrument delay, on the two-way path [m]. By default those that the
+    search for the box allows a recorded delay, and any delay of 0 to 0.6 m if none was recorded."""
     keep_delay: bool = False
     """Keep the instrument delay."""
     delay_sigma_m: MarginM = 2.0 * DELAY_SIGMA_M
@@ -75,12 +83,11 @@ class AlignmentConfig(Bounded):
         """Prior for a capture whose delay the search for the box changed: it is known to a cell."""
         if not delay_change_m:
             return cls()
-        return cls(delay_sigma_m=_NEAR_SEARCH_M[1], always_delay=True)
+        return cls(delay_sigma_m=2.0 * MAX_SHIFT_M, always_delay=True)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        low, high = self.delay_search_m or _NEAR_SEARCH_M
-        if not low < high:
+        if self.delay_search_m is not None and not self.delay_search_m[0] < self.delay_search_m[1]:
             msg = f"delay_search_m must be two ascending numbers, got {self.delay_search_m}"
             raise ValueError(msg)
 
@@ -88,7 +95,9 @@ class AlignmentConfig(Bounded):
         """Return the changes of the delay that are searched, on the two-way path [m]."""
         if self.delay_search_m is not None:
             return self.delay_search_m
-        return _NEAR_SEARCH_M if self.is_recorded(capture) else _WIDE_SEARCH_M
+        if self.is_recorded(capture):
+            return -2.0 * MAX_SHIFT_M, 2.0 * MAX_SHIFT_M
+        return -capture.waveform.path_bias_m, MAX_PATH_M - capture.waveform.path_bias_m
 
     def is_recorded(self, capture: Capture) -> bool:
         """Whether the capture has a measured delay."""
@@ -120,7 +129,10 @@ class WallAlignment:
     @property
     def rms_m(self) -> tuple[float, float]:
         """RMS of the inner 95 % of the echoes' distances from the walls, before and after [m]."""
-        return _rms(self.offsets_before_m), _rms(self.offsets_after_m)
+        offsets = np.sort(np.abs([self.offsets_before_m, self.offsets_after_m]), axis=1)
+        kept = offsets[:, : int(0.95 * offsets.shape[1])]
+        before, after = np.linalg.norm(kept, axis=1) / np.sqrt(max(kept.shape[1], 1))
+        return float(before), float(after)
 
     @property
     def bulge_m(self) -> float:
@@ -156,34 +168,32 @@ class WallProblem:
         capture: Capture,
         prior: LosPrior,
         config: AlignmentConfig,
-        peaks: KeptPeaks,
-        *,
-        at_middles: bool = False,
+        peaks: KeptPeaks | PeakSet,
     ) -> None:
         """Find the walls' echoes.
 
-        at_middles: peaks of walls whose faces cancel were moved to their middles.
+        peaks: of the capture; a set whose peaks of walls were moved to the walls' middles is used
+        as it is.
         """
         walls, waveform = prior.walls or capture.walls, capture.waveform
         self.middles = WallMiddles.of(walls, waveform)
         low, high = (0.5 * edge for edge in config.search_m(capture))
         if config.keep_delay:
-            low, high = -_FIRST_SIGMAS * OFFSET_SIGMA_M, _FIRST_SIGMAS * OFFSET_SIGMA_M
-        is_moved = not walls and not at_middles
+            low, high = -2.0 * MAX_OFFSET_M, 2.0 * MAX_OFFSET_M
+        is_moved = not walls and isinstance(peaks, KeptPeaks)
         low -= max_shift_m(waveform) if is_moved else 0.0
         self.echoes: PeakSet = wall_peaks(capture, prior, (low, high), peaks)
-        self.size_m = peaks.subaperture.size_m
+        self.size_m = (COARSE if isinstance(peaks, PeakSet) else peaks.subaperture).size_m
         self.faces = WallFaces.of(prior)
         self.center = prior.bounds.mean(axis=0)
         self.axes = np.stack([pose.axes for pose in capture.poses])
-        maybe = wall_echoes(self.echoes, self.faces, _FIRST_SIGMAS * ANGLE_SIGMA_RAD)
+        maybe = wall_echoes(self.echoes, self.faces, 2.0 * MAX_ANGLE_RAD)
         offset = maybe.offsets_m - np.array(self.middles.depths_m)[maybe.far]
         size = self.echoes.magnitudes[maybe.index]
         kinds = [(offset[maybe.far == far], size[maybe.far == far]) for far in (0, 1)]
         self.offset_m = find_wall_offset(kinds[0], kinds[1], (low, high), config.min_echoes)
         # Twice the limit, since the box may be rotated or shifted.
-        reach_m = 2.0 * _FIRST_SIGMAS * OFFSET_SIGMA_M
-        self.maybe = maybe.select(np.abs(offset - self.offset_m) < reach_m)
+        self.maybe = maybe.select(np.abs(offset - self.offset_m) < 4.0 * MAX_OFFSET_M)
         # Without a recorded delay, all searched delays are equally likely.
         is_known = config.keep_delay or config.is_recorded(capture)
         delay = 0.5 * config.delay_sigma_m if is_known else high - low
@@ -295,8 +305,8 @@ class WallProblem:
             offsets_m=self.echoes.ranges_m[maybe.index] - maybe.side * height / cosine - values[0],
             angles_rad=np.arccos(np.clip(cosine, -1.0, 1.0)),
         )
-        limit = _FIRST_SIGMAS + share * (N_SIGMAS - _FIRST_SIGMAS)
-        keep = moved.deviations(self.middles) < limit
+        # Twice the limit of a flash in the first round, since the box may be turned or moved.
+        keep = moved.deviations(self.middles) < (2.0 - share) * N_SIGMAS
         axes = self.axes[self.echoes.planes[maybe.index]]
         # An aperture that extends beyond the rim may shift ranges by less than their error.
         keep &= self.faces.rim_bias(maybe.walls, centers, axes, self.size_m) < _RANGE_SIGMAS_M[0]
@@ -364,6 +374,89 @@ class WallProblem:
         )
 
 
-def _rms(values: Floats) -> float:
-    kept = np.sort(np.abs(values))[: int(0.95 * len(values))]
-    return float(np.linalg.norm(kept) / np.sqrt(max(len(kept), 1)))
+def wall_peaks(
+    capture: Capture,
+    prior: LosPrior,
+    range_shift_m: tuple[float, float],
+    peaks: KeptPeaks | PeakSet,
+) -> PeakSet:
+    """Peaks of all planes at the prior's distance, or shifted by an unknown delay.
+
+    range_shift_m: largest shift towards (negative) and away from the antennas, one-way [m].
+    peaks: of the capture; planes are imaged again for ranges beyond those that are kept.
+    """
+    if all(pose.n_antennas == 0 for pose in capture.poses):
+        raise UserError(what="no plane has antennas")
+    if isinstance(peaks, PeakSet):
+        found = peaks
+    elif max(-range_shift_m[0], range_shift_m[1]) <= MAX_RANGE_SHIFT_M:
+        found = peaks.of(capture)
+    else:
+        found = collect_peaks(
+            capture,
+            prior,
+            COARSE,
+            peaks.noise_margin_db,
+            reach_m=(-range_shift_m[0], range_shift_m[1]),
+            num_threads=peaks.num_threads,
+        )
+    found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
+    return found.select(found.levels_db > LOWEST_PAIR_DB).thinned(COARSE.step_m)
+
+
+def find_wall_offset(
+    near: tuple[Floats, Floats],
+    far: tuple[Floats, Floats],
+    search_m: tuple[float, float],
+    least: int = MIN_WALL_ECHOES,
+) -> float:
+    """Offset at which echoes of near and of far walls are densest together.
+
+    The weight of an echo is the square root of its magnitude. In a count, many weak echoes would
+    dominate, and in the power a single strong one. Densities of near and far walls are multiplied,
+    so that neither decides alone.
+
+    near: offsets of echoes from near walls, minus the wall's middle [m], and magnitudes, each (n,).
+    far: those of far walls.
+    search_m: smallest and largest offset [m].
+    least: least number of near walls' echoes that agree.
+
+    Raises UserError if fewer agree, or only at the edge of the search.
+    """
+    n_steps = max(2, round(4.0 * (search_m[1] - search_m[0]) / OFFSET_SIGMA_M) + 1)
+    candidates = np.linspace(*search_m, n_steps)
+
+    def density(offsets_m: Floats, magnitudes: Floats) -> Floats:
+        scaled = (candidates[:, None] - offsets_m[None]) / OFFSET_SIGMA_M
+        return np.asarray(np.exp(-0.5 * scaled**2) @ np.sqrt(magnitudes))
+
+    of_near, of_far = density(*near), density(*far)
+    score = np.sqrt(of_near * (of_far + _MISSING_FAR_SHARE * of_near.max(initial=0.0)))
+
+    def count(kind: tuple[Floats, Floats], best: int) -> int:
+        return int((np.abs(kind[0] - candidates[best]) < MAX_OFFSET_M).sum())
+
+    best = int(score.argmax())
+    if count(far, best) < least:  # content, which may be as dense, is farther away
+        rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
+        peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
+        best = int(peaks[0]) if len(peaks) else best
+    n_near = count(near, best)
+    if n_near < least or best in (0, n_steps - 1):  # a maximum at the edge is no peak
+        raise walls_not_seen(n_near, search_m, least)
+    return float(candidates[best])
+
+
+def walls_not_seen(
+    n_near: int, search_m: tuple[float, float], least: int = MIN_WALL_ECHOES
+) -> UserError:
+    """Error of a prior whose faces echo too rarely. n_near, least: echoes found and needed."""
+    return UserError(
+        what="the walls of the box do not stand out",
+        expected=f"at least {least} echoes along the prior's faces at one offset between "
+        f"{search_m[0]:g} and {search_m[1]:g} m",
+        got=n_near,
+        hint="check that the prior lies in the scan's frame and in metres; widen --delay-search "
+        "LOW HIGH where the delay was not recorded; a scan that faces no wall needs a known delay "
+        "and --no-delay",
+    )

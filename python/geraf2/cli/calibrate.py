@@ -39,8 +39,8 @@ class Config(PriorSource):
     no_delay: bool = False
     """Leave the instrument delay."""
     delay_search: Annotated[tuple[SignedM, SignedM] | None, Arg(metavar="LOW HIGH")] = None
-    """Change of the delay that is searched, on the two-way path [m]; -0.03 0.03 when not given, and
-    -0.3 1.0 where none was recorded and the box is no cuboid."""
+    """Change of the delay that is searched, on the two-way path [m]; -0.048 0.048 when not given,
+    and any delay of 0 to 0.6 where none was recorded and the box is no cuboid."""
     no_frame: bool = False
     """Leave the box where it is."""
     channels: Annotated[ChannelCount | None, Arg(metavar="N")] = None

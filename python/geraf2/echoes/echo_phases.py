@@ -43,7 +43,7 @@ class EchoPhases:
 
 
 def collect_phases(
-    capture: Capture, peaks: PeakSet, *, size_m: float = 0.08, n_echoes: int = 60
+    capture: Capture, peaks: PeakSet, *, size_m: float, n_echoes: int
 ) -> list[EchoPhases]:
     """Strong echoes of the planes at each antenna.
 
