@@ -63,9 +63,8 @@ _MAX_OUTSIDE = 0.3
 _COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
-# Least number of sub-apertures with walls that are no cuboid's, and least share of those with its
-# walls: four overlap, and four count.
-_MIN_BESIDE, _BESIDE_SHARE = 16, 0.5
+# Least number of sub-apertures with walls that are no cuboid's: four overlap, and four count.
+_MIN_BESIDE = 16
 # Standard deviation of a yaw of which nothing is known: uniform over a quarter turn [rad].
 _ANY_YAW_RAD = 0.5 * np.pi / np.sqrt(12.0)
 MIN_CONTENT = 0.02
@@ -149,13 +148,9 @@ def _find(seen: "_SeenWalls", like: Floats | None) -> FoundBox:
     contradicted = list[tuple[FoundBox, WallsNotFoundError]]()
     for start, corrected in seen.boxes(like):
         try:
-            box = _finished(seen.capture, start, corrected)
+            return _finished(seen.capture, start, corrected)
         except WallsNotFoundError as error:
             contradicted.append((start, error))
-            continue
-        if not (box.seen[:2] == Seen.SQUARELY).any(axis=1).all():
-            _require_cuboid(seen.flashes, box.normals.reshape(6, 3))
-        return box
     likeliest, reason = contradicted[0]
     _require_cuboid(seen.flashes, likeliest.normals.reshape(6, 3))
     raise reason
@@ -164,7 +159,7 @@ def _find(seen: "_SeenWalls", like: Floats | None) -> FoundBox:
 def _require_cuboid(flashes: Flashes, sides: Floats) -> None:
     """Raise NoCuboidError where walls stand beside a cuboid's sides. sides: normals, (n, 3)."""
     along, beside = flashes.walls_beside(sides)
-    if beside >= max(_MIN_BESIDE, _BESIDE_SHARE * along):
+    if beside >= max(_MIN_BESIDE, along):
         raise NoCuboidError
 
 

@@ -191,7 +191,7 @@ class NoCuboidError(NoBoxError):
         super().__init__(
             what="the walls of the box fit no cuboid",
             expected="four upright walls at right angles",
-            got="echoes of walls in other directions, as of a tube or of a box with skewed corners",
+            got="echoes of walls in other directions, as of a tube",
             hint="give the outside of the box with --los MESH, or --box X Y Z if it is a cuboid",
         )
 
