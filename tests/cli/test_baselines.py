@@ -14,9 +14,9 @@ from helpers.small_scene import BOX
 
 UNCHECKED = ["--calibrate", "no", "--trust-los", "--no-report"]
 COARSE = {
-    "matched-filter": "--matched-filter.spacing-m 0.006",
-    "back-projection": "--back-projection.spacing-m 0.006",
-    "normal-field": "--normal-field.spacing-m 0.006 --normal-field.level.n-levels 3 "
+    "matched-filter": "--matched-filter.spacing-m 0.01",
+    "back-projection": "--back-projection.spacing-m 0.01",
+    "normal-field": "--normal-field.spacing-m 0.01 --normal-field.level.n-levels 3 "
     "--normal-field.level.n-planes 1 --normal-field.level.n-points 2000",
 }
 

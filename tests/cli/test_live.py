@@ -7,15 +7,24 @@ import pytest
 
 import geraf2
 from geraf2 import examples
+from geraf2.apps.live import session
 from geraf2.cli.main import main
 from geraf2.io.growing_scene import GrowingScene
 from geraf2.io.mesh import write_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.io.verdict import Trust
 from geraf2.scene.store import manifest_of
+from geraf2.surfaces import FitConfig
 from helpers.run_folders import VERDICTS
 
 BOX = ["--box", *map(str, examples.BOX_M), "--preset", "fast"]
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Surfaces of cells of 1 cm: the command has no flag for them."""
+    fast = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    monkeypatch.setattr(session, "preset_type", lambda _: lambda: fast)
 
 
 @pytest.fixture

@@ -194,9 +194,9 @@ def test_a_killed_session_continues_from_its_last_plane(capture, whole, tmp_path
 
 
 def test_samples_are_on_disk_not_in_memory(capture):
-    """A plane of 100 MB, of which a part is kept only while it is used."""
+    """A plane of 50 MB, of which a part is kept only while it is used."""
     pose = capture.poses[0]
-    n_samples = 32_000
+    n_samples = 16_000
     signal = np.tile(pose.signal, (1, n_samples // pose.signal.shape[1]))
     waveform = replace(capture.waveform, n_samples=n_samples, sample_rate_hz=1e9)
     with geraf2.Session(waveform, examples.BOX_M, COARSE) as session:
