@@ -37,7 +37,7 @@ GOOD = (
     "import mmnorm norm.npz out",
     "import planar planar out",
     "los box.ply out --unit m",
-    "plan --box 0.2 0.2 0.2",
+    "plan --box 0.2 0.2 0.2 --elevations-deg 0",
     "plan --depth 0.3",
     "image scene out --every 4 --spacing-m 0.02",
 )
