@@ -53,8 +53,7 @@ def test_every_command_has_help_and_rejects_unknown_flags(name, capsys):
     shown = capsys.readouterr().out
     assert f"geraf2 {name}" in shown
     assert not re.search(r"^ {4}\S", shown, re.MULTILINE)  # indented as in the source
-    words = COMMANDS[name].usage.replace("[", "").replace("]", "").split()
-    assert main([name, *words, "--no-such-flag"]) == 2
+    assert main([name, "--no-such-flag"]) == 2
     assert capsys.readouterr().err != ""
 
 

@@ -13,7 +13,6 @@ class Command:
 
     module: str
     summary: str
-    usage: str
     after_stop: str = "every file is whole, the same command starts over"
     """State of its output when it is interrupted, or when the disk is full."""
 
@@ -21,55 +20,31 @@ class Command:
 _CONTINUES = "every file is whole, the same command continues"
 
 COMMANDS = {
-    "demo": Command("demo", "simulate a carton, reconstruct it, write a report", "[OUT]"),
-    "import": Command(
-        "import_scene", "turn a capture of another format into a scene", "FORMAT SRC SCENE"
-    ),
-    "info": Command("info", "what is in a scene, recording, bag or run, and what is odd", "SCENE"),
-    "plan": Command(
-        "plan", "spacing, planes, time and coverage of a scan to be made", "--box X Y Z"
-    ),
-    "simulate": Command("simulate", "physical-optics capture of an object in boxes", "SPEC OUT"),
-    "calibrate": Command(
-        "calibrate", "delay, phases, frame, positions from the scan itself", "SCENE [OUT]"
-    ),
-    "los": Command(
-        "los",
-        "outside of the box from photos, a mesh or its sides",
-        "PHOTOS|MESH|XxYxZ OUT",
-        _CONTINUES,
-    ),
-    "image": Command("image", "matched-filter volume of a scene", "SCENE OUT"),
+    "demo": Command("demo", "simulate a carton, reconstruct it, write a report"),
+    "import": Command("import_scene", "turn a capture of another format into a scene"),
+    "info": Command("info", "what is in a scene, recording, bag or run, and what is odd"),
+    "plan": Command("plan", "spacing, planes, time and coverage of a scan to be made"),
+    "simulate": Command("simulate", "physical-optics capture of an object in boxes"),
+    "calibrate": Command("calibrate", "delay, phases, frame, positions from the scan itself"),
+    "los": Command("los", "outside of the box from photos, a mesh or its sides", _CONTINUES),
+    "image": Command("image", "matched-filter volume of a scene"),
     "reconstruct": Command(
         "reconstruct",
         "surface of what is hidden in the box",
-        "SCENE [OUT]",
         "OUT is as it was; a training continues with --resume",
     ),
-    "live": Command(
-        "live", "surface while the scan is made, plane by plane", "SOURCE [OUT]", _CONTINUES
-    ),
-    "render": Command("render", "heat maps of planes from a run, with PSNR", "RUN", _CONTINUES),
-    "evaluate": Command("evaluate", "distance of a run to the truth", "OUT --truth MESH"),
-    "inspect": Command(
-        "inspect", "parts, sizes, CAD models: the right part, and whole", "OUT [--cad FILES]"
-    ),
-    "compare": Command(
-        "compare", "what appeared, vanished or moved since other runs", "RUN REFERENCE..."
-    ),
-    "export": Command("export", "surface or glints of a run as one file", "OUT FILE"),
-    "view": Command("view", "a run or a scene in 3D in a browser", "OUT|SCENE"),
-    "verify": Command("verify", "is every file of a run or scene as it was written", "OUT"),
-    "batch": Command(
-        "batch", "reconstruct many scenes on many processes", "SCENES... OUT", _CONTINUES
-    ),
-    "belt": Command(
-        "belt", "parcels on a belt, each reconstructed on a worker", "STREAM OUT", _CONTINUES
-    ),
-    "benchmark": Command(
-        "benchmark", "tables of methods over simulated scenes", "OUT [--quick]", _CONTINUES
-    ),
-    "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders", ""),
+    "live": Command("live", "surface while the scan is made, plane by plane", _CONTINUES),
+    "render": Command("render", "heat maps of planes from a run, with PSNR", _CONTINUES),
+    "evaluate": Command("evaluate", "distance of a run to the truth"),
+    "inspect": Command("inspect", "parts, sizes, CAD models: the right part, and whole"),
+    "compare": Command("compare", "what appeared, vanished or moved since other runs"),
+    "export": Command("export", "surface or glints of a run as one file"),
+    "view": Command("view", "a run or a scene in 3D in a browser"),
+    "verify": Command("verify", "is every file of a run or scene as it was written"),
+    "batch": Command("batch", "reconstruct many scenes on many processes", _CONTINUES),
+    "belt": Command("belt", "parcels on a belt, each reconstructed on a worker", _CONTINUES),
+    "benchmark": Command("benchmark", "tables of methods over simulated scenes", _CONTINUES),
+    "doctor": Command("doctor", "versions, CPU, threads, kernels, writable folders"),
 }
 
 ESTIMATED = ("demo", "simulate", "image", "reconstruct", "render")
