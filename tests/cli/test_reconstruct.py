@@ -72,6 +72,8 @@ def test_the_offset_that_calibration_leaves_open_is_part_of_every_sample(finishe
         assert found.common_sigma_m == pytest.approx(1e-3 * sigma_mm)
         spreads.append(found.displacements_m.mean(axis=1).std())
     assert spreads[1] > spreads[0] + 2e-3
+    with pytest.raises(UserError, match="samples must be at least 2"):
+        load_run(finished_run).samples(1)
 
 
 @pytest.mark.parametrize(
