@@ -9,7 +9,7 @@ from geraf2.baselines import BackProjectionConfig
 from geraf2.baselines.back_projection import back_projection_cloud
 from geraf2.baselines.heat import counted_voxels, grid_inside
 from geraf2.baselines.level import LevelConfig, best_level
-from geraf2.baselines.matched_filter_surface import plane_normals
+from geraf2.baselines.matched_filter_surface import plane_normals, sum_heat
 from geraf2.baselines.normal_field import antenna_votes
 from geraf2.baselines.poisson import poisson_surface, solve_gradient
 from geraf2.errors import UserError
@@ -91,6 +91,13 @@ def test_plane_normals_of_a_sheet_point_as_given():
     assert np.allclose(normals, [0.0, 0.0, -1.0], atol=1e-6)
     lonely = plane_normals(np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), toward[:2], 0.006)
     assert np.allclose(lonely, toward[:2])
+
+
+def test_heat_is_largest_at_the_point(capture):
+    grid = Grid.cube(tuple(TARGET), 0.02, 11)
+    total = sum_heat(capture, grid)
+    assert np.unravel_index(total.heat.argmax(), grid.shape) == (5, 5, 5)
+    assert (total.strongest == 0).all()
 
 
 def test_votes_equal_the_sum_over_antennas(capture):

@@ -6,6 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import (
+    apply_rigid,
+    inverse_rigid,
     require_rigid,
     rigid,
     rotation_of_quaternion,
@@ -13,6 +15,12 @@ from geraf2.geometry.transforms import (
 
 TURN = Rotation.from_rotvec([0.3, -0.8, 1.1]).as_matrix()
 SHIFT = np.array([0.1, -0.2, 0.3])
+
+
+def test_the_inverse_brings_points_back():
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    moved = apply_rigid(rigid(TURN, SHIFT), points)
+    np.testing.assert_allclose(apply_rigid(inverse_rigid(TURN, SHIFT), moved), points, atol=1e-14)
 
 
 def test_a_quaternion_equals_its_axis_and_angle():

@@ -16,6 +16,7 @@ from geraf2.geometry.triangles import (
     six_fold_volumes,
     split_triangles,
     unit_normals,
+    used_vertices,
     vertex_areas,
     vertex_normals,
     volume_centroid_m,
@@ -150,3 +151,10 @@ def test_closed_edges_equals_a_plain_count(faces):
     np.testing.assert_array_equal(closed_edges(faces), np.array(want, dtype=bool))
     assert count_open_edges(faces) == want.count(False)
     assert len(directed_edges(faces)) == 3 * len(faces)
+
+
+def test_used_vertices_are_renumbered_in_their_order():
+    used, faces = used_vertices(np.array([[7, 2, 9], [2, 7, 4]]))
+    assert used.tolist() == [2, 4, 7, 9]
+    assert faces.tolist() == [[2, 0, 3], [0, 2, 1]]
+    assert [array.size for array in used_vertices(NO_FACES)] == [0, 0]
