@@ -168,7 +168,7 @@ def _of_one_ring(plan: TimedPlan, tilt_deg: float) -> str:
     """Say what a ring around the box sees in the time of a plan, and what it misses."""
     misses = f"nothing that tilts by more than {tilt_deg:.0f} degrees, such as a top"
     if plan.design.n_around == plan.design.n_planes:
-        return f"this plan is one, and sees {misses}; --max-elevation-deg allows higher planes"
+        return f"this plan is one, and sees {misses}; more --minutes allow raised planes"
     share = f"{100 * plan.ring_share:.0f} %"
     return f"of {plan.design.n_planes} planes in the same time sees {share}: {misses}"
 

@@ -63,7 +63,13 @@ def test_what_is_chosen_fits_and_more_time_is_no_worse():
         assert len(plan.scan.planes) == plan.design.n_planes == len(rectangles)
     reached = [plan.expected.f1_5mm for plan in plans]
     assert reached == sorted(reached)
-    assert best(5, max_elevation_deg=0.0).expected.f1_5mm < reached[-1]
+
+
+def test_planes_are_raised_where_they_see_a_tenth_more_than_one_ring():
+    few, many = best(2), best(10)
+    assert few.design.n_raised == few.design.above == 0
+    assert many.seen_share > 1.1 * many.ring_share
+    assert best(10, max_elevation_deg=0.0).expected.f1_5mm < many.expected.f1_5mm
 
 
 def test_more_seen_is_better_and_sides_that_none_sees_are_worse():
