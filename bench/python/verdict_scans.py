@@ -21,13 +21,14 @@ import numpy as np
 from trimesh.creation import box as cuboid
 from trimesh.creation import icosphere
 
+from geraf2.geometry.transforms import triple
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.container import TRUTH_NAME
 from geraf2.io.manifest import DELAY_KEY, DELAY_NOT_KNOWN
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.io.toml import from_table
 from geraf2.scene import Capture, Pose, Wall, load_capture, save_capture
-from geraf2.simulation import SceneSpec, WorldSpec, simulate
+from geraf2.simulation import FigureSpec, SceneSpec, WorldSpec, simulate
 from geraf2.simulation.ordinary import DECIDING_SEED, N_EACH, N_WAYS, OBJECTS, draw_ordinary
 from geraf2.simulation.population import draw_scene, limit_to_budget
 from geraf2.simulation.population_settings import POPULATION
@@ -35,7 +36,9 @@ from geraf2.simulation.solids import build_solid
 
 SETS = {"estimate": 300, "decide": 30000}
 """First seed of each set's random scans."""
-N_ORDINARY, N_RANDOM, N_BAD = 16, 10, 6
+N_ORDINARY, N_RANDOM, N_BAD, N_EDITED = 16, 10, 6, 12
+FEW = ("height", "plastic", "hard", "saturated")
+"""Kinds with N_BAD scans: they cost more, or all end alike; the others have N_EDITED."""
 BUDGET_S, WAVES_BUDGET_S = 25.0, 60.0
 WITH_FLASH, WITH_ERRORS_AND_FLASH, RAISED_WITH_FLASH = 2, 3, 6
 """Ways to scan an ordinary object."""
@@ -128,7 +131,7 @@ def out_of_height(seed: int, number: int, out: Path) -> Any:
 def plastic(seed: int, number: int, out: Path) -> Any:
     """A solid object of plastic: an ordinary one, a ball of 16 to 50 mm, or a slab of 2 cm."""
     drawn, rng = draw_ordinary(seed), np.random.default_rng(seed)
-    body, own = BODIES[number % 3], drawn.spec.figure
+    body, own, wall = BODIES[number % 3], drawn.spec.figure, drawn.spec.walls[0]
     if body != "object":
         height_m = rng.uniform(0.016, 0.05) if body == "ball" else rng.uniform(0.08, 0.11)
         mesh = icosphere(subdivisions=5) if body == "ball" else cuboid((0.02, 0.08, height_m))
@@ -136,8 +139,11 @@ def plastic(seed: int, number: int, out: Path) -> Any:
         path.parent.mkdir(exist_ok=True)
         solid = TriangleMesh(vertices=np.asarray(mesh.vertices), faces=np.asarray(mesh.faces))
         write_mesh(solid, path, frame="object", made_from={})
-        own = replace(own, name=None, mesh=str(path), up="+z", height_m=height_m)
-    spec = within_budget(replace(drawn.spec, figure=own, world=PLASTIC))
+        middle = (0.0, 0.0, 0.0)
+        own = FigureSpec(mesh=str(path), height_m=height_m, turn_deg=own.turn_deg, center_m=middle)
+        least = np.ptp(build_solid(own).vertices, axis=0) + 2.0 * POPULATION.clearance_m[1]
+        wall = replace(wall, size_m=triple(np.maximum(wall.size_m, least)))
+    spec = within_budget(replace(drawn.spec, figure=own, walls=(wall,), world=PLASTIC))
     about = {"object": drawn.record["object"] if body == "object" else body}
     return simulated(spec, seed, about, walls=number % 2 == 0)
 
@@ -155,7 +161,7 @@ Edited = tuple[Capture, dict[str, Any]]
 def take_few(capture: Capture, rng: np.random.Generator, number: int, about: Any) -> Edited:
     """Two to four neighbouring planes of the lower ring."""
     level = [i for i, pose in enumerate(capture.poses) if abs(pose.axes[0, 2]) < 1e-6]
-    n, first = (2, 3, 2, 4, 2, 3)[number], int(rng.integers(len(level)))
+    n, first = (2, 3, 2, 4, 2, 3)[number % 6], int(rng.integers(len(level)))
     used = [level[(first + i) % len(level)] for i in range(n)]
     return replace(capture, poses=tuple(capture.poses[i] for i in used)), {"planes": used}
 
@@ -284,7 +290,7 @@ def scans_of(of_set: str) -> list[Scan]:
     good = [[s.name for s in scans if s.kind == kind] for kind in ("ordinary", "random")]
     for at, kind in enumerate(["height", "plastic", "hard", *EDITS]):
         label = kind.replace(", ", "-").replace(" ", "-")
-        for number in range(N_BAD):
+        for number in range(N_BAD if kind in FEW else N_EDITED):
             seed, cause, base = first + 1000 * (at + 1) + number, kind, ""
             if kind == "height":
                 seed, of = ordinary_seed(
@@ -301,8 +307,8 @@ def scans_of(of_set: str) -> list[Scan]:
             elif kind == "hard":
                 make, name = partial(hard, seed, number), f"{label}-{seed}"
             else:
-                pool = good[number >= N_BAD - 2]
-                base = pool[(3 * at + 2 * number) % len(pool)]
+                pool = good[number % 6 > 3]
+                base = pool[(3 * at + 2 * number + number // 6) % len(pool)]
                 if kind == "saturated":
                     base = with_leakage[number]
                 name, cause = f"{label}-{base}-{number}", EDITS[kind][0]

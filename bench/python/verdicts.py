@@ -9,7 +9,8 @@
 `--runs` names, and appends a row to rows.jsonl there; it continues after a stop. `table` prints
 what is asked of the verdict, with Wilson intervals of 90 %. A run that stops with an error counts
 as not to be trusted, and its text as the cause. `fit` prints the log odds of a failure, of maximum
-likelihood over the runs that were judged, by the evidence that their verdicts hold.
+likelihood over the runs that were judged, by the evidence that their verdicts hold; without those
+in the other sense, which may be mirror images.
 """
 
 import argparse
@@ -73,6 +74,7 @@ def run_one(out: Path, about: dict[str, Any], to: Path, preset: str) -> dict[str
     row = {"cpu_s": cpu_s, "warnings": result.run.warnings, "box": numbers.get("box", {})}
     mesh = {name: v for name, v in numbers["mesh"].items() if name != "likely_ghosts"}
     row |= {"mesh": mesh, "verdict": numbers.get("verdict", {})}
+    row["reversed_turn"] = numbers.get("calibration", {}).get("reversed_turn", 0)
     if not len(result.content_mesh.faces):
         return row | {"f1": 0.0}
     if result.verdict is not None and result.content_mesh.expected_error_m is not None:
@@ -185,6 +187,7 @@ def print_probabilities(rows: list[dict[str, Any]]) -> None:
 
 def fit(runs: Path, preset: str) -> None:
     rows = [row for row in read_rows(runs, preset) if row.get("verdict")]
+    rows = [row for row in rows if not row["reversed_turn"]]
     names = list(rows[0]["verdict"]["tests"]["evidence"])
     evidence = [[r["verdict"]["tests"]["evidence"][name] for name in names] for r in rows]
     inputs = np.column_stack([np.ones(len(rows)), np.array(evidence)])

@@ -14,6 +14,7 @@ from scipy.special import expit
 
 from geraf2.echoes import Glints
 from geraf2.echoes.radius import modal_radius_m
+from geraf2.errors import UserError
 from geraf2.freespace.coverage import scan_coverage
 from geraf2.io.mesh import TriangleMesh, read_mesh
 from geraf2.io.run_folder import CONTENT_NAME, GLINTS_NAME
@@ -185,8 +186,8 @@ class RunTests:
 
     def _causes(self) -> Iterator[Cause]:
         """Yield what explains a failure: what a test shows first, then what is low in general."""
-        yield from self._of_planes()
-        # A wrong delay leaves the planes in agreement.
+        yield from _of_planes(self.planes, is_turned=self.is_turned)
+        # A wrong delay and plastic leave the planes in agreement.
         agrees = self.planes.recorded.share > _LOW_AGREEMENT
         is_odd = agrees and delay_log_odds(self.radius_m) > 0.0
         if self.walls.is_wrong:
@@ -195,44 +196,11 @@ class RunTests:
             yield self._delayed()
         if self.saturation > MAX_SATURATED:
             yield self._saturated()
-        if self.plastic or (is_odd and self.walls.is_right):
+        if agrees and (self.plastic or (is_odd and self.walls.is_right)):
             yield self._plastic()
         yield from self._of_coverage()
-        if 0.0 < self.planes.recorded.share < _LOW_AGREEMENT:
-            yield self._disagreeing()
+        yield from _disagreeing(self.planes)
         yield self._uncertain()
-
-    def _of_planes(self) -> Iterator[Cause]:
-        planes = self.planes
-        if self.is_turned:
-            yield Cause(
-                "sense",
-                "the planes agree only with the turntable in the other sense, which was taken; if "
-                "the horizontal axes of the planes are reversed instead, this is the mirror image",
-                "state --reverse-turn if the turntable ran the other way, else reverse the "
-                "horizontal positions within each plane",
-            )
-        elif planes.reversed_turn.sigmas > DOUBTFUL_SIGMAS:
-            yield Cause(
-                "sense",
-                "the planes agree better in the other sense of the turntable, or with the "
-                "horizontal axes of the planes reversed",
-                "reconstruct with --reverse-turn, or reverse the horizontal positions within "
-                "each plane",
-            )
-        if planes.upside_down.sigmas > DOUBTFUL_SIGMAS:
-            yield Cause(
-                "axes",
-                "the planes agree better with their vertical axes reversed",
-                "reverse the vertical positions within each plane",
-            )
-        if planes.exchanged:
-            pairs = ", ".join(f"{a} and {b}" for a, b in planes.exchanged)
-            yield Cause(
-                "swapped",
-                f"planes agree with the others only in each other's places: {pairs}",
-                "exchange their recordings, or leave these planes out",
-            )
 
     def _of_coverage(self) -> Iterator[Cause]:
         """Yield what the planes cannot see: content out of their height, and few planes."""
@@ -244,14 +212,6 @@ class RunTests:
                 yield Cause("height", finding.message, finding.action)
         for finding in findings[len(coverage.blind) :]:
             yield Cause("few planes", finding.message, finding.action)
-
-    def _disagreeing(self) -> Cause:
-        return Cause(
-            "planes",
-            f"only {100.0 * self.planes.recorded.share:.0f} % of neighbouring echoes of different "
-            "planes lie on a common surface; a sound scan has 20 to 60 %",
-            "check the order of the planes, their angles, and the unit of their positions",
-        )
 
     def _uncertain(self) -> Cause:
         return Cause(
@@ -297,6 +257,55 @@ class RunTests:
             f"{seen}: the content is plastic, whose shape and size are not determined",
             "use the position of the content, not its shape",
         )
+
+
+def _of_planes(planes: PlaneCheck, *, is_turned: bool = False) -> Iterator[Cause]:
+    if is_turned:
+        yield Cause(
+            "sense",
+            "the planes agree only with the turntable in the other sense, which was taken; if "
+            "the horizontal axes of the planes are reversed instead, this is the mirror image",
+            "state --reverse-turn if the turntable ran the other way, else reverse the "
+            "horizontal positions within each plane",
+        )
+    elif planes.reversed_turn.sigmas > DOUBTFUL_SIGMAS:
+        yield Cause(
+            "sense",
+            "the planes agree better in the other sense of the turntable, or with the "
+            "horizontal axes of the planes reversed",
+            "reconstruct with --reverse-turn, or reverse the horizontal positions within "
+            "each plane",
+        )
+    if planes.upside_down.sigmas > DOUBTFUL_SIGMAS:
+        yield Cause(
+            "axes",
+            "the planes agree better with their vertical axes reversed",
+            "reverse the vertical positions within each plane",
+        )
+    if planes.exchanged:
+        pairs = ", ".join(f"{a} and {b}" for a, b in planes.exchanged)
+        yield Cause(
+            "swapped",
+            f"planes agree with the others only in each other's places: {pairs}",
+            "exchange their recordings, or leave these planes out",
+        )
+
+
+def _disagreeing(planes: PlaneCheck) -> Iterator[Cause]:
+    if 0.0 < planes.recorded.share < _LOW_AGREEMENT:
+        yield Cause(
+            "planes",
+            f"only {100.0 * planes.recorded.share:.0f} % of neighbouring echoes of different "
+            "planes lie on a common surface; a sound scan has 20 to 60 %",
+            "check the order of the planes, their angles, and the unit of their positions",
+        )
+
+
+def with_cause(error: UserError, planes: PlaneCheck) -> UserError:
+    """Error of a run that ended before its surface, with what the planes show, if anything."""
+    for cause in (*_of_planes(planes), *_disagreeing(planes)):
+        return UserError(str(error), hint=f"{cause.text}: {cause.action}")
+    return error
 
 
 def delay_log_odds(radius_m: float | None) -> float:

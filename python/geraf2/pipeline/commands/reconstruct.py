@@ -46,7 +46,7 @@ from geraf2.pipeline.box_check import (
 )
 from geraf2.pipeline.estimates import require_reconstructable
 from geraf2.pipeline.events import Listener
-from geraf2.pipeline.plane_check import is_turn_reversed
+from geraf2.pipeline.plane_check import check_planes, is_turn_reversed
 from geraf2.pipeline.planes import keep_planes, planes_at
 from geraf2.pipeline.presets import PresetConfig, is_trained, preset_type, run_preset, versions_of
 from geraf2.pipeline.prior import PriorSource, add_walls, save_prior
@@ -58,7 +58,7 @@ from geraf2.pipeline.sign_check import explain_sign_errors, require_sign
 from geraf2.pipeline.stages.calibration import calibrate_job
 from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
 from geraf2.pipeline.surface_samples import require_samples
-from geraf2.pipeline.verdict import judge
+from geraf2.pipeline.verdict import judge, with_cause
 from geraf2.scene import Capture, LosPrior, load_capture
 from geraf2.scene.aperture import Aperture
 from geraf2.scene.checks import Finding, require_plausible
@@ -226,6 +226,8 @@ class Request:
             seen = capture if found is None else found.capture
             if peaks is not None and is_turn_reversed(seen, peaks.of(seen)):
                 return cls._check(with_turn_reversed(capture), *others).reversed()
+            if failure is not None and peaks is not None:
+                failure = with_cause(failure, check_planes(seen, peaks.of(seen)))
             found = None if found is None else replace(found, peaks=peaks)
         if found is None:
             raise failure or AssertionError
