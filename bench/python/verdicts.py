@@ -4,13 +4,15 @@
     python bench/python/verdicts.py run DIR [--preset fast] [--only KIND...]
     python bench/python/verdicts.py table DIR
     python bench/python/verdicts.py fit DIR
+    python bench/python/verdicts.py cross DIR
 
 `run` reconstructs each scan of a set without `--box` into DIR/runs, or into the folder that
 `--runs` names, and appends a row to rows.jsonl there; it continues after a stop. `table` prints
 what is asked of the verdict, with Wilson intervals of 90 %. A run that stops with an error counts
 as not to be trusted, and its text as the cause. `fit` prints the log odds of a failure, of maximum
 likelihood over the runs that were judged, by the evidence that their verdicts hold; without those
-in the other sense, which may be mirror images.
+in the other sense, which may be mirror images. `cross` judges the scans of each object by weights
+of all others.
 """
 
 import argparse
@@ -23,10 +25,12 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.special import expit
 
 import geraf2
 from geraf2.evaluation import evaluate_mesh
 from geraf2.io.mesh import read_mesh
+from geraf2.pipeline.verdict import DOUBTFUL, FAILED
 from geraf2.surfaces.stated_score import FAILED_BELOW, stated_f1
 
 WORDS = {
@@ -74,6 +78,7 @@ def run_one(out: Path, about: dict[str, Any], to: Path, preset: str) -> dict[str
     row = {"cpu_s": cpu_s, "warnings": result.run.warnings, "box": numbers.get("box", {})}
     mesh = {name: v for name, v in numbers["mesh"].items() if name != "likely_ghosts"}
     row |= {"mesh": mesh, "verdict": numbers.get("verdict", {})}
+    row["object"] = about.get("object") or about.get("base") or about["name"]
     row["reversed_turn"] = numbers.get("calibration", {}).get("reversed_turn", 0)
     if not len(result.content_mesh.faces):
         return row | {"f1": 0.0}
@@ -135,7 +140,6 @@ def read_rows(runs: Path, preset: str) -> list[dict[str, Any]]:
 
 def table(runs: Path, preset: str) -> None:
     rows = read_rows(runs, preset)
-    bad = [row for row in rows if row["f1"] < FAILED_BELOW and row["cause"]]
     good = [row for row in rows if row["f1"] > GOOD_F1]
     print("| kind | scans | stopped | F1, least to most | bad: so called | good: so called |")
     print("|---|---|---|---|---|---|")
@@ -151,6 +155,14 @@ def table(runs: Path, preset: str) -> None:
             f"| {kind} | {len(own)} | {stopped} | {np.mean(f1):.3f}, {min(f1):.3f} to "
             f"{max(f1):.3f} | {' | '.join(counts)} |"
         )
+    print_shares(rows)
+    print(f"CPU seconds of a run: {np.mean([row['cpu_s'] for row in rows]):.1f}")
+
+
+def print_shares(rows: list[dict[str, Any]]) -> None:
+    """What is asked of the verdict."""
+    bad = [row for row in rows if row["f1"] < FAILED_BELOW and row["cause"]]
+    good = [row for row in rows if row["f1"] > GOOD_F1]
     said = [row for row in bad if row["said"] == NOT_TRUSTED]
     stated = [row for row in rows if "f1_90_percent" in (row.get("verdict") or {})]
     sure = [row for row in rows if row["said"] == "reliable" and "within_two" in row]
@@ -165,7 +177,6 @@ def table(runs: Path, preset: str) -> None:
     if sure:
         print(f"within two sigma, reliable scans: {np.mean([r['within_two'] for r in sure]):.3f}")
     print_probabilities(rows)
-    print(f"CPU seconds of a run: {np.mean([row['cpu_s'] for row in rows]):.1f}")
 
 
 def holds_f1(row: dict[str, Any]) -> bool:
@@ -185,23 +196,46 @@ def print_probabilities(rows: list[dict[str, Any]]) -> None:
         print(f"failed where {low:.2f} to {to:.2f} is stated: {wilson(sum(here), len(here))}")
 
 
-def fit(runs: Path, preset: str) -> None:
-    rows = [row for row in read_rows(runs, preset) if row.get("verdict")]
+def evidence_of(rows: list[dict[str, Any]]) -> np.ndarray:
+    """One and the evidence of each judged run, (n_rows, 8)."""
+    return np.array([[1.0, *row["verdict"]["tests"]["evidence"].values()] for row in rows])
+
+
+def weights_of(rows: list[dict[str, Any]]) -> tuple[np.ndarray, float]:
+    """Log odds and weights of maximum likelihood, and the log loss of a run."""
     rows = [row for row in rows if not row["reversed_turn"]]
-    names = list(rows[0]["verdict"]["tests"]["evidence"])
-    evidence = [[r["verdict"]["tests"]["evidence"][name] for name in names] for r in rows]
-    inputs = np.column_stack([np.ones(len(rows)), np.array(evidence)])
+    inputs = evidence_of(rows)
     failed = np.array([row["f1"] < FAILED_BELOW for row in rows])
 
     def loss(weights: np.ndarray) -> float:
         odds = inputs @ weights
         return float(np.logaddexp(0.0, np.where(failed, -odds, odds)).sum())
 
-    limits = [(None, None)] + [(0.0, None)] * len(names)  # evidence never speaks for a scan
+    limits = [(None, None)] + [(0.0, None)] * (inputs.shape[1] - 1)  # none speaks for a scan
     weights = minimize(loss, np.zeros(len(limits)), bounds=limits).x
-    print(f"{len(rows)} runs, {failed.sum()} failed, log loss {loss(weights) / len(rows):.3f}")
-    for name, weight in zip(("log odds", *names), weights, strict=True):
+    return weights, loss(weights) / len(rows)
+
+
+def fit(runs: Path, preset: str) -> None:
+    rows = [row for row in read_rows(runs, preset) if row.get("verdict")]
+    weights, loss = weights_of(rows)
+    print(f"{len(rows)} runs, log loss of those in the recorded sense {loss:.3f}")
+    names = ("log odds", *rows[0]["verdict"]["tests"]["evidence"])
+    for name, weight in zip(names, weights, strict=True):
         print(f"  {name:14s} {weight:6.2f}")
+
+
+def cross(runs: Path, preset: str) -> None:
+    rows = read_rows(runs, preset)
+    judged = [row for row in rows if row.get("verdict")]
+    for own in {row["object"] for row in judged}:
+        weights, _ = weights_of([row for row in judged if row["object"] != own])
+        for row in (row for row in judged if row["object"] == own):
+            failure = float(expit(evidence_of([row]) @ weights)[0])
+            row["verdict"]["probability_of_failure"] = failure
+            sure = failure >= FAILED or row["reversed_turn"]
+            row["said"] = NOT_TRUSTED if sure else "doubtful" if failure >= DOUBTFUL else "reliable"
+    print_shares(rows)
 
 
 def main() -> None:
@@ -209,8 +243,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     what = parser.add_subparsers(dest="what", required=True)
-    ran, shown, fitted = (what.add_parser(name) for name in ("run", "table", "fit"))
-    for own in (ran, shown, fitted):
+    ran, *others = (what.add_parser(name) for name in ("run", "table", "fit", "cross"))
+    for own in (ran, *others):
         own.add_argument("set", type=Path, help="folder of a set")
         own.add_argument("--preset", default="fast")
         own.add_argument("--runs", type=Path, help="folder of the runs; SET/runs by default")
@@ -219,7 +253,7 @@ def main() -> None:
     given = parser.parse_args()
     runs = given.runs or given.set / "runs"
     if given.what != "run":
-        (table if given.what == "table" else fit)(runs, given.preset)
+        {"table": table, "fit": fit, "cross": cross}[given.what](runs, given.preset)
         return
     logging.getLogger("geraf2").setLevel(logging.CRITICAL)  # rows hold the warnings
     run(given.set, runs, given.preset, given.only, again=given.again)

@@ -40,7 +40,7 @@ _WEIGHTS: Mapping[str, float] = {
     "delay": 0.44,
     "plastic": 5.77,
 }
-_DOUBTFUL, _FAILED = 0.15, 0.5
+DOUBTFUL, FAILED = 0.15, 0.5
 """Probabilities of a failure from which a result is doubtful, and not to be trusted."""
 _MIRRORED = 0.5
 """Probability that the horizontal axes of the rasters are reversed, not the turntable's sense."""
@@ -166,8 +166,8 @@ class RunTests:
         if self.is_turned:
             probability = max(probability, _MIRRORED)
         trust = Trust.RELIABLE
-        if probability >= _DOUBTFUL:
-            trust = Trust.DOUBTFUL if probability < _FAILED else Trust.NOT_TO_BE_TRUSTED
+        if probability >= DOUBTFUL:
+            trust = Trust.DOUBTFUL if probability < FAILED else Trust.NOT_TO_BE_TRUSTED
         radius = None if self.radius_m is None else round(1e3 * self.radius_m, 1)
         tests = {name: round(value, 3) for name, value in evidence.items()}
         return Verdict(
