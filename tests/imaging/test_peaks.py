@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from geraf2.calibration.wall_alignment import moved_pose, turntable_axis
 from geraf2.imaging.peaks import KeptPeaks, collect_peaks, grating_lobes
 from geraf2.imaging.subapertures import SubapertureConfig
 from geraf2.scene import LosPrior
@@ -56,10 +56,13 @@ def nearest_of_sub_aperture(first, second):
 
 
 def moved(capture):
-    axis = turntable_axis(capture.poses)
-    shift = np.array([0.002, -0.001])
-    poses = tuple(moved_pose(pose, shift, 0.002, axis) for pose in capture.poses)
-    return replace(capture, poses=poses)
+    turn, poses = Rotation.from_rotvec([0.0, 0.0, 0.002]).as_matrix(), []
+    for pose in capture.poses:
+        shift = 0.002 * pose.axes[0] + 0.001 * pose.axes[1]
+        tx, rx = ((places + shift) @ turn.T for places in (pose.tx_positions, pose.rx_positions))
+        axes = pose.axes @ turn.T
+        poses.append(replace(pose, tx_positions=tx, rx_positions=rx, axes=axes))
+    return replace(capture, poses=tuple(poses))
 
 
 @pytest.mark.parametrize("change", [lambda c: with_bias(c, 0.146), moved])
