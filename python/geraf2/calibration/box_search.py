@@ -16,7 +16,6 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.flashes import (
     ANGLE_SIGMA_RAD,
     MAX_ANGLE_RAD,
-    MAX_OFFSET_M,
     OFFSET_SIGMA_M,
     OVERLAP,
     WallMiddles,
@@ -170,8 +169,8 @@ class Flashes:
             moved = self.offsets_m + shift * OFFSET_STEP_M * np.where(self.far, -1.0, 1.0)
             scaled = np.column_stack(
                 [
-                    self.normals / MAX_ANGLE_RAD,
-                    moved / MAX_OFFSET_M,
+                    self.normals / (2.0 * ANGLE_SIGMA_RAD),
+                    moved / (2.0 * OFFSET_SIGMA_M),
                     self.levels_db / (2.0 * _LEVEL_SIGMA_DB),
                 ]
             )

@@ -27,7 +27,7 @@ from geraf2.calibration.box_search import (
     shifted,
 )
 from geraf2.echoes.flashes import MAX_OFFSET_M, OFFSET_SIGMA_M
-from geraf2.echoes.wall_delay import pair_distance_m
+from geraf2.echoes.wall_delay import PAIR_SHARES, pair_distance_m
 from geraf2.errors import UserError
 from geraf2.scene import LosPrior, Waveform
 
@@ -46,9 +46,6 @@ MAX_PATH_M = 0.6
 _RARE_NATS = float(np.log(100.0))
 # Least count of a wall, and least share of the largest count on its side.
 _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
-# Distances of the two echoes of a wall whose faces cancel at the middle of the band, over those
-# without loss. The null may lie off the middle.
-_PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
 
 
 def shift_penalty(cells: int) -> float:
@@ -86,7 +83,7 @@ class BoxSearch:
         self.second = np.cross(up, self.first)
         self.n_offsets = max(int(reach_m / OFFSET_STEP_M), 2)
         pair_m = pair_distance_m(waveform)
-        shares = [round(share * pair_m / OFFSET_STEP_M) for share in _PAIR_SHARES]
+        shares = [round(share * pair_m / OFFSET_STEP_M) for share in PAIR_SHARES]
         self.pairs = sorted({0, *shares})
         # A pair of echoes lies around the middle of the faces.
         self.unmoved = -round(flashes.loss_shift_m / OFFSET_STEP_M)

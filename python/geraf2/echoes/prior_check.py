@@ -11,8 +11,14 @@ from itertools import chain
 import numpy as np
 
 from geraf2._types import Bools, Floats
-from geraf2.echoes.flashes import WallMiddles, find_flashes
-from geraf2.echoes.wall_delay import pair_distance_m
+from geraf2.echoes.flashes import (
+    MAX_ANGLE_RAD,
+    MAX_OFFSET_M,
+    OFFSET_SIGMA_M,
+    WallMiddles,
+    find_flashes,
+)
+from geraf2.echoes.wall_delay import PAIR_SHARES, pair_distance_m
 from geraf2.echoes.wall_faces import WallFaces
 from geraf2.errors import UserError
 from geraf2.imaging.peaks import PeakSet, grating_lobes
@@ -20,8 +26,6 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.checks import format_mm
 
-# Tolerance of the box's surface [m]: a harmless error of the prior plus that of a strong echo.
-_MARGIN_M = 0.015
 # Largest shares of the echo energy in front of the box, and outside of it, where a turntable or a
 # stand may add to it. Properties of a radar in front of a carton; a box that is right within 10 mm
 # has no such energy.
@@ -29,9 +33,6 @@ _MARGIN_M = 0.015
 # of a wall whose faces cancel.
 _MAX_IN_FRONT = 0.15
 _MAX_OUTSIDE = 0.35
-# Distances of the two echoes of such a wall over those without loss, and largest difference of
-# their directions [rad].
-_PAIR_SHARES, _SAME_RAD = (0.65, 1.1), 0.06
 # Level above side lobes and far clutter, relative to the strongest peak [dB].
 _DYNAMIC_RANGE_DB = 15.0
 
@@ -66,7 +67,7 @@ def locate_echoes(
         )
     scene = MeshScene(prior.vertices, prior.faces, num_threads=num_threads)
     points, energy = strong.points, strong.magnitudes**2
-    near = -scene.signed_distance(points) > -_MARGIN_M
+    near = -scene.signed_distance(points) > -MAX_OFFSET_M
     hit, _ = scene.closest_hit(strong.centers, strong.directions)
     before = np.flatnonzero(~near & (strong.ranges_m < hit) & np.isfinite(hit))
     half_m = _half_pairs_m(strong, pair_distance_m(capture.waveform))[before]
@@ -92,8 +93,9 @@ def _half_pairs_m(peaks: PeakSet, pair_m: float) -> Floats:
     for number in np.unique(peaks.subapertures):
         own = np.flatnonzero(peaks.subapertures == number)
         behind = 0.5 * (peaks.ranges_m[own] - peaks.ranges_m[own, None])
-        apart = (behind > _PAIR_SHARES[0] * pair_m) & (behind < _PAIR_SHARES[1] * pair_m)
-        apart &= peaks.directions[own] @ peaks.directions[own].T > np.cos(_SAME_RAD)
+        apart = behind > PAIR_SHARES[0] * pair_m - OFFSET_SIGMA_M
+        apart &= behind < PAIR_SHARES[-1] * pair_m + OFFSET_SIGMA_M
+        apart &= peaks.directions[own] @ peaks.directions[own].T > np.cos(MAX_ANGLE_RAD)
         half[own] = np.where(apart, behind, 0.0).max(axis=1)
     return half
 

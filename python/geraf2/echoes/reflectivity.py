@@ -13,6 +13,7 @@ import numpy as np
 from geraf2._types import Array, Bools, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.echoes.flashes import WallMiddles, find_flashes
+from geraf2.echoes.wall_delay import MIN_WALL_ECHOES
 from geraf2.echoes.wall_faces import WallFaces
 from geraf2.imaging.peaks import PeakSet
 from geraf2.scene import LosPrior, Wall, Waveform
@@ -22,7 +23,6 @@ LARGEST_TILT_RAD = 0.35
 """Returns farther off a plane's boresight are left out: antennas radiate less there [rad]."""
 _WALL_ROOM_M = 0.025
 """Wall around the foot of a flash, for all of its first Fresnel zone [m]."""
-_MIN_FLASHES = 8
 _FAINTEST = 0.01
 """Least reflection of a wall that is a reference: fainter ones depend on tenths of a millimetre."""
 _THICKNESS_SHARE = 0.02
@@ -176,7 +176,7 @@ def metal_level(
         return None
     middles = WallMiddles.of(tuple(walls), waveform)
     seen = squarely_seen_walls(peaks, windows, faces, middles)
-    if int(seen.sum()) < _MIN_FLASHES:
+    if int(seen.sum()) < MIN_WALL_ECHOES:
         return None
     flat, wave_number = np.zeros((int(seen.sum()), 3, 3)), mid_wave_number(waveform)
     few = Windows(*(column[seen] for column in windows))

@@ -21,6 +21,9 @@ LOSSES_DB = (0.0, 0.45, 0.9)
 _BOARDS_M, _BOARD_INDEX = np.linspace(0.002, 0.007, 201), 1.3
 # Step of the search for a wall's peak, two-way [m].
 _PATH_STEP_M = 1e-4
+PAIR_SHARES = (0.7, 0.8, 0.9, 1.0)
+"""Distances of the two echoes of a wall whose faces cancel, over those without loss where the null
+is at the middle of the band; it may lie off the middle."""
 MIN_WALL_ECHOES = 12
 """Least number of wall echoes of an estimate."""
 
