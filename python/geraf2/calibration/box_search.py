@@ -285,8 +285,6 @@ class RoughFaces:
     """All ranges are longer by it: error of the delay, and of the walls' depth, one-way [m]."""
     pair_m: float = 0.0
     """Half the distance between the two echoes of each wall, whose faces cancel; 0: one [m]."""
-    level_db: float = 0.0
-    """Level of the walls relative to the strongest peak [dB]."""
 
     @property
     def normals(self) -> Floats:

@@ -126,7 +126,7 @@ def estimate_channel_phases(echoes: list[EchoPhases], channels: list[Ints]) -> C
     """
     n_channels = 1 + max((int(c.max()) for c in channels if len(c)), default=0)
     parts = _antenna_values(echoes, channels)
-    channel = _joined([p[0] for p in parts], np.int64)
+    channel = np.concatenate([np.zeros(0, dtype=np.int64), *(part[0] for part in parts)])
     n_samples = np.bincount(channel, minlength=n_channels)
     if n_samples.min() < _MIN_SAMPLES:
         raise UserError(
@@ -214,7 +214,3 @@ def _sigma(parts: list[tuple[Ints, NDArray[np.complex128], Ints]], phases: Float
     total = votes.sum(axis=0)
     across = (votes * np.conj(total / np.maximum(np.abs(total), 1e-30))).imag
     return np.asarray(np.sqrt((across**2).sum(axis=0)) / np.maximum(np.abs(total), 1e-30))
-
-
-def _joined(parts: list[Ints], dtype: type) -> Ints:
-    return np.concatenate(parts) if parts else np.zeros(0, dtype=dtype)

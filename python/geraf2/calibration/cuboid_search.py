@@ -33,7 +33,7 @@ from geraf2.scene import LosPrior, Waveform
 
 # Steps of the yaw in the first search and around its best.
 _YAW_STEPS_RAD = np.deg2rad([1.5, 0.25])
-_COARSE_YAWS_RAD = np.arange(0.0, 0.5 * np.pi, _YAW_STEPS_RAD[0])
+_COARSE_YAWS_RAD = np.arange(-0.25 * np.pi, 0.25 * np.pi, _YAW_STEPS_RAD[0])
 # An expected yaw is preferred within this angle, if it has this share of the highest score.
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Other yaws are tried, at most so many, if they have this share of the highest score.
@@ -213,24 +213,13 @@ def rough_faces(search: BoxSearch, like: Floats | None = None) -> Iterator[Rough
             rivals.insert(0, alike)
     for rival in rivals:
         yaws = rival.yaw_rad + np.arange(-coarse, coarse + 0.5 * fine, fine)
-        yield _faces_of(search, max(search.best(yaws, range(-MAX_SHIFT, MAX_SHIFT + 1))))
-
-
-def _faces_of(search: BoxSearch, best: Hypothesis) -> RoughFaces:
-    """Faces of a hypothesis, at the one of four equal yaws that is nearest to the frame's axes."""
-    offsets = search.faces(best)
-    quarters = round(best.yaw_rad / (0.5 * np.pi) - 1e-9)
-    axes = search.axes(best.yaw_rad - 0.5 * np.pi * quarters)
-    for _ in range(quarters % 4):
-        offsets = offsets[[1, 0, 2]]
-        offsets[0] = offsets[0, ::-1]
-    return RoughFaces(
-        axes=axes,
-        offsets_m=offsets,
-        shift_m=best.shift * OFFSET_STEP_M,
-        pair_m=best.pair * OFFSET_STEP_M,
-        level_db=LEVEL_STEP_DB * (best.level + 1 - N_LEVELS),
-    )
+        best = max(search.best(yaws, range(-MAX_SHIFT, MAX_SHIFT + 1)))
+        yield RoughFaces(
+            axes=search.axes(best.yaw_rad),
+            offsets_m=search.faces(best),
+            shift_m=best.shift * OFFSET_STEP_M,
+            pair_m=best.pair * OFFSET_STEP_M,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
