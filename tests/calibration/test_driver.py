@@ -75,12 +75,13 @@ def test_channels_are_distinguished_by_their_offsets(capture):
         assert len(own) == pose.n_antennas
 
 
-def test_a_wrong_delay_is_corrected_within_its_interval(capture):
-    found = calibrate(with_bias(capture, 0.142), PRIOR)
+@pytest.mark.parametrize("error_m", [0.008, 0.04])
+def test_a_wrong_delay_is_corrected_within_its_interval(capture, error_m):
+    found = calibrate(with_bias(capture, 0.15 - error_m), PRIOR)
     assert applied(found) == ["delay"]
     stated = numbers(found, "delay")
-    assert abs(stated["delay_m"] - 0.008) < 2.0 * stated["sigma_m"] < 0.003
-    assert found.capture.waveform.path_bias_m == 0.142 + stated["delay_m"]
+    assert abs(stated["delay_m"] - error_m) < 2.0 * stated["sigma_m"] < 0.003
+    assert found.capture.waveform.path_bias_m == 0.15 - error_m + stated["delay_m"]
 
 
 def test_a_rotated_prior_moves_and_the_capture_does_not(capture):

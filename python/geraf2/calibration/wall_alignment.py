@@ -95,9 +95,10 @@ class AlignmentConfig(Bounded):
         """Return the changes of the delay that are searched, on the two-way path [m]."""
         if self.delay_search_m is not None:
             return self.delay_search_m
+        near_m, recorded_m = 2.0 * MAX_SHIFT_M, capture.waveform.path_bias_m
         if self.is_recorded(capture):
-            return -2.0 * MAX_SHIFT_M, 2.0 * MAX_SHIFT_M
-        return -capture.waveform.path_bias_m, MAX_PATH_M - capture.waveform.path_bias_m
+            return -near_m, near_m
+        return -near_m - recorded_m, MAX_PATH_M - recorded_m
 
     def is_recorded(self, capture: Capture) -> bool:
         """Whether the capture has a measured delay."""
