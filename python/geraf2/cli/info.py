@@ -252,7 +252,7 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
     verdict = "coarser than" if summary.is_coarse else "within"
     steps = sorted({round(1e3 * step, 2) for step in summary.spacings_m if np.isfinite(step)})
     wide = summary.scene_width_m
-    scene = f"a scene {wide:g} m wide" if wide else "any scene"
+    scene = f"a scene {wide:.3g} m wide" if wide else "any scene"
     return [
         ("planes", str(len(summary.poses))),
         ("antennas", f"{summary.n_antennas} ({per_pose} per plane)"),
@@ -280,7 +280,8 @@ def describe(summary: CaptureSummary) -> list[tuple[str, str]]:
             (
                 f"wall {number}",
                 " x ".join(f"{1e3 * side:.0f}" for side in wall.size_m)
-                + f" mm, {1e3 * wall.thickness_m:g} mm thick, permittivity {wall.permittivity:g}",
+                + f" mm, {1e3 * wall.thickness_m:.3g} mm thick, "
+                f"permittivity {wall.permittivity:.3g}",
             )
             for number, wall in enumerate(summary.walls, start=1)
         ),

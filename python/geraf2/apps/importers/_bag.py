@@ -32,8 +32,10 @@ _WORDS = {"uint8": "u1", "int8": "i1", "int16": "<i2", "uint16": "<u2"}
 _ARRAY, _SEQUENCE, _NAME = 3, 4, 2  # kinds of fields in rosbags
 _MAX_DEPTH = 3
 # Names of arrays that hold the real or the imaginary parts of samples.
-_REAL = re.compile(r"(?:.*_)?(?:re|real|i|in_?phase)(?:_.*)?", re.IGNORECASE)
-_IMAGINARY = re.compile(r"(?:.*_)?(?:im|imag|imaginary|q|quad|quadrature)(?:_.*)?", re.IGNORECASE)
+_REAL = re.compile(r"(?:.*_)?(?:re|real|i|in_?phase)(?:_.*|data|part)?", re.IGNORECASE)
+_IMAGINARY = re.compile(
+    r"(?:.*_)?(?:im|imag|imaginary|q|quad|quadrature)(?:_.*|data|part)?", re.IGNORECASE
+)
 
 
 class FrameFile(ByteStream):
