@@ -26,7 +26,6 @@ from geraf2.calibration.box_search import (
     RoughFaces,
     shifted,
 )
-from geraf2.echoes.flashes import MAX_OFFSET_M, OFFSET_SIGMA_M
 from geraf2.echoes.wall_delay import PAIR_SHARES, pair_distance_m
 from geraf2.errors import UserError
 from geraf2.scene import LosPrior, Waveform
@@ -44,6 +43,8 @@ MAX_PATH_M = 0.6
 """Longest instrument delay of radar boards and their cables, on the two-way path [m]."""
 # Log odds against a rare error, a wrong record of a delay or of a box, of which one in 100 has it.
 _RARE_NATS = float(np.log(100.0))
+# Error of a given box's faces, by a tape measure and by its place on the turntable [m].
+_GIVEN_SIGMA_M = 0.005
 # Least count of a wall, and least share of the largest count on its side.
 _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 
@@ -126,10 +127,10 @@ class BoxSearch:
             first, last, off = low, high, np.zeros((1, 1))
             if around_m is not None:
                 given = around_m[side] / OFFSET_STEP_M + margin
-                reach = MAX_OFFSET_M / OFFSET_STEP_M
+                reach = 3.0 * _GIVEN_SIGMA_M / OFFSET_STEP_M
                 first, last = np.clip([int(given - reach), int(given + reach)], low, high - 1)
                 off = (np.arange(first, last)[:, None] + 0.5 - given) * OFFSET_STEP_M
-            away = 0.5 * (off / OFFSET_SIGMA_M) ** 2 / NATS
+            away = 0.5 * (off / _GIVEN_SIGMA_M) ** 2 / NATS
             for number, shift in enumerate(penalties):
                 both = n[first - shift : last - shift] + f[first + shift : last + shift]
                 total[number] += (both - away).max(axis=0, initial=0.0)
