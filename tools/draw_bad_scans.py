@@ -17,13 +17,13 @@ from geraf2.report.render import MeshPainter, View
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "how-to"
 SCANS = {
-    "height": "height-elephant",
-    "sense": "sense-ordinary-llama-2-0",
-    "axes": "axes-ordinary-llama-0",
-    "swapped": "swapped-ordinary-llama-2-3",
-    "few-planes": "few-planes-ordinary-shoe-2-1",
+    "height": "height-cat",
+    "sense": "sense-ordinary-cat-4-2",
+    "axes": "axes-ordinary-stool-7-1",
+    "swapped": "swapped-ordinary-man-0-1",
+    "few-planes": "few-planes-ordinary-cat-4-0",
     "plastic": "plastic-ball-1",
-    "saturated": "saturated-ordinary-dog-0",
+    "saturated": "saturated-ordinary-cat-3-0",
     "hard": "hard-3300",
 }
 """Scan of the set by the kind of its fault."""
