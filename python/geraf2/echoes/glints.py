@@ -26,14 +26,8 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-GLINTS_VERSION = 24
+GLINTS_VERSION = 25
 """Increase when the same capture and settings give other glints."""
-
-
-_MIN_GLINTS = 200
-"""Least number of glints for a surface. If fewer reach the least probability, the limit is lowered,
-at most to `_MIN_OF_FEW`."""
-_MIN_OF_FEW = 0.15
 
 # Least share of peaks moved to another direction that is reported.
 _REPORTED_SHARE = 0.01
@@ -156,7 +150,7 @@ def find_echoes(
     if not (found.depth_m > config.wall_margin_m).any():
         raise _nothing_found(near, found, config)
     labelled = label_peaks(near, found, prior.expected_volume_m3, config.wall_margin_m)
-    keep = labelled.probability > _threshold(labelled.probability, config.min_probability)
+    keep = labelled.probability > config.min_probability
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
     n_moved = int((labelled.labels == Label.ALIAS).sum())
@@ -181,12 +175,6 @@ def find_echoes(
     )
     clutter = Clutter.of(near, found, labelled, prior.expected_volume_m3)
     return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal, clutter)
-
-
-def _threshold(probability: Floats, least: float) -> float:
-    """Least probability of a glint, lowered if few reach it."""
-    likeliest = np.sort(probability)[-_MIN_GLINTS:]
-    return float(np.clip(likeliest[0], min(_MIN_OF_FEW, least), least))
 
 
 def candidates_around(
