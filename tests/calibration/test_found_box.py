@@ -80,7 +80,7 @@ def test_a_found_box_is_a_prior_and_describes_its_evidence(scan):
 def test_a_box_of_which_only_the_top_is_seen_has_any_yaw(scan):
     """Content below the top: planes in one ring 45 degrees off the walls, and one above."""
     spec = examples.small_scene()
-    wall = replace(spec.walls[0], size_m=(0.30, 0.30, 0.18))
+    wall = replace(spec.walls[0], size_m=(0.24, 0.24, 0.18))
     planes = replace(
         spec.scan,
         n_poses=4,
@@ -91,6 +91,7 @@ def test_a_box_of_which_only_the_top_is_seen_has_any_yaw(scan):
     box = find_box(simulate(replace(spec, walls=(wall,), scan=planes), seed=0)[0])
     assert box.seen.tolist() == [[Seen.NOT] * 2, [Seen.NOT] * 2, [Seen.SQUARELY] * 2]
     assert box.yaw_sigma_deg > 20.0
+    np.testing.assert_allclose(box.offsets_m[2], 0.09, atol=0.003)
 
 
 def test_sides_that_no_antenna_faces_are_found_by_their_edges():

@@ -50,7 +50,7 @@ from geraf2.ops._threads import limit_blas_threads
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary, is_delay_given, summarize_capture
 
-BOX_VERSION = 10
+BOX_VERSION = 11
 """Increase when the same capture gives another box."""
 # Expected errors of the faces before the fit, by their flashes.
 _ROUGH = AlignmentConfig(translation_sigma_m=0.0, wall_sigma_m=OFFSET_SIGMA_M, min_echoes=3)

@@ -26,7 +26,12 @@ from geraf2.calibration.box_search import (
     RoughFaces,
     shifted,
 )
-from geraf2.echoes.wall_delay import PAIR_SHARES, pair_distance_m
+from geraf2.echoes.wall_delay import (
+    DEGREES_OF_FREEDOM,
+    DELAY_SIGMA_M,
+    PAIR_SHARES,
+    pair_distance_m,
+)
 from geraf2.errors import UserError
 from geraf2.scene import LosPrior, Waveform
 
@@ -37,8 +42,6 @@ _COARSE_YAWS_RAD = np.arange(-0.25 * np.pi, 0.25 * np.pi, _YAW_STEPS_RAD[0])
 _LIKE_RAD, _LIKE_SHARE = np.deg2rad(4.0), 0.7
 # Other yaws are tried, at most so many, if they have this share of the highest score.
 _RIVAL_SHARE, _MAX_RIVALS = 0.9, 3
-# Standard deviation of a recorded delay's error, one-way [m].
-_SHIFT_SIGMA_M = 0.01
 MAX_PATH_M = 0.6
 """Longest instrument delay of radar boards and their cables, on the two-way path [m]."""
 # Log odds against a rare error, a wrong record of a delay or of a box, of which one in 100 has it.
@@ -50,9 +53,10 @@ _MIN_COUNT, _MIN_SHARE = 1.0, 0.5
 
 
 def shift_penalty(cells: int) -> float:
-    """Flashes that an error of the delay costs by its prior. cells: the error, in offset steps."""
-    sigma = _SHIFT_SIGMA_M / OFFSET_STEP_M
-    return float(0.5 * (cells / sigma) ** 2 / NATS)
+    """Flashes that an error of the delay costs by its Student-t. cells: the error, in offsets."""
+    scaled = cells * OFFSET_STEP_M / DELAY_SIGMA_M
+    nats = 0.5 * (DEGREES_OF_FREEDOM + 1.0) * np.log1p(scaled**2 / DEGREES_OF_FREEDOM)
+    return float(nats / NATS)
 
 
 class Hypothesis(NamedTuple):
@@ -154,8 +158,11 @@ class BoxSearch:
             tries = []
             for pair in self.pairs:
                 total = self.scores(sides, pair, penalties)
-                row, level = divmod(int(total.argmax()), N_LEVELS)
-                shift = (self.unmoved if pair else 0) + shifts[row]
+                level = int(total.max(axis=0).argmax())
+                share = np.exp(NATS * (total[:, level] - total.max()))
+                # The mean, since without far walls nothing but the record tells the delay.
+                shift = round(float(share @ shifts / share.sum()))
+                shift += self.unmoved if pair else 0
                 tries.append(Hypothesis(float(total.max()), yaw, shift, pair, level))
             found.append(max(tries))
         return found

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from geraf2._bounds import Bounded, Few, MarginM, MarginRad, SignedM
 from geraf2._types import Bools, Floats, Ints
 from geraf2.calibration.acceptance import Gain
-from geraf2.calibration.box_search import COARSE, LOWEST_PAIR_DB, MAX_SHIFT_M
+from geraf2.calibration.box_search import COARSE, LOWEST_DB, MAX_SHIFT_M
 from geraf2.calibration.cuboid_search import MAX_PATH_M
 from geraf2.echoes.flashes import (
     MAX_ANGLE_RAD,
@@ -27,7 +27,7 @@ from geraf2.echoes.flashes import (
     WallMiddles,
     wall_echoes,
 )
-from geraf2.echoes.wall_delay import DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
+from geraf2.echoes.wall_delay import DEGREES_OF_FREEDOM, DELAY_SIGMA_M, MIN_WALL_ECHOES, max_shift_m
 from geraf2.echoes.wall_faces import MIDDLE_BULGE, MODE_SIGMAS_M, N_MODES, WallFaces
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import rigid
@@ -38,7 +38,6 @@ from geraf2.scene.summary import is_delay_given
 # Standard deviations of an echo of a near and of a far wall, whose path crosses the content: of
 # range [m], and of both directions [rad]. Most of it is from short waves of a bulge.
 _RANGE_SIGMAS_M, _DIRECTION_SIGMAS_RAD = np.array([4e-4, 6e-4]), np.array([0.01, 0.015])
-_DEGREES_OF_FREEDOM = 4.0  # of an echo's Student-t: content and clutter are far outliers
 _N_ROUNDS = 6
 # Share of the near walls' largest density that replaces hidden far walls. It is enough to find a
 # delay from near walls alone, and too small to interpret a far wall as a near one.
@@ -243,7 +242,7 @@ class WallProblem:
         residual, design = self.linearised(values, walls)
         design = design[:, :, free]
         q = (residual**2).sum(axis=1)
-        weight = (_DEGREES_OF_FREEDOM + 3.0) / (_DEGREES_OF_FREEDOM + q) / OVERLAP
+        weight = (DEGREES_OF_FREEDOM + 3.0) / (DEGREES_OF_FREEDOM + q) / OVERLAP
         weighted = (weight[:, None, None] * design).reshape(-1, design.shape[2])
         scaled = values[free] / self.sigmas[free]
         precision = self._prior_weights(scaled, free) * self.sigmas[free] ** -2.0
@@ -252,7 +251,7 @@ class WallProblem:
 
     def _prior_weights(self, scaled: Floats, free: Bools) -> Floats:
         """Weights of the priors: Student-t for the delay, which may be recorded wrongly."""
-        student = (_DEGREES_OF_FREEDOM + 1.0) / (_DEGREES_OF_FREEDOM + scaled**2)
+        student = (DEGREES_OF_FREEDOM + 1.0) / (DEGREES_OF_FREEDOM + scaled**2)
         return np.where(np.flatnonzero(free) == 0, student, 1.0)
 
     def log_prior(self, values: Floats) -> float:
@@ -260,14 +259,14 @@ class WallProblem:
         free = self.sigmas > 0.0
         square = (values[free] / self.sigmas[free]) ** 2
         if free[0]:
-            square[0] = (_DEGREES_OF_FREEDOM + 1.0) * np.log1p(square[0] / _DEGREES_OF_FREEDOM)
+            square[0] = (DEGREES_OF_FREEDOM + 1.0) * np.log1p(square[0] / DEGREES_OF_FREEDOM)
         return -0.5 * float(square.sum())
 
     def log_likelihood(self, values: Floats, walls: WallEchoes) -> Floats:
         """Student-t log-likelihood of each echo up to a constant, (n,) [nats]."""
         residual, _ = self.linearised(values, walls)
-        q = (residual**2).sum(axis=1) / _DEGREES_OF_FREEDOM
-        return np.asarray(-0.5 * (_DEGREES_OF_FREEDOM + 3.0) / OVERLAP * np.log1p(q))
+        q = (residual**2).sum(axis=1) / DEGREES_OF_FREEDOM
+        return np.asarray(-0.5 * (DEGREES_OF_FREEDOM + 3.0) / OVERLAP * np.log1p(q))
 
     def gain(self, groups: Collection[Group], more: Group) -> Gain:
         """Gain of one more group: each half of the sub-apertures with the fit of the other.
@@ -402,7 +401,7 @@ def wall_peaks(
             num_threads=peaks.num_threads,
         )
     found = found.within(box_spans(capture.poses, prior) + np.array(range_shift_m))
-    return found.select(found.levels_db > LOWEST_PAIR_DB).thinned(COARSE.step_m)
+    return found.select(found.levels_db > LOWEST_DB).thinned(COARSE.step_m)
 
 
 def find_wall_offset(

@@ -13,6 +13,9 @@ from geraf2.scene import Wall, Waveform
 
 DELAY_SIGMA_M = 0.001
 """Expected error of a recorded delay, one-way [m]."""
+DEGREES_OF_FREEDOM = 4.0
+"""Of the Student-t of such an error, and of a wall's echo: some delays are recorded wrongly, and
+content and clutter are far outliers."""
 UNKNOWN_MIDDLES_M = (0.0025, 0.0015), (-0.0004, 0.0005)
 """Optical middle of a near and of a far wall behind its outer face, each with its standard
 deviation [m]. For unknown walls: board of 2 to 7 mm with index 1.2 to 1.4."""
