@@ -3,7 +3,7 @@
 #
 #     HOSTS="a b c" examples/batch_ssh.sh scans.csv OUT [flags of geraf2 batch]
 #
-# All machines see scenes and OUT under the same paths,
+# All machines see scenes and OUT under the same paths (or they are addresses of an object store),
 # and have the same geraf2 on their PATH. Keep the port closed to others.
 set -eu
 host=${SCHEDULER_HOST:-$(hostname)}

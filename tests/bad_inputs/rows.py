@@ -66,6 +66,7 @@ COMMANDS = [
             import dca1000 raw/adc.bin out --radar radar.toml --raster 6 6 4 4|metres
             import dca1000 raw/adc.bin out --radar radar.toml --static --raster 6 6 1 1|--static
             info nowhere|nowhere
+            info memory://a/../b|goes down only
             info scene --figure picture.docx|picture.docx
             info raw/adc.bin --config nowhere.json|nowhere.json
             image scene out --spacing-m 2e-5|the volume would have

@@ -3,10 +3,20 @@
 import hashlib
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
+import pytest
+
+from geraf2.apps.viewing.server import scene_of
 from geraf2.cli.main import main
+from geraf2.errors import UserError
+from geraf2.pipeline.los_options import LosOptions
+from geraf2.pipeline.prior import PriorSource
 from geraf2.pipeline.run_record import RunRecord
+from geraf2.report import write_report
 from helpers.console import the_error
+from helpers.small_scene import BOX
 
 
 def content(out):
@@ -68,3 +78,56 @@ def test_a_second_command_is_refused_and_nothing_is_lost(finished_run, built_sce
             assert f"process {holder.pid};" in the_error(capsys)
         assert {p: p.read_bytes() for p in before} == before
         holder.communicate("\n", timeout=30)
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """Object stores that were asked, none of which answers."""
+    urls = []
+
+    def store(url):
+        urls.append(url)
+        raise UserError(what="a request was made", where=url)
+
+    monkeypatch.setattr("geraf2.io.objects._store", store)
+    return urls
+
+
+@pytest.fixture
+def strange_run(finished_run):
+    """Run whose config.toml names object stores, and files here that were moved along."""
+    config = finished_run / "config.toml"
+    record = replace(RunRecord.read(config), prior=PriorSource(los=Path("s3://bucket/los.ply")))
+    photos = LosOptions(masks=Path("s3://bucket/masks"), to_radar=Path("gs://bucket/to.txt"))
+    scene = Path("az://bucket/scene")
+    replace(record, scene=scene, options=replace(record.options, photos=photos)).write(config)
+    positions = "".join(f"{n} = 'mesh_box.ply'\n" for n in ("scene", "los", "masks", "to_radar"))
+    config.write_text(config.read_text().replace("[places]\n", "") + f"\n[places]\n{positions}")
+    return finished_run
+
+
+@pytest.mark.parametrize("command", ["evaluate", "render", "inspect", "verify", "view", "report"])
+def test_a_run_that_is_read_makes_no_requests(strange_run, asked, command, capsys):
+    assert RunRecord.read(strange_run / "config.toml").prior.los == Path("s3://bucket/los.ply")
+    if command == "view":
+        scene_of(strange_run)
+    elif command == "report":
+        write_report(strange_run)
+    else:
+        truth = ["--truth", str(strange_run / "mesh.ply")] if command == "evaluate" else []
+        main([command, str(strange_run), *truth])
+    assert asked == []
+
+
+def test_addresses_of_stores_come_from_the_command_line(
+    strange_run, built_scene, tmp_path, asked, capsys
+):
+    config = ["--config", str(strange_run / "config.toml")]
+    for line in (["reconstruct", str(built_scene)], ["batch", str(built_scene)]):
+        assert main([*line, str(tmp_path / "out"), *config]) == 2
+        assert "config.toml: names an object store" in the_error(capsys)
+    assert asked == []
+    assert not (tmp_path / "out").exists()
+    assert main(["reconstruct", str(built_scene), str(tmp_path / "out"), *config, *BOX]) == 0
+    assert main(["reconstruct", str(built_scene), "o", *config, "--los", "s3://mine/a.ply"]) == 2
+    assert asked == ["s3://mine"]

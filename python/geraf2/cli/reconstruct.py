@@ -12,6 +12,7 @@ from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
 from geraf2.cli._outcome import print_found, print_next, print_verdict
 from geraf2.errors import UserError
+from geraf2.io.objects import is_remote
 from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.commands.reconstruct import reconstruct
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_type, step_names
@@ -70,6 +71,13 @@ def defaults(arguments: Sequence[str]) -> Mapping[str, Any]:
     settings = record.config if same else preset_type(str(preset))()
     values = {**values_of(record.options), "settings": settings}
     if value_of("--los", arguments) is None and value_of("--box", arguments) is None:
+        if record.prior.los is not None and is_remote(record.prior.los):
+            raise UserError(
+                what="names an object store, which only the command line may",
+                where=file,
+                got=f"los = {str(record.prior.los)!r}",
+                hint="give it by --los",
+            )
         values |= values_of(record.prior)
     return values
 

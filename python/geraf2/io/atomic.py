@@ -22,6 +22,7 @@ import numpy as np
 
 from geraf2._types import AnyPath, Array
 from geraf2.errors import UserError
+from geraf2.io.objects import is_remote, write_bytes
 
 _EXCHANGE = 2
 """RENAME_EXCHANGE of renameat2(2)."""
@@ -58,7 +59,14 @@ def atomic_path(path: AnyPath) -> Iterator[Path]:
 
 
 def write_bytes_atomic(path: AnyPath, data: bytes | memoryview) -> None:
-    """Write `data` to `path` whole or not at all."""
+    """Write `data` to `path` whole or not at all; the path may be that of an object store."""
+    if is_remote(Path(path)):
+        _count()
+        try:
+            write_bytes(Path(path), data)
+        except OSError as error:
+            raise _cannot_write(Path(path), error) from error
+        return
     with atomic_path(path) as temporary:
         temporary.write_bytes(data)
 

@@ -33,6 +33,7 @@ from geraf2._memory import require_memory
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
+from geraf2.io.objects import exists, is_file, is_remote, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.regular import RECORD_BYTES, require_no_links, require_regular
@@ -76,13 +77,13 @@ def join_parts(parts: Sequence[RawPose]) -> RawPose:
 
 def is_scene(path: Path) -> bool:
     """Whether `path` has the manifest of a scene folder."""
-    return (path / MANIFEST_NAME).is_file()
+    return is_file(path / MANIFEST_NAME)
 
 
 def read_scene_manifest(path: Path) -> SceneManifest:
     """Read and check scene.toml of a scene folder."""
     path = Path(path)
-    if not path.exists():
+    if not exists(path):
         raise UserError(what="no such scene", where=path, hint="make one with 'geraf2 import'")
     if not is_scene(path):
         raise UserError(
@@ -90,9 +91,8 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             where=path,
             hint="make one with 'geraf2 import' or 'geraf2 simulate'",
         )
-    for file in require_no_links(path):  # they lead out of the scene
-        if file.name == METADATA_NAME:
-            require_regular(file, RECORD_BYTES)
+    if not is_remote(path):
+        _require_own_files(path)
     table = read_table(path / MANIFEST_NAME)
     version = table.get("version")
     if isinstance(version, int) and version > SCENE_VERSION:
@@ -102,6 +102,13 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             expected=f"version {SCENE_VERSION}",
         )
     return from_table(table, SceneManifest, path / MANIFEST_NAME)
+
+
+def _require_own_files(path: Path) -> None:
+    """Refuse a scene with links, which lead out of it, and metadata without end."""
+    for file in require_no_links(path):
+        if file.name == METADATA_NAME:
+            require_regular(file, RECORD_BYTES)
 
 
 def verify_scene(path: Path) -> int:
@@ -192,11 +199,12 @@ class SceneReader:
         import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
 
         store = self.path / RADAR_NAME
-        if not store.exists():
+        if not exists(store):
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         refuse_other_kind(store / METADATA_NAME)
         try:
-            return zarr.open_group(str(store), mode="r", zarr_format=3)
+            where, group = zarr_store(store)
+            return zarr.open_group(where, path=group, mode="r", zarr_format=3)
         except MemoryError:
             raise
         except Exception as error:  # zarr raises anything where metadata are wrong
@@ -218,9 +226,10 @@ class SceneReader:
         if dtype not in ARRAY_TYPES[name]:
             expected = " or ".join(ARRAY_TYPES[name])
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
-        for file in require_no_links(where):  # zarr reads chunks whole
-            with suppress(FileNotFoundError):  # renamed meanwhile, by the writer of the scene
-                require_regular(file, max(RECORD_BYTES, int(chunk_bytes)))
+        if not is_remote(where):  # zarr reads chunks whole
+            for file in require_no_links(where):
+                with suppress(FileNotFoundError):  # renamed meanwhile, by the writer of the scene
+                    require_regular(file, max(RECORD_BYTES, int(chunk_bytes)))
         if codecs != ["BytesCodec"]:
             # Others unpack to any size, and no scene has them.
             what, expected = "is compressed or filtered", "plain numbers (codec bytes)"

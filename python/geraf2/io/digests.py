@@ -6,6 +6,7 @@ from pathlib import Path, PurePosixPath
 
 from geraf2._types import AnyPath
 from geraf2.errors import UserError
+from geraf2.io.objects import is_remote, read_bytes
 from geraf2.io.regular import open_regular
 
 _MAX_NAMED = 4
@@ -20,6 +21,8 @@ def file_digest(path: AnyPath) -> str | None:
     """Hash of a file's bytes; None if there is no such file."""
     path = Path(path)
     try:
+        if is_remote(path):
+            return bytes_digest(read_bytes(path))
         with open_regular(path) as handle:
             return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except (FileNotFoundError, IsADirectoryError, NotADirectoryError):

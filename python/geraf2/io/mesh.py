@@ -20,6 +20,7 @@ from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.mesh_colours import error_colours
 from geraf2.io.mesh_formats import parse_obj, parse_ply
 from geraf2.io.mesh_limits import require_mesh_size
+from geraf2.io.objects import is_remote, local_copy
 from geraf2.io.points import ply_file
 from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, read_regular, require_regular
 from geraf2.io.text import parse_json
@@ -162,6 +163,8 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     3
     """
     source = Path(path)
+    if is_remote(source):
+        return _read_remote(source, any_unit=any_unit)
     _require_readable(source)
     require_mesh_size(source)
     if not any_unit:
@@ -323,6 +326,14 @@ def _require_readable(source: Path) -> None:
     if source.stat().st_size == 0:
         raise UserError(what="the mesh file is empty", where=source)
     refuse_other_kind(source)
+
+
+def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
+    try:
+        with local_copy(address) as path:
+            return read_mesh(path, any_unit=any_unit)
+    except OSError as error:
+        raise UserError(what=f"cannot be read: {error.strerror}", where=address) from error
 
 
 def _require_metres(source: Path) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from geraf2.errors import UserError
+from geraf2.io.objects import exists, is_remote
 from geraf2.io.regular import require_no_links
 
 PROBE_PREFIX = ".geraf2-"
@@ -24,6 +25,12 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
     kind: what is made there, as "scene". own: whether what lies there is one. UserError for a file,
     for a folder with other files or with links, and where nothing can be written.
     """
+    if is_remote(path):
+        if not own and exists(path):
+            raise UserError(
+                what=f"holds files but no {kind} of geraf2", where=path, hint="choose another"
+            )
+        return
     if path.exists() and not path.is_dir():
         raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
     if path.is_dir() and not own and not all(is_passing(entry) for entry in path.iterdir()):
@@ -54,7 +61,7 @@ def require_file(path: Path, kinds: tuple[str, ...]) -> None:
         )
     if path.is_dir():
         raise UserError(what="is a folder", where=path, expected="a file")
-    if not path.absolute().parent.is_dir():
+    if not is_remote(path) and not path.absolute().parent.is_dir():
         raise UserError(
             what="the folder of the file does not exist", where=path, hint="make the folder first"
         )

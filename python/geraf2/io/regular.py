@@ -92,11 +92,6 @@ def require_no_links(folder: Path) -> list[Path]:
     return found
 
 
-def absolute_path(path: Path) -> Path:
-    """Absolute path in a folder without links, its own name kept."""
-    return path.parent.resolve() / path.name if path.name.strip(".") else path.resolve()
-
-
 def _open_without_waiting(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NONBLOCK)
 

@@ -11,7 +11,8 @@ from typing import Any
 
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
-from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES, read_regular
+from geraf2.io.objects import read_bytes
+from geraf2.io.regular import RECORD_BYTES, TEXT_BYTES
 
 NOT_DETERMINED = "not determined"
 """Text in place of a value that a scan does not show."""
@@ -21,7 +22,7 @@ def read_text(path: Path, most: int = TEXT_BYTES) -> str:
     """Text of a file of at most so many bytes, UTF-8, or UTF-16 with its mark; else UserError."""
     refuse_other_kind(path)
     try:
-        data = read_regular(path, most)
+        data = read_bytes(path, most)
         is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
         text = data.decode("utf-16" if is_wide else "utf-8-sig")
         return text.replace("\r\n", "\n").replace("\r", "\n")

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from geraf2._bounds import Arg, Bounded, CountOrZero, Degrees, Seed
-from geraf2.io.regular import absolute_path
+from geraf2.io.objects import absolute_path, is_remote
 from geraf2.io.toml import from_table, read_table, to_table, write_toml
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.presets import BestPreset, PresetConfig, preset_of_table
@@ -76,7 +76,8 @@ class RunRecord:
         parts = (to_table(part) for part in (record.prior, record.options, record.config))
         table: dict[str, Any] = {**scene, **{k: v for part in parts for k, v in part.items()}}
         if known:
-            table["places"] = {name: os.path.relpath(path, here) for name, path in known.items()}
+            on_disk = {name: path for name, path in known.items() if not is_remote(path)}
+            table["places"] = {name: os.path.relpath(path, here) for name, path in on_disk.items()}
         write_toml(path, table)
 
     @classmethod
@@ -98,7 +99,9 @@ class RunRecord:
         for name, relative in relative_paths.items() if isinstance(relative_paths, dict) else ():
             moved = path.parent / str(relative)
             kept = found.get(name)
-            if kept is not None and not kept.exists() and moved.exists():
+            # Remote stores are not contacted: the record may come from an untrusted source.
+            missing = kept is not None and not is_remote(kept) and not kept.exists()
+            if missing and moved.exists():
                 found[name] = moved.resolve()
         return record._with_paths(found)
 

@@ -183,6 +183,8 @@ def error_state(error: BaseException) -> str:
     # Parsers may raise OSError, too; system errors have a number.
     if any(isinstance(e, OSError) and e.errno is not None for e in causes):
         return LOST
+    if any(type(e).__module__.startswith("obstore") for e in causes):  # read by zarr itself
+        return LOST
     return BAD_INPUT if isinstance(error, UserError) else FAILED
 
 

@@ -19,8 +19,9 @@ from geraf2.apps.batch.engine import BAD_INPUT
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_json_atomic
 from geraf2.io.digests import require_inside
+from geraf2.io.objects import is_remote, read_bytes
 from geraf2.io.outputs import require_folder
-from geraf2.io.regular import RECORD_BYTES, read_regular
+from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 
@@ -102,7 +103,7 @@ class JobPaths:
     def read(self) -> JobResult | None:
         """Read the record; None where it is missing or broken."""
         try:
-            values = parse_json(read_regular(self.result, RECORD_BYTES))
+            values = parse_json(read_bytes(self.result, RECORD_BYTES))
             return from_table(values, JobResult, self.result)
         except (OSError, ValueError, UserError):
             return None
@@ -116,8 +117,9 @@ class BatchFolder:
     """Folder of one batch, all of whose jobs have the same settings."""
 
     def __init__(self, out: Path | str, settings: str) -> None:
-        self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay unresolved
-        self.settings = settings
+        self.out, self.settings = Path(out), settings
+        if not is_remote(self.out):
+            self.out = Path(os.path.abspath(out))  # noqa: PTH100 - links stay unresolved
 
     def require_own(self) -> None:
         """Raise UserError where the folder holds something else, or a batch of other settings."""
@@ -144,7 +146,7 @@ class BatchFolder:
         """Contents of batch.json; None where there is no batch."""
         file = self.out / MARKER_NAME
         try:
-            values: Any = parse_json(read_regular(file, RECORD_BYTES))
+            values: Any = parse_json(read_bytes(file, RECORD_BYTES))
             if (values["format"], values["version"]) != (_FORMAT, _VERSION):
                 raise UserError(what="is a batch of another geraf2", where=self.out)
             jobs = {

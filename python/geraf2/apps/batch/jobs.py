@@ -4,18 +4,20 @@ import csv
 import glob
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from geraf2._bounds import Triple
 from geraf2.errors import UserError
 from geraf2.io.container import (
     LOS_NAME,
+    MANIFEST_NAME,
     RADAR_NAME,
     TRUTH_NAME,
     is_scene,
     read_scene_manifest,
 )
-from geraf2.io.regular import RECORD_BYTES, absolute_path, read_regular
+from geraf2.io.objects import absolute_path, exists, is_file, is_remote, list_files, read_bytes
+from geraf2.io.regular import RECORD_BYTES
 from geraf2.io.run_folder import stage_key
 from geraf2.io.text import parse_json, read_lines
 from geraf2.io.toml import nearest_name
@@ -52,9 +54,9 @@ class BatchJob:
             read_scene_manifest(self.scene)  # raises the error
         prior, own = self.prior, self.scene / LOS_NAME
         if prior.los is None and prior.box is None:
-            prior = replace(prior, los=own if own.is_file() else None)
+            prior = replace(prior, los=own if is_file(own) else None)
         for path in (prior.los, self.truth):
-            if path is not None and not path.exists():
+            if path is not None and not exists(path):
                 raise UserError(what="no such file", where=path)
         los, truth = (None if p is None else absolute_path(p) for p in (prior.los, self.truth))
         return replace(
@@ -88,7 +90,7 @@ class BatchJob:
         """Processor time and memory; None where the size of the scene is unknown."""
         try:
             about = parse_json(
-                read_regular(self.scene / RADAR_NAME / "signal" / METADATA_NAME, RECORD_BYTES)
+                read_bytes(self.scene / RADAR_NAME / "signal" / METADATA_NAME, RECORD_BYTES)
             )
             n_poses, n_antennas, n_samples = (int(n) for n in about["shape"][:3])
         except (OSError, ValueError, KeyError, TypeError):
@@ -98,6 +100,9 @@ class BatchJob:
 
 def fingerprint(path: Path) -> str:
     """Hash of names, sizes and times of change of a file, or of all files of a folder."""
+    if is_remote(path):
+        found = list_files(path)
+        return stage_key(files=[[name, size, tag] for name, (size, tag) in found.items()])
     paths = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     stats = [(p, p.stat()) for p in paths]
     return stage_key(files=[[str(p.relative_to(path)), s.st_size, s.st_mtime_ns] for p, s in stats])
@@ -160,16 +165,26 @@ def _read_source(source: str, base: BatchJob) -> Iterator[BatchJob]:
         yield from _read_table(path, base)
         return
     names = [source]
-    if glob.has_magic(source) and not path.exists():
-        names = sorted(glob.glob(source, recursive=True))  # noqa: PTH207 - may be absolute
+    if glob.has_magic(source) and not exists(path):
+        names = sorted(_match_names(path))
         if not names:
             raise UserError(what="no scene has such a name", where=source)
     for name in names:
         yield replace(base, scene=Path(name), truth=_own_truth(Path(name)))
 
 
+def _match_names(pattern: Path) -> list[str]:
+    """Folders whose path matches a pattern; in an object store, scenes only."""
+    if not is_remote(pattern):
+        return glob.glob(str(pattern), recursive=True)  # noqa: PTH207 - may be absolute
+    first = next(i for i, part in enumerate(pattern.parts) if glob.has_magic(part))
+    above = Path(*pattern.parts[:first])
+    scenes = (above / name for name in list_files(above) if PurePath(name).name == MANIFEST_NAME)
+    return [str(scene.parent) for scene in scenes if scene.parent.match(str(pattern))]
+
+
 def _own_truth(scene: Path) -> Path | None:
-    return scene / TRUTH_NAME if (scene / TRUTH_NAME).is_file() else None
+    return scene / TRUTH_NAME if is_file(scene / TRUTH_NAME) else None
 
 
 def _read_table(table: Path, base: BatchJob) -> Iterator[BatchJob]:
@@ -193,16 +208,21 @@ def _read_table(table: Path, base: BatchJob) -> Iterator[BatchJob]:
 def _read_row(row: dict[str, str], folder: Path, base: BatchJob, where: str) -> BatchJob:
     if not row["scene"]:
         raise UserError(what="names no scene", where=where)
-    scene, prior, box = folder / row["scene"], row.get("prior"), row.get("box")
+    scene, prior, box = _resolve_cell(folder, row["scene"]), row.get("prior"), row.get("box")
     if prior and box:
         raise UserError(what="give either box or prior", where=where, got="both")
     source = base.prior
     if prior:
-        source = PriorSource(los=folder / prior)
+        source = PriorSource(los=_resolve_cell(folder, prior))
     if box:
         source = PriorSource(box=_lengths(box, where))
-    truth = folder / row["truth"] if row.get("truth") else _own_truth(scene)
+    truth = _resolve_cell(folder, row["truth"]) if row.get("truth") else _own_truth(scene)
     return replace(base, scene=scene, prior=source, truth=truth)
+
+
+def _resolve_cell(folder: Path, name: str) -> Path:
+    """Path in a cell, relative to the table, or absolute, or an address."""
+    return Path(name) if is_remote(name) else folder / name
 
 
 def _lengths(text: str, where: str) -> Triple:

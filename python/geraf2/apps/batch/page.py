@@ -8,6 +8,7 @@ from typing import Any
 
 from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.io.atomic import write_text_atomic
+from geraf2.io.objects import is_file
 from geraf2.io.run_folder import CONTENT_NAME, REPORT_NAME, RUN_NAME
 from geraf2.io.verdict import Trust
 from geraf2.report import html
@@ -118,5 +119,5 @@ class Pages:
 def _link(paths: JobPaths) -> str:
     """File of the run that its name leads to; empty where there is none."""
     names = (REPORT_NAME, CONTENT_NAME, RUN_NAME)
-    found = (paths.run / name for name in names if (paths.run / name).is_file())
+    found = (paths.run / name for name in names if is_file(paths.run / name))
     return next((str(path.relative_to(paths.out)) for path in found), "")

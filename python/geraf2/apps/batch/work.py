@@ -10,6 +10,7 @@ from pathlib import Path
 from geraf2.apps.batch.folder import DONE, JobPaths, JobResult
 from geraf2.apps.batch.jobs import BatchJob
 from geraf2.io.locks import BusyFolderError
+from geraf2.io.objects import is_file, local_folder
 from geraf2.io.run_folder import REPORT_NAME, RunFolder
 from geraf2.pipeline.events import LOGGER
 from geraf2.pipeline.presets import is_trained
@@ -36,7 +37,8 @@ def do_job(
         if known is not None and is_answer(known, paths, report=report):
             return known  # by another client
         try:
-            result = _make_result(job, paths, num_threads, report)
+            with local_folder(paths.run) as run:
+                result = _make_result(job, paths, run, num_threads, report)
         except BusyFolderError:  # another client does it
             time.sleep(_WAIT_S)
             continue
@@ -49,15 +51,17 @@ def is_answer(result: JobResult, paths: JobPaths, *, report: bool) -> bool:
     """Whether a record is the final result of a job."""
     if not result.is_final:
         return False
-    return result.state != DONE or not report or (paths.run / REPORT_NAME).is_file()
+    return result.state != DONE or not report or is_file(paths.run / REPORT_NAME)
 
 
-def _make_result(job: BatchJob, paths: JobPaths, num_threads: int, report: bool) -> JobResult:
+def _make_result(
+    job: BatchJob, paths: JobPaths, run: Path, num_threads: int, report: bool
+) -> JobResult:
     with suppress(OSError):  # the peak of the resident set is that of this job
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     wall, cpu = time.perf_counter(), time.process_time()
-    scores = _reconstruct(job, paths.run, num_threads, report)
-    record = RunFolder.read(paths.run)
+    scores = _reconstruct(job, run, num_threads, report)
+    record = RunFolder.read(run)
     judged = record.verdict
     cause = judged.causes[0] if judged is not None and judged.causes else None
     return JobResult(
