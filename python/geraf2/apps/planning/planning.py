@@ -220,7 +220,7 @@ def plan(options: PlanOptions) -> ScanPlan | PlanePlan | TimedPlan:
 
     Examples
     --------
-    >>> best = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=10.0))
+    >>> best = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22), minutes=20.0))
     >>> best.seen_share > best.ring_share
     True
     >>> rings = geraf2.plan(geraf2.PlanOptions(box=(0.22, 0.22, 0.22), elevations_deg=(0.0,)))
