@@ -16,7 +16,6 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 
 from geraf2._bounds import Bounded, Few, LengthM
 from geraf2._types import Bools, Floats
@@ -82,6 +81,8 @@ def trajectory_basis(n_antennas: int, n_coefficients: int, n_at_once: int = 1) -
 
     n_at_once: successive antennas with the same value.
     """
+    from scipy.interpolate import BSpline  # noqa: PLC0415 - takes 0.1 s to import
+
     if n_antennas == 0:
         return np.zeros((0, n_coefficients))
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)

@@ -71,7 +71,7 @@ class MeshPainter:
         self._vertex_normals = vertex_normals(mesh.vertices, mesh.faces)
         self.ambient = self._ambient_light()
         """Share of the sky that each vertex sees within half the mesh's size, (n_vertices,)."""
-        self._traced: dict[View, tuple[Floats, Ints]] = {}
+        self._traced: dict[View, tuple[Ints, Floats, Ints]] = {}
 
     def render(self, view: View, colours: NDArray[np.floating]) -> NDArray[np.float32]:
         """Picture of the mesh, sRGB with coverage as alpha, (n_pixels, n_pixels, 4), 0 to 1.
@@ -81,10 +81,8 @@ class MeshPainter:
         """
         require_shape("colours", colours, (self.mesh.vertices.shape[0], 3))
         fine = 2 * view.n_pixels  # two by two rays per pixel smooth the outline
-        points, face = self._trace(view, fine)
-        hit = np.flatnonzero(face >= 0)
-        points = points[hit]
-        light = self._shade(points, face[hit], view.axes, np.asarray(colours, dtype=np.float64))
+        hit, points, face = self._trace(view, fine)
+        light = self._shade(points, face, view.axes, np.asarray(colours, dtype=np.float64))
         picture = np.zeros((fine * fine, 4))
         picture[hit, :3] = light
         picture[hit, 3] = 1.0
@@ -95,18 +93,25 @@ class MeshPainter:
         )
         return np.concatenate([to_srgb(colour), coverage], axis=-1).astype(np.float32)
 
-    def _trace(self, view: View, fine: int) -> tuple[Floats, Ints]:
-        """Point and face hit by each ray, cached for further pictures in other colours."""
+    def _trace(self, view: View, fine: int) -> tuple[Ints, Floats, Ints]:
+        """Rays that hit, and their points and faces, cached for pictures in other colours."""
         if view not in self._traced:
             right, up, toward = view.axes
             steps = ((np.arange(fine) + 0.5) / fine * 2.0 - 1.0) * view.half_width_m
-            across, down = np.meshgrid(steps, -steps)
-            plane = view.center_m + across.reshape(-1, 1) * right + down.reshape(-1, 1) * up
-            reach = float(np.linalg.norm(self.mesh.vertices - view.center_m, axis=1).max())
+            across, height = (values.ravel() for values in np.meshgrid(steps, -steps))
+            from_center = self.mesh.vertices - view.center_m
+            reach = float(np.linalg.norm(from_center, axis=1).max())
+            (left, low), (right_end, high) = (
+                bound(from_center @ view.axes[:2].T, axis=0) for bound in (np.min, np.max)
+            )
+            inside = (across > left) & (across < right_end) & (height > low) & (height < high)
+            rays = np.flatnonzero(inside)  # others pass the mesh
+            plane = view.center_m + across[rays, None] * right + height[rays, None] * up
             origins = plane + (reach + 1e-3) * toward
-            distance, face = self._scene.closest_hit(origins, np.tile(-toward, (len(origins), 1)))
-            points = origins - np.where(face >= 0, distance, 0.0)[:, None] * toward
-            self._traced[view] = points, face
+            distance, face = self._scene.closest_hit(origins, np.tile(-toward, (len(rays), 1)))
+            hit = face >= 0
+            points = origins[hit] - distance[hit, None] * toward
+            self._traced[view] = rays[hit], points, face[hit]
         return self._traced[view]
 
     def _shade(self, points: Floats, face: Ints, axes: Floats, colours: Floats) -> Floats:
