@@ -6,6 +6,7 @@ points of a smooth surface satisfy (p_i - p_j) . (n_i + n_j) / 2 = 0 to third or
 box's walls are candidates, too. They explain grating lobes of a wall's flash.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from typing import NamedTuple
@@ -44,7 +45,7 @@ _MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
 _LEAST_MARGIN_DB = 15.0
 """Ratio to the noise of peaks that just stand out of it [dB]."""
-_POINTS_AT_ONCE = 1000
+_POINTS_AT_ONCE = 250
 _NEGLIGIBLE = 1e-6
 """Support that is neglected, relative to a neighbour at the same position."""
 _ROUNDS = 6
@@ -185,11 +186,12 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
     """
     if not len(found):
         return np.zeros(0)
-    same, other = _neighbours(_Points.of(peaks, found))
+    points = _Points.of(peaks, found)
+    blocks = list(_neighbours(points, points))
     probability = 1.0 / np.bincount(found.peaks, minlength=len(peaks))[found.peaks]
     update = _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
-        probability = update.shares(probability, same @ probability, other @ probability)
+        probability = update.shares(probability, *_support(blocks, probability))
     return probability
 
 
@@ -202,11 +204,11 @@ def continuing(
     """
     if not len(found):
         return np.zeros(0)
-    same, other = _neighbours(_Points.of(peaks, found), _Points.of_glints(known))
-    support = same @ known.probability, other @ known.probability
+    blocks = _neighbours(_Points.of(peaks, found), _Points.of_glints(known))
+    own, other = _support(blocks, known.probability)
     probability, update = np.zeros(len(found)), _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
-        probability = update.shares(probability, *support)
+        probability = update.shares(probability, own, other)
     return probability
 
 
@@ -256,6 +258,10 @@ def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m
     return np.asarray(np.exp(-0.5 * exponent) / scale)
 
 
+_Block = tuple[sparse.csr_array, sparse.csr_array]
+"""Densities of pairs of one plane, and of others, (n_block, n_others)."""
+
+
 class _Points(NamedTuple):
     """Oriented points with their planes and sub-apertures."""
 
@@ -270,51 +276,53 @@ class _Points(NamedTuple):
         planes = peaks.subaperture_planes[subapertures]
         return cls(found.positions, found.normals, planes, subapertures)
 
+    def rows(self, chosen: slice) -> "_Points":
+        return _Points(*(values[chosen] for values in self))  # type: ignore[arg-type]
+
     @classmethod
     def of_glints(cls, glints: Glints) -> "_Points":
         return cls(glints.positions, glints.normals, glints.poses, np.full(len(glints), -1))
 
 
-def _neighbours(
-    points: _Points, others: _Points | None = None
-) -> tuple[sparse.csr_array, sparse.csr_array]:
-    """Pair densities within a plane and between planes, (n_points, n_others) each.
+def _support(blocks: Iterable[_Block], probability: Floats) -> tuple[Floats, Floats]:
+    """Support of each point by probable neighbours, of its plane and of others, (n_points,) each.
 
-    others: `points` when None.
+    blocks: of `_neighbours`. probability: of the neighbours, (n_others,).
+    """
+    parts = [(same @ probability, other @ probability) for same, other in blocks]
+    own, other = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return own, other
+
+
+def _neighbours(points: _Points, to: _Points) -> Iterator[_Block]:
+    """Pair densities within a plane and between planes, by blocks of points.
 
     Peaks of one sub-aperture do not support each other: it has one return of a smooth surface. Most
     pairs in reach have no effect, so they are computed in blocks and dropped if negligible.
     """
-    to = points if others is None else others
-    tree, found = KDTree(to.positions), []
-    for first in range(0, len(points.positions), _POINTS_AT_ONCE):
-        rows = slice(first, first + _POINTS_AT_ONCE)
-        near = KDTree(points.positions[rows]).sparse_distance_matrix(
-            tree, _REACH_M, output_type="ndarray"
+    tree, n_points = KDTree(to.positions), len(points.positions)
+    for first in range(0, n_points, _POINTS_AT_ONCE):
+        block = points.rows(slice(first, first + _POINTS_AT_ONCE))
+        near = KDTree(block.positions).sparse_distance_matrix(tree, _REACH_M, output_type="ndarray")
+        i, j = near["i"], near["j"]
+        i, j, density = _densities(block, to, i, j)
+        same_plane = block.planes[i] == to.planes[j]
+        shape = len(block.positions), len(to.positions)
+        same, other = (
+            sparse.csr_array((density[mask], (i[mask], j[mask])), shape=shape)
+            for mask in (same_plane, ~same_plane)
         )
-        i, j = near["i"] + first, near["j"]
-        if others is None:  # pairs are symmetric
-            i, j = i[j > i], j[j > i]
-        found.append(_densities(points, to, i, j))
-    i, j, density = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    same_plane = points.planes[i] == to.planes[j]
-    if others is None:
-        i, j = np.concatenate([i, j]), np.concatenate([j, i])
-        density, same_plane = np.tile(density, 2), np.tile(same_plane, 2)
-    shape = len(points.positions), len(to.positions)
-    same, other = (
-        sparse.csr_array((density[mask], (i[mask], j[mask])), shape=shape)
-        for mask in (same_plane, ~same_plane)
-    )
-    return same, other
+        yield same, other
 
 
 def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, Ints, Floats]:
     """Pairs that support each other, and their densities, (n,) each."""
-    cosine = np.einsum("ij,ij->i", points.normals[i], to.normals[j])
+    # `take` selects rows three times as fast as an index does.
+    cosine = np.einsum("ij,ij->i", points.normals.take(i, axis=0), to.normals.take(j, axis=0))
     fits = (points.subapertures[i] != to.subapertures[j]) & (cosine > _ALIKE)
     i, j, cosine = i[fits], j[fits], cosine[fits]
-    step, mean = to.positions[j] - points.positions[i], points.normals[i] + to.normals[j]
+    step = to.positions.take(j, axis=0) - points.positions.take(i, axis=0)
+    mean = points.normals.take(i, axis=0) + to.normals.take(j, axis=0)
     square = np.einsum("ij,ij->i", step, step)
     offset = np.einsum("ij,ij->i", step, mean) / np.sqrt(2.0 + 2.0 * cosine)
     density = pair_density(
