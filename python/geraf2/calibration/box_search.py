@@ -190,7 +190,7 @@ class Flashes:
         level = np.maximum(level, 0)
         cell = (self.subapertures[own] * n_offsets + offset // 4) * N_LEVELS + level // 4
         order = np.lexsort((-weights, cell))
-        first = order[np.unique(cell[order], return_index=True)[1]]
+        first = order[np.diff(cell[order], prepend=-1) > 0]
         shape = n_offsets, N_LEVELS
         count = np.bincount(
             (offset * N_LEVELS + level)[first], weights[first], n_offsets * N_LEVELS

@@ -125,20 +125,22 @@ class BoxSearch:
         most = max(abs(shift) for shift in penalties)
         low = max(margin + round(0.5 * MIN_SIDE_M / OFFSET_STEP_M), most)
         high = self.n_offsets + min(margin, 2 * margin - most)
-        total = np.repeat(-np.array(list(penalties.values()))[:, None], N_LEVELS, axis=1)
+        shifts, levels = np.array(list(penalties))[:, None], slice(self.lowest_level(pair), None)
+        total = np.full((len(shifts), N_LEVELS), -np.inf)
+        total[:, levels] = -np.array(list(penalties.values()))[:, None]
         for side, (near, far) in enumerate(sides):
             n, f = shifted(near.score(pair), start), shifted(far.score(pair), -start)
-            first, last, off = low, high, np.zeros((1, 1))
+            first, last, off = low, high, np.zeros(1)
             if around_m is not None:
                 given = around_m[side] / OFFSET_STEP_M + margin
                 reach = 3.0 * _GIVEN_SIGMA_M / OFFSET_STEP_M
                 first, last = np.clip([int(given - reach), int(given + reach)], low, high - 1)
-                off = (np.arange(first, last)[:, None] + 0.5 - given) * OFFSET_STEP_M
+                off = (np.arange(first, last) + 0.5 - given) * OFFSET_STEP_M
             away = 0.5 * (off / _GIVEN_SIGMA_M) ** 2 / NATS
-            for number, shift in enumerate(penalties):
-                both = n[first - shift : last - shift] + f[first + shift : last + shift]
-                total[number] += (both - away).max(axis=0, initial=0.0)
-        total[:, : self.lowest_level(pair)] = -np.inf
+            at = np.arange(first, last)
+            both = n[:, levels].T.take(at - shifts, axis=1)
+            both += f[:, levels].T.take(at + shifts, axis=1)
+            total[:, levels] += (both - away).max(axis=-1, initial=0.0).T
         return total
 
     def bound(self, yaw_rad: float) -> float:

@@ -100,8 +100,9 @@ def tangent_deviation(
     )
     near = np.isfinite(distance) & (index != np.arange(len(positions))[:, None])
     index = np.where(near, index, 0)
-    offset = points[index] - positions[:, None]
-    height = np.einsum("nkj,nkj->nk", offset, directions[index] + normals[:, None])
+    offset = points.take(index, axis=0) - positions[:, None]
+    mean = directions.take(index, axis=0) + normals[:, None]
+    height = np.einsum("nkj,nkj->nk", offset, mean)
     # Points beyond the reach are infinite and come last.
     ordered = np.sort(np.where(near, 0.5 * np.abs(height), np.inf), axis=1)
     count = near.sum(axis=1)

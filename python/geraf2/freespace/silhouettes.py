@@ -323,14 +323,16 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
     content_m = -side * feet[:, axis]
     wall_m = content_m + inner[axis]
     outside = content_m > inner[axis]
+    # Only antennas in front of the wall receive the flash.
+    before = (np.abs(feet) < inner)[:, across].all(axis=1)
+    if (outside & before).sum() < _MIN_ANTENNAS:
+        return None
     # The edges of the wall cut the Fresnel zone that the flash comes from.
     share = np.ones(len(feet), dtype=np.complex128)
     for k in across:
         scale = 2.0 / np.sqrt(waveform.center_wavelength_m * np.where(outside, wall_m, np.inf))
         low, high = (_fresnel((inner[k] + sign * feet[:, k]) * scale) for sign in (-1.0, 1.0))
         share *= (low + high) / (1.0 - 1.0j)
-    # Only antennas in front of the wall receive the flash.
-    before = (np.abs(feet) < inner)[:, across].all(axis=1)
     used = outside & before & (np.abs(share) > 1.0 - _FREE)
     if used.sum() < _MIN_ANTENNAS or not feet[used][:, across].std(axis=0).min() > 0.0:
         return None

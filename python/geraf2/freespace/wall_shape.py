@@ -94,13 +94,14 @@ def path_shape(
 def _polynomials(points: Floats) -> tuple[Floats, Floats, Floats]:
     """Powers up to `_DEGREE`, (n, m), their gradients, (n, 2, m), and Hessians, (n, 2, 2, m)."""
     powers = [(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a) if a + b > 0]
+    x, y = ([at**power for power in range(_DEGREE + 1)] for at in points.T)
 
-    def derivative(power: int, order: int, at: Floats) -> Floats:
+    def derivative(power: int, order: int, raised: list[Floats]) -> Floats:
         factor = np.prod([power - k for k in range(order)])
-        return np.asarray(factor * at ** max(power - order, 0))
+        return np.asarray(factor * raised[max(power - order, 0)])
 
     def term(a: int, b: int, order_a: int, order_b: int) -> Floats:
-        return derivative(a, order_a, points[:, 0]) * derivative(b, order_b, points[:, 1])
+        return derivative(a, order_a, x) * derivative(b, order_b, y)
 
     def all_of(order_a: int, order_b: int) -> Floats:
         return np.stack([term(a, b, order_a, order_b) for a, b in powers], axis=-1)

@@ -32,8 +32,8 @@ _NOISY = 10.0
 _SATURATION_SAMPLES = 1 << 14
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
-# Nearest antennas among which one across is sought: rows may lie 30 times as far apart as antennas.
-_N_NEIGHBOURS = 64
+# Nearest antennas among which one across is sought: few do on a raster, rows may lie far apart.
+_N_NEIGHBOURS = 9, 64
 # 5 % over the limit moves the alias by 5 % of the scene's width.
 _COARSE = 1.05
 
@@ -467,18 +467,20 @@ def _range_power(signal: NDArray[np.complex64]) -> Floats:
 
 def _median_spacings(centers: Floats) -> Floats:
     """Median distance of the nearest neighbour, and of the nearest at 45 degrees or more to it."""
-    first = _distinct_positions(centers)
-    if len(first) < 2:
+    places = centers[_distinct_positions(centers)]
+    if len(places) < 2:
         return np.full(2, np.nan)
     # Neighbours of a thousand positions: the search takes a third of the time of reading a capture.
-    asked = centers[first][:: len(first) // 1000 + 1]
-    found = KDTree(centers[first]).query(asked, k=range(2, min(_N_NEIGHBOURS, len(first)) + 1))
-    distances, offsets = found[0], centers[first][found[1]] - asked[:, None]
-    along = np.einsum("ijk,ik->ij", offsets, offsets[:, 0])
-    is_across = np.abs(along) < np.sqrt(0.5) * distances * distances[:, :1]
-    across = np.where(is_across, distances, np.inf).min(axis=1)
-    across[np.isinf(across)] = np.nan  # a line has none
-    return _medians(np.stack([distances[:, 0], across], axis=1))
+    asked, tree = places[:: len(places) // 1000 + 1], KDTree(places)
+    spacings = np.full((len(asked), 2), np.inf)
+    for n in _N_NEIGHBOURS:
+        lacks = np.isinf(spacings[:, 1])  # a line has none across
+        apart, index = tree.query(asked[lacks], k=range(2, min(n, len(places)) + 1))
+        offsets = places[index] - asked[lacks, None]
+        along = np.einsum("ijk,ik->ij", offsets, offsets[:, 0])
+        across = np.where(np.abs(along) < np.sqrt(0.5) * apart * apart[:, :1], apart, np.inf)
+        spacings[lacks] = np.stack([apart[:, 0], across.min(axis=1)], axis=1)
+    return _medians(spacings)
 
 
 def _medians(pairs: Sequence[Floats] | Floats) -> Floats:
