@@ -34,8 +34,8 @@ class Config(RunOptions, PriorSource):
     out: Positional[Annotated[Path, Arg(metavar="OUT")]] = Path("out")
     """Run folder for meshes, fields, report, log."""
     preset: Annotated[str, Arg(metavar="NAME")] = "best"
-    """best: seconds. fast: coarser, in half the time. paper: the learned method, minutes to an
-    hour; paper-corrected: its level corrected. To compare with: geraf1, matched-filter,
+    """best: seconds. fast: coarser, in two thirds of the time. paper: the learned method, minutes
+    to an hour; paper-corrected: its level corrected. To compare with: geraf1, matched-filter,
     normal-field, back-projection."""
     config: Annotated[Path | None, Arg(metavar="FILE")] = None
     """config.toml of a run that is to be repeated; flags go before it."""
