@@ -2,12 +2,16 @@
 
     python bench/track.py FILE                     kernels, and twenty scenes of the population
     python bench/track.py FILE --only kernels      `make bench` built them
+    python bench/track.py FILE --only scans        whole reconstructions; also with --data FOLDER
     python bench/track.py FILE --work FOLDER       simulated scenes are kept there
 
 Of a kernel: ns per item, ratio to the naive twin of the same run, and fraction of the limit that
 the measured multiply-add peak sets, where the kernel counts its multiply-adds. Of the population:
-F1 at 5 mm of each seed; a scene that fails counts 0. Lines of different machines compare by ratio
-and fraction alone.
+F1 at 5 mm of each seed; a scene that fails counts 0. Of three scans, the independent capture
+`spot_carton` of --data with both presets and its content simulated with nine times the antennas:
+median CPU seconds and peak memory of `geraf2 reconstruct --no-report`, and the ratio of that time
+to the lower bound, pairs of antennas and bins of all images times the kernel's ns a pair. Lines of
+different machines compare by ratio and fraction alone.
 """
 
 import argparse
@@ -15,14 +19,29 @@ import json
 import subprocess
 import sys
 import tempfile
+import time
+from dataclasses import replace
 from datetime import UTC, datetime
+from math import prod
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median
 from typing import Any
 
 import compare
 
 SCORE = "f1_5mm"
+DENSE = """
+[figure]
+mesh = "{mesh}"
+height_m = 0.12
+[[walls]]
+size_m = [0.22, 0.22, 0.22]
+[scan]
+spacing_m = 0.001
+[numerics]
+wall_patch_m = 0.02
+antenna_block_m = 0.07
+"""
 # Kernel -> naive twin, by program; one thread.
 TWINS = {
     compare.PROGRAM: {
@@ -72,6 +91,75 @@ def population(work: Path, seeds: str) -> dict[str, float]:
         return scores_of((Path(out) / "population.jsonl").read_text(encoding="utf-8"))
 
 
+def scans(work: Path, data: Path, repetitions: int) -> dict[str, dict[str, float]]:
+    """Measures of each scan by name. Scenes are kept in work, runs are made anew."""
+    spot = data.resolve() / "spot_carton"
+    program = str(Path(sys.executable).with_name("geraf2"))
+    work.mkdir(parents=True, exist_ok=True)
+    if not (work / "spot").exists():
+        subprocess.run([program, "import", "geraf-sens", spot, work / "spot"], check=True)
+    if not (work / "dense").exists():
+        (work / "dense.toml").write_text(DENSE.format(mesh=spot / "truth_object.ply"))
+        subprocess.run([program, "simulate", work / "dense.toml", work / "dense"], check=True)
+    found = {}
+    for name, scene, preset in (
+        ("spot fast", "spot", "fast"),
+        ("spot best", "spot", "best"),
+        ("spot best, 9 times the antennas", "dense", "best"),
+    ):
+        arguments = ["--box", "0.22", "0.22", "0.22", "--preset", preset, "--no-report"]
+        with tempfile.TemporaryDirectory(dir=work) as out:
+            command = [sys.executable, Path(__file__).parent / "python" / "reconstruct.py"]
+            command += [work / scene, "--repeats", str(repetitions), "--json", f"{out}/cost.json"]
+            subprocess.run([*command, "--", *arguments], check=True)
+            cost = json.loads((Path(out) / "cost.json").read_text(encoding="utf-8"))
+        n_pairs, bound_s = imaging(work / scene, preset, repetitions)
+        cpu_s = cost["cpu_s"]["median"]
+        found[name] = {
+            "cpu_s": cpu_s,
+            "memory_mib": cost["peak_memory_mib"]["median"],
+            "ns": 1e9 * bound_s / n_pairs,
+            "vs_bound": cpu_s / bound_s,
+        }
+    return found
+
+
+def imaging(scene: Path, preset: str, repetitions: int) -> tuple[int, float]:
+    """Pairs of antennas and bins of a preset's images, and CPU seconds of the kernel for them."""
+    from geraf2.echoes.rim import RimConfig  # noqa: PLC0415 - kernels are measured without it
+    from geraf2.imaging.peaks import box_spans  # noqa: PLC0415
+    from geraf2.imaging.subapertures import SubapertureConfig, pose_images  # noqa: PLC0415
+    from geraf2.ops.subaperture import subaperture_peaks  # noqa: PLC0415
+    from geraf2.scene import LosPrior, load_capture  # noqa: PLC0415
+
+    capture, prior = load_capture(scene), LosPrior.from_box((0.22, 0.22, 0.22))
+    configs = [SubapertureConfig()]
+    if preset == "best":
+        configs.append(replace(configs[0], rim_sizes_m=RimConfig().sizes_m))
+    images = [
+        pose_images(pose, capture.waveform, prior.bounds.mean(axis=0), tuple(span), config)
+        for pose, span in zip(capture.poses, box_spans(capture.poses, prior), strict=True)
+        for config in configs
+    ]
+    seconds = []
+    for _ in range(repetitions):
+        start = time.process_time()
+        for each in images:
+            subaperture_peaks(
+                each.pose.signal,
+                each.pose.tx_positions,
+                each.pose.rx_positions,
+                each.waveform,
+                each.subapertures,
+                each.bins,
+                thresholds_db=(100.0, 12.0),
+                num_threads=1,
+            )
+        seconds.append(time.process_time() - start)
+    n_pairs = sum(len(each.subapertures.antennas) * prod(each.bins.shape) for each in images)
+    return n_pairs, median(seconds)
+
+
 def scores_of(lines: str) -> dict[str, float]:
     """Last score of each seed."""
     results = [json.loads(line) for line in lines.splitlines() if line.strip()]
@@ -85,14 +173,17 @@ def changes(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     """What differs between two lines of the file, one thing a line."""
     rows = []
     same_machine = before.get("machine") == after["machine"]
-    for name, new in after.get("kernels", {}).items():
-        old = before.get("kernels", {}).get(name)
+    old_rows, new_rows = (
+        line.get("kernels", {}) | line.get("scans", {}) for line in (before, after)
+    )
+    for name, new in new_rows.items():
+        old = old_rows.get(name)
         if old is None:
             continue
         shown = [key for key in new if key in old and key != "quiet"]
-        shown = shown if same_machine else [key for key in shown if key != "ns"]
+        shown = shown if same_machine else [key for key in shown if key not in {"ns", "cpu_s"}]
         texts = [f"{key} {old[key]:.3g} -> {new[key]:.3g}" for key in shown]
-        noisy = "" if old["quiet"] and new["quiet"] else " (cores not free)"
+        noisy = "" if old.get("quiet", True) and new.get("quiet", True) else " (cores not free)"
         rows.append(f"{name}: {', '.join(texts)}{noisy}")
     old, new = before.get("population", {}), after.get("population", {})
     common = sorted(old.keys() & new.keys(), key=int)
@@ -124,7 +215,8 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("file", type=Path)
-    parser.add_argument("--only", choices=["kernels", "population"])
+    parser.add_argument("--only", choices=["kernels", "population", "scans"])
+    parser.add_argument("--data", type=Path, help="folder of the capture of --only scans")
     parser.add_argument("--folder", type=Path, default=compare.FOLDER, help="of the programs")
     parser.add_argument("--work", type=Path, default=Path("out/track"))
     parser.add_argument("--seeds", default="1000:1020", metavar="A:B")
@@ -133,10 +225,14 @@ def main() -> int:
     before = last_line(options.file)
     commit = subprocess.check_output(["git", "describe", "--always", "--dirty"], text=True).strip()
     line = {"commit": commit, "date": f"{datetime.now(UTC):%Y-%m-%d}", "machine": machine()}
-    if options.only != "population":
+    if options.only in {None, "kernels"}:
         line["kernels"] = kernels(options.folder, options.repetitions)
-    if options.only != "kernels":
+    if options.only in {None, "population"}:
         line["population"] = population(options.work, options.seeds)
+    if options.only == "scans" or (options.only is None and options.data):
+        if options.data is None:
+            parser.error("the scans need --data")
+        line["scans"] = scans(options.work, options.data, min(options.repetitions, 3))
     with options.file.open("a", encoding="utf-8") as file:
         file.write(json.dumps(line) + "\n")
     print(f"{commit}: appended to {options.file}")
