@@ -135,7 +135,7 @@ class Adder:
             waveform=self.capture.waveform,
             walls=self.spec.walls,
             blocker=MeshScene(whole.vertices, whole.faces, num_threads=1),
-            figure=Layer(elements=(facets,), areas=areas),
+            figure=Layer(elements=facets, areas=areas),
             wall_layers=layers,
             num_threads=1,
         )

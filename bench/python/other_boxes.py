@@ -56,9 +56,8 @@ class Drawn:
 
 
 def without_top(layer: Layer, top_m: float) -> Layer:
-    kept = layer.elements[0].points[:, 2] < top_m - 1e-3
-    elements = tuple(select(each, kept) for each in layer.elements)
-    return replace(layer, elements=elements, areas=layer.areas[kept])
+    kept = layer.elements.points[:, 2] < top_m - 1e-3
+    return replace(layer, elements=select(layer.elements, kept), areas=layer.areas[kept])
 
 
 def drawn(kind: str, seed: int) -> Drawn:
@@ -109,7 +108,7 @@ def capture_of(scene: Drawn, seed: int) -> geraf2.Capture:
         waveform=AWR1843,
         walls=scene.walls,
         blocker=blocker,
-        figure=Layer(elements=(facets,), areas=areas),
+        figure=Layer(elements=facets, areas=areas),
         wall_layers=scene.layers,
         num_threads=1,
     )

@@ -66,8 +66,7 @@ void bind_physical_optics(py::module_& m) {
         .value("rectangle", ElementShape::rectangle);
     py::enum_<Reflector>(m, "Reflector")
         .value("conductor", Reflector::conductor)
-        .value("first_face", Reflector::first_face)
-        .value("second_face", Reflector::second_face);
+        .value("slab", Reflector::slab);
     py::class_<EchoParams>(m, "EchoParams")
         .def(py::init([](const Waveform& waveform) {
                  EchoParams params;
@@ -78,6 +77,7 @@ void bind_physical_optics(py::module_& m) {
         .def_readwrite("shape", &EchoParams::shape)
         .def_readwrite("reflector", &EchoParams::reflector)
         .def_readwrite("slab_permittivity", &EchoParams::slab_permittivity)
+        .def_readwrite("slab_crossing", &EchoParams::slab_crossing)
         .def_readwrite("slab_thickness_m", &EchoParams::slab_thickness_m)
         .def_readwrite("pattern_exponent", &EchoParams::pattern_exponent)
         .def_property(

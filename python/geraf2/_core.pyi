@@ -217,13 +217,13 @@ class ElementShape(enum.Enum):
 
 class Reflector(enum.Enum):
     conductor = 0
-    first_face = 1
-    second_face = 2
+    slab = 1
 
 class EchoParams:
     shape: ElementShape
     reflector: Reflector
     slab_permittivity: float
+    slab_crossing: float
     slab_thickness_m: float
     pattern_exponent: int
     boresight: tuple[float, ...]

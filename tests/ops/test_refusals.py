@@ -195,7 +195,7 @@ CALLS = [
     (lambda: blocks_of(PLANE, offsets=[0, 9]), "offsets must rise from 0 to 16"),
     (lambda: echo(np.ones((1, 1))), "weights must be complex64 or complex128, got float64"),
     (lambda: echo(np.ones((2, 1), complex)), r"weights must have shape \(1, 1\), got \(2, 1\)"),
-    (lambda: SurfaceElements(points=POINT, reflector="first_face"), "needs slab and normals"),
+    (lambda: SurfaceElements(points=POINT, reflector="slab"), "needs slab and normals"),
     (lambda: images(lattice((2**40, 2**40))), "lattice needs 1 to"),
     (lambda: images(lattice((0, 4))), "lattice needs 1 to"),
     (lambda: images(scale=1e30), "`places` must lie in a sub-aperture"),

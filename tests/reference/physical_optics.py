@@ -54,6 +54,7 @@ def echo(
     shape="point",
     reflector="conductor",
     slab=None,
+    slab_crossing=1.0,
     walls=(),
     boresight=None,
     exponent=0,
@@ -75,13 +76,12 @@ def echo(
                 continue
             cos = 0.5 * (cos_t + cos_r)
             factor *= cos
-        if reflector == "conductor":
-            factor *= -1
-        else:
+        faces = [(-1.0, 0.0)]  # reflection coefficient and further path
+        if reflector == "slab":
             inner = np.sqrt(slab.permittivity - 1 + cos**2)
             r = (cos - inner) / (cos + inner)
-            factor *= r if reflector == "first_face" else -r * (1 - r**2)
-            path += 0.0 if reflector == "first_face" else 2 * slab.thickness_m * inner
+            farther = -r * (1 - r**2) * slab_crossing**2
+            faces = [(r, 0.0), (farther, 2 * slab.thickness_m * inner)]
         slope = -k_mid * (to_tx + to_rx)  # of the phase k d, along the surface
         if shape == "triangle":
             one, two = edges[p] @ slope
@@ -98,5 +98,6 @@ def echo(
                 excess, transmission = crossing(x, end, wall)
                 path += excess
                 factor *= transmission
-        signal += factor * np.exp(-2j * np.pi * f * path / C)
+        for coefficient, further in faces:
+            signal += coefficient * factor * np.exp(-2j * np.pi * f * (path + further) / C)
     return 1j / (4 * np.pi) * signal

@@ -39,7 +39,7 @@ def test_a_plane_without_wall_flash_agrees_with_an_independent_simulator():
         waveform=WAVEFORM,
         walls=(wall,),
         blocker=MeshScene(mesh.vertices, mesh.faces),
-        figure=Layer(elements=(facets,), areas=areas),
+        figure=Layer(elements=facets, areas=areas),
     )
     ours = plane_echo(scene, antennas).figure
     correlation = np.vdot(ours, signal) / np.linalg.norm(ours) / np.linalg.norm(signal)

@@ -162,7 +162,7 @@ def test_multipath_is_the_path_via_the_wall_by_hand():
         waveform=WAVEFORM,
         walls=(box,),
         blocker=MeshScene(far_away.vertices, far_away.faces),
-        figure=Layer(elements=(facet,), areas=np.array([1e-6])),
+        figure=Layer(elements=facet, areas=np.array([1e-6])),
     )
     tx, rx = np.array([0.28, 0.02, 0.03]), np.array([0.28, 0.025, 0.03])
     antennas = blocks_of(tx, rx)

@@ -26,19 +26,19 @@ enum class ElementShape {
 
 /// What the elements are made of.
 enum class Reflector {
-    conductor,   ///< reflection coefficient -1
-    first_face,  ///< r of the slab's nearer face
-    second_face, ///< -r (1 - r^2) of the farther face, delayed by twice the slab
+    conductor, ///< reflection coefficient -1
+    slab,      ///< r of the nearer face, -r (1 - r^2) of the farther, delayed by twice the slab
 };
 
 struct EchoParams {
     Waveform waveform;
     ElementShape shape = ElementShape::point;
     Reflector reflector = Reflector::conductor;
-    double slab_permittivity = 1.0; ///< of first_face and second_face
-    double slab_thickness_m = 0.0;  ///< of second_face
-    Vec3<double> boresight;         ///< unit vector of the antennas' main lobe
-    int pattern_exponent = 0;       ///< n of the amplitude pattern cos^n of each tx and rx
+    double slab_permittivity = 1.0;
+    double slab_thickness_m = 0.0;
+    double slab_crossing = 1.0; ///< what one crossing leaves, beside the faces' reflection
+    Vec3<double> boresight;     ///< unit vector of the antennas' main lobe
+    int pattern_exponent = 0;   ///< n of the amplitude pattern cos^n of each tx and rx
 };
 
 /// Physical-optics echo of surface elements p seen by antennas a of block b:

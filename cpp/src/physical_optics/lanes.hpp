@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "geraf2/physical_optics.hpp"
-#include "geraf2/simd.hpp"
 #include "geraf2/types.hpp"
 
 #if defined(__GNUC__)
@@ -30,27 +29,31 @@ template <class T>
 struct Element {
     T from_tx[3], from_rx[3]; // element minus centre of the block's transmitters, receivers [m]
     T range_tx, range_rx;     // their lengths [m]
+    T lead;                   // path to the block's centres less the cell's reference path [m]
     T normal[3];
     T position[3];          // [m]
     T edge_1[3], edge_2[3]; // half sides of a rectangle times 2 pi f_mid / c [rad per unit slope]
     T weight_re, weight_im;
-    T turns, turns_step; // phase of the reference path at sample 0 and per sample [turns]
 };
 
 template <class T>
 struct Wall {
-    T center[3], half[3], thickness, permittivity;
+    T center[3], half[3], thickness;
+    T contrast, inverse_contrast; // permittivity - 1, and its inverse; 0 of air
 };
 
 template <class T>
 struct Constants {
-    T turns_per_m, turns_step_per_m;
-    T slab_permittivity, slab_thickness;
+    T turns_per_m;                         // at mid-band
+    T turns_start_per_m, turns_step_per_m; // at sample 0, and per sample
+    T radians_per_m;                       // last sample less mid-band
+    T slab_contrast, inverse_slab_contrast, slab_thickness;
+    T slab_crossings; // of two
     T boresight[3];
-    T detune, detune_step; // (f - f_mid) / f_mid at sample 0, and its step
-    T curvature;           // 1 / (6 (2 pi f_mid / c)^2): edges are stored times 2 pi f_mid / c
+    T detune;    // (f - f_mid) / f_mid at the last sample
+    T curvature; // 1 / (6 (2 pi f_mid / c)^2): edges are stored times 2 pi f_mid / c
     bool has_normals, has_edges;
-    Reflector reflector;
+    int n_faces; // 2 of a slab
     int pattern_exponent;
     index_t n_samples;
 };
@@ -106,9 +109,8 @@ GERAF2_INLINE void sinc_and_slope(T radians, T& value, T& slope) {
 template <class T>
 struct End {
     T along[3][n_lanes]; // antenna minus element [m]
-    T range[n_lanes];    // its length [m]
-    T inverse[n_lanes];  // 1 / range
-    T growth[n_lanes];   // range minus the range of the block's centre [m]
+    T inverse[n_lanes];  // 1 / its length
+    T growth[n_lanes];   // its length minus that from the block's centre [m]
 };
 
 template <class T>
@@ -129,9 +131,11 @@ GERAF2_INLINE void look_from(const T (&offset)[3][n_lanes], const T (&from)[3], 
             x * (x - T(2) * from[0]) + y * (y - T(2) * from[1]) + z * (z - T(2) * from[2]);
         const T along[3] = {x - from[0], y - from[1], z - from[2]};
         // Not from grow: where antennas lie much farther apart than the element is, that cancels.
-        end.range[l] = std::sqrt(squared(along));
-        end.growth[l] = grow / (end.range[l] + range);
-        end.inverse[l] = T(1) / end.range[l];
+        const T length = std::sqrt(squared(along));
+        const T both = length + range;
+        const T share = T(1) / (length * both); // one quotient, as it costs twenty products
+        end.growth[l] = grow * length * share;
+        end.inverse[l] = both * share;
         end.along[0][l] = along[0];
         end.along[1][l] = along[1];
         end.along[2][l] = along[2];
@@ -146,90 +150,196 @@ GERAF2_INLINE T cosine_to(const T (&direction)[3], const End<T>& end, int l) {
            end.inverse[l];
 }
 
-// Wall crossed between the element and one end: excess path added, transmission multiplied.
+// One crossing of a wall at a cosine of incidence; `met` is 1, or 0 for none.
 template <class T>
-GERAF2_INLINE void cross_wall(const Wall<T>& wall, const Element<T>& element, const End<T>& end,
+GERAF2_INLINE void cross_face(const Wall<T>& wall, T cosine, T met, T& path, T& amplitude) {
+    const T bend = std::sqrt(wall.contrast + cosine * cosine) - cosine;
+    // r = (c - q) / (c + q) = -(q - c)^2 / (permittivity - 1), without the quotient
+    const T r = bend * bend * wall.inverse_contrast;
+    path += met * wall.thickness * bend;
+    amplitude *= T(1) - met * r * r;
+}
+
+// Whether all lanes hold the same.
+template <class T>
+GERAF2_INLINE bool all_same(const T* values) {
+    T spread = T(0);
+#pragma omp simd reduction(+ : spread)
+    for (int l = 0; l < n_lanes; ++l) {
+        spread += std::abs(values[l] - values[0]);
+    }
+    return spread == T(0);
+}
+
+// Whether all ends lie beyond the side of the wall that the element lies beyond: no ray crosses it.
+template <class T>
+GERAF2_INLINE bool stays_outside(const Wall<T>& wall, const T (&at)[3], const End<T>& end) {
+    for (int axis = 0; axis < 3; ++axis) {
+        const T side = at[axis] < T(0) ? T(-1) : T(1);
+        T count = T(0);
+#pragma omp simd reduction(+ : count)
+        for (int l = 0; l < n_lanes; ++l) {
+            count += side * (at[axis] + end.along[axis][l]) > wall.half[axis] ? T(1) : T(0);
+        }
+        if (side * at[axis] > wall.half[axis] && count == T(n_lanes)) {
+            return true;
+        }
+    }
+    return false;
+}
+
+// Wall crossed between the element and one end: excess path added, transmission multiplied. Returns
+// whether all rays cross the same sides.
+template <class T>
+GERAF2_INLINE bool cross_wall(const Wall<T>& wall, const Element<T>& element, const End<T>& end,
                               T* path, T* amplitude) {
     constexpr T tiny = T(1e-20); // keeps 0/0 out of a ray along a wall
-    const T contrast = wall.permittivity - T(1);
+    alignas(64) T crossed[n_lanes];
+    T at[3];
+    bool inside = true;
+    for (int axis = 0; axis < 3; ++axis) {
+        at[axis] = element.position[axis] - wall.center[axis];
+        inside = inside && std::abs(at[axis]) < wall.half[axis];
+    }
+    if (inside) { // the ray can only leave, by the side that it meets first
+#pragma omp simd
+        for (int l = 0; l < n_lanes; ++l) {
+            T room = T(1);
+            T size = T(0); // room / size is the share of the ray up to the side
+            T side = T(0);
+            for (int axis = 0; axis < 3; ++axis) {
+                const T d = end.along[axis][l];
+                const T one = std::abs(d);
+                const T left = wall.half[axis] - (d < T(0) ? -at[axis] : at[axis]);
+                const bool nearer = left * size < room * one;
+                room = nearer ? left : room;
+                size = nearer ? one : size;
+                side = nearer ? T(2 * axis + 1) + (d < T(0) ? T(1) : T(0)) : side;
+            }
+            const T leaves = room < size ? T(1) : T(0);
+            crossed[l] = leaves * side;
+            cross_face(wall, size * end.inverse[l], leaves, path[l], amplitude[l]);
+        }
+        return all_same(crossed);
+    }
+    if (stays_outside(wall, at, end)) {
+        return true;
+    }
 #pragma omp simd
     for (int l = 0; l < n_lanes; ++l) {
         T near = T(-1e30);
         T far = T(1e30);
+        T near_size = T(0);
+        T far_size = T(0);
         T near_side = T(0);
         T far_side = T(0);
         for (int axis = 0; axis < 3; ++axis) {
             const T d = end.along[axis][l] == T(0) ? tiny : end.along[axis][l];
             const T inverse = T(1) / d;
-            const T x = element.position[axis] - wall.center[axis];
-            const T one = (-wall.half[axis] - x) * inverse;
-            const T two = (wall.half[axis] - x) * inverse;
+            const T one = (-wall.half[axis] - at[axis]) * inverse;
+            const T two = (wall.half[axis] - at[axis]) * inverse;
             const T low = one < two ? one : two;
             const T high = one < two ? two : one;
             const T size = std::abs(d);
-            near_side = low > near ? size : near_side;
+            const T side = T(2 * axis + 1) + (d < T(0) ? T(1) : T(0));
+            near_size = low > near ? size : near_size;
+            near_side = low > near ? side : near_side;
             near = low > near ? low : near;
-            far_side = high < far ? size : far_side;
+            far_size = high < far ? size : far_size;
+            far_side = high < far ? side : far_side;
             far = high < far ? high : far;
         }
         const T meets = far > near ? T(1) : T(0);
         const T enters = (near > T(0) ? meets : T(0)) * (near < T(1) ? T(1) : T(0));
         const T leaves = (far > T(0) ? meets : T(0)) * (far < T(1) ? T(1) : T(0));
-        const T c1 = near_side * end.inverse[l];
-        const T c2 = far_side * end.inverse[l];
-        const T q1 = std::sqrt(contrast + c1 * c1);
-        const T q2 = std::sqrt(contrast + c2 * c2);
-        const T r1 = (c1 - q1) / (c1 + q1);
-        const T r2 = (c2 - q2) / (c2 + q2);
-        path[l] += wall.thickness * (enters * (q1 - c1) + leaves * (q2 - c2));
-        amplitude[l] *= (T(1) - enters * r1 * r1) * (T(1) - leaves * r2 * r2);
+        crossed[l] = enters * near_side + T(8) * leaves * far_side;
+        cross_face(wall, near_size * end.inverse[l], enters, path[l], amplitude[l]);
+        cross_face(wall, far_size * end.inverse[l], leaves, path[l], amplitude[l]);
     }
+    return all_same(crossed);
 }
 
-// Obliquity and reflection coefficient of the element.
+// The farther face of a slab against the nearer one.
 template <class T>
-GERAF2_INLINE void reflect(const Element<T>& e, const Constants<T>& c, const End<T>& tx,
-                           const End<T>& rx, T* path, T* amplitude) {
+struct Farther {
+    T amplitude[n_lanes], delay[n_lanes]; // [m]
+};
+
+// Obliquity and reflection coefficient of the element. Returns the number of lanes that it faces.
+template <class T>
+GERAF2_INLINE T reflect(const Element<T>& e, const Constants<T>& c, const End<T>& tx,
+                        const End<T>& rx, T* amplitude, Farther<T>& farther) {
     alignas(64) T cosine[n_lanes];
-#pragma omp simd
+    T n_lit = T(0);
+#pragma omp simd reduction(+ : n_lit)
     for (int l = 0; l < n_lanes; ++l) {
         const T cos_tx = cosine_to(e.normal, tx, l);
         const T cos_rx = cosine_to(e.normal, rx, l);
         const T lit = (cos_tx > T(0) ? T(1) : T(0)) * (cos_rx > T(0) ? T(1) : T(0));
         cosine[l] = T(0.5) * (cos_tx + cos_rx);
         amplitude[l] *= lit * cosine[l];
+        n_lit += lit;
     }
-    if (c.reflector == Reflector::conductor) {
-        return;
+    if (c.n_faces == 1 || n_lit == T(0)) {
+        return n_lit;
     }
-    const bool first = c.reflector == Reflector::first_face;
-    const T delay = first ? T(0) : T(2) * c.slab_thickness;
 #pragma omp simd
     for (int l = 0; l < n_lanes; ++l) {
-        const T q = std::sqrt(c.slab_permittivity - T(1) + cosine[l] * cosine[l]);
-        const T r = (cosine[l] - q) / (cosine[l] + q);
+        const T q = std::sqrt(c.slab_contrast + cosine[l] * cosine[l]);
+        const T bend = q - cosine[l];
+        const T r = -bend * bend * c.inverse_slab_contrast; // see cross_face
         // The conductor's -1 is in the amplitude already.
-        amplitude[l] *= first ? -r : r * (T(1) - r * r);
-        path[l] += delay * q;
+        amplitude[l] *= -r;
+        farther.amplitude[l] = (r * r - T(1)) * c.slab_crossings;
+        farther.delay[l] = T(2) * c.slab_thickness * q;
     }
+    return n_lit;
 }
 
-// One element in all lanes: phasor at sample 0, its step from sample to sample, and a real gain.
+// How an element is seen over a block.
+enum class View { dark, smooth, broken };
+
+// One face in all lanes: its phasor at mid-band relative to the cell's middle, and the change of
+// its phase over half the band.
+template <class T>
+struct Wave {
+    T re[n_lanes], im[n_lanes];
+    T radians[n_lanes];
+};
+
+// One element in all lanes: its faces, its gain, and the change of that over half the band.
 template <class T>
 struct Phasors {
-    T z_re[n_lanes], z_im[n_lanes];
-    T w_re[n_lanes], w_im[n_lanes];
-    T gain[n_lanes], gain_step[n_lanes];
+    Wave<T> waves[2]; // of both faces of a slab, else one
+    T gain[n_lanes], slope[n_lanes];
 };
 
 template <class T>
-GERAF2_INLINE void start_phasors(const Element<T>& e, const Lanes<T>& lanes,
+GERAF2_INLINE void start_wave(const Element<T>& e, const Constants<T>& c, const T* path,
+                              const T* amplitude, const T* middle, Wave<T>& wave) {
+#pragma omp simd
+    for (int l = 0; l < n_lanes; ++l) {
+        T sine;
+        T cosine;
+        const T more = e.lead + path[l] - middle[l];
+        sincos_turns(more * c.turns_per_m, sine, cosine);
+        wave.re[l] = amplitude[l] * (e.weight_re * cosine - e.weight_im * sine);
+        wave.im[l] = amplitude[l] * (e.weight_re * sine + e.weight_im * cosine);
+        wave.radians[l] = more * c.radians_per_m;
+    }
+}
+
+// middle: growth of the path to the cell's middle, (n_lanes) [m]. Broken where some lanes see
+// another side of the element, or through another side of a wall, than others.
+template <class T>
+GERAF2_INLINE View start_phasors(const Element<T>& e, const Lanes<T>& lanes,
                                  const std::vector<Wall<T>>& walls, const Constants<T>& c,
-                                 Phasors<T>& out) {
+                                 const T* middle, Phasors<T>& out) {
     alignas(64) End<T> tx;
     alignas(64) End<T> rx;
     alignas(64) T path[n_lanes];
     alignas(64) T amplitude[n_lanes];
+    alignas(64) Farther<T> farther;
     look_from(lanes.tx, e.from_tx, e.range_tx, tx);
     look_from(lanes.rx, e.from_rx, e.range_rx, rx);
 #pragma omp simd
@@ -237,8 +347,13 @@ GERAF2_INLINE void start_phasors(const Element<T>& e, const Lanes<T>& lanes,
         path[l] = tx.growth[l] + rx.growth[l];
         amplitude[l] = -tx.inverse[l] * rx.inverse[l];
     }
+    bool same = true;
     if (c.has_normals) {
-        reflect(e, c, tx, rx, path, amplitude);
+        const T n_lit = reflect(e, c, tx, rx, amplitude, farther);
+        if (n_lit == T(0)) {
+            return View::dark;
+        }
+        same = n_lit == T(n_lanes);
     }
     if (c.has_edges) {
         const T length_2 = squared(e.edge_1) + squared(e.edge_2);
@@ -258,8 +373,8 @@ GERAF2_INLINE void start_phasors(const Element<T>& e, const Lanes<T>& lanes,
             // patches of 8 mm would leave 12 % of a wall's specular return where they add up in
             // phase.
             const T slope = one * slope_2 + two * slope_1;
-            out.gain[l] = one * two + slope * c.detune;
-            out.gain_step[l] = slope * c.detune_step;
+            out.gain[l] = one * two;
+            out.slope[l] = slope * c.detune;
             // Mean of the quadratic part of the path: 0.07 rad for 8 mm patches at 0.25 m.
             path[l] += c.curvature * ((length_2 - tx_1 * tx_1 - tx_2 * tx_2) * tx.inverse[l] +
                                       (length_2 - rx_1 * rx_1 - rx_2 * rx_2) * rx.inverse[l]);
@@ -274,116 +389,18 @@ GERAF2_INLINE void start_phasors(const Element<T>& e, const Lanes<T>& lanes,
         }
     }
     for (const Wall<T>& wall : walls) {
-        cross_wall(wall, e, tx, path, amplitude);
-        cross_wall(wall, e, rx, path, amplitude);
+        same = cross_wall(wall, e, tx, path, amplitude) && same;
+        same = cross_wall(wall, e, rx, path, amplitude) && same;
     }
-#pragma omp simd
-    for (int l = 0; l < n_lanes; ++l) {
-        T sine;
-        T cosine;
-        sincos_turns(e.turns + path[l] * c.turns_per_m, sine, cosine);
-        out.z_re[l] = amplitude[l] * (e.weight_re * cosine - e.weight_im * sine);
-        out.z_im[l] = amplitude[l] * (e.weight_re * sine + e.weight_im * cosine);
-        sincos_turns(e.turns_step + path[l] * c.turns_step_per_m, sine, cosine);
-        out.w_re[l] = cosine;
-        out.w_im[l] = sine;
-    }
-}
-
-// Adds two elements to the accumulators. `graded`: their gain changes with frequency.
-template <class T, bool graded, int register_bytes>
-GERAF2_INLINE void add_pair(const Phasors<T>& a, const Phasors<T>& b, index_t n_samples, T* sum) {
-    constexpr int width = register_bytes / static_cast<int>(sizeof(T));
-    // may_alias: these registers are loaded from and stored to plain arrays of T.
-    using Register [[gnu::vector_size(register_bytes), gnu::may_alias]] = T;
-    for (int l = 0; l < n_lanes; l += width) {
-        Register ar = *reinterpret_cast<const Register*>(&a.z_re[l]);
-        Register ai = *reinterpret_cast<const Register*>(&a.z_im[l]);
-        Register br = *reinterpret_cast<const Register*>(&b.z_re[l]);
-        Register bi = *reinterpret_cast<const Register*>(&b.z_im[l]);
-        const Register awr = *reinterpret_cast<const Register*>(&a.w_re[l]);
-        const Register awi = *reinterpret_cast<const Register*>(&a.w_im[l]);
-        const Register bwr = *reinterpret_cast<const Register*>(&b.w_re[l]);
-        const Register bwi = *reinterpret_cast<const Register*>(&b.w_im[l]);
-        Register ag = *reinterpret_cast<const Register*>(&a.gain[l]);
-        Register bg = *reinterpret_cast<const Register*>(&b.gain[l]);
-        const Register ag_step = *reinterpret_cast<const Register*>(&a.gain_step[l]);
-        const Register bg_step = *reinterpret_cast<const Register*>(&b.gain_step[l]);
-        for (index_t t = 0; t < n_samples; ++t) {
-            auto* re = reinterpret_cast<Register*>(sum + 2 * t * n_lanes + l);
-            auto* im = reinterpret_cast<Register*>(sum + (2 * t + 1) * n_lanes + l);
-            if constexpr (graded) {
-                *re += ag * ar + bg * br;
-                *im += ag * ai + bg * bi;
-                ag += ag_step;
-                bg += bg_step;
-            } else {
-                *re += ar + br;
-                *im += ai + bi;
-            }
-            const Register an = ar * awr - ai * awi;
-            ai = ar * awi + ai * awr;
-            ar = an;
-            const Register bn = br * bwr - bi * bwi;
-            bi = br * bwi + bi * bwr;
-            br = bn;
+    start_wave(e, c, path, amplitude, middle, out.waves[0]);
+    if (c.n_faces == 2) {
+        for (int l = 0; l < n_lanes; ++l) {
+            path[l] += farther.delay[l];
+            amplitude[l] *= farther.amplitude[l];
         }
+        start_wave(e, c, path, amplitude, middle, out.waves[1]);
     }
-}
-
-// Adds all elements to the accumulators of n_lanes antennas, sum[(t * 2 + part) * n_lanes + l].
-template <class T, int register_bytes>
-GERAF2_INLINE void accumulate(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
-                              const std::vector<Wall<T>>& walls, const Constants<T>& c, T* sum) {
-    alignas(64) Phasors<T> pair[2];
-    for (std::size_t first = 0; first < elements.size(); first += 2) {
-        start_phasors(elements[first], lanes, walls, c, pair[0]);
-        if (first + 1 < elements.size()) {
-            start_phasors(elements[first + 1], lanes, walls, c, pair[1]);
-        } else {
-            pair[1] = Phasors<T>{};
-        }
-        if (c.has_edges) {
-            add_pair<T, true, register_bytes>(pair[0], pair[1], c.n_samples, sum);
-        } else {
-            add_pair<T, false, register_bytes>(pair[0], pair[1], c.n_samples, sum);
-        }
-    }
-}
-
-#if defined(__x86_64__) && defined(__GNUC__)
-#define GERAF2_X86_PATHS 1
-template <class T>
-[[gnu::target("avx2,fma")]] void
-accumulate_avx2(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
-                const std::vector<Wall<T>>& walls, const Constants<T>& c, T* sum) {
-    accumulate<T, 32>(elements, lanes, walls, c, sum);
-}
-
-template <class T>
-[[gnu::target("avx512f,avx512dq,avx512vl,fma")]] void
-accumulate_avx512(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
-                  const std::vector<Wall<T>>& walls, const Constants<T>& c, T* sum) {
-    accumulate<T, 64>(elements, lanes, walls, c, sum);
-}
-#endif
-
-template <class T>
-void accumulate_best(const std::vector<Element<T>>& elements, const Lanes<T>& lanes,
-                     const std::vector<Wall<T>>& walls, const Constants<T>& c, T* sum) {
-#ifdef GERAF2_X86_PATHS
-    switch (simd_level()) {
-    case SimdLevel::avx512:
-        accumulate_avx512(elements, lanes, walls, c, sum);
-        return;
-    case SimdLevel::avx2:
-        accumulate_avx2(elements, lanes, walls, c, sum);
-        return;
-    case SimdLevel::baseline:
-        break;
-    }
-#endif
-    accumulate<T, 16>(elements, lanes, walls, c, sum);
+    return same ? View::smooth : View::broken;
 }
 
 } // namespace geraf2::detail

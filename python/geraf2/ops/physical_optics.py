@@ -29,10 +29,12 @@ class SurfaceElements:
     """(n_points, 2, 3) [m]: two corners seen from the centroid (triangle) or both half sides."""
     shape: Literal["point", "triangle", "rectangle"] = "point"
     """What `edges` describe; the phase varies linearly over an element."""
-    reflector: Literal["conductor", "first_face", "second_face"] = "conductor"
-    """Reflection: -1, or the nearer or farther face of a dielectric slab."""
+    reflector: Literal["conductor", "slab"] = "conductor"
+    """Reflection: -1, or both faces of a dielectric slab, r and -r (1 - r^2)."""
     slab: Wall | None = None
     """Permittivity and thickness of the slab; needed unless a conductor."""
+    slab_crossing: float = 1.0
+    """Amplitude that one crossing of the slab leaves, beside the reflection of its faces."""
 
     def __post_init__(self) -> None:
         n_points = self.points.shape[0]
@@ -95,8 +97,9 @@ def physical_optics(
     linear. abs(s)^2 is received over transmitted power for antennas of unit gain.
 
     elements: where and what the elements are.
-    weights: area [m^2] times visibility (0 hidden, 1 seen), complex64 or complex128 as the
-        arithmetic of the sum is to be, (n_blocks, n_points). Reference phases are float64 in both.
+    weights: area [m^2] times visibility (0 hidden, 1 seen), (n_blocks, n_points). complex128: every
+        term in float64. complex64: blocks of more than 32 antennas on a raster are interpolated
+        where the echo is smooth, within 1e-3. Reference phases are float64 in both.
     antennas: transmitters, receivers and their blocks. A block should be small against the range (a
         tenth), since the triangle form factor is taken from its centre.
     walls: closed shells that rays cross [m], in any order; TE polarisation, no inner reflections.
@@ -117,6 +120,7 @@ def physical_optics(
     if elements.slab is not None:
         params.slab_permittivity = elements.slab.permittivity
         params.slab_thickness_m = elements.slab.thickness_m
+        params.slab_crossing = elements.slab_crossing
     params.boresight = tuple(float(v) for v in antennas.boresight)
     params.pattern_exponent = antennas.pattern_exponent
     no_rows = np.empty((0, 3))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -34,10 +33,10 @@ Points = tuple[SurfaceElements, NDArray[np.complex128]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Layer:
-    """Elements at the same positions, which are seen and hidden together."""
+    """Elements that the same boxes hide and delay."""
 
-    elements: tuple[SurfaceElements, ...]
-    """The object's facets, or both faces of a wall; equal points and normals."""
+    elements: SurfaceElements
+    """The object's facets, or the patches of walls."""
     areas: Floats
     """(n_points,) [m^2]."""
     can_be_hidden: bool = True
@@ -98,7 +97,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
         figure += _tubes_echo(scene, scene.tubes, antennas)
     walls = np.zeros_like(figure)
     if scene.multipath:
-        walls += multipath_echo(scene.figure.elements[0], scene.figure.areas, antennas, scene)
+        walls += multipath_echo(scene.figure.elements, scene.figure.areas, antennas, scene)
     for layer in scene.wall_layers:
         walls += _wall_echo(scene, antennas, layer)
     return PlaneEcho(
@@ -147,13 +146,12 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
         return _layer_echo(scene, antennas, layer)
     waves = scene if layer.walls is None else replace(scene, walls=layer.walls)
     signal = np.zeros((len(antennas.tx), scene.waveform.n_samples), dtype=np.complex64)
-    for rows in box_faces(layer.elements[0]):
-        elements = tuple(select(faces, rows) for faces in layer.elements)
-        face = replace(layer, elements=elements, areas=layer.areas[rows])
-        if is_square(face.elements[0], antennas, scene.blocker):
+    for rows in box_faces(layer.elements):
+        face = replace(layer, elements=select(layer.elements, rows), areas=layer.areas[rows])
+        if is_square(face.elements, antennas, scene.blocker):
             # The unshadowed echo, and its change by the object.
             signal += _layer_echo(scene, antennas, replace(face, can_be_hidden=False))
-            signal += shadow_echo(waves, face.elements[0], face.areas, antennas)
+            signal += shadow_echo(waves, face.elements, face.areas, antennas)
         else:
             signal += _layer_echo(scene, antennas, face)
     return signal
@@ -161,14 +159,10 @@ def _wall_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArr
 
 def _layer_echo(scene: EchoScene, antennas: AntennaBlocks, layer: Layer) -> NDArray[np.complex64]:
     blocker = scene.blocker if layer.can_be_hidden else None
-    seen = _visibility(blocker, layer.elements[0], antennas)
+    seen = _visibility(blocker, layer.elements, antennas)
     used = np.asarray(seen.any(axis=0))
     weights = seen[:, used] * layer.areas[used]
-    signals = (
-        _echo(scene, antennas, select(elements, used), weights, layer.walls)
-        for elements in layer.elements
-    )
-    return reduce(np.add, signals)
+    return _echo(scene, antennas, select(layer.elements, used), weights, layer.walls)
 
 
 def _echo(
@@ -181,10 +175,9 @@ def _echo(
     walls = scene.walls if walls is None else walls
     if scene.wall_amplitude != 1.0:
         crossed = 2 * n_crossings(block_centers(antennas), elements.points, walls)
-        crossed += 2 * (elements.reflector == "second_face")  # through the slab and back
         weights = weights * scene.wall_amplitude**crossed
     signal = physical_optics(
-        elements,
+        replace(elements, slab_crossing=scene.wall_amplitude),
         weights.astype(np.complex64),
         antennas,
         scene.waveform,
@@ -238,11 +231,11 @@ def wall_layers(
         shape = None if shapes is None else shapes[number]
         for inside in (False, True)[: 1 + inner_sides]:
             side_m = inside_patch_m if inside and inside_patch_m else patch_m
-            pair, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
+            patches, areas = wall_elements(wall, side_m, inside=inside, shape=shape)
             # The object lies within all boxes: it hides their inner sides only.
             layers.append(
                 Layer(
-                    elements=pair,
+                    elements=patches,
                     areas=areas,
                     can_be_hidden=inside,
                     walls=None if shape is None else _find_crossed(walls, number, shape, inside),

@@ -126,17 +126,15 @@ def wall_elements(
     all_edges = np.concatenate(edges)
     areas = 4.0 * np.linalg.norm(all_edges, axis=2).prod(axis=1)
 
-    def layer(reflector: str) -> SurfaceElements:
-        return SurfaceElements(
-            points=np.concatenate(points),
-            normals=np.concatenate(normals),
-            edges=all_edges,
-            shape="rectangle",
-            reflector="first_face" if reflector == "first_face" else "second_face",
-            slab=wall,
-        )
-
-    return (layer("first_face"), layer("second_face")), areas
+    patches = SurfaceElements(
+        points=np.concatenate(points),
+        normals=np.concatenate(normals),
+        edges=all_edges,
+        shape="rectangle",
+        reflector="slab",
+        slab=wall,
+    )
+    return patches, areas
 
 
 def _lines(half_m: float, step_m: float) -> Floats:

@@ -227,7 +227,7 @@ def _echo_scene(
         waveform=spec.waveform,
         walls=walls,
         blocker=blocker,
-        figure=Layer(elements=(facets,), areas=areas),
+        figure=Layer(elements=facets, areas=areas),
         wall_layers=wall_layers(
             walls,
             spec.numerics.wall_patch_m,
