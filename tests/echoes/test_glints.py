@@ -1,6 +1,9 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from geraf2.echoes import glints as glints_module
 from geraf2.echoes.glints import GlintConfig, find_echoes, find_glints
 from geraf2.errors import UserError
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -53,6 +56,22 @@ def test_the_uncertainty_covers_the_error(glints):
     distance, angle = errors(glints, [[0.0, 0.0, 0.0]], [RADIUS_M])
     assert np.mean(np.abs(distance) < 2.5 * glints.position_sigma_m) > 0.9
     assert np.mean(np.radians(angle) < 2.5 * glints.normal_sigma_rad) > 0.9
+
+
+def test_where_few_returns_are_probable_the_likeliest_are_taken(capture, monkeypatch):
+    certain = glints_module.label_peaks
+
+    def doubtful(*of):
+        labelled = certain(*of)
+        return replace(labelled, probability=0.45 * labelled.probability)
+
+    monkeypatch.setattr(glints_module, "label_peaks", doubtful)
+    found = find_echoes(capture, BOX)
+    kept = found.labelled.probability[found.numbers]
+    rest = np.delete(found.labelled.probability, found.numbers)
+    assert len(kept) > 50
+    assert kept.max() < GlintConfig().min_probability
+    assert kept.min() >= rest.max()
 
 
 def test_irregular_positions_give_the_same_glints():
