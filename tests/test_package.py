@@ -92,7 +92,8 @@ def test_every_kernel_of_several_instruction_sets_is_named(project_root):
     compiled = set(re.findall(r"^geraf2_add_levels\(geraf2_kernels (\w+) ", build, re.MULTILINE))
     lanes = list((project_root / "cpp" / "src").glob("*/lanes.hpp"))
     # compiled for every instruction set in one file, by function attributes
-    compiled |= {path.parent.name for path in lanes if "gnu::target(" in path.read_text()}
+    headers = [path for lane in lanes for path in lane.parent.glob("*.hpp")]
+    compiled |= {path.parent.name for path in headers if "gnu::target(" in path.read_text()}
     assert compiled == {path.parent.name for path in lanes}
     assert compiled == set(VECTOR_KERNELS)
     headers = {path.stem for path in (project_root / "cpp/include/geraf2").glob("*.hpp")}

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-BINARY = {".png", ".npy", ".npz", ".glb", ".gz"}
+BINARY = {".png", ".npy", ".npz", ".glb", ".gz", ".safetensors"}
 VERBATIM = {"LICENSE"}
 MAX_BYTES = 500_000  # a picture or a test mesh fits; a capture does not belong in the repository
 MAX_LINES = 600

@@ -81,12 +81,7 @@ def scene_of_run(pair: str, kind: str) -> Scene:
 
 def scene_of_object(name: str, kind: str, truth: TriangleMesh, scan: ScanSpec, seed: int) -> Scene:
     """Glints of an object by geometry, without radar."""
-    rng = np.random.default_rng(seed)
-    planes = []
-    for plane in scan_planes(scan):
-        half = 0.5 * np.ptp((plane.tx @ plane.axes.T)[:, 1:], axis=0)
-        middle = 0.5 * (plane.tx + plane.rx).mean(axis=0)
-        planes.append(Aperture.from_rectangle(middle, plane.axes, half))
+    rng, planes = np.random.default_rng(seed), apertures_of(scan)
     surface = *surface_points(truth, rng), MeshScene(truth.vertices, truth.faces)
     found = [(k, *e) for k, plane in enumerate(planes) for e in echoes(plane, *surface)]
     poses, positions, normals, strengths = (np.array(part) for part in zip(*found, strict=True))
@@ -117,6 +112,16 @@ def scene_of_object(name: str, kind: str, truth: TriangleMesh, scan: ScanSpec, s
     )
     evidence, fit = Evidence(glints=glints), FitConfig(spacing_m=0.005)
     return Scene(name=name, kind=kind, evidence=evidence, fit=fit, prior=None, truth=truth)
+
+
+def apertures_of(scan: ScanSpec) -> list[Aperture]:
+    """Rectangles that the antennas of the planes cover."""
+    apertures = []
+    for plane in scan_planes(scan):
+        half = 0.5 * np.ptp((plane.tx @ plane.axes.T)[:, 1:], axis=0)
+        middle = 0.5 * (plane.tx + plane.rx).mean(axis=0)
+        apertures.append(Aperture.from_rectangle(middle, plane.axes, half))
+    return apertures
 
 
 def surface_points(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -178,11 +183,16 @@ def scores(scene: Scene, config: FitConfig) -> list[float]:
     else:
         surface = content_surface(sdf, scene.prior, num_threads=1)
         mesh = separate_pieces(surface, scene.evidence.seen)[0]
+    return surface_scores(mesh, scene.truth)
+
+
+def surface_scores(mesh: TriangleMesh, truth: TriangleMesh) -> list[float]:
+    """F1 at the thresholds of a surface."""
     if not len(mesh.faces):
         return [0.0] * len(THRESHOLDS_M)
     points = [
         sample_surface(of, N_SAMPLES, np.random.default_rng(seed))
-        for seed, of in enumerate((mesh, scene.truth))
+        for seed, of in enumerate((mesh, truth))
     ]
     to_truth, to_mesh = KDTree(points[1]).query(points[0])[0], KDTree(points[0]).query(points[1])[0]
     return [threshold_score(to_truth, to_mesh, limit).f1 for limit in THRESHOLDS_M]

@@ -54,7 +54,7 @@ class Evidence(IntEnum):
     """Evidence of a vertex of a reconstructed surface."""
 
     NOT_SEEN = 0
-    """Nothing near: the smoothest surface."""
+    """Nothing near: the surface is guessed."""
     OUTLINE = 1
     """The edge of the content's shadow on the box's far walls."""
     SEEN = 2

@@ -98,7 +98,7 @@ def content_attributes(
                 values=seen.astype(np.float64),
                 classes=("not seen", "seen"),
                 colours=(RED, SKY),
-                note="Not seen: no echo came from there; the surface is the smoothest one.",
+                note="Not seen: no echo came from there; the surface is guessed.",
             )
         )
     if box is not None and box.faces.shape[0]:
@@ -141,7 +141,7 @@ def _evidence(evidence: Bytes) -> Attribute:
         colours=_EVIDENCE_COLOURS,
         note=(
             "Seen: echoes came from there. Outline: the edge of a shadow on the box's walls. "
-            "Not seen: neither; the surface is the smoothest one."
+            "Not seen: neither; the surface is guessed."
         ),
     )
 

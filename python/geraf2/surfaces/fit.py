@@ -1,8 +1,8 @@
 """Fit of the content's signed distance to its glints."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Interval
@@ -27,6 +27,8 @@ from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
+from geraf2.scene.aperture import Aperture
+from geraf2.surfaces.completion import complete
 from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
 
@@ -39,7 +41,7 @@ _FINE, _ROUGH = 1e-5, 1e-4
 
 UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
 """Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
-FIT_VERSION = 25
+FIT_VERSION = 26
 """Increase when the same glints and settings give another field, also for the preset best."""
 
 
@@ -68,6 +70,9 @@ class FitConfig(Bounded):
     """Weight of this distance term."""
     distance_band_m: LengthM = 0.02
     """Half width of the band around the zero level in which the distance term acts [m]."""
+    completion: Literal["objects", "smooth"] = "objects"
+    """What closes the surface where no echo came from: a network that has seen objects, or the
+    smoothest surface."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,11 +106,17 @@ class Evidence:
         n_rim = 0 if self.rim is None else len(self.rim)
         return np.repeat([1.0, self.rim_weight], [len(self.glints), n_rim])
 
+    @property
+    def shares(self) -> Floats:
+        """Weights of `seen` times their probability, (n,)."""
+        return self.seen.probability * self.weights
+
 
 def fit_sdf(
     glints: Glints | Evidence,
     config: FitConfig | None = None,
     *,
+    apertures: Sequence[Aperture] = (),
     num_threads: int | None = None,
     progress: Progress | None = None,
 ) -> SdfGrid:
@@ -114,7 +125,8 @@ def fit_sdf(
     Minimises the sum of position, normal, bending and outside terms
     (docs/math/surface-fit.md#linear-signed-distance). It solves on a coarse grid, then on a fine
     one, then with the points where edges of outlines touch the result. Further rounds pull the
-    field to the distance from its own zero level. Outlines finally cut it.
+    field to the distance from its own zero level. Where no echo came from it is then completed
+    (docs/math/completion.md). Outlines finally cut it.
 
     Parameters
     ----------
@@ -122,6 +134,8 @@ def fit_sdf(
         At least 10; or all evidence.
     config
         Weights and sizes.
+    apertures
+        Of all planes of the scan. Without them nothing is completed.
     num_threads
         Of the distance queries; torch's number or all cores when None.
     progress
@@ -156,6 +170,10 @@ def fit_sdf(
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
+    if apertures and config.completion == "objects":
+        seen = evidence.seen
+        weights = evidence.shares * relative_strengths(seen.strengths, evidence.glints.strengths)
+        sdf = complete(sdf, seen.positions, seen.normals, weights, apertures)
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
         return sdf
@@ -209,7 +227,7 @@ def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoint
     glints, both = evidence.glints, evidence.seen
     relative = relative_strengths(both.strengths, glints.strengths)
     # The variance of a normal falls as 1 / amplitude, that of a position as its root.
-    shares = both.probability * evidence.weights
+    shares = evidence.shares
     position, normal = shares * np.sqrt(relative), shares * relative
     groups: list[Glints | Tangents] = [both]
     if touched is not None:

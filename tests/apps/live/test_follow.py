@@ -99,7 +99,7 @@ def test_a_scene_that_grows_ends_as_its_reconstruction(capture, whole, tmp_path,
     assert outcome.reason == "all 6 planes of the scan came"
     assert [report.plane for report in reports] == [1, 2, 3, 4, 5, 6]
     assert all(report.n_peaks > 0 and report.seconds > 0 for report in reports)
-    assert reports[-1].expected_error_mm < reports[0].expected_error_mm
+    assert reports[-1].seen_share > reports[0].seen_share
     assert outcome.result.content_mesh.vertices == pytest.approx(
         whole.content_mesh.vertices, abs=1e-9
     )

@@ -29,6 +29,7 @@ from geraf2.io.run_folder import (
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.pipeline.stages.job import Job, Step
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.expected_error import quality_numbers
 from geraf2.surfaces.extraction import ExtractedMeshes, extract_cropped_meshes, extract_meshes
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf, zero_level
@@ -104,7 +105,13 @@ def find_glints(job: Job) -> Glints:
 
 def _fit(job: Job, evidence: Glints | Evidence, config: FitConfig) -> SdfGrid:
     with job.step("sdf") as step:
-        sdf = fit_sdf(evidence, config, num_threads=job.num_threads, progress=step.progress)
+        sdf = fit_sdf(
+            evidence,
+            config,
+            apertures=[Aperture.from_pose(pose) for pose in job.capture.poses],
+            num_threads=job.num_threads,
+            progress=step.progress,
+        )
         sdf.save(job.run.path / FIT_NAME)
     return sdf
 
