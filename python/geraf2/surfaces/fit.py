@@ -164,16 +164,16 @@ def fit_sdf(
     report = progress or (lambda _: None)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
-    system, sdf = _first_solves(evidence, config, num_threads, lambda n: report(n / n_solves))
+    system, sdf, touched = _first_solves(
+        evidence, config, num_threads, lambda n: report(n / n_solves)
+    )
     for number in range(n_rounds):
         target = _distance_target(sdf, config, num_threads)
         tolerance = _FINE if number + 1 == n_rounds else _ROUGH
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     if apertures and config.completion == "objects":
-        seen = evidence.seen
-        weights = evidence.shares * relative_strengths(seen.strengths, evidence.glints.strengths)
-        sdf = complete(sdf, seen.positions, seen.normals, weights, apertures)
+        sdf = complete(sdf, *_known(evidence, touched), apertures)
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
         return sdf
@@ -182,10 +182,11 @@ def fit_sdf(
 
 def _first_solves(
     evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
-) -> tuple[LinearSdf, SdfGrid]:
+) -> tuple[LinearSdf, SdfGrid, Tangents | None]:
     """Fit the oriented points on a coarse grid, a fine one, and with the tangent points.
 
-    Returns the last system, and its field, whose gradient is not yet of length 1.
+    Returns the last system, its field, whose gradient is not yet of length 1, and the tangent
+    points.
     """
     terms, points = _terms(config), _weigh(evidence)
     grid = _domain(evidence.glints.positions, config)
@@ -201,7 +202,7 @@ def _first_solves(
         system = LinearSdf(sdf, _weigh(evidence, touched), terms, num_threads=num_threads)
         sdf = system.solve(tolerance=tolerance)
     report(2)
-    return system, sdf
+    return system, sdf, touched
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
@@ -239,6 +240,19 @@ def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoint
         normals=np.concatenate([group.normals for group in groups]),
         position_weights=position / position.sum(),
         normal_weights=normal / normal.sum(),
+    )
+
+
+def _known(evidence: Evidence, touched: Tangents | None) -> tuple[Floats, Floats, Floats]:
+    """Points where the surface is known, their normals, and weights relative to a strong glint."""
+    seen = evidence.seen
+    weights = evidence.shares * relative_strengths(seen.strengths, evidence.glints.strengths)
+    if touched is None:
+        return seen.positions, seen.normals, weights
+    return (
+        np.concatenate([seen.positions, touched.positions]),
+        np.concatenate([seen.normals, touched.normals]),
+        np.append(weights, np.full(len(touched), evidence.outline_weight)),
     )
 
 
