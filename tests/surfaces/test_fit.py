@@ -6,6 +6,7 @@ import pytest
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.scene import Grid
+from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.fit import FitConfig, fit_sdf, zero_level
 from geraf2.surfaces.isosurface import extract_surface, surface_report
 from helpers.glint_sets import glints_at
@@ -92,3 +93,19 @@ def test_a_field_without_a_zero_level_is_a_user_error():
     with pytest.raises(UserError, match="do not enclose anything") as caught:
         zero_level(SdfGrid(grid=grid, values=values))
     assert "values from 0.0200 to 0.0200 m" in str(caught.value)
+
+
+def test_a_completion_that_loses_the_glints_is_not_made(monkeypatch):
+    glints, plane = (
+        glints_on(fibonacci_sphere(300)),
+        Aperture.from_rectangle(np.array([0.4, 0.0, 0.0]), np.eye(3), np.array([0.1, 0.1])),
+    )
+    smooth = fit_sdf(glints, COARSE)
+    for change_m, remains in ((0.05, smooth.values), (0.002, smooth.values + np.float32(0.002))):
+
+        def moved(sdf, *_, by=change_m):
+            return replace(sdf, values=sdf.values + np.float32(by))
+
+        monkeypatch.setattr("geraf2.surfaces.fit.complete", moved)
+        completed = fit_sdf(glints, COARSE, apertures=[plane])
+        np.testing.assert_array_equal(completed.values, remains)

@@ -28,9 +28,12 @@ from geraf2.geometry.nearest import nearest_distance
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
+from geraf2.surfaces.completion import SPACING_M as COMPLETION_M
 from geraf2.surfaces.completion import complete
 from geraf2.surfaces.fit_memory import fit_bytes
+from geraf2.surfaces.isosurface import extract_surface
 from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
+from geraf2.surfaces.pieces import separate_pieces
 
 _RAMP_M = 0.004
 """Width of the ramp that ends the distance term's weight at the end of its band [m]."""
@@ -39,6 +42,9 @@ _COARSE = 2.0
 # Relative residuals of the last solve (0.02 mm of error) and of those that only start another.
 _FINE, _ROUGH = 1e-5, 1e-4
 
+_MOST = 0.5
+"""Share of the glints on the fit's surface that have to stay on the completed one: where few glints
+lie in clumps, the networks take the clumps for false and remove the body."""
 UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
 """Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
 FIT_VERSION = 26
@@ -173,7 +179,9 @@ def fit_sdf(
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     if apertures and config.completion == "objects":
-        sdf = complete(sdf, *_known(evidence, touched), apertures)
+        completed = complete(sdf, *_known(evidence, touched), apertures)
+        kept, before = (_weight_on(of, evidence) for of in (completed, sdf))
+        sdf = completed if kept > _MOST * before else sdf
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
         return sdf
@@ -241,6 +249,19 @@ def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoint
         position_weights=position / position.sum(),
         normal_weights=normal / normal.sum(),
     )
+
+
+def _weight_on(sdf: SdfGrid, evidence: Evidence) -> float:
+    """Sum the weights of glints on the surface of a field, but for pieces that likely do not exist.
+
+    Read on voxels of 5 mm, which suffices to count.
+    """
+    seen = evidence.seen
+    vertices = separate_pieces(extract_surface(resample(sdf, COMPLETION_M)), seen)[0].vertices
+    if not len(vertices):
+        return 0.0
+    distance = nearest_distance(seen.positions, vertices, max_distance_m=2.0 * COMPLETION_M)
+    return float(evidence.shares[distance < COMPLETION_M].sum())
 
 
 def _known(evidence: Evidence, touched: Tangents | None) -> tuple[Floats, Floats, Floats]:
