@@ -123,8 +123,10 @@ Inputs sort_elements(std::span<const double> points, std::span<const double> nor
         }
         order[p] = p;
     }
-    std::stable_sort(order.begin(), order.end(),
-                     [&](std::size_t a, std::size_t b) { return places[a] < places[b]; });
+    // By number among equals: std::stable_sort would do the same, but allocates.
+    std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+        return places[a] == places[b] ? a < b : places[a] < places[b];
+    });
     std::vector<std::size_t> cubes;
     std::vector<unsigned> octants;
     for (std::size_t i = 0; i < order.size(); ++i) {
