@@ -1,9 +1,8 @@
-"""STL, GLB and glTF from bytes to bytes, read by trimesh; no file is opened but a glTF's buffers.
+"""STL, GLB and glTF by trimesh, from bytes to bytes: it opens no file but a glTF's own buffers.
 
 ValueError states what is wrong with the bytes.
 """
 
-import json
 import re
 import struct
 from collections.abc import Mapping
@@ -29,8 +28,6 @@ _MATERIAL = {
     "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
     "doubleSided": True,
 }
-_UNSIGNED_BYTE, _UNSIGNED_INT, _FLOAT = 5121, 5125, 5126
-"""Types of numbers in glTF (glTF 2.0, 3.6.2.2)."""
 
 
 class _Beside:
@@ -130,60 +127,33 @@ def glb_bytes(
     columns: more numbers of the vertices, each (n_vertices,), by name.
     made_from: what the mesh was made from, kept as metadata.
     """
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0", "generator": f"geraf2 {__version__}"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"name": "surface", "matrix": FRAME_FROM_GLTF.ravel().tolist()}],
-        "materials": [_MATERIAL],
-    }
-    if made_from:
-        tree["asset"]["extras"] = {"made_from": dict(made_from)}
-    data = b""
-    if len(faces):
-        # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
-        colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
-        colours[:, :3] = np.rint(255.0 * to_linear(srgb / 255.0))
-        normals = vertex_normals(vertices, faces)
-        # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
-        normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
-        arrays = {
-            "POSITION": vertices.astype("<f4"),
-            "COLOR_0": colours,
-            "NORMAL": normals.astype("<f4"),
-            # glTF takes no wider integers here, and bytes would have to be padded.
-            **{f"_{name.upper()}": of.astype("<f4") for name, of in columns.items()},
-            "": faces.astype("<u4").ravel(),  # corners of the triangles
-        }
-        number = {name: index for index, name in enumerate(arrays)}
-        primitive = {"indices": number.pop(""), "attributes": number, "material": 0}
-        tree["meshes"] = [{"name": "surface", "primitives": [primitive]}]
-        tree["nodes"][0]["mesh"] = 0
-        tree["accessors"], tree["bufferViews"] = [], []
-        for index, values in enumerate(arrays.values()):
-            view = {"buffer": 0, "byteOffset": len(data), "byteLength": values.nbytes}
-            tree["bufferViews"].append(view)
-            tree["accessors"].append(_accessor(values) | {"bufferView": index})
-            data += values.tobytes()
-        tree["buffers"] = [{"byteLength": len(data)}]
-    text = json.dumps(tree, separators=(",", ":")).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    if data:
-        chunks += struct.pack("<I4s", len(data), b"BIN\0") + data
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
+    import trimesh  # noqa: PLC0415 - as in _load
 
+    # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
+    colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
+    colours[:, :3] = np.rint(255.0 * to_linear(srgb / 255.0))
+    normals = vertex_normals(vertices, faces)
+    # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
+    normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
+    mesh = trimesh.Trimesh(
+        vertices,
+        faces,
+        process=False,
+        vertex_normals=normals if len(normals) else None,
+        vertex_colors=colours,
+        # glTF takes no wider integers here, and bytes would have to be padded.
+        vertex_attributes={f"_{name.upper()}": of.astype("<f4") for name, of in columns.items()},
+    )
 
-def _accessor(values: Array) -> dict[str, Any]:
-    """Describe an array, (n,) or (n, k), as glTF does."""
-    kinds = {"u1": _UNSIGNED_BYTE, "u4": _UNSIGNED_INT, "f4": _FLOAT}
-    kind = kinds[values.dtype.str[1:]]
-    low, high = (np.atleast_1d(f(values, axis=0)).tolist() for f in (np.min, np.max))
-    return {
-        "componentType": kind,
-        "normalized": kind == _UNSIGNED_BYTE,
-        "type": f"VEC{values.shape[1]}" if values.ndim > 1 else "SCALAR",
-        "count": len(values),
-        "min": low,
-        "max": high,
-    }
+    def describe(tree: dict[str, Any]) -> None:
+        tree["asset"]["generator"] = f"geraf2 {__version__}"
+        if made_from:
+            tree["asset"]["extras"] = {"made_from": dict(made_from)}
+        tree["materials"] = [_MATERIAL]
+        for one in tree.get("meshes", ()):
+            one["primitives"][0]["material"] = 0
+
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, "surface", "surface", transform=FRAME_FROM_GLTF.T)
+    data = scene.export(file_type="glb", include_normals=True, tree_postprocessor=describe)
+    return bytes(data)

@@ -146,17 +146,12 @@ def draw_section(
     style: tuple[str, float],
 ) -> None:
     """Draw the cut of a mesh by a plane through a point; style: colour and width of its lines."""
+    import trimesh  # noqa: PLC0415 - takes 0.3 s to import
     from matplotlib.collections import LineCollection  # noqa: PLC0415 - as above
 
     across, up, cut = plane
-    height = mesh.vertices[mesh.faces, cut] - center[cut]
-    is_above = height > 0.0
-    is_cut = is_above.any(axis=1) & ~is_above.all(axis=1)
-    starts, height, is_above = mesh.corners[is_cut], height[is_cut], is_above[is_cut]
-    ends, below = np.roll(starts, -1, axis=1), np.roll(height, -1, axis=1)
-    crossing = is_above != np.roll(is_above, -1, axis=1)  # two edges of each triangle
-    share = (height / np.where(crossing, height - below, 1.0))[:, :, None]
-    points = (starts + share * (ends - starts))[crossing]
-    segments = 1e3 * points.reshape(-1, 2, 3)[:, :, [across, up]]
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    cuts = trimesh.intersections.mesh_plane(surface, np.eye(3)[cut], center)
+    segments = 1e3 * np.asarray(cuts)[:, :, [across, up]]
     lines = LineCollection(list(segments), colors=style[0], linewidths=style[1])
     panel.add_collection(lines, autolim=False)
