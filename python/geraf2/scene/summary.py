@@ -32,7 +32,8 @@ _NOISY = 10.0
 _SATURATION_SAMPLES = 1 << 14
 # Parts of a large pose whose samples are looked at.
 _N_CHECKED_PARTS = 8
-# Nearest antennas among which one across is sought: few do on a raster, rows may lie far apart.
+# Nearest antennas among which one across is sought: at first few, which a square raster needs, then
+# more, since rows may lie 30 times as far apart as antennas.
 _N_NEIGHBOURS = 9, 64
 # 5 % over the limit moves the alias by 5 % of the scene's width.
 _COARSE = 1.05

@@ -19,7 +19,7 @@ from geraf2._types import AnyPath, Array, Bools, Floats, Ints
 from geraf2.fields import SdfGrid
 from geraf2.io.checkpoint import load_checkpoint
 from geraf2.scene.aperture import Aperture
-from geraf2.surfaces.linear_sdf import CM, resample
+from geraf2.surfaces.linear_sdf import CM, resample, trilinear_rows
 
 WEIGHTS_NAME, WEIGHTS_KIND, WEIGHTS_VERSION = "completion.safetensors", "completion", 1
 SPACING_M = 0.005
@@ -81,20 +81,9 @@ def complete(
     change = np.zeros(coarse.grid.shape, dtype=np.float32)
     network = trained_network() if network is None else network
     change.ravel()[voxels] = trust * network.change_cm(inputs) / CM
-    ratio = sdf.grid.spacing_m / SPACING_M
-    for axis, n in enumerate(sdf.grid.shape):
-        change = _resampled(change, axis, np.arange(n) * np.float64(ratio))
-    return SdfGrid(grid=sdf.grid, values=sdf.values + change)
-
-
-def _resampled(values: Array, axis: int, index: Floats) -> Array:
-    """Interpolate linearly along an axis, at places in voxels; beyond the end the last counts."""
-    last = values.shape[axis] - 1
-    low = np.minimum(index.astype(np.int64), last - 1)
-    share = np.minimum(index - low, 1.0).astype(values.dtype)
-    share = np.expand_dims(share, tuple(k for k in range(3) if k != axis))
-    below, above = (np.take(values, low + k, axis=axis) for k in (0, 1))
-    return np.asarray(below + share * (above - below))
+    fine = SdfGrid(grid=coarse.grid, values=change).sample(sdf.grid.points())
+    values = sdf.values + fine.reshape(sdf.grid.shape).astype(np.float32)
+    return SdfGrid(grid=sdf.grid, values=values)
 
 
 def features(
@@ -137,13 +126,15 @@ def features(
     inputs += [at(gaussian_filter(field, width / step)) - at(field) for width in _BLURS_CM]
 
     origin, glints = np.asarray(sdf.grid.origin_m) * CM, positions * CM
-    index, offsets = (glints - origin) / step, np.einsum("nk,nk->n", glints, normals)
-    moments = [_spread(field.shape, index, weights * of) for of in (1.0, *normals.T, offsets)]
+    offsets = np.einsum("nk,nk->n", glints, normals)[:, None]
+    values = weights[:, None] * np.hstack([np.ones_like(offsets), normals, offsets])
+    moments = _spread(field.shape, (glints - origin) / step, values)
     for width in _SCALES_CM:
         weight, *mean, offset = (at(_blurred(of, width / step, 3)) for of in moments)
         inputs += place.against(np.stack(mean, axis=1), offset, weight)
     sight = (glints[:, None] + _SIGHT_CM[:, None] * normals[:, None]).reshape(-1, 3)
-    passed = _spread(field.shape, (sight - origin) / step, np.repeat(weights, len(_SIGHT_CM)))
+    along = np.repeat(weights, len(_SIGHT_CM))[:, None]
+    (passed,) = _spread(field.shape, (sight - origin) / step, along)
     for width in _SIGHT_WIDTHS_CM:
         inputs.append(np.log(at(_blurred(passed, width / step, 2)) + _FEW))
     near, nearest_cm = place.nearest(glints, normals)
@@ -206,20 +197,16 @@ class _Place:
         return [margin, cosine]
 
 
-def _spread(shape: tuple[int, ...], index: Floats, values: Floats) -> Floats:
-    """Sum values into the eight voxels around each point, of a shape.
+def _spread(shape: tuple[int, int, int], index: Floats, values: Floats) -> list[Floats]:
+    """Sum values into the eight voxels around each point, (n, k) -> k arrays of a shape.
 
-    index: of the points in voxels, (n, 3). values: (n,).
+    index: of the points in voxels, (n, 3). What falls beside the grid is lost.
     """
-    low, total = np.floor(index).astype(np.int64), np.zeros(int(np.prod(shape)))
-    share = index - low
-    for corner in np.ndindex(2, 2, 2):
-        at = low + corner
-        kept = ((at >= 0) & (at < shape)).all(axis=1)
-        part = np.prod(np.where(corner, share, 1.0 - share), axis=1) * values
-        voxels = np.ravel_multi_index(tuple(at[kept].T), shape)
-        total += np.bincount(voxels, part[kept], minlength=len(total))
-    return total.reshape(shape)
+    padded = shape[0] + 2, shape[1] + 2, shape[2] + 2
+    near = ((index > -1.0) & (index < np.array(shape))).all(axis=1)
+    rows = trilinear_rows(index[near] + 1.0, padded, 1.0)[0]
+    sums = (rows.T @ values[near]).T.reshape(-1, *padded)
+    return list(sums[:, 1:-1, 1:-1, 1:-1])
 
 
 def _blurred(values: Floats, width: float, dimensions: int) -> Floats:

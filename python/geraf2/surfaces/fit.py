@@ -42,7 +42,7 @@ _COARSE = 2.0
 # Relative residuals of the last solve (0.02 mm of error) and of those that only start another.
 _FINE, _ROUGH = 1e-5, 1e-4
 
-_MOST = 0.5
+_MIN_KEPT = 0.5
 """Share of the glints on the fit's surface that have to stay on the completed one: where few glints
 lie in clumps, the networks take the clumps for false and remove the body."""
 UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
@@ -170,7 +170,7 @@ def fit_sdf(
     report = progress or (lambda _: None)
     n_rounds = config.distance_rounds
     n_solves = 2 + n_rounds
-    system, sdf, touched = _first_solves(
+    system, sdf, points = _first_solves(
         evidence, config, num_threads, lambda n: report(n / n_solves)
     )
     for number in range(n_rounds):
@@ -179,9 +179,10 @@ def fit_sdf(
         sdf = system.solve(target, start=sdf, tolerance=tolerance)
         report((3.0 + number) / n_solves)
     if apertures and config.completion == "objects":
-        completed = complete(sdf, *_known(evidence, touched), apertures)
+        known = points.positions, points.normals, points.normal_weights
+        completed = complete(sdf, *known, apertures)
         kept, before = (_weight_on(of, evidence) for of in (completed, sdf))
-        sdf = completed if kept > _MOST * before else sdf
+        sdf = completed if kept > _MIN_KEPT * before else sdf
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
         return sdf
@@ -190,11 +191,10 @@ def fit_sdf(
 
 def _first_solves(
     evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
-) -> tuple[LinearSdf, SdfGrid, Tangents | None]:
+) -> tuple[LinearSdf, SdfGrid, OrientedPoints]:
     """Fit the oriented points on a coarse grid, a fine one, and with the tangent points.
 
-    Returns the last system, its field, whose gradient is not yet of length 1, and the tangent
-    points.
+    Returns the last system, its field, whose gradient is not yet of length 1, and its points.
     """
     terms, points = _terms(config), _weigh(evidence)
     grid = _domain(evidence.glints.positions, config)
@@ -207,10 +207,11 @@ def _first_solves(
     sdf = system.solve(tolerance=tolerance)
     touched = _touched(evidence, sdf, num_threads)
     if touched is not None:
-        system = LinearSdf(sdf, _weigh(evidence, touched), terms, num_threads=num_threads)
+        points = _weigh(evidence, touched)
+        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
         sdf = system.solve(tolerance=tolerance)
     report(2)
-    return system, sdf, touched
+    return system, sdf, points
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
@@ -233,6 +234,7 @@ def _terms(config: FitConfig) -> SdfTerms:
 
 
 def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoints:
+    """Return the known points of the surface, with weights relative to a strong glint."""
     glints, both = evidence.glints, evidence.seen
     relative = relative_strengths(both.strengths, glints.strengths)
     # The variance of a normal falls as 1 / amplitude, that of a position as its root.
@@ -246,8 +248,8 @@ def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoint
     return OrientedPoints(
         positions=np.concatenate([group.positions for group in groups]),
         normals=np.concatenate([group.normals for group in groups]),
-        position_weights=position / position.sum(),
-        normal_weights=normal / normal.sum(),
+        position_weights=position,
+        normal_weights=normal,
     )
 
 
@@ -262,19 +264,6 @@ def _weight_on(sdf: SdfGrid, evidence: Evidence) -> float:
         return 0.0
     distance = nearest_distance(seen.positions, vertices, max_distance_m=2.0 * COMPLETION_M)
     return float(evidence.shares[distance < COMPLETION_M].sum())
-
-
-def _known(evidence: Evidence, touched: Tangents | None) -> tuple[Floats, Floats, Floats]:
-    """Points where the surface is known, their normals, and weights relative to a strong glint."""
-    seen = evidence.seen
-    weights = evidence.shares * relative_strengths(seen.strengths, evidence.glints.strengths)
-    if touched is None:
-        return seen.positions, seen.normals, weights
-    return (
-        np.concatenate([seen.positions, touched.positions]),
-        np.concatenate([seen.normals, touched.normals]),
-        np.append(weights, np.full(len(touched), evidence.outline_weight)),
-    )
 
 
 def _domain(points: Floats, config: FitConfig) -> Grid:

@@ -5,7 +5,7 @@ with a multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -58,9 +58,16 @@ class OrientedPoints:
     normals: Floats
     """(n, 3)."""
     position_weights: Floats
-    """Sum 1, (n,)."""
+    """Relative to each other, (n,)."""
     normal_weights: Floats
-    """Sum 1, (n,)."""
+    """Relative to each other, (n,)."""
+
+    def normalised(self) -> "OrientedPoints":
+        """Return the same points with weights of sum 1."""
+        position, normal = self.position_weights, self.normal_weights
+        return replace(
+            self, position_weights=position / position.sum(), normal_weights=normal / normal.sum()
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,6 +94,7 @@ class LinearSdf:
         num_threads: int | None = None,
     ) -> None:
         """Prepare the normal equations on `sdf.grid`; its values start the solver."""
+        points = points.normalised()
         self._grid, self._terms, self._num_threads = sdf.grid, terms, num_threads
         self._start = sdf.values.astype(np.float64).ravel() * CM
         spacing = sdf.grid.spacing_m * CM

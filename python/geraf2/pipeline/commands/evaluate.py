@@ -19,7 +19,7 @@ from geraf2.io.run_folder import (
 )
 from geraf2.pipeline.events import Listener
 from geraf2.pipeline.reconstruction import Reconstruction, as_triangles, load_run
-from geraf2.scene.aperture import Aperture
+from geraf2.scene.aperture import apertures_at
 
 if TYPE_CHECKING:
     import trimesh
@@ -91,9 +91,7 @@ def evaluate(
                 true,
                 n_samples=n_samples,
                 seed=seed,
-                planes=[
-                    Aperture.from_corners(c) for c in load_planes(folder / PLANES_NAME).corners_m
-                ],
+                planes=apertures_at(load_planes(folder / PLANES_NAME).corners_m),
                 num_threads=num_threads,
             )
         with result.run.rewrite(METRICS_NAME, *REPORT_FILES):
