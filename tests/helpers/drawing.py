@@ -10,7 +10,7 @@ from PIL import Image
 from geraf2.io.atomic import atomic_path
 from geraf2.report import canvas, figures
 
-_SAVE = canvas.save
+_SAVE = canvas.Sheet.save
 
 
 def small_pictures(patch, dpi=40):
@@ -18,7 +18,7 @@ def small_pictures(patch, dpi=40):
     patch.setattr(figures, "_MESH_PIXELS", 40)
 
 
-def blank(figure, path):
+def blank(sheet, path):
     with atomic_path(path) as temporary:
         Image.new("RGB", (8, 8)).save(temporary, format="png")
 
@@ -36,11 +36,11 @@ def not_drawn():
     """For the conftest.py of a folder of tests: pictures are made, their files are blank."""
     with pytest.MonkeyPatch.context() as patch:
         small_pictures(patch)
-        patch.setattr(canvas, "save", blank)
+        patch.setattr(canvas.Sheet, "save", blank)
         yield
 
 
 @pytest.fixture
 def drawn(monkeypatch):
     """For a test whose pictures are drawn nevertheless."""
-    monkeypatch.setattr(canvas, "save", _SAVE)
+    monkeypatch.setattr(canvas.Sheet, "save", _SAVE)

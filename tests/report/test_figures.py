@@ -18,13 +18,13 @@ GRID = Grid(origin_m=(-0.03, -0.04, -0.05), spacing_m=0.01, shape=(7, 9, 11))
 def drawn(monkeypatch):
     """Pictures as they are when they are written."""
     seen = []
-    save = canvas.save
+    save = canvas.Sheet.save
 
-    def keep(figure, path):
-        seen.append(figure)
-        save(figure, path)
+    def keep(sheet, path):
+        seen.append(sheet.figure)
+        save(sheet, path)
 
-    monkeypatch.setattr(canvas, "save", keep)
+    monkeypatch.setattr(canvas.Sheet, "save", keep)
     return seen
 
 

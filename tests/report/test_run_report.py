@@ -57,7 +57,7 @@ def built(truth, tmp_path_factory):
 def run(built, tmp_path, monkeypatch):
     """A copy, whose reports have blank pictures."""
     small_pictures(monkeypatch)
-    monkeypatch.setattr(canvas, "save", blank)
+    monkeypatch.setattr(canvas.Sheet, "save", blank)
     return shutil.copytree(built, tmp_path / "run")
 
 
@@ -140,7 +140,7 @@ def test_a_report_without_truth_has_no_error_pictures(run):
 
 def test_scores_of_another_mesh_are_not_shown(reported, tmp_path, monkeypatch):
     small_pictures(monkeypatch)
-    monkeypatch.setattr(canvas, "save", blank)
+    monkeypatch.setattr(canvas.Sheet, "save", blank)
     run = shutil.copytree(reported, tmp_path / "run")
     metrics = json.loads((run / "metrics.json").read_text())
     (run / "metrics.json").write_text(json.dumps(metrics | {"mesh_digest": 32 * "0"}))

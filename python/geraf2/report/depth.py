@@ -31,16 +31,16 @@ def sharpest_slice(
     """
     best = int(sharpness.argmax())
     across, up = (other for other in range(3) if other != axis)
-    figure = canvas.new_figure(10.0, 4.6)
-    picture, curve = figure.subplots(1, 2)
+    sheet = canvas.Sheet.of((4.6, (4.6 + canvas.BAR, 4.6)))
+    ((picture, curve),) = sheet.rows
     extent = canvas.extent_mm(grid, across, up)
     image = canvas.show(picture, values, extent)
     depth_mm = 1e3 * depths_m[best]
     title = f"depth {depth_mm:.1f} mm, across {AXIS_NAMES[axis]}"
     canvas.label_millimetres(picture, across, up, title)
-    figure.colorbar(image, ax=picture, shrink=0.85).set_label("magnitude")
+    sheet.colour_bar(picture, image, "magnitude")
     draw_focus(curve, depths_m, sharpness)
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def draw_focus(

@@ -20,10 +20,12 @@ from geraf2.scene import Grid
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _GREY = (0.78, 0.78, 0.78)
 _MESH_PIXELS = 300
+_MESH_WIDTH, _MESH_MARGINS = 3.1, (0.3, 0.05, 0.05, 0.4)  # of a side's panel [inch]
+_WIDEST = 5.6  # of a panel whose letters are to be 11 px on a phone [inch]
+_THREE = (4.0, 4.0, 4.0 + canvas.BAR)  # widths of three panels, the last with a colour bar [inch]
 _HEAT_MAP_RANGE_DB = 30.0  # below the maximum
 
 FOUR_SIDES_DEG = (0.0, 90.0, 180.0, 270.0)
@@ -54,8 +56,8 @@ def sdf_slices(
     center_m: point of the cuts [m]; by default the centre of the negative values.
     """
     center = _middle(sdf) if center_m is None else np.asarray(center_m, dtype=np.float64)
-    figure = canvas.new_figure(12.5, 4.7)
-    panels = figure.subplots(1, 3)
+    sheet = canvas.Sheet.of((4.0, _THREE), with_legend=True)
+    (panels,) = sheet.rows
     near = max(0.5 * sdf.grid.spacing_m, 0.002)
     image: Any = None
     for panel, (across, up, cut) in zip(panels, _PLANES, strict=True):
@@ -68,10 +70,9 @@ def sdf_slices(
         title = f"{AXIS_NAMES[cut]} = {round(1e3 * center[cut])} mm"
         canvas.label_millimetres(panel, across, up, title)
         _limit_to_content(panel, sdf.grid, box, (across, up))
-    colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
-    colour_bar.set_label("signed distance [mm], negative inside")
-    _slice_legend(figure, glints is not None, truth is not None, box is not None, near)
-    canvas.save(figure, path)
+    sheet.colour_bar(panels[-1], image, "signed distance [mm], negative inside")
+    sheet.legend(_slice_lines(glints is not None, truth is not None, box is not None, near))
+    sheet.save(path)
 
 
 def projections(
@@ -108,8 +109,8 @@ def draw_projections(
             expected="a positive, finite largest magnitude",
             got=peak,
         )
-    figure = canvas.new_figure(12.5, 4.7)
-    panels = figure.subplots(1, 3)
+    sheet = canvas.Sheet.of((4.0, _THREE), title=title)
+    (panels,) = sheet.rows
     image: Any = None
     for panel, (across, up, along) in zip(panels, _PLANES, strict=True):
         # The remaining axes keep their order: rows are `across` and columns `up`.
@@ -122,11 +123,8 @@ def draw_projections(
         canvas.label_millimetres(panel, across, up, f"largest along {AXIS_NAMES[along]}")
         _limit_to_content(panel, grid, box, (across, up))
         panel.set_facecolor("black")
-    colour_bar = figure.colorbar(image, ax=list(panels), shrink=0.85, pad=0.015)
-    colour_bar.set_label("magnitude [dB of the largest]")
-    if title:
-        figure.suptitle(title)
-    canvas.save(figure, path)
+    sheet.colour_bar(panels[-1], image, "magnitude [dB of the largest]")
+    sheet.save(path)
 
 
 def mesh_views(
@@ -154,31 +152,32 @@ def mesh_views(
         rows.append(("truth", MeshPainter(truth, num_threads=num_threads), grey, None))
     if distances_m is not None:
         rows.append(_distance_row(painter, distances_m))
-    figure = canvas.new_figure(12.5, 0.3 + 2.95 * len(rows) * tallest / side)
-    grid = figure.subplots(len(rows), len(FOUR_SIDES_DEG), squeeze=False)
-    for (label, row_painter, colours, scale), panels in zip(rows, grid, strict=True):
+    widths = [_MESH_WIDTH] * len(FOUR_SIDES_DEG)
+    if any(scale is not None for *_, scale in rows):
+        widths[-1] += canvas.BAR
+    left, bottom, right, top = _MESH_MARGINS
+    tall = bottom + top + (_MESH_WIDTH - left - right) * tallest / side
+    sheet = canvas.Sheet.of(*[(tall, widths)] * len(rows), margins=_MESH_MARGINS)
+    for (label, row_painter, colours, scale), panels in zip(rows, sheet.rows, strict=True):
         for view, panel in zip(views, panels, strict=True):
             picture = row_painter.render(view, colours)
             panel.imshow(picture, extent=(-side, side, -side, side))
             panel.set_ylim(-tallest, tallest)
-            panel.set_xticks([])
-            panel.set_yticks([])
-            panel.spines[:].set_visible(False)
-        panels[0].set_ylabel(label, fontsize=12)
+            panel.set_axis_off()
+            panel.set_anchor("W")
+        panels[0].text(-side, 0.0, label, rotation=90, ha="right", va="center")
         _scale_bar(panels[0], side, tallest)
         if scale is not None:
-            bar = figure.colorbar(scale[0], ax=list(panels), shrink=0.8, pad=0.01)
-            bar.set_label(scale[1])
-    for panel, azimuth, name in zip(grid[0], FOUR_SIDES_DEG, _SIDE_NAMES, strict=True):
+            sheet.colour_bar(panels[-1], *scale)
+    for panel, azimuth, name in zip(sheet.rows[0], FOUR_SIDES_DEG, _SIDE_NAMES, strict=True):
         panel.set_title(f"from {name} ({azimuth:.0f}°)")
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = None) -> None:
     """Draw positions of the glints on three axes, their strengths, and their scan planes."""
-    figure = canvas.new_figure(11.0, 7.2)
-    layout = figure.add_gridspec(2, 6, height_ratios=[1.7, 1.0])
-    panels = [figure.add_subplot(layout[0, 2 * k : 2 * k + 2]) for k in range(3)]
+    sheet = canvas.Sheet.of((4.0, _THREE), (3.0, (_WIDEST, _WIDEST)))
+    panels, (strength, per_pose) = sheet.rows
     largest = float(glints.strengths.max(initial=0.0))
     relative = glints.strengths / largest if largest > 0 else np.ones(len(glints))
     decibels = 20.0 * np.log10(np.maximum(relative, 1e-20))
@@ -193,26 +192,23 @@ def glint_overview(glints: Glints, path: AnyPath, *, box: TriangleMesh | None = 
             canvas.draw_section(panel, box, middle, (across, up, along), (BOX_COLOUR, 1.2))
         panel.set_aspect("equal", adjustable="datalim")
         canvas.label_millimetres(panel, across, up, f"seen along {AXIS_NAMES[along]}")
-    bar = figure.colorbar(dots, ax=panels, shrink=0.85, pad=0.015)
-    bar.set_label("strength [dB of the strongest]")
-    strength = figure.add_subplot(layout[1, 0:3])
+    sheet.colour_bar(panels[-1], dots, "strength [dB of the strongest]")
     strength.hist(np.clip(decibels, -40, 0), bins=list(range(-40, 1)), color=BLUE)
     canvas.label(strength, "strength [dB of the strongest]", "glints")
-    per_pose = figure.add_subplot(layout[1, 3:6])
     counts = np.bincount(glints.poses) if len(glints) else np.zeros(1, dtype=np.int64)
     per_pose.bar(np.arange(counts.size), counts, color=BLUE)
     canvas.label(per_pose, "scan plane", "glints")
     for panel in (strength, per_pose):
         panel.spines[["top", "right"]].set_visible(False)
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def error_curves(
     distances_m: dict[str, Floats], path: AnyPath, *, thresholds_m: Sequence[float] = ()
 ) -> None:
     """Draw the share of samples nearer than a distance, for each named set of distances [m]."""
-    figure = canvas.new_figure(5.6, 4.0)
-    panel = figure.subplots()
+    sheet = canvas.Sheet.of((4.0, (_WIDEST,)))
+    ((panel,),) = sheet.rows
     limit = 5.0
     colours = (BLUE, RED, TRUTH_COLOUR, "#CC79A7")
     styles = ("-", "--", "-.", ":")
@@ -231,13 +227,13 @@ def error_curves(
     canvas.label(panel, "distance [mm]", "samples nearer than that [%]")
     panel.spines[["top", "right"]].set_visible(False)
     panel.legend(loc="lower right", frameon=False)
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def loss_curves(curves: dict[str, list[tuple[int, float]]], path: AnyPath) -> None:
     """Draw terms of a loss, (step, value) by name, on a logarithmic axis."""
-    figure = canvas.new_figure(5.6, 4.0)
-    panel = figure.subplots()
+    sheet = canvas.Sheet.of((4.0, (_WIDEST,)))
+    ((panel,),) = sheet.rows
     for (name, curve), colour in zip(curves.items(), (BLUE, RED, TRUTH_COLOUR), strict=False):
         steps, values = zip(*curve, strict=True)
         panel.plot(steps, np.maximum(values, 1e-12), color=colour, label=name, linewidth=1.6)
@@ -245,14 +241,15 @@ def loss_curves(curves: dict[str, list[tuple[int, float]]], path: AnyPath) -> No
     canvas.label(panel, "step", "term of the loss")
     panel.spines[["top", "right"]].set_visible(False)
     panel.legend(frameon=False)
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def growth_curves(growth: Sequence[tuple[int, float, float]], path: AnyPath) -> None:
     """Draw expected error [mm] and seen share over the number of planes, one above the other."""
-    figure = canvas.new_figure(5.6, 4.8)
+    # Wide enough for "2 x 10^-1", which a logarithmic axis of few decades has.
+    sheet = canvas.Sheet.of(*[(2.8, (_WIDEST,))] * 2, margins=(1.5, 0.65, 0.2, 0.3))
     planes, errors, shares = zip(*growth, strict=True)
-    upper, lower = figure.subplots(2, 1)
+    (upper,), (lower,) = sheet.rows
     upper.plot(planes, errors, "o-", color=BLUE, linewidth=1.6, markersize=4)
     upper.set_yscale("log")
     canvas.label(upper, "planes", "expected error [mm]")
@@ -261,7 +258,7 @@ def growth_curves(growth: Sequence[tuple[int, float, float]], path: AnyPath) -> 
     canvas.label(lower, "planes", "seen [%]")
     for panel in (upper, lower):
         panel.spines[["top", "right"]].set_visible(False)
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def _middle(sdf: SdfGrid) -> Floats:
@@ -312,9 +309,8 @@ def _draw_glints_near(
     panel.scatter(points[:, 0], points[:, 1], s=9, color=GLINT_COLOUR, zorder=3, **edge)
 
 
-def _slice_legend(
-    figure: "Figure", has_glints: bool, has_truth: bool, has_box: bool, near_m: float
-) -> None:
+def _slice_lines(has_glints: bool, has_truth: bool, has_box: bool, near_m: float) -> list[Any]:
+    """Lines and points of the slices, as their legend shows them."""
     from matplotlib.lines import Line2D  # noqa: PLC0415 - as above
 
     handles = [Line2D([], [], color="black", linewidth=1.8, label="zero level")]
@@ -325,7 +321,7 @@ def _slice_legend(
     if has_glints:
         label = f"glints within {1e3 * near_m:.0f} mm, with normals"
         handles.append(Line2D([], [], color=GLINT_COLOUR, marker="o", markersize=4, label=label))
-    figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
+    return handles
 
 
 def _limit_to_content(

@@ -76,7 +76,7 @@ def picture(path: AnyPath, caption: str = "", *, name: str = "") -> str:
 
 
 def _panels_of(image: "Image") -> dict[str, Any]:
-    """Rows of boxes of a picture, and the height of its letters [px], from `canvas.save`."""
+    """Rows of boxes of a picture, and the height of its letters [px], from `canvas.Sheet`."""
     whole = {"rows": [[[0, 0, image.width, image.height]]], "letters": None}
     try:
         kept = parse_json(image.info.get(PANELS_KEY, "null"))

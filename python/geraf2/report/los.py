@@ -30,16 +30,16 @@ def surface_views(views: Sequence[SurfaceView], path: AnyPath) -> None:
     if not views:
         msg = "views must hold at least one view, got none"
         raise ValueError(msg)
-    figure = canvas.new_figure(12.5, 3.5 * len(views))
-    panels = figure.subplots(len(views), 3, squeeze=False)
-    for row, view in zip(panels, views, strict=True):
+    shapes = [(3.5, (4.2, 4.2, 4.2))] * len(views)
+    sheet = canvas.Sheet.of(*shapes, margins=(0.05, 0.05, 0.05, 0.4))
+    for row, view in zip(sheet.rows, views, strict=True):
         images = (view.photo, np.clip(view.colour, 0.0, 1.0), normal_map(view.normal, view.opacity))
         titles = (view.name, "rendered", "normals")
         for panel, image, title in zip(row, images, titles, strict=True):
             panel.imshow(image)
             panel.set_title(title)
             panel.set_axis_off()
-    canvas.save(figure, path)
+    sheet.save(path)
 
 
 def normal_map(normal: NDArray[np.floating], opacity: NDArray[np.floating]) -> Floats:

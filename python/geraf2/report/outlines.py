@@ -26,8 +26,10 @@ def shadow_pictures(
     """
     from matplotlib.lines import Line2D  # noqa: PLC0415 - takes 0.5 s to import
 
-    figure = canvas.new_figure(4.2 * len(silhouettes) + 0.8, 4.6)
-    panels = np.atleast_1d(figure.subplots(1, len(silhouettes)))
+    widths = [4.0] * len(silhouettes)
+    widths[-1] += canvas.BAR
+    sheet = canvas.Sheet.of((4.1, widths), with_legend=content is not None or truth is not None)
+    (panels,) = sheet.rows
     spacing_m = float(silhouettes.spacing_m)
     surfaces = {"content": (content, GLINT_COLOUR), "truth": (truth, TRUTH_COLOUR)}
     for number, panel in enumerate(panels):
@@ -51,12 +53,12 @@ def shadow_pictures(
             panel.contour(*middles, (hits > 0).T, levels=[0.5], colors=colour, linewidths=1.2)
         title = f"along {AXIS_NAMES[int(silhouettes.axes[number])]}"
         canvas.label_millimetres(panel, across, up, title)
-    figure.colorbar(image, ax=list(panels), shrink=0.85).set_label("share of the wall's echo")
+    sheet.colour_bar(panels[-1], image, "share of the wall's echo")
     handles = [
         Line2D([], [], color=colour, label=name)
         for name, (surface, colour) in surfaces.items()
         if surface is not None
     ]
     if handles:
-        figure.legend(handles=handles, loc="outside lower center", ncols=2, frameon=False)
-    canvas.save(figure, path)
+        sheet.legend(handles)
+    sheet.save(path)

@@ -85,22 +85,21 @@ def overview_figure(
     capture = Capture(waveform=summary.waveform, poses=tuple(gathered.imaged))
     volume = image_volume(capture, grid, num_threads=num_threads)
 
-    figure = canvas.new_figure(14.0, 8.6)
-    layout = figure.add_gridspec(2, 3, height_ratios=(1.25, 1.0))
-    for column, planes in enumerate(((0, 1, 2), (0, 2, 1))):
-        panel = figure.add_subplot(layout[0, column])
+    wide = 5.0 + canvas.BAR
+    sheet = canvas.Sheet.of((4.8, (4.9, 4.9, wide)), (3.8, (9.8, wide)))
+    (*both, third), (ranges, sampling) = sheet.rows
+    for panel, planes in zip(both, ((0, 1, 2), (0, 2, 1)), strict=True):
         _draw_geometry(panel, (volume, grid), gathered, box, planes)
-    third = figure.add_subplot(layout[0, 2])
     if len(depths):
         title = f"sharpest {1e3 * standoff:.0f} mm before the plane"
         draw_focus(third, depths, sharpness, title)
     else:
         sides = np.full(3, summary.scene_width_m or _UNKNOWN_WIDTH_M)
         share = seen_share(summary.planes, focus, sides)
-        draw_normals(figure, third, summary.planes, focus, share)
-    _draw_ranges(figure.add_subplot(layout[1, :2]), gathered, summary, standoff)
-    _draw_sampling(figure.add_subplot(layout[1, 2]), summary, standoff)
-    canvas.save(figure, path)
+        draw_normals(sheet, third, summary.planes, focus, share)
+    _draw_ranges(ranges, gathered, summary, standoff)
+    _draw_sampling(sampling, summary, standoff)
+    sheet.save(path)
 
 
 def _search_depth(summary: CaptureSummary, gathered: _Gathered) -> tuple[Floats, Floats]:

@@ -13,7 +13,6 @@ from geraf2.scene.aperture import Aperture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 _N_AZIMUTHS, _N_HEIGHTS = 181, 91
 
@@ -22,8 +21,8 @@ def plan_figure(
     planes: Sequence[Aperture], box_m: tuple[float, float, float], center_m: Floats, path: AnyPath
 ) -> None:
     """Draw planes around a box, and the normals that they see at a point, (3,) [m]."""
-    figure = canvas.new_figure(13.0, 4.6)
-    above, side, normals = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.35))
+    sheet = canvas.Sheet.of((4.6, (4.3, 4.3, 5.3 + canvas.BAR)))
+    ((above, side, normals),) = sheet.rows
     _draw_box(above, box_m, (0, 1), "from above")
     _draw_box(side, box_m, (0, 2), "from the side, planes turned into the picture")
     for plane in planes:
@@ -35,8 +34,8 @@ def plan_figure(
         for sign in (-1.0, 1.0):
             side.plot(sign * away, ends[:, 2], color=BLUE, linewidth=2.0)
     share = seen_share(planes, center_m, np.asarray(box_m))
-    draw_normals(figure, normals, planes, center_m, share)
-    canvas.save(figure, path)
+    draw_normals(sheet, normals, planes, center_m, share)
+    sheet.save(path)
 
 
 def _draw_box(
@@ -50,7 +49,7 @@ def _draw_box(
 
 
 def draw_normals(
-    figure: "Figure", panel: "Axes", planes: Sequence[Aperture], point: Floats, share: float
+    sheet: canvas.Sheet, panel: "Axes", planes: Sequence[Aperture], point: Floats, share: float
 ) -> None:
     """Draw the visible normals of a surface, in an equal-area map.
 
@@ -74,6 +73,5 @@ def draw_normals(
     canvas.label(
         panel, "azimuth of the normal [degrees]", "elevation of the normal [degrees]", title
     )
-    bar = figure.colorbar(image, ax=panel, shrink=0.85)
+    bar = sheet.colour_bar(panel, image, "planes that see it")
     bar.locator = MaxNLocator(integer=True)
-    bar.set_label("planes that see it")
