@@ -9,7 +9,8 @@ normal. In a horizontal scan it is the only evidence of tops and bottoms
 from collections import defaultdict
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from annotated_types import Interval
@@ -32,10 +33,10 @@ from geraf2.echoes.echo_phases import response_at
 from geraf2.freespace.wall_shape import path_shape
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
-from geraf2.scene import Capture, Pose
+from geraf2.scene import Capture, Pose, Wall
 
-_FOCUSES = 9
-"""Number of focal lengths that are tried, from one pass of the content to two."""
+_FOCUSES = np.linspace(0.0, 1.0, 9)
+"""Focal lengths that are tried, from one pass of the content to two."""
 _TILTS = 17
 """Number of wall tilts that are tried along each side, in each of two rounds."""
 _MIN_ANTENNAS = 100
@@ -223,6 +224,16 @@ class _Flash(NamedTuple):
     """Sign of the direction to the wall along its axis, 1 or -1."""
 
 
+class _Focused(NamedTuple):
+    """Flash of a plane, and the distance of its cells from free and blocked, by focal length."""
+
+    flash: _Flash
+    blurs: list[Floats]
+
+
+_KEPT: WeakKeyDictionary[Pose, dict[Any, _Focused | None]] = WeakKeyDictionary()
+
+
 class _Outline(NamedTuple):
     """Transmission and known cells, (n_u, n_v) each; least transmission of a free line."""
 
@@ -240,18 +251,16 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
     sharpest outline: docs/math/free-space.md#silhouettes.
     """
     config = config or SilhouetteConfig()
-    by_axis: dict[int, list[_Flash]] = defaultdict(list)
+    by_axis: dict[int, list[_Focused]] = defaultdict(list)
     for pose in capture.poses if capture.walls else ():
         for axis in range(3):
-            flash = _wall_flash(pose, axis, capture, config)
-            if flash is not None:
-                by_axis[axis].append(flash)
+            focused = _focused(pose, axis, capture, config)
+            if focused is not None:
+                by_axis[axis].append(focused)
     outlines, disagreement, free_shares = [], [], [0.0]
     for axis, flashes in by_axis.items():
         wall = capture.walls[0]
-        half_m = 0.5 * np.array(wall.inner_size_m)[_across(axis)]
-        counts = (half_m / config.spacing_m).astype(int)
-        cells = [config.spacing_m * np.arange(-n, n + 1) for n in counts]
+        cells = _cells(wall, axis, config)
         found, free_share = _focus_planes(
             flashes, cells, capture.waveform.center_wavelength_m, config
         )
@@ -309,6 +318,35 @@ def _disagreement(sides: Silhouettes) -> float:
 
 def _across(axis: int) -> list[int]:
     return [k for k in range(3) if k != axis]
+
+
+def _cells(wall: Wall, axis: int, config: SilhouetteConfig) -> list[Floats]:
+    """Middles of the cells of an outline along both axes across [m]."""
+    half_m = 0.5 * np.array(wall.inner_size_m)[_across(axis)]
+    counts = (half_m / config.spacing_m).astype(int)
+    return [config.spacing_m * np.arange(-n, n + 1) for n in counts]
+
+
+def _focused(
+    pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig
+) -> "_Focused | None":
+    """Flash of the far wall along an axis, and its blur; None if too few antennas face it.
+
+    It is kept as long as the plane: a growing scan asks for its shadows after each further one.
+    """
+    known, key = _KEPT.setdefault(pose, {}), (axis, capture.walls, capture.waveform, config)
+    if key not in known:
+        flash = _wall_flash(pose, axis, capture, config)
+        coarse = [c[::2] for c in _cells(capture.walls[0], axis, config)]
+        known[key] = None
+        if flash is not None:
+            blurs, wavelength_m = list[Floats](), capture.waveform.center_wavelength_m
+            # With a tilted wall, the lines of sight of a narrow strip of antennas may miss the box.
+            for focus in _FOCUSES if _covered(flash, coarse).any() else ():
+                image, seen = _hologram(flash, coarse, focus, wavelength_m, config.aperture)
+                blurs.append(np.minimum(np.abs(image[seen]), np.abs(image[seen] - 1.0)))
+            known[key] = _Focused(flash, blurs)
+    return known[key]
 
 
 def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
@@ -400,20 +438,15 @@ def _correct_bulge(flash: _Flash, wavelength_m: float) -> _Flash:
 
 
 def _focus_planes(
-    flashes: list[_Flash], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
+    focused: list[_Focused], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
 ) -> tuple[list[_Outline], float]:
     """Outlines of all planes and of each side at the sharpest focus; largest free share."""
-    coarse = [c[::2] for c in cells]
-    # With a tilted wall, the lines of sight of a narrow strip of antennas may miss the box.
-    flashes = [flash for flash in flashes if _covered(flash, coarse).any()]
-    if not flashes:
+    blurs = [blurs for _, blurs in focused if blurs]
+    if not blurs:
         return [], 0.0
-    blur, focuses = list[float](), np.linspace(0.0, 1.0, _FOCUSES)
-    for focus in focuses:
-        seen = [_hologram(f, coarse, focus, wavelength_m, config.aperture) for f in flashes]
-        values = np.concatenate([image[known] for image, known in seen])
-        blur.append(float(np.minimum(np.abs(values), np.abs(values - 1.0)).mean()))
-    focus = focuses[int(np.argmin(blur))]
+    flashes = [flash for flash, blurs in focused if blurs]
+    blur = [np.concatenate(planes).mean() for planes in zip(*blurs, strict=True)]
+    focus = _FOCUSES[int(np.argmin(blur))]
     shape = (2, len(cells[0]), len(cells[1]))
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
