@@ -30,6 +30,7 @@ from geraf2._bounds import Bounded, CellM, OpenShare
 from geraf2._types import AnyPath, Bools, Floats, Ints
 from geraf2._validation import require_shape
 from geraf2.echoes.echo_phases import response_at
+from geraf2.freespace.holograms import Flash, covered, focal_lengths_m, hologram
 from geraf2.freespace.wall_shape import path_shape
 from geraf2.io.array_layouts import read_arrays
 from geraf2.io.atomic import write_npz_atomic
@@ -209,25 +210,10 @@ class Silhouettes:
         return self.origins_m[number] + spacing_m * cells, normals
 
 
-class _Flash(NamedTuple):
-    """Far wall's flash at the antennas of a plane that face it."""
-
-    feet: Floats
-    """Foot points of the antennas on the wall, (n, 2) [m]."""
-    response: NDArray[np.complex128]
-    """Signal relative to that of the whole wall without content, up to one factor, (n,)."""
-    content_m: Floats
-    """Distance to the middle of the box along the wall's normal, (n,) [m]."""
-    wall_m: Floats
-    """Distance to the wall, (n,) [m]."""
-    side: float
-    """Sign of the direction to the wall along its axis, 1 or -1."""
-
-
 class _Focused(NamedTuple):
     """Flash of a plane, and the distance of its cells from free and blocked, by focal length."""
 
-    flash: _Flash
+    flash: Flash
     blurs: list[Floats]
 
 
@@ -342,14 +328,14 @@ def _focused(
         if flash is not None:
             blurs, wavelength_m = list[Floats](), capture.waveform.center_wavelength_m
             # With a tilted wall, the lines of sight of a narrow strip of antennas may miss the box.
-            for focus in _FOCUSES if _covered(flash, coarse).any() else ():
-                image, seen = _hologram(flash, coarse, focus, wavelength_m, config.aperture)
+            for focus in _FOCUSES if covered(flash, coarse).any() else ():
+                image, seen = hologram(flash, coarse, focus, wavelength_m, config.aperture)
                 blurs.append(np.minimum(np.abs(image[seen]), np.abs(image[seen] - 1.0)))
             known[key] = _Focused(flash, blurs)
     return known[key]
 
 
-def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Flash | None:
+def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> Flash | None:
     """Flash of the far wall along an axis; None if too few antennas face it."""
     wall, waveform = capture.walls[0], capture.waveform
     inner, across = 0.5 * np.array(wall.inner_size_m), _across(axis)
@@ -384,7 +370,7 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         crossed_m += within * layer.one_way_delay_m * (2.0 if layer is wall else 4.0)
     path_m = np.linalg.norm(tx[used] - image, axis=1) + crossed_m + waveform.path_bias_m
     response = response_at(pose.signal[used], path_m, waveform)
-    flash = _Flash(
+    flash = Flash(
         feet=feet[used][:, across],
         response=response * wall_m[used] / share[used],
         content_m=content_m[used],
@@ -400,7 +386,7 @@ def _fresnel(v: Floats) -> NDArray[np.complex128]:
     return np.asarray(cosine - 1j * sine)
 
 
-def _correct_tilt(flash: _Flash, wavenumber: float, config: SilhouetteConfig) -> _Flash:
+def _correct_tilt(flash: Flash, wavenumber: float, config: SilhouetteConfig) -> Flash:
     """Remove the phase ramp of a tilted wall: the one whose removal gives the largest sum.
 
     An antenna's ray is normal to the wall, so it passes the content beside the foot point.
@@ -422,7 +408,7 @@ def _correct_tilt(flash: _Flash, wavenumber: float, config: SilhouetteConfig) ->
     )
 
 
-def _correct_bulge(flash: _Flash, wavelength_m: float) -> _Flash:
+def _correct_bulge(flash: Flash, wavelength_m: float) -> Flash:
     """Correct phase, amplitude and direction of the flash for a bulge of the wall."""
     shape = path_shape(flash.feet, flash.response, wavelength_m)
     if shape is None or shape.rms_m < _FLAT_M:
@@ -450,7 +436,7 @@ def _focus_planes(
     shape = (2, len(cells[0]), len(cells[1]))
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
-        image, known = _hologram(flash, cells, focus, wavelength_m, config.aperture)
+        image, known = hologram(flash, cells, focus, wavelength_m, config.aperture)
         free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()) if known.any() else 0)
         if free_shares[-1] >= config.min_free:
             total[int(flash.side > 0.0), known] += image.real[known]
@@ -458,7 +444,7 @@ def _focus_planes(
     # With waves on both passes the content attenuates twice.
     threshold, blur_m = _EDGE**2, 0.0
     if focus < 0.5:
-        focal_m = np.median(np.concatenate([_focal_m(flash, focus) for flash in flashes]))
+        focal_m = np.median(np.concatenate([focal_lengths_m(flash, focus) for flash in flashes]))
         blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
         threshold = _EDGE
     outlines = []
@@ -479,51 +465,3 @@ def sharpened(image: Floats, blur_cells: float) -> Floats:
     blur_cells: standard deviation of the blur [cells].
     """
     return np.asarray(image - 0.5 * blur_cells**2 * laplace(image, mode="nearest"))
-
-
-def _focal_m(flash: _Flash, focus: float) -> Floats:
-    """Focal length of each antenna for the content, (n,) [m]."""
-    ahead_m = flash.content_m + focus * 2.0 * (flash.wall_m - flash.content_m)
-    return np.asarray(flash.content_m * ahead_m / (2.0 * flash.wall_m))
-
-
-def _hologram(
-    flash: _Flash, cells: list[Floats], focus: float, wavelength_m: float, aperture: float
-) -> tuple[NDArray[np.complex128], Bools]:
-    """Transmission focused on the content and mask of cells that antennas cover, (n_u, n_v)."""
-    focal_m = _focal_m(flash, focus)
-    zone_m = aperture * np.sqrt(wavelength_m * focal_m)
-    u, v = (_chirp(c, flash.feet[:, k], focal_m, zone_m, wavelength_m) for k, c in enumerate(cells))
-    seen, whole = (u * flash.response.astype(np.complex64)) @ v.T, u @ v.T
-    # Elsewhere, also between distant antennas, the weights are rounding errors.
-    near = np.abs(whole) > np.finfo(np.float32).eps
-    image = np.zeros(whole.shape, dtype=np.complex128)
-    np.divide(seen, whole, out=image, where=near)
-    if not (known := near & _covered(flash, cells)).any():
-        return image, known
-    # Unblocked lines of sight are the bright ones; their median is the reference.
-    bright = image[known][(size := np.abs(image[known])) >= np.quantile(size, 0.6)]
-    return image / (complex(np.median(bright.real), np.median(bright.imag)) or 1.0), known
-
-
-def _covered(flash: _Flash, cells: list[Floats]) -> Bools:
-    """Mask of the cells in front of antennas, (n_u, n_v)."""
-    low, high = flash.feet.min(axis=0), flash.feet.max(axis=0)
-    u, v = ((c >= low[k]) & (c <= high[k]) for k, c in enumerate(cells))
-    return np.asarray(u[:, None] & v)
-
-
-def _chirp(
-    cells: Floats, feet: Floats, focal_m: Floats, zone_m: Floats, wavelength_m: float
-) -> NDArray[np.complex64]:
-    """Weight and phase of antennas at cells, along one axis, (n_cells, n_antennas).
-
-    Single precision: phases of hundreds of radians have an error of 1e-4.
-    """
-    square = (np.subtract.outer(cells, feet) ** 2).astype(np.float32)
-    phase = (np.pi / (wavelength_m * focal_m)).astype(np.float32) * square
-    weight = np.exp((-0.5 / zone_m**2).astype(np.float32) * square)
-    chirp = np.empty(square.shape, dtype=np.complex64)
-    np.multiply(weight, np.cos(phase), out=chirp.real)
-    np.multiply(weight, np.sin(phase), out=chirp.imag)
-    return chirp

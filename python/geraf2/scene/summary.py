@@ -328,7 +328,6 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseS
     weights = np.array([part.n_antennas for part in looked_at], dtype=np.float64)
     largest = max(part.largest for part in looked_at)
     on_largest = [part.saturated_fraction * (part.largest == largest) for part in looked_at]
-    digests = "".join(part.digest for part in looked_at)
     n_antennas = sum(part.n_antennas for part in placed)
     n_constant = sum(part.n_constant for part in looked_at)
     return PoseSummary(
@@ -354,7 +353,7 @@ def _merge(looked_at: Sequence[PoseSummary], placed: Sequence[_Extent]) -> PoseS
         dc_fraction=float(np.average([part.dc_fraction for part in looked_at], weights=weights)),
         n_noisy=sum(part.n_noisy for part in looked_at),
         profile=np.average([part.profile for part in looked_at], axis=0, weights=weights),
-        digest=bytes_digest(digests.encode()),
+        digest=bytes_digest("".join(part.digest for part in looked_at).encode()),
     )
 
 
