@@ -106,6 +106,16 @@ def test_pairs_receiver_after_receiver_are_those_of_the_lanes(reports):
     assert any("give it under [raw]" in note for note in recording(folder / "capture.bin").notes)
 
 
+@pytest.mark.parametrize("n_together", [1, 4])
+def test_blocks_of_i_and_q_are_no_real_samples(reports, tmp_path, n_together):
+    folder = reports / "iq_pairs_receiver_after_receiver"
+    pairs = np.fromfile(folder / "capture.bin", "<i2").reshape(-1, n_together, 64, 2)
+    np.moveaxis(pairs, -1, 1).tofile(tmp_path / "a.bin")
+    radar = read_toml(folder / "radar.toml", RadarManifest)
+    with pytest.raises(UserError, match="write I and Q as arrays"):
+        open_recording(tmp_path / "a.bin", radar)
+
+
 @pytest.mark.parametrize("name", ["complex64.bin", "float32_iq.bin"])
 def test_floats_are_named(reports, name):
     with pytest.raises(UserError, match="floating-point numbers of 32 bits, not words of 16"):
@@ -116,13 +126,16 @@ def test_floats_are_named(reports, name):
     ("kind", "text"),
     [
         (">f4", "floating-point numbers of 32 bits"),
+        ("<f2", "floating-point numbers of 16 bits"),
         ("<i4", "integers of 32 bits"),
+        ("i1", "integers of 8 bits"),
         (">i2", "big-endian integers of 16 bits"),
     ],
 )
 def test_numbers_of_other_kinds_are_named(reports, tmp_path, kind, text):
     floats = np.fromfile(reports / "floats_in_a_bin" / "float32_iq.bin", "<f4")
-    (floats if kind[1] == "f" else np.round(floats)).astype(kind).tofile(tmp_path / "a.bin")
+    numbers = {"<f2": 1e-4, "i1": 0.015}.get(kind, 1.0) * floats
+    (numbers if kind[1] == "f" else np.round(numbers)).astype(kind).tofile(tmp_path / "a.bin")
     with pytest.raises(UserError, match=text):
         recording(tmp_path / "a.bin")
 
@@ -193,7 +206,8 @@ def lossy(reports, path, lost):
 
 
 @pytest.mark.parametrize(
-    ("lost", "n_lost"), [(slice(1, 2), 1), (slice(301, 303), 2), (slice(199, None, 200), 6)]
+    ("lost", "n_lost"),
+    [(slice(0, 1), 1), (slice(1, 2), 1), (slice(301, 303), 2), (slice(199, None, 200), 6)]
 )
 def test_packets_that_are_missing_elsewhere_are_put_back_as_zeros(reports, tmp_path, lost, n_lost):
     whole = reports / "receivers_turned_round" / "not_turned.bin"

@@ -57,6 +57,8 @@ DIALECTS = {
     "other microseconds": text_of(PLAIN * [1e6, 1, 1, 1], "t [\u00b5s],x,y,z"),
     "units in brackets": text_of(PLAIN * [1, 1e3, 1e3, 1e3], "time [s],X [mm],Y [mm],Z [mm]"),
     "words": text_of(PLAIN * [1, 1e3, 1e3, 1e3], "Timestamp,PosX_mm,PosY_mm,PosZ_mm"),
+    "markers of Qualisys": "NO_OF_FRAMES\t20\nMARKER_NAMES\tradar\n"
+    + text_of(PLAIN * [1, 1e3, 1e3, 1e3], "Time\tradar X\tradar Y\tradar Z", "\t"),
     "of a tool": text_of(PLAIN, "t,tcp_x,tcp_y,tcp_z"),
     "of a camera": text_of(PLAIN, "timestamp,tx,ty,tz"),
     "axis first": text_of(PLAIN, "time,x_pos_m,y_pos_m,z_pos_m"),

@@ -42,8 +42,10 @@ _DEFAULT_NAMES = {len(names): names for names in (_NAMES[1:4], _NAMES[:4], _NAME
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+([eE][-+]?\d+)?")
 # Fewest numbers in a row: a position.
 _MIN_NUMBERS = 3
-# Lines of Qualisys that name the bodies; it writes millimetres and does not say so.
+# Lines of Qualisys that name the bodies, and beginnings of others; it writes millimetres and does
+# not say so.
 _BODY_LINES = ("BODY_NAMES", "MARKER_NAMES")
+_HEAD_LINES = ("NO_OF_", "DATA_INCLUDED")
 _SECTION = re.compile("(Objects|Segments|Trajectories|Joints|Devices|Model Outputs),*")
 _RATES = ("FREQUENCY", "Export Frame Rate")
 
@@ -170,7 +172,7 @@ def _names_of(head: list[Row]) -> tuple[Row, Row]:
     found = [k for k, names in enumerate(head) if _has_axes(_full_names(head, k)[0])]
     names, bodies = _full_names(head, found[-1] if found else len(head) - 1)
     stated = _stated(head, ("Length Units",))
-    stated += ["mm" for row in head if row and row[0] in ("NO_OF_CAMERAS", "DATA_INCLUDED")]
+    stated += ["mm" for row in head if row and row[0].startswith(_HEAD_LINES)]
     units = units or stated[:1] * len(names)
     whole = [f"{name} {unit}" for name, unit in zip(names, units, strict=False)]
     return [
@@ -256,6 +258,7 @@ def _numbers(rows: Sequence[Row], index: int, name: str, mark: str | None, path:
         raise UserError(
             what=f"cannot be read as numbers: row {bad + 1}, column {name!r}",
             where=path,
+            expected="numbers, and times in seconds or as 2026-01-31T12:00:00.0",
             got=repr(cells[bad][:40]),
         )
     return np.full(len(rows), np.nan)

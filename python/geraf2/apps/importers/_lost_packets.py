@@ -121,7 +121,12 @@ def find_gaps(
     changes = [pair for pair in pairwise(known) if pair[0][1] != pair[1][1]]
     if len(changes) > _MAX_LOSSES:
         raise packets_are_missing(stream)
-    return known[0][1], chirps.whole(list(chirps.gaps(changes)))
+    late, gaps = known[0][1], list(chirps.gaps(changes))
+    if late and chirps.n_missing(0, late) == 1:  # the first packet
+        whole = chirps.whole([Gap(0, 1, late), *gaps])
+        if whole[0].n_packets == 1:
+            return 0, whole
+    return late, chirps.whole(gaps)
 
 
 def jumps_with_packets(
@@ -170,6 +175,13 @@ class _Chirps:
         words = self._stream.read(first, self.probe_bytes).view("<i2")
         return chirp_phase(words, self._order, self._n_samples)
 
+    def n_missing(self, before: int, after: int) -> int:
+        """Least number of packets without which chirps begin elsewhere; 0 where none does."""
+        shift = (before - after) % self._n
+        numbers = range(1, _MAX_PACKETS + 1)
+        fitting = (k for k in numbers if (k * self._step - shift) % self._n == 0)
+        return next(fitting, 0) if PAYLOAD_BYTES % self._sample_bytes == 0 else 0
+
     def begin_before_a_gap(self, after: int) -> bool:
         """Whether the stream begins with a chirp, and a gap follows within the first window."""
         at, is_seen = self._place(0, 0, 0, after)
@@ -181,10 +193,7 @@ class _Chirps:
         Where no number of packets shifts the chirps so, none is stated.
         """
         for (low, before), (high, after) in changes:
-            shift = (before - after) % self._n
-            numbers = range(1, _MAX_PACKETS + 1)
-            fitting = (k for k in numbers if (k * self._step - shift) % self._n == 0)
-            n_packets = next(fitting, 0) if PAYLOAD_BYTES % self._sample_bytes == 0 else 0
+            n_packets = self.n_missing(before, after)
             at, is_seen = self._place(low, high, before, after) if n_packets else (0, False)
             yield Gap(at or high, n_packets if at else 0, after, is_seen)
 

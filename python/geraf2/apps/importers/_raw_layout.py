@@ -21,11 +21,11 @@ from geraf2.apps.importers._word_order import (
     REAL_LAYOUTS,
     Layout,
     WordOrder,
-    begins_in_chirp,
     channels,
     decode,
     find_late_chirps,
     find_n_samples,
+    prediction_error,
 )
 from geraf2.errors import UserError
 
@@ -61,10 +61,21 @@ _LAYOUT_WORDS = 1 << 17
 # over noise 216 of 244 recordings of real samples reach it, and 1 of 488 of complex ones, most of
 # which stay below .05. Captures of three real boards, all complex, have -1.6 to -2.1.
 _REAL_ADVANTAGE = 0.1
+# Ratio of the sides from which on blocks of I and Q are told from real samples: phases of two real
+# receivers then differ by 90 degrees within 11.
+_BLOCK_RATIO = 100.0
 # That at which a configuration is not believed.
 _CONTRADICTING_ADVANTAGE = 0.2
-# Samples as floating-point numbers lie between the inverse of this and it, but for a few.
-_LARGEST_FLOAT, _FLOAT_SHARE = 2.0**30, 0.99
+# Samples as floating-point numbers lie between these, but for a few. Integers of 16 bits that are
+# small have exponents of 16 bits below or above theirs.
+_FLOATS = {"f2": (2.0**-14, 2.0**12), "f4": (2.0**-30, 2.0**30), "f8": (2.0**-30, 2.0**30)}
+_FLOAT_SHARE = 0.99
+# Least share of floating-point numbers of 16 bits with either sign.
+_SIGN_SHARE = 0.1
+# Median residual of a linear prediction of bytes, over their power, below which they are samples;
+# and over that of the words, which are predicted far better where they are.
+_BYTE_RESIDUAL, _BYTE_EXCESS = 0.1, 10.0
+_BYTE_LAGS = 16
 # Parts of the words whose chirps are looked for by themselves.
 _N_PARTS = 8
 # Words of these parts where they are short: each of six packets.
@@ -89,6 +100,8 @@ class LayoutEvidence:
     """Jump of the signal between chirps over that between samples."""
     n_samples_found: bool
     """Whether the number of samples was estimated and not given."""
+    late: int = 0
+    """Stored samples before the first whole chirp, where no chirp begins with the words."""
     notes: tuple[str, ...] = ()
     """Warnings for the user."""
 
@@ -181,6 +194,8 @@ def find_layout(
         if offset_binary not in (None, real.offset_binary):
             what = f"offset_binary contradicts the samples, which are read as {real}"
             raise UserError(what=what, where=where, got=offset_binary)
+        if layout is None:
+            _refuse_blocks(words, n_rx or real.n_rx, n_samples, where)
         if layout is None and n_rx != 1:
             real = _order_of_receivers(words, candidates, real, n_samples, where)
         return _with_samples(words, real, {}, n_samples, where)
@@ -253,6 +268,25 @@ def _real_order(
             hint="correct the configuration, or give layout under [raw] of --radar",
         )
     return order if is_real else None
+
+
+def _refuse_blocks(
+    words: NDArray[np.int16], n_rx: int, n_samples: int | None, where: object
+) -> None:
+    """Raise UserError where words are I of a whole chirp, then Q, of one receiver or of all."""
+    for n_together in (1, n_rx) if n_samples else ():
+        n_chirps = words.size // (2 * n_together * n_samples)
+        parts = words[: n_chirps * 2 * n_together * n_samples].astype(np.float32)
+        in_phase, quadrature = parts.reshape(n_chirps, 2, -1, n_samples).swapaxes(0, 1)
+        if _one_sided(_ratio(in_phase + 1j * quadrature)) > _BLOCK_RATIO:
+            raise UserError(
+                what=f"holds {n_together * n_samples} words of I and then as many of Q in turn, or "
+                "real samples of receivers whose phases differ by 90 degrees",
+                where=where,
+                expected="I and Q of each sample beside each other",
+                hint="write I and Q as arrays for 'geraf2 import geraf-sens' or 'geraf2 import "
+                "mat'; if the samples are real, give layout under [raw] of --radar",
+            )
 
 
 def _order_of_receivers(
@@ -339,12 +373,31 @@ def _is_float(words: NDArray[np.int16], kind: str) -> bool:
     """Whether words are parts of floating-point numbers of ordinary size."""
     # Integers of 16 bits have exponents near the least or largest one where they are small.
     data = words.tobytes()
-    values = np.abs(np.frombuffer(data[: len(data) // 8 * 8], dtype=kind))
+    numbers = np.frombuffer(data[: len(data) // 8 * 8], dtype=kind)
+    values, (least, largest) = np.abs(numbers), _FLOATS[kind[1:]]
     with np.errstate(invalid="ignore"):
-        ordinary = (values > 1 / _LARGEST_FLOAT) & (values < _LARGEST_FLOAT)
+        ordinary = (values > least) & (values < largest)
+    if kind[1:] == "f2" and abs((numbers < 0).mean() - 0.5) > 0.5 - _SIGN_SHARE:
+        return False
     # Round numbers of 64 bits are zeros and numbers of 32 bits in turn.
     is_half = (values[::2] == 0).mean() > 0.5
     return bool(ordinary.any() and not is_half and (ordinary | (values == 0)).mean() > _FLOAT_SHARE)
+
+
+def _are_bytes(words: NDArray[np.int16]) -> bool:
+    """Whether the bytes of words are samples, as predictable as the words are."""
+    words = words[:_LAYOUT_WORDS]
+    both = words.view(np.uint8).reshape(-1, 2).T
+    for flip in (0, 0x80):
+        low, high = (both ^ flip).view(np.int8)
+        if (high == low >> 7).mean() > 1 - _SIGN_SHARE:  # of small words
+            return False
+        streams = np.stack([low, high, words]).astype(np.complex64)
+        errors = np.median(np.abs(prediction_error(streams, _BYTE_LAGS)) ** 2, axis=1)
+        *of_bytes, of_words = errors / streams.var(axis=1)
+        if max(of_bytes) < min(_BYTE_RESIDUAL, _BYTE_EXCESS * of_words):
+            return True
+    return False
 
 
 def _other_numbers(where: object, *, kind: str) -> UserError:
@@ -397,12 +450,15 @@ def _require_possible(
         )
     if not words.any():
         raise UserError(what="begins with nothing but zeros", where=where)
-    floats = next((kind for kind in ("<f4", "<f8", ">f4", ">f8") if _is_float(words, kind)), None)
+    kinds = ("<f4", "<f8", ">f4", ">f8", "<f2", ">f2")
+    floats = next((kind for kind in kinds if _is_float(words, kind)), None)
     if floats is not None:
         raise _other_numbers(where, kind=f"floating-point numbers of {8 * int(floats[2])} bits")
     low, high = words[: words.size // 2 * 2].reshape(-1, 2).T
     if low.min() < 0 <= low.max() and (high == low >> 15).mean() > _FLOAT_SHARE:
         raise _other_numbers(where, kind="integers of 32 bits")
+    if _are_bytes(words):
+        raise _other_numbers(where, kind="integers of 8 bits")
     if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
         raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
     if n_samples is not None and n_samples < _MIN_SAMPLES:
@@ -442,11 +498,11 @@ def _with_samples(
 ) -> LayoutEvidence:
     _require_pairs(chosen.layout, n_samples, where)
     found, jump = _found_samples(words, chosen, n_samples, where)
+    late = 0
     if n_samples is None:
         if found is None:
-            late = find_late_chirps(words, chosen)
-            if late is not None:
-                raise begins_in_chirp(chosen, *late, where)
+            found, late = find_late_chirps(words, chosen) or (None, 0)
+        if found is None:
             raise UserError(
                 what="the number of samples per chirp cannot be found out: the signal jumps "
                 f"nowhere regularly ({jump:.3g} times the mean at best)",
@@ -490,4 +546,5 @@ def _with_samples(
         next_ratio=0.0 if runner_up is None else others[runner_up],
         jump_ratio=jump,
         n_samples_found=is_found,
+        late=late,
     )

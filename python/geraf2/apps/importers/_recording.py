@@ -220,6 +220,8 @@ def open_recording(
         stream, n_empty, more = _repaired(stream, evidence, frame_bytes, source)
         notes += more
         n_bytes = stream.n_bytes
+    elif evidence.late:
+        raise _begins_late(evidence, evidence.late, source)
     if n_empty >= chirp_bytes:
         share = f"{n_empty // chirp_bytes} of {n_bytes // chirp_bytes} chirps"
         text = f"the last {n_empty} bytes are zero ({share}): the recording stopped before its end"
@@ -288,8 +290,8 @@ def _repaired(
     order, n_samples = evidence.order, evidence.n_samples
     n_empty = trailing_zeros(stream)
     late, gaps = find_gaps(stream, order, n_samples, stream.n_bytes - n_empty)
-    if late:
-        raise begins_in_chirp(order, order.per_complex * n_samples, late, source)
+    if late or (evidence.late and not gaps):
+        raise _begins_late(evidence, late or evidence.late, source)
     notes = [
         f"{gap.n_packets} packet{'s' * (gap.n_packets > 1)} of {PAYLOAD_BYTES} bytes lost after "
         f"{gap.at // frame_bytes} whole frames ({gap.at} bytes): zeros were put there"
@@ -299,6 +301,12 @@ def _repaired(
         for gap in gaps
     ]
     return RepairedStream(stream, gaps) if gaps else stream, n_empty, notes
+
+
+def _begins_late(evidence: LayoutEvidence, late: int, source: Path) -> UserError:
+    return begins_in_chirp(
+        evidence.order, evidence.order.per_complex * evidence.n_samples, late, source
+    )
 
 
 def _one_stream(stream: ByteStream) -> _Files:

@@ -228,9 +228,13 @@ def log_track(
         ranges=ranges,
         plane_starts=starts,
         notes=tuple(notes),
-        text=f"{_rows_of(log)}, {log.times_s[0]:.6g} s to {log.times_s[-1]:.6g} s, interpolated at "
-        f"frames from {start_time_s:.6g} s every {1e3 * frame_period_s:g} ms",
+        text=f"{_rows_of(log)}, {_shown(log.times_s[0])} to {_shown(log.times_s[-1])}, "
+        f"interpolated at frames from {_shown(start_time_s)} every {1e3 * frame_period_s:g} ms",
     )
+
+
+def _shown(time_s: float) -> str:
+    return f"{round(float(time_s), 3) + 0.0:.15g} s"
 
 
 def _rows_of(log: RobotLog) -> str:
@@ -380,6 +384,14 @@ def _remove_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], l
     bad = np.flatnonzero((jumps | holes) & met)
     if not len(bad):
         return (covered,), []
+    most = UserError(
+        what=f"positions jump after {len(bad)} of {len(log.rows)} rows",
+        where=log.path,
+        expected=f"metres, and at most {_MAX_SPEED_M_PER_S:g} m/s",
+        hint="check their unit: columns of millimetres are named x_mm, y_mm, z_mm",
+    )
+    if len(bad) > 0.5 * met.sum():
+        raise most
     first = int(bad[0])
     kind = "jump" if jumps[first] else "have a hole, they move"
     if not frames.keep_good:
@@ -397,12 +409,8 @@ def _remove_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], l
         end = int(np.ceil((rows_s[k + 1] - frames.start_s) / frames.period_s - 1e-9))
         out[max(begin, covered[0]) : max(end, 0)] = True
     good = np.flatnonzero(~out[covered[0] :]) + covered[0]
-    if not len(good) or len(bad) > 0.5 * met.sum():
-        raise UserError(
-            what=f"positions jump after {len(bad)} of {len(log.rows)} rows",
-            where=log.path,
-            hint="check their unit",
-        )
+    if not len(good):
+        raise most
     runs = np.split(good, np.flatnonzero(np.diff(good) > 1) + 1)
     ranges = tuple((int(run[0]), int(run[-1]) + 1) for run in runs)
     return ranges, [f"{out.sum()} frames at {len(bad)} jumps of the positions were left out"]
