@@ -57,12 +57,17 @@ def read_regular(path: AnyPath, most: int | None = None) -> bytes:
         return handle.read()
 
 
+def most_unpacked(n_packed: float) -> float:
+    """Bytes that data of this size may unpack to: as many times as samples do, or RECORD_BYTES."""
+    return max(RECORD_BYTES, _MAX_TIMES * n_packed)
+
+
 def require_unpacked(n_bytes: float, n_packed: float, where: object) -> None:
     """Raise UserError, before they are unpacked, for data that unpack to far more than samples do.
 
-    n_bytes, n_packed: unpacked, and as stored. Nothing is refused below RECORD_BYTES.
+    n_bytes, n_packed: unpacked, and as stored.
     """
-    if n_bytes <= max(RECORD_BYTES, _MAX_TIMES * n_packed):
+    if n_bytes <= most_unpacked(n_packed):
         return
     raise UserError(
         what=f"{n_packed / 2**20:.3g} MiB unpack to {n_bytes / 2**30:.3g} GiB",

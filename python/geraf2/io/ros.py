@@ -6,19 +6,21 @@ import sqlite3
 import struct
 from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
+from io import BytesIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from geraf2.errors import UserError
-from geraf2.io.regular import require_unpacked
+from geraf2.io.regular import most_unpacked, require_unpacked
 
 # Records of an MCAP file begin with kind and size; the last one has 20 bytes, zeros: no summary.
 _MAGIC, _RECORD = b"\x89MCAP0\r\n", struct.Struct("<BQ")
 _FOOTER, _CHUNK, _DATA_END = _RECORD.pack(2, 20), 6, 15
 _MCAP_END = len(_FOOTER) + 20 + len(_MAGIC)
-_COPIED_BYTES = 1 << 24
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_COPIED_BYTES = 1 << 20
 
 
 def ros_module(name: str) -> Any:
@@ -80,7 +82,9 @@ def open_bag(path: Path, *, is_cut: bool = False) -> Iterator[Any]:
                 paths = [_snapshot(one, folder / one.name) for one in bag_files(path)]
             for one in paths:
                 _require_sizes(one)
-            yield stack.enter_context(highlevel.AnyReader(paths, default_typestore=store))
+            reader = stack.enter_context(highlevel.AnyReader(paths, default_typestore=store))
+            _require_messages(reader, path)
+            yield reader
     except UserError:
         raise
     except Exception as error:  # a broken file raises errors of many kinds
@@ -104,16 +108,54 @@ def _records(file: BinaryIO) -> Iterator[tuple[int, int]]:
 
 
 def _require_sizes(path: Path) -> None:
-    """Refuse a bag whose chunks, which are unpacked whole, state sizes beyond all samples."""
+    """Refuse a bag whose packed files and chunks unpack to far more than samples do."""
     n_bytes = n_packed = 0
-    for one in bag_files(path):
-        if one.suffix == ".mcap":
-            with one.open("rb") as file:
+    for one in sorted(path.iterdir()) if path.is_dir() else [path]:
+        with one.open("rb") as file:
+            if file.read(len(_ZSTD)) == _ZSTD:
+                file.seek(0)
+                n_bytes += _unpacked("zstd", file, most_unpacked(one.stat().st_size))
+                n_packed += one.stat().st_size
+            elif one.suffix == ".mcap":
                 for kind, size in _records(file):
                     if kind == _CHUNK:
-                        n_bytes += int.from_bytes(file.read(24)[16:], "little")
+                        n_bytes += _chunk_bytes(file.read(size), path)
                         n_packed += size
     require_unpacked(n_bytes, n_packed, path)
+
+
+def _chunk_bytes(content: bytes, where: Path) -> int:
+    """Bytes that a chunk states to unpack to; UserError where these are more."""
+    n_bytes = int.from_bytes(content[16:24], "little")
+    begin = 32 + int.from_bytes(content[28:32], "little")  # of the size of its records
+    name = content[32:begin].decode("ascii", "replace")
+    if name in ("zstd", "lz4") and n_bytes <= most_unpacked(len(content)):
+        found = _unpacked(name, BytesIO(content[begin + 8 :]), n_bytes)
+        if found > n_bytes:
+            what = "a chunk unpacks to more bytes than it states"
+            raise UserError(what=what, where=where, expected=n_bytes)
+    return n_bytes
+
+
+def _require_messages(reader: Any, where: Path) -> None:
+    """Refuse a bag whose packed messages unpack to far more than samples do."""
+    n_bytes = n_packed = 0
+    packed = (one for one in reader.readers if one.compression_mode == "message")
+    for storage in (storage for one in packed for storage in one.storage.storages):
+        for _, _, data in storage.messages(storage.connections):
+            n_packed += len(data)
+            n_bytes += _unpacked("zstd", BytesIO(data), most_unpacked(len(data)))
+    require_unpacked(n_bytes, n_packed, where)
+
+
+def _unpacked(name: str, file: BinaryIO, most: float) -> int:
+    """Bytes that a file unpacks to, counted and not kept, until they are more than `most`."""
+    lz4 = importlib.import_module("lz4.frame")  # which rosbags needs
+    n_bytes, module = 0, ros_module("rosbag2.reader").zstd if name == "zstd" else lz4
+    with module.open(file) as whole:
+        while n_bytes <= most and (part := whole.read(_COPIED_BYTES)):
+            n_bytes += len(part)
+    return n_bytes
 
 
 def _snapshot(path: Path, target: Path) -> Path:

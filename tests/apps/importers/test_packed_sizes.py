@@ -50,9 +50,9 @@ def locations(path):
     np.savez_compressed(path, received_signals=signal, antenna_locations=many)
 
 
-def bag(path):
+def bag(path, **how):
     words = [np.zeros(N_BYTES // 128, dtype="<i2")] * 64
-    write_bag(path, scan_path(1), (np.arange(64.0), words), compression="STORAGE")
+    write_bag(path, scan_path(1), (np.arange(64.0), words), **how)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,9 @@ def bag(path):
         ("mat", "a.h5", packed_hdf5),
         ("mmnorm", "a.npz", signals),
         ("mmnorm", "a.npz", locations),
-        ("rosbag", "bag", bag),
+        ("rosbag", "bag", lambda path: bag(path, compression="STORAGE")),
+        ("rosbag", "bag", lambda path: bag(path, compression="FILE", storage="SQLITE3")),
+        ("rosbag", "bag", lambda path: bag(path, compression="MESSAGE", storage="SQLITE3")),
     ],
 )
 def test_files_that_unpack_to_any_size_are_refused_before(tmp_path, format_name, name, write):
@@ -77,5 +79,23 @@ def test_files_that_unpack_to_any_size_are_refused_before(tmp_path, format_name,
         with pytest.raises(UserError, match=r"MiB unpack to .* GiB.*save it without compression"):
             importer.open(tmp_path / name, RadarManifest())
         assert tracemalloc.get_traced_memory()[1] < N_BYTES / 4
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_chunk_that_states_too_few_bytes_is_refused_before_it_is_unpacked(tmp_path):
+    bag(tmp_path / "bag", compression="STORAGE")
+    (path,) = (tmp_path / "bag").glob("*.mcap")
+    data = bytearray(path.read_bytes())
+    at = len(b"\x89MCAP0\r\n")
+    while data[at] != 6:  # the kind of a chunk
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    data[at + 25 : at + 33] = (1000).to_bytes(8, "little")
+    path.write_bytes(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(UserError, match="more bytes than it states"):
+            load_importer("rosbag").open(tmp_path / "bag", RadarManifest())
+        assert tracemalloc.get_traced_memory()[1] < N_BYTES / 2
     finally:
         tracemalloc.stop()
