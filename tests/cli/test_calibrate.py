@@ -50,6 +50,7 @@ def test_a_box_that_nobody_states_is_found_by_radar(tmp_path, capsys):
     assert main(["calibrate", str(tmp_path / "scene"), *PLAIN, "--no-frame", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["prior"] == "the box by radar"
+    assert found["box"]["size_m"][:2] == pytest.approx(2 * [0.22], abs=0.005)
     assert found["path_bias_m"] == pytest.approx(0.15, abs=5e-3)
 
 

@@ -39,9 +39,11 @@ def test_an_error_is_a_json_object_too(tmp_path, capsys):
     assert printed.err == f"geraf2: {found['error']}\n"
 
 
-def test_a_command_without_results_of_its_own_gives_its_rows(capsys):
+def test_the_state_of_the_machine_is_given_as_rows_and_numbers(capsys):
     assert main(["doctor", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["rows"]["threads"]
+    found = json.loads(capsys.readouterr().out)
+    assert found["rows"]["threads"].startswith(f"{found['n_threads']} ")
+    assert 0 < found["free_memory_bytes"] <= found["memory_bytes"]
 
 
 def test_a_quiet_run_prints_warnings_alone_and_opens_its_page(scene, tmp_path, capsys, monkeypatch):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from geraf2 import examples
 from geraf2.cli.main import main
 from geraf2.scene import load_capture
 from helpers.synthetic import CAPTURE_JSON, point_capture, write_geraf_sens
@@ -38,6 +39,18 @@ def test_a_capture_of_either_sign_becomes_the_same_scene(tmp_path, capture, caps
     assert f"phase sign exp({sign[0]}j...)" in " ".join(capsys.readouterr().out.split())
     for got, want in zip(loaded.poses, capture.poses, strict=True):
         assert np.array_equal(got.signal, want.signal)
+
+
+def test_a_capture_of_the_other_sign_has_its_echoes_in_the_box(tmp_path, capsys):
+    whole = examples.small_capture()[0]
+    poses = tuple(replace(pose, signal=pose.signal.conj()) for pose in whole.poses)
+    stated = {**CAPTURE_JSON, "box_size_m": list(examples.BOX_M)}
+    capture = replace(whole, poses=poses)
+    source = write_geraf_sens(tmp_path / "capture", capture, parameters=stated)
+    assert run_import(source) == 0
+    shown = capsys.readouterr()
+    assert "conjugated on import" in shown.out
+    assert "the box is empty" not in shown.err
 
 
 def test_importing_again_changes_nothing_and_another_capture_is_refused(source, capture, capsys):

@@ -70,6 +70,8 @@ def main(config: Config) -> int:
     )
     rows(calibrated.rows())
     keep({"scene": None if target is None else str(target), **calibrated.table.model_dump()})
+    prior = calibrated.found.prior
+    keep({"box": {"size_m": prior.size_m, "center_m": prior.center_m}})
     if target is None:
         say("nothing was written: give OUT, or SCENE twice and --overwrite to correct it")
         return 0

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2 import __version__
-from geraf2.cli._console import rows, say
+from geraf2.cli._console import keep, rows, say
 from geraf2.cli.main import missing_library
 from geraf2.errors import UserError
 
@@ -45,20 +45,20 @@ def main(config: Config) -> int:
         _check("Embree", _check_embree),
         _check("temporary folder", _check_temporary_folder),
     ]
-    rows(
-        [
-            ("geraf2", __version__),
-            ("Python", f"{platform.python_version()} ({sys.executable})"),
-            ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
-            *((name, _package_version(name)) for name in _PACKAGES),
-            ("CPU", _cpu()),
-            kernels[:2],
-            *(_paths() if kernels[2] else ()),
-            threads[:2],
-            ("memory", _memory()),
-            *((name, text) for name, text, _ in checks),
-        ]
-    )
+    found = [
+        ("geraf2", __version__),
+        ("Python", f"{platform.python_version()} ({sys.executable})"),
+        ("system", f"{platform.system()} {platform.release()} {platform.machine()}"),
+        *((name, _package_version(name)) for name in _PACKAGES),
+        ("CPU", _cpu()),
+        kernels[:2],
+        *(_paths() if kernels[2] else ()),
+        threads[:2],
+        ("memory", _memory()),
+        *((name, text) for name, text, _ in checks),
+    ]
+    rows(found)
+    keep({"rows": {name.strip(): text for name, text in found}})
     faults = [name for name, _, ok in (kernels, threads, *checks) if not ok]
     if faults:
         raise UserError(what=f"{', '.join(faults)} does not work on this machine")
@@ -116,14 +116,16 @@ def _paths() -> list[tuple[str, str]]:
 
 
 def _threads() -> str:
-    """Count of OpenMP threads and of CPUs."""
+    """Count of OpenMP threads and of CPUs, which are kept for `--json`."""
     from geraf2.ops import max_threads  # noqa: PLC0415 - as above
 
-    return f"{max_threads()} by OpenMP, {len(os.sched_getaffinity(0))} CPUs to run on"
+    n_threads, n_cpus = max_threads(), len(os.sched_getaffinity(0))
+    keep({"n_threads": n_threads, "n_cpus": n_cpus})
+    return f"{n_threads} by OpenMP, {n_cpus} CPUs to run on"
 
 
 def _memory() -> str:
-    """Free memory and total memory."""
+    """Free memory and total memory, which are kept for `--json`."""
     kib = {
         line.split(":")[0]: int(line.split()[1])
         for line in _read("/proc/meminfo").splitlines()
@@ -131,7 +133,9 @@ def _memory() -> str:
     }
     if len(kib) < 2:
         return "unknown"
-    return f"{kib['MemAvailable'] / 2**20:.1f} of {kib['MemTotal'] / 2**20:.1f} GiB free"
+    free, total = kib["MemAvailable"], kib["MemTotal"]
+    keep({"memory_bytes": 1024 * total, "free_memory_bytes": 1024 * free})
+    return f"{free / 2**20:.1f} of {total / 2**20:.1f} GiB free"
 
 
 def _read(path: str) -> str:

@@ -128,6 +128,16 @@ def test_walls_of_one_box_or_of_a_nest(tmp_path, capture, change, sizes):
     assert [list(wall.size_m) for wall in open_scan(source).manifest.walls] == sizes
 
 
+def test_the_middle_of_the_box_may_lie_elsewhere(tmp_path, capture):
+    stated = {**CAPTURE_JSON, "box_center_m": [0, 0, 0.09]}
+    source = write_geraf_sens(tmp_path / "c", capture, parameters=stated)
+    assert [wall.center_m for wall in open_scan(source).manifest.walls] == [(0.0, 0.0, 0.09)]
+    for wrong in (0.09, [0, 0], [0, 0, "high"]):
+        (source / "capture.json").write_text(json.dumps({**stated, "box_center_m": wrong}))
+        with pytest.raises(UserError, match="box_center_m"):
+            open_scan(source)
+
+
 def test_other_folders_and_another_pose_count_are_mentioned(source):
     (source / "mf" / "calibration").mkdir()
     (source / "capture.json").write_text(json.dumps({**CAPTURE_JSON, "n_poses": 36}))

@@ -45,7 +45,8 @@ _CAPTURE_KEYS = {
     "path_bias_m": "path_bias_m",
 }
 _WALL_KEYS = ("box_size_m", "wall_thickness_m", "wall_permittivity")
-_KNOWN_KEYS = (*_CAPTURE_KEYS, *_WALL_KEYS, "n_poses")
+_CENTER_KEY = "box_center_m"
+_KNOWN_KEYS = (*_CAPTURE_KEYS, *_WALL_KEYS, _CENTER_KEY, "n_poses")
 
 # Rotations in float32, typed in with four digits, are orthonormal to about 1e-4.
 _ORTHONORMAL_TOLERANCE = 1e-3
@@ -316,7 +317,10 @@ def capture_manifest(
 
 
 def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
-    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given."""
+    """Walls from box_size_m, wall_thickness_m, wall_permittivity; none unless all are given.
+
+    Their middle is box_center_m, or the origin.
+    """
     # box_size_m is a side, or a list from the outer box to the inner one of sides or triples. Three
     # numbers are the sides of one box, unless three thicknesses are given.
     values = [capture.get(key) for key in _WALL_KEYS]
@@ -335,8 +339,13 @@ def _walls(capture: Mapping[str, Any], where: Path) -> list[dict[str, Any]]:
             what = f"key {name!r} has the wrong length"
             raise UserError(what=what, where=where, expected=expected, got=len(column))
         columns.append([_number(name, entry, where) for entry in column])
+    center = capture.get(_CENTER_KEY, [0.0, 0.0, 0.0])
+    if not isinstance(center, list) or len(center) != 3:
+        what = f"key {_CENTER_KEY!r} must be three numbers"
+        raise UserError(what=what, where=where, got=f"{str(center)[:60]!r}")
     return [
         {
+            "center_m": [_number(_CENTER_KEY, entry, where) for entry in center],
             "size_m": [
                 _number("box_size_m", side, where)
                 for side in (entry if isinstance(entry, list) else [entry] * 3)

@@ -126,6 +126,8 @@ def import_capture(
         stated = options.phase_sign or scan.phase_sign
         sign = find_phase_sign(some, base.waveform, stated=stated, num_threads=options.num_threads)
         sign = replace(sign, is_forced=options.phase_sign is not None)
+    if sign.is_positive:  # its echoes lie on the other side of the spectrum
+        summary = None
     writer = _writer(scan, Path(scene), sign, overwrite=overwrite)
     with writer, listener.step("writing" if summary else "checking and writing") as report:
         parts = _write_parts(scan, writer, sign, report)
