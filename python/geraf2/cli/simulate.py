@@ -47,6 +47,7 @@ def main(config: Config) -> int:
     if spec.walls:
         written.append(("box", config.out / LOS_NAME))
     keep({name: str(path) for name, path in written})
-    next_command = f"geraf2 reconstruct {quote(str(config.out))} out"
+    command = "reconstruct" if spec.belt is None else "belt"
+    next_command = f"geraf2 {command} {quote(str(config.out))} out"
     rows([*((name, str(path)) for name, path in written), ("next", next_command)])
     return 0

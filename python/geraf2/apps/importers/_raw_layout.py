@@ -73,9 +73,8 @@ _FLOAT_SHARE = 0.99
 # Least share of floating-point numbers of 16 bits with either sign.
 _SIGN_SHARE = 0.1
 # Median residual of a linear prediction of bytes, over their power, below which they are samples;
-# and over that of the words, which are predicted far better where they are.
-_BYTE_RESIDUAL, _BYTE_EXCESS = 0.1, 10.0
-_BYTE_LAGS = 16
+# and over that of the words, which are predicted far better where these are.
+_BYTE_RESIDUAL, _BYTE_EXCESS, _BYTE_LAGS = 0.1, 2.0, 2
 # Parts of the words whose chirps are looked for by themselves.
 _N_PARTS = 8
 # Words of these parts where they are short: each of six packets.
