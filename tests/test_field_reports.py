@@ -207,7 +207,7 @@ def lossy(reports, path, lost):
 
 @pytest.mark.parametrize(
     ("lost", "n_lost"),
-    [(slice(0, 1), 1), (slice(1, 2), 1), (slice(301, 303), 2), (slice(199, None, 200), 6)]
+    [(slice(0, 1), 1), (slice(1, 2), 1), (slice(301, 303), 2), (slice(199, None, 200), 6)],
 )
 def test_packets_that_are_missing_elsewhere_are_put_back_as_zeros(reports, tmp_path, lost, n_lost):
     whole = reports / "receivers_turned_round" / "not_turned.bin"

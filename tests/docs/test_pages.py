@@ -1,6 +1,5 @@
-"""Pages of the documentation: what they show runs, and the messages of the code are explained."""
+"""Pages of the documentation: what they refer to is there, messages of the code are explained."""
 
-import doctest
 import importlib
 import pkgutil
 import re
@@ -11,8 +10,6 @@ import pytest
 
 from geraf2.io.regular import BINARY_BYTES, RECORD_BYTES, TEXT_BYTES
 
-TUTORIALS = ("first-box", "raw-files", "inspect")
-
 
 @pytest.fixture
 def site(project_root, monkeypatch):
@@ -21,18 +18,6 @@ def site(project_root, monkeypatch):
     yield importlib.import_module
     for name in ("messages", "docstrings", "flowchart", "formulas"):
         sys.modules.pop(name, None)
-
-
-@pytest.mark.parametrize("page", TUTORIALS)
-def test_the_examples_of_a_tutorial_run(page, project_root, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    text = (project_root / "docs" / "tutorials" / f"{page}.md").read_text(encoding="utf-8")
-    code = re.sub(r"^```.*$", "", text, flags=re.MULTILINE)  # a fence is no expected output
-    tests = doctest.DocTestParser().get_doctest(code, {}, page, page, 0)
-    stated: list[str] = []
-    results = doctest.DocTestRunner(verbose=False).run(tests, out=stated.append)
-    assert results.attempted > 0
-    assert results.failed == 0, "".join(stated)
 
 
 def test_every_warning_has_a_cause_and_a_remedy(site, project_root):
