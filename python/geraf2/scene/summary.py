@@ -25,8 +25,7 @@ _MIN_SPREAD = 0.01
 _MIN_WAVELENGTHS_WIDE = 4.0
 # The noise floor of an antenna is compared with the median of this many around it. Ten times the
 # median: floors of 8 of 32 bins spread by a factor of 3.
-_FLOOR_WINDOW = 31
-_MIN_FLOOR_SAMPLES = 16
+_FLOOR_WINDOW, _MIN_FLOOR_SAMPLES = 31, 16
 _NOISY = 10.0
 # Samples of a plane in which clipping is looked for: of those 0.001 are 16.
 _SATURATION_SAMPLES = 1 << 14

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from geraf2.apps.importers._lost_packets import jumps_with_packets, packets_are_missing
+from geraf2.apps.importers._number_kinds import other_numbers, require_words
 from geraf2.apps.importers._real_samples import is_predicted_as_real, real_advantage
 from geraf2.apps.importers._word_order import (
     LAYOUTS,
@@ -25,7 +26,6 @@ from geraf2.apps.importers._word_order import (
     decode,
     find_late_chirps,
     find_n_samples,
-    prediction_error,
 )
 from geraf2.errors import UserError
 
@@ -66,15 +66,6 @@ _REAL_ADVANTAGE = 0.1
 _BLOCK_RATIO = 100.0
 # That at which a configuration is not believed.
 _CONTRADICTING_ADVANTAGE = 0.2
-# Samples as floating-point numbers lie between these, but for a few. Integers of 16 bits that are
-# small have exponents of 16 bits below or above theirs.
-_FLOATS = {"f2": (2.0**-14, 2.0**12), "f4": (2.0**-30, 2.0**30), "f8": (2.0**-30, 2.0**30)}
-_FLOAT_SHARE = 0.99
-# Least share of floating-point numbers of 16 bits with either sign.
-_SIGN_SHARE = 0.1
-# Median residual of a linear prediction of bytes, over their power, below which they are samples;
-# and over that of the words, which are predicted far better where these are.
-_BYTE_RESIDUAL, _BYTE_EXCESS, _BYTE_LAGS = 0.1, 2.0, 2
 # Parts of the words whose chirps are looked for by themselves.
 _N_PARTS = 8
 # Words of these parts where they are short: each of six packets.
@@ -220,7 +211,7 @@ def find_layout(
         swapped = beginning.byteswap()
         orders = _orders(LAYOUTS, n_rx)
         if max(_one_sided(_segment_ratio(swapped, one, length)) for one in orders) > MIN_RATIO:
-            raise _other_numbers(where, kind="big-endian integers of 16 bits")
+            raise other_numbers(where, kind="big-endian integers of 16 bits")
         raise UserError(
             what="the layout cannot be found out: no order of the words gives a one-sided "
             f"spectrum (best is {chosen} with {_one_sided(ratios[chosen]):.3g} : 1)",
@@ -273,7 +264,9 @@ def _refuse_blocks(
     words: NDArray[np.int16], n_rx: int, n_samples: int | None, where: object
 ) -> None:
     """Raise UserError where words are I of a whole chirp, then Q, of one receiver or of all."""
-    for n_together in (1, n_rx) if n_samples else ():
+    if n_samples is None:
+        return
+    for n_together in (1, n_rx):
         n_chirps = words.size // (2 * n_together * n_samples)
         parts = words[: n_chirps * 2 * n_together * n_samples].astype(np.float32)
         in_phase, quadrature = parts.reshape(n_chirps, 2, -1, n_samples).swapaxes(0, 1)
@@ -368,45 +361,6 @@ def _choose_order(
     return chosen, (f"the layout given is doubtful: {text}",)
 
 
-def _is_float(words: NDArray[np.int16], kind: str) -> bool:
-    """Whether words are parts of floating-point numbers of ordinary size."""
-    # Integers of 16 bits have exponents near the least or largest one where they are small.
-    data = words.tobytes()
-    numbers = np.frombuffer(data[: len(data) // 8 * 8], dtype=kind)
-    values, (least, largest) = np.abs(numbers), _FLOATS[kind[1:]]
-    with np.errstate(invalid="ignore"):
-        ordinary = (values > least) & (values < largest)
-    if kind[1:] == "f2" and abs((numbers < 0).mean() - 0.5) > 0.5 - _SIGN_SHARE:
-        return False
-    # Round numbers of 64 bits are zeros and numbers of 32 bits in turn.
-    is_half = (values[::2] == 0).mean() > 0.5
-    return bool(ordinary.any() and not is_half and (ordinary | (values == 0)).mean() > _FLOAT_SHARE)
-
-
-def _are_bytes(words: NDArray[np.int16]) -> bool:
-    """Whether the bytes of words are samples, as predictable as the words are."""
-    words = words[:_LAYOUT_WORDS]
-    both = words.view(np.uint8).reshape(-1, 2).T
-    for flip in (0, 0x80):
-        low, high = (both ^ flip).view(np.int8)
-        if (high == low >> 7).mean() > 1 - _SIGN_SHARE:  # of small words
-            return False
-        streams = np.stack([low, high, words]).astype(np.complex64)
-        errors = np.median(np.abs(prediction_error(streams, _BYTE_LAGS)) ** 2, axis=1)
-        *of_bytes, of_words = errors / streams.var(axis=1)
-        if max(of_bytes) < min(_BYTE_RESIDUAL, _BYTE_EXCESS * of_words):
-            return True
-    return False
-
-
-def _other_numbers(where: object, *, kind: str) -> UserError:
-    return UserError(
-        what=f"holds {kind}, not words of 16 bits as a board records them",
-        where=where,
-        hint="write them as arrays for 'geraf2 import geraf-sens' or 'geraf2 import mat'",
-    )
-
-
 def _found_samples(
     words: NDArray[np.int16], order: WordOrder, given: int | None, where: object
 ) -> tuple[int | None, float]:
@@ -449,15 +403,7 @@ def _require_possible(
         )
     if not words.any():
         raise UserError(what="begins with nothing but zeros", where=where)
-    kinds = ("<f4", "<f8", ">f4", ">f8", "<f2", ">f2")
-    floats = next((kind for kind in kinds if _is_float(words, kind)), None)
-    if floats is not None:
-        raise _other_numbers(where, kind=f"floating-point numbers of {8 * int(floats[2])} bits")
-    low, high = words[: words.size // 2 * 2].reshape(-1, 2).T
-    if low.min() < 0 <= low.max() and (high == low >> 15).mean() > _FLOAT_SHARE:
-        raise _other_numbers(where, kind="integers of 32 bits")
-    if _are_bytes(words):
-        raise _other_numbers(where, kind="integers of 8 bits")
+    require_words(words, where)
     if layout == "2-lane-pairs" and n_rx is not None and n_rx % 2:
         raise UserError(what="2-lane-pairs needs an even n_rx", where=where, got=n_rx)
     if n_samples is not None and n_samples < _MIN_SAMPLES:
