@@ -396,7 +396,7 @@ class Session:
                 job, corrections = calibrate_job(
                     job, with_positions=False, before=request.corrections
                 )
-            job = replace(job, capture=self._spool(job.capture, ()))
+            job = replace(job, capture=self._spool(job.capture, ()), is_growing=True)
             keep_inputs(job, request.summary.planes)
             make_surface(job, name, options)
         return _Estimate(

@@ -131,7 +131,8 @@ def draw_surface(job: Job, sdf: SdfGrid, evidence: Evidence | float) -> None:
         if meshes.mesh_content.faces.shape[0]:  # drop the same pieces from the field
             sdf = redistance(sdf, meshes.mesh_content, num_threads=threads)
         write_meshes(job, step, meshes)
-        step.numbers |= _ruled_out(job, meshes.mesh_content)
+        if not job.is_growing:
+            step.numbers |= _ruled_out(job, meshes.mesh_content)
         sdf.save(job.run.path / SDF_NAME)
 
 

@@ -45,6 +45,8 @@ class Job:
     """Whether a training continues from its checkpoint."""
     has_walls: bool = True
     """Whether the prior may be a box: not so for the region of content in free air."""
+    is_growing: bool = False
+    """Whether further planes follow: what the scan rules out is stated at its end."""
     made_from: Mapping[str, str] = field(default_factory=dict)
     """Inputs and command, written to the meshes."""
 
