@@ -89,9 +89,9 @@ def draw(rows: list[dict], to: Path) -> None:
     figure, panels = plt.subplots(
         len(scenes), 2, figsize=(9.0, 3.6 * len(scenes)), squeeze=False, layout="constrained"
     )
-    measures = (("f1", "F1 at 5 mm"), ("median_mm", "median error in sight [mm]"))
+    measures = (("lacking", "1 - F1 at 5 mm"), ("median_mm", "median error in sight [mm]"))
     for scene, pair in zip(scenes, panels, strict=True):
-        own = [row for row in rows if row["scene"] == scene]
+        own = [row | {"lacking": 1.0 - row["f1"]} for row in rows if row["scene"] == scene]
         for panel, (key, name) in zip(pair, measures, strict=True):
             for preset, colour in COLOURS.items():
                 for step, style in zip(STEPS, ("o-", "s:"), strict=True):
@@ -103,13 +103,15 @@ def draw(rows: list[dict], to: Path) -> None:
                     for row in line:
                         at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": 7}
                         panel.annotate(f"{row['planes']}", (row["cpu_s"], row[key]), **at)
-            for row in (r for r in own if r["preset"] in BASELINES):
+            others = [row for row in own if row["preset"] in BASELINES]
+            for number, row in enumerate(others):
                 panel.plot(row["cpu_s"], row[key], "x", color="0.3")
-                at = {"xytext": (-3, 4), "textcoords": "offset points", "fontsize": 7}
+                at = {"xytext": (-4, 4 - 10 * number), "textcoords": "offset points", "fontsize": 7}
                 panel.annotate(row["preset"], (row["cpu_s"], row[key]), ha="right", **at)
-            panel.set(xscale="log", ylabel=name, xlabel="CPU seconds")
-            panel.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
-            panel.xaxis.set_major_formatter("{x:g}")
+            panel.set(xscale="log", yscale="log", ylabel=name, xlabel="CPU seconds")
+            for axis in (panel.xaxis, panel.yaxis):
+                axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
+                axis.set_major_formatter("{x:g}")
             panel.minorticks_off()
             panel.grid(alpha=0.3)
             panel.set_title(f"{scene}; numbers: planes", fontsize=9)
