@@ -13,6 +13,8 @@ EPOCH_NS = 1_700_000_000_000_000_000
 PERIOD_S, SPEED_M_PER_S, WIDTH_M, STEP_M = 0.01, 0.1, 0.12, 0.0015
 DRIVER = "xwr_driver/msg/AdcFrame"
 DRIVER_TEXT = "std_msgs/Header header\nuint16[] shape\nint16[] samples\n"
+PARTS = "radar_msgs/msg/Parts"
+PARTS_TEXT = "std_msgs/Header header\nint16[] real_data\nint16[] imag_data\n"
 TARGETS = np.random.default_rng(3).uniform((0.3, -0.08, -0.06), (0.4, 0.08, 0.06), (12, 3))
 
 
@@ -59,6 +61,7 @@ def write_bag(
     """Bag with frames `late_s` late, and poses at 100 Hz; its folder."""
     store = get_typestore(Stores.LATEST)
     store.register(get_types_from_msg(DRIVER_TEXT, DRIVER))
+    store.register(get_types_from_msg(PARTS_TEXT, PARTS))
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin[storage])
     writer.set_compression(CompressionMode[compression], CompressionFormat.ZSTD)
     with writer:
@@ -78,6 +81,10 @@ def _samples(store, kind, stamp, words):
     if kind == DRIVER:
         shape = np.array([1, 64, 2], dtype=np.uint16)
         return types[kind](header=header(store, stamp, "radar"), shape=shape, samples=words)
+    if kind == PARTS:
+        real, imaginary = (words.view("<i2")[first::2].copy() for first in (0, 1))
+        about = header(store, stamp, "radar")
+        return types[kind](header=about, real_data=real, imag_data=imaginary)
     layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
     return types[kind](layout=layout, data=words.view("u1" if "UInt8" in kind else "<i2"))
 

@@ -14,7 +14,7 @@ from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from helpers.console import the_error
 from helpers.raw_capture import RADAR, RADAR_TOML
-from helpers.ros_bag import at_times, frames_of, rewritten, scan_path, write_bag
+from helpers.ros_bag import PARTS, at_times, frames_of, rewritten, scan_path, write_bag
 
 RADAR_MANIFEST = RadarManifest(
     **RADAR, raw=RawManifest(n_rx=1), antennas=AntennaManifest(rx_offsets_m=[[0.0, 0.0, 0.0]])
@@ -164,6 +164,15 @@ def test_mcap_files_of_other_writers_are_read(tmp_path, path, few, options):
 def test_compressed_bags_are_read(tmp_path, path, few, storage, compression):
     bag = write_bag(tmp_path / "b", path, few, storage=storage, compression=compression)
     require_few(bag, few)
+
+
+def test_real_and_imaginary_parts_are_joined_where_they_are_as_many(tmp_path, path, few):
+    require_few(write_bag(tmp_path / "bag", path, few, adc=PARTS), few)
+    times, words = few
+    odd = times, [frame[:-1] for frame in words]
+    short = write_bag(tmp_path / "short", path, odd, adc=PARTS)
+    with pytest.raises(UserError, match=r"real_data and imag_data .* differ in length"):
+        opened(short)
 
 
 def test_transmitters_that_take_turns_have_positions_of_their_own_times(tmp_path, path):

@@ -284,11 +284,12 @@ def _used_arrays(
     """Array of samples in a message, the longest: others hold shapes and settings; or I and Q."""
     sizes = [len(_value(message, path)) for path, _ in arrays]
     longest = [array for array, n in zip(arrays, sizes, strict=True) if n == max(sizes)]
+    parts = [[a for a in arrays if name.fullmatch(a[0][-1])] for name in (_REAL, _IMAGINARY)]
+    both = [part[0] for part in parts if len(part) == 1]
+    if len(both) == 2 and all(array in both for array in longest):
+        return both
     if len(longest) == 1:
         return longest
-    parts = [[a for a in longest if name.fullmatch(a[0][-1])] for name in (_REAL, _IMAGINARY)]
-    if len(longest) == 2 and all(len(part) == 1 for part in parts):
-        return [part[0] for part in parts]
     names = ", ".join(".".join(path) for path, _ in longest)
     raise UserError(
         what=f"a message of {topic} has {len(longest)} arrays of {max(sizes)} values: {names}",
