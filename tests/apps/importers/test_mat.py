@@ -85,6 +85,13 @@ def test_poses_are_kept(save, arrays, capture, block, monkeypatch):
     assert vars(scan.manifest.waveform) == pytest.approx(vars(WAVEFORM))
 
 
+def test_axes_that_are_reversed_without_a_mark_are_turned(tmp_path, arrays, capture):
+    turned = {name: np.transpose(value) for name, value in arrays.items()}
+    (*_, last) = opened(save_python(tmp_path / "scan.h5", turned)).poses()  # as of Julia
+    for name in ("signal", "tx_positions", "rx_positions", "axes"):
+        assert np.allclose(getattr(last, name), getattr(capture.poses[-1], name))
+
+
 def test_one_plane_with_other_names(save, arrays):
     pose = {
         "adc_re": arrays["signal"][1].real,

@@ -70,7 +70,7 @@ def open_arrays(path: Path, names: Mapping[str, str]) -> tuple[dict[str, MatArra
     with open_regular(path) as handle:
         head = handle.read(max(_HDF5_OFFSETS) + len(_HDF5_MAGIC))
     is_hdf5 = any(head[at : at + len(_HDF5_MAGIC)] == _HDF5_MAGIC for at in _HDF5_OFFSETS)
-    known, others = (_open_hdf5 if is_hdf5 else _open_by_scipy)(path, set(names.values()))
+    known, others = (_open_hdf5 if is_hdf5 else _open_by_scipy)(path, names)
     found = {}
     for ours, theirs in names.items():
         fields = [name for name in known if name.endswith(f".{theirs}")]
@@ -87,12 +87,12 @@ def _line(name: str, shape: tuple[int, ...], kind: str) -> str:
     return f"{name} {' x '.join(map(str, shape))} {kind}"
 
 
-def _open_by_scipy(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[str]]:
+def _open_by_scipy(path: Path, names: Mapping[str, str]) -> tuple[dict[str, MatArray], list[str]]:
     """Arrays of structs and of those that are named; lines that describe all others."""
     from scipy.io import loadmat, whosmat  # noqa: PLC0415 - other formats do without
     from scipy.io.matlab import matfile_version  # noqa: PLC0415
 
-    roots = {name.split(".")[0] for name in names}
+    roots = {name.split(".")[0] for name in names.values()}
     with open_regular(path) as handle:
         try:
             is_version_4 = matfile_version(handle, appendmat=False)[0] == 0
@@ -211,7 +211,7 @@ def _broken() -> ValueError:
     return ValueError("an array is damaged or cut short")
 
 
-def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[str]]:
+def _open_hdf5(path: Path, names: Mapping[str, str]) -> tuple[dict[str, MatArray], list[str]]:
     try:
         import h5py  # noqa: PLC0415 - an extra
     except ImportError:
@@ -220,7 +220,7 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
             where=path,
             hint="pip install 'geraf2[matlab]', or save it with '-v7'",
         ) from None
-    known: dict[str, MatArray] = {}
+    marked, plain = dict[str, Any](), dict[str, Any]()
     foreign = set()
 
     def add(location: str, data: Any) -> None:
@@ -232,23 +232,39 @@ def _open_hdf5(path: Path, names: set[str]) -> tuple[dict[str, MatArray], list[s
         else:
             octave = data.parent.attrs if name != location.replace("/", ".") else {}
             is_matlab = "MATLAB_class" in data.attrs or "OCTAVE_NEW_FORMAT" in octave
-            known[name] = _hdf5_array(data, path, is_reversed=is_matlab)
+            (marked if is_matlab else plain)[name] = data
 
     try:
         file = h5py.File(path, "r")
         file.visititems(add)
     except (OSError, RuntimeError, KeyError, TypeError) as error:
         raise UserError(what=f"cannot be read as HDF5: {error}", where=path) from None
-    for name in names:
+    for name in names.values():
         if name in foreign:
             raise UserError(what=f"{name} lies in another file", where=path)
-        if name not in known:
+        if name not in marked and name not in plain:
             _require_no_link(file, name, path)
+    turned = _are_reversed(
+        {ours: plain[name].shape for ours, name in names.items() if name in plain}
+    )
+    known = {name: _hdf5_array(data, path, is_reversed=True) for name, data in marked.items()}
+    known |= {name: _hdf5_array(data, path, is_reversed=turned) for name, data in plain.items()}
     return known, []
 
 
+def _are_reversed(shapes: Mapping[str, tuple[int, ...]]) -> bool:
+    """Whether positions and samples belong together with their axes reversed alone.
+
+    shapes: those of arrays by our names. MATLAB's h5write and Julia reverse axes without a mark.
+    """
+    signal = shapes.get("signal", shapes.get("signal_real", ()))
+    positions = shapes.get("positions", shapes.get("tx_positions", ()))
+    as_stored = (*signal[:-1], 3) == positions
+    return len(positions) > 1 and not as_stored and (3, *signal[1:]) == positions
+
+
 def _hdf5_array(data: Any, path: Path, *, is_reversed: bool) -> MatArray:
-    """Array of HDF5; its axes are reversed where MATLAB or Octave wrote it."""
+    """Array of HDF5; MATLAB, Octave and others reverse the axes."""
     parts = {name[:1].lower(): name for name in data.dtype.names or ()}  # real and imag, re and im
     is_complex = parts.keys() == {"r", "i"}
     kind = "c" if is_complex else "O" if parts else data.dtype.kind
