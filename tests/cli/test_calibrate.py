@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from geraf2.cli.main import main
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.scene import load_capture, save_capture
-from helpers.carton import PRIOR, carton_capture, with_bias
+from helpers.carton import PRIOR, SIDE_M, carton_capture, with_bias
 from helpers.console import the_error
 from helpers.folders import contents
 
@@ -50,7 +50,7 @@ def test_a_box_that_nobody_states_is_found_by_radar(tmp_path, capsys):
     assert main(["calibrate", str(tmp_path / "scene"), *PLAIN, "--no-frame", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["prior"] == "the box by radar"
-    assert found["box"]["size_m"][:2] == pytest.approx(2 * [0.22], abs=0.005)
+    assert found["box"]["size_m"][:2] == pytest.approx(2 * [SIDE_M], abs=0.005)
     assert found["path_bias_m"] == pytest.approx(0.15, abs=5e-3)
 
 
