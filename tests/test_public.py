@@ -79,7 +79,7 @@ def test_the_truth_may_be_an_object_of_trimesh():
 def test_a_prior_without_walls_takes_those_of_the_capture():
     """`LosPrior.from_box` means what three side lengths mean."""
     capture, _ = geraf2.examples.small_capture()
-    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=0))
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.012))
     box = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
     result = geraf2.reconstruct(capture, box, coarse)
     assert result.prior.walls == geraf2.examples.small_run().prior.walls == capture.walls

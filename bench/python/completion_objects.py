@@ -1,4 +1,4 @@
-"""Objects to train the completion with: creatures, vessels, tools, furniture, mechanical parts.
+"""Objects to train the completion with: creatures, vessels, containers, tools, furniture, machines.
 
 Each is a smooth union of simple solids whose sizes are drawn. As in `geraf2.simulation.implicit`,
 z is up and a unit is about a centimetre; `train_completion.py` gives every object its length.
@@ -143,6 +143,26 @@ def tool(rng: np.random.Generator) -> TriangleMesh:
     return mesh_of(parts, uniform(0.1, 0.4))
 
 
+def container(rng: np.random.Generator) -> TriangleMesh:
+    """Make a can, a carton, or a bottle: walls upright, ends flat, some with a step or a neck."""
+    uniform, kind = rng.uniform, rng.integers(3)
+    height, wide, deep = uniform(4, 14), uniform(1.5, 5), uniform(1.5, 5)
+    low, high = -0.5 * height, 0.5 * height
+    profile = [[low, wide], [high, wide]]
+    if kind == 2:
+        neck, shoulder = wide * uniform(0.25, 0.7), low + height * uniform(0.5, 0.85)
+        slope = shoulder + uniform(0.2, 0.5) * (high - shoulder)
+        profile = [[low, wide], [shoulder, wide], [slope, neck], [high, neck]]
+    walls = revolve(np.array(profile))
+    parts: list[Solid] = [lambda at: np.maximum(walls(at), np.abs(at[..., 2]) - high)]
+    if kind == 1:
+        parts = [block((0, 0, 0), (wide, deep, high), uniform(0, 0.4))]
+    if kind < 2 and rng.random() < 0.4:
+        side, rise = wide * uniform(0.3, 0.8), uniform(0.4, 2)
+        parts.append(block((0, 0, high + 0.5 * rise), (side, side, rise), 0.1))
+    return mesh_of(parts, uniform(0.05, 0.3))
+
+
 def furniture(rng: np.random.Generator) -> TriangleMesh:
     """Make a square or round top on three or four legs, often with a back."""
     uniform = rng.uniform
@@ -184,7 +204,7 @@ def mechanical(rng: np.random.Generator) -> TriangleMesh:
     return mesh_of(parts, uniform(0.1, 0.3), cuts)
 
 
-MAKERS = {f.__name__: f for f in (creature, vessel, tool, furniture, mechanical)}
+MAKERS = {f.__name__: f for f in (creature, vessel, container, tool, furniture, mechanical)}
 
 
 def mesh_of(parts: list[Solid], fillet: float, cuts: list[Solid] | None = None) -> TriangleMesh:

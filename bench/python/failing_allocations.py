@@ -30,7 +30,7 @@ from geraf2.scene.store import save_capture
 
 SOURCE = Path(__file__).with_name("failing_malloc.c")
 LIBRARY = "GERAF2_FAILING_MALLOC"
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006", "--fit.distance-rounds", "1"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006"]
 COARSE += ["--calibrate", "no", "--trust-los", "--threads", "1", "--no-report", "--quiet"]
 RESULTS = ("mesh.ply", "mesh_content.glb", "sdf.npz")
 

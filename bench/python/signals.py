@@ -52,7 +52,6 @@ SPEC = SMALL_SPEC.format(n_poses=4, spacing_m=0.006, aperture_m=[0.12, 0.14])
 PYTHON_STARTS_S = 0.06
 """Processor time in which Python starts and imports the entry point [s]."""
 FAST = ["--preset", "fast", "--fit.spacing-m", "0.012"]
-FAST += ["--fit.distance-rounds", "1"]
 BOX = ["--box", "0.2", "0.2", "0.2"]
 SIGNALS = (signal.SIGINT, signal.SIGTERM) * 2 + (signal.SIGKILL, signal.SIGINT, signal.SIGKILL)
 FORKS_OF = 10

@@ -1,7 +1,7 @@
 """Train the network that completes surfaces where nothing was measured.
 
     python bench/python/train_completion.py make DIR --seeds A:B
-    python bench/python/train_completion.py fit DIR OUT.safetensors [--seed 0] [--nets 8]
+    python bench/python/train_completion.py fit DIR OUT.safetensors [--seed 0] [--nets 16]
     python bench/python/train_completion.py score WEIGHTS.safetensors DIR
 
 `make` writes a sample for each seed that DIR lacks. It draws an object and a scan, makes glints by
@@ -19,23 +19,26 @@ among them: they are there to judge with.
 import argparse
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt, gaussian_filter
 from threadpoolctl import threadpool_limits
 
 from completion_objects import MAKERS
 from fit_scores import apertures_of, differences, scene_of_object, surface_scores
 from geraf2._types import Floats
 from geraf2.apps.benchmark.population import parse_seeds
-from geraf2.echoes.glint_set import Glints, relative_strengths
+from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import SilhouetteConfig, Silhouettes
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.checkpoint import Checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
+from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation.figures import FIGURES
@@ -52,24 +55,32 @@ from geraf2.surfaces.completion import (
     features,
     load_network,
 )
-from geraf2.surfaces.fit import Evidence, fit_sdf
+from geraf2.surfaces.fit import smooth_fit
 from geraf2.surfaces.isosurface import extract_surface, signed_distances
-from geraf2.surfaces.linear_sdf import CM
+from geraf2.surfaces.linear_sdf import CM, OrientedPoints
+from geraf2.surfaces.refinement import RefineConfig, SelectedGlints, evidence_of
 
 FIGURE_NAMES = tuple(n for n in FIGURES if n not in OBJECTS[N_EACH:] and n != "scissors")
 # Share of whole scenes of the population; kinds of the other objects and their shares.
 POPULATION_SHARE = 0.4
 KINDS = {
-    "figure": 0.22,
-    "creature": 0.2,
-    "vessel": 0.12,
-    "tool": 0.08,
-    "furniture": 0.06,
-    "mechanical": 0.08,
-    "random": 0.24,
+    "figure": 0.2,
+    "creature": 0.18,
+    "vessel": 0.11,
+    "container": 0.11,
+    "tool": 0.07,
+    "furniture": 0.07,
+    "mechanical": 0.06,
+    "random": 0.2,
 }
 # How often an object of a kind lies on its side, and how often one of another kind does.
 LYING, USUALLY_LYING = {"tool": 0.6, "vessel": 0.3, "mechanical": 0.3, "random": 0.3}, 0.18
+# Share of the scans with shadows on far walls, and how often one shows an axis that it could.
+SHADOWED, SHOWN = 0.4, 0.8
+# Half of the sides of the area that a shadow shows, least and largest [m]. Errors of its edge: one
+# that all of it shares, one that changes along it, over which length, and its blur [m].
+SHADOW_M = ((0.05, 0.05), (0.1, 0.12))
+EDGE_SHARED_M, EDGE_RIPPLE_M, EDGE_LENGTH_M, EDGE_BLUR_M = 1e-3, 1e-3, 0.01, 2e-3
 # First seeds, far from those that anything else of the project uses.
 FIRST_SEED, FIRST_POPULATION, FIRST_RANDOM = 7_000_000, 600_000, 500_000
 # Longest side of an object, uniform in its logarithm [m]; deviations of the logarithms of its
@@ -81,7 +92,10 @@ LENGTH_M, STRETCH, ASIDE_M = (0.05, 0.2), 0.12, 0.006
 NORMAL_ERROR, ALONG_ERROR_M = 0.06, 0.5e-3
 STATED_NORMAL_RAD, STATED_POSITION_M = 0.08, 1e-3
 # Fewer glints than these are not thinned out.
-MIN_GLINTS = 60
+MIN_GLINTS = 40
+
+# How the fields of outlines are named in a sample.
+OUTLINE, OUTLINE_FIELDS = "outline_", tuple(field.name for field in fields(Silhouettes))
 
 # The true distance is computed where the fit is within the first of the surface, and it is the
 # second elsewhere [m].
@@ -173,6 +187,39 @@ def draw_scan(rng: np.random.Generator) -> ScanSpec:
     )
 
 
+def draw_outlines(mesh: TriangleMesh, scan: ScanSpec, rng: np.random.Generator) -> Silhouettes:
+    """Draw the outlines of an object against two walls, of some scans."""
+    spacing_m, known_m = SilhouetteConfig().spacing_m, rng.uniform(*SHADOW_M)
+    counts = (known_m / spacing_m).astype(int)
+    u, v = (spacing_m * np.arange(-n, n + 1) for n in counts)
+    v = v + scan.height_m
+    shown = [axis for axis in (0, 1) if rng.random() < SHOWN]
+    axes = shown if rng.random() < SHADOWED else []
+    outlines = np.ones((len(axes), len(u), len(v)))
+    for number, axis in enumerate(axes):
+        start = np.full((len(u), len(v), 3), -1.0)
+        start[..., 1 - axis], start[..., 2] = np.meshgrid(u, v, indexing="ij")
+        end = start.copy()
+        end[..., axis] = 1.0
+        rays = start.reshape(-1, 3), end.reshape(-1, 3)
+        dark = MeshScene(mesh.vertices, mesh.faces).occluded(*rays).reshape(len(u), len(v))
+        outside_m = distance_transform_edt(~dark) - distance_transform_edt(dark)
+        ripple = gaussian_filter(rng.standard_normal(dark.shape), EDGE_LENGTH_M / spacing_m)
+        outside_m = spacing_m * outside_m + EDGE_RIPPLE_M * ripple / ripple.std()
+        outside_m += EDGE_SHARED_M * rng.standard_normal()
+        outlines[number] = np.clip(0.5 + 0.5 * outside_m / EDGE_BLUR_M, 0.0, 1.0)
+    return Silhouettes(
+        axes=np.array(axes, dtype=np.int64),
+        origins_m=np.tile([u[0], v[0]], (len(axes), 1)),
+        spacing_m=np.array(spacing_m),
+        transmission=outlines,
+        known=np.ones(outlines.shape, dtype=bool),
+        thresholds=np.full(len(axes), 0.5),
+        disagreement=np.zeros(len(axes)),
+        reason=np.array(""),
+    )
+
+
 def degrade(glints: Glints, rng: np.random.Generator) -> Glints:
     """Lose glints, blur those that stay, and add false ones."""
     uniform = rng.uniform
@@ -220,7 +267,7 @@ def kept_glints(glints: Glints, rng: np.random.Generator) -> np.ndarray:
             near = np.linalg.norm(glints.positions - center, axis=1) < radius_m
             kept &= ~(near & (rng.random(n) < uniform(0.6, 1.0)))
     if rng.random() < 0.5:  # some echoes anywhere
-        kept &= rng.random(n) < uniform(0.25, 1.0)
+        kept &= rng.random(n) < uniform(0.1, 1.0)
     if rng.random() < 0.3:  # a side from which little came
         side = rng.standard_normal(3)
         side /= np.linalg.norm(side)
@@ -233,26 +280,28 @@ def make_sample(seed: int) -> dict[str, np.ndarray]:
     """Fitted field, true distances, glints, planes and surface of a seed, as they are stored."""
     kind, mesh, scan = draw_object(seed)
     scene = scene_of_object(kind, kind, mesh, scan, seed)
-    glints = degrade(scene.evidence.glints, np.random.default_rng(seed))
-    sdf = fit_sdf(Evidence(glints=glints), scene.fit, num_threads=1)  # no apertures: not completed
+    rng = np.random.default_rng(seed)
+    glints, outlines = degrade(scene.evidence.glints, rng), draw_outlines(mesh, scan, rng)
+    none = glints.select(np.zeros(len(glints), dtype=bool))
+    evidence = evidence_of(SelectedGlints(glints, none, outlines), RefineConfig())
+    sdf, points = smooth_fit(evidence, scene.fit, num_threads=1)
     truth, near = np.full(sdf.values.shape, AWAY_M), np.abs(sdf.values) < NEAR_M
-    points = sdf.grid.points()[near.ravel()]
-    truth[near] = signed_distances(mesh, points, num_threads=1)
+    at = sdf.grid.points()[near.ravel()]
+    truth[near] = signed_distances(mesh, at, num_threads=1)
     planes = [np.concatenate([a.middle_m, *a.axes, a.half_m]) for a in apertures_of(scan)]
     return {
         "f": sdf.values,
         "t": truth.astype(np.float32),
         "origin": np.asarray(sdf.grid.origin_m),
         "spacing": np.asarray(sdf.grid.spacing_m),
-        "pos": glints.positions.astype(np.float32),
-        "nor": glints.normals.astype(np.float32),
-        "strength": glints.strengths.astype(np.float32),
-        "prob": glints.probability.astype(np.float32),
-        "pose": glints.poses.astype(np.int32),
+        "positions": points.positions,
+        "normals": points.normals,
+        "weights": points.normal_weights,
         "planes": np.array(planes),
         "vertices": mesh.vertices.astype(np.float32),
         "faces": mesh.faces.astype(np.int32),
         "kind": np.asarray(kind),
+        **{OUTLINE + name: getattr(evidence.outlines, name) for name in OUTLINE_FIELDS},
     }
 
 
@@ -264,11 +313,9 @@ class Sample:
     sdf: SdfGrid
     truth_m: Floats
     """True signed distance at each voxel [m]."""
-    positions: Floats
-    normals: Floats
-    weights: Floats
-    """Of the glints, as the completion asks for."""
+    points: OrientedPoints
     apertures: Sequence[Aperture]
+    outlines: Silhouettes
     mesh: TriangleMesh
 
     @classmethod
@@ -279,24 +326,28 @@ class Sample:
         shape = z["f"].shape
         grid = Grid(origin_m=tuple(z["origin"]), spacing_m=float(z["spacing"]), shape=shape)
         planes = [(p[:3], p[3:12].reshape(3, 3), p[12:]) for p in z["planes"]]
-        strengths, probability = z["strength"].astype(np.float64), z["prob"].astype(np.float64)
+        weights = z["weights"]
         return cls(
             kind=str(z["kind"]),
             sdf=SdfGrid(grid=grid, values=z["f"]),
             truth_m=z["t"].astype(np.float64),
-            positions=z["pos"].astype(np.float64),
-            normals=z["nor"].astype(np.float64),
-            weights=relative_strengths(strengths) * probability,
+            points=OrientedPoints(
+                positions=z["positions"],
+                normals=z["normals"],
+                position_weights=weights,
+                normal_weights=weights,
+            ),
             apertures=[Aperture.from_rectangle(*plane) for plane in planes],
+            outlines=Silhouettes(**{name: z[OUTLINE + name] for name in OUTLINE_FIELDS}),
             mesh=TriangleMesh(
                 vertices=z["vertices"].astype(np.float64), faces=z["faces"].astype(np.int64)
             ),
         )
 
     @property
-    def evidence(self) -> tuple[SdfGrid, Floats, Floats, Floats, Sequence[Aperture]]:
+    def evidence(self) -> tuple[SdfGrid, OrientedPoints, Sequence[Aperture], Silhouettes]:
         """What the completion reads."""
-        return self.sdf, self.positions, self.normals, self.weights, self.apertures
+        return self.sdf, self.points, self.apertures, self.outlines
 
 
 def sample_files(folder: Path) -> list[Path]:
@@ -454,7 +505,7 @@ def main() -> None:
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("out", type=Path)
     fitting.add_argument("--seed", type=int, default=0)
-    fitting.add_argument("--nets", type=int, default=8, help="networks that have to agree")
+    fitting.add_argument("--nets", type=int, default=16, help="networks that have to agree")
     scoring = commands.add_parser("score", help="score networks on other samples")
     scoring.add_argument("weights", type=Path)
     scoring.add_argument("folder", type=Path)

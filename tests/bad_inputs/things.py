@@ -96,7 +96,7 @@ def _scene_and_run(root):
     capture, truth = geraf2.simulate(geraf2.load_spec(root / "spec.toml"), seed=0)
     geraf2.save_capture(capture, root / "scene")
     write_mesh(truth, root / "truth.ply")
-    preset = geraf2.FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=1))
+    preset = geraf2.FastPreset(fit=FitConfig(spacing_m=0.012))
     options = geraf2.RunOptions(calibrate="no")
     geraf2.reconstruct(root / "scene", BOX, preset, root / "run", options=options)
 

@@ -22,7 +22,7 @@ figure = { height_m = 0.5 }
 
 [methods.fast]
 title = "geraf2"
-settings.fit = { spacing_m = 0.012, distance_rounds = 1 }
+settings.fit = { spacing_m = 0.012 }
 [methods.back-projection]
 title = "points"
 preset = "back-projection"
@@ -177,7 +177,7 @@ NOTHING = ("", "")
         (('methods = ["fast"]\ncases', 'methods = ["fasst"]\ncases'), "", "no such method"),
         (('label = "moved"', 'labels = "moved"'), "", "label"),
         (("walls = [{ size_m = [0.20, 0.20, 0.20] }]", ""), "", "no walls"),
-        (("distance_rounds", "distance_round"), "", "did you mean 'distance_rounds'?"),
+        (("spacing_m", "spacings_m"), "", "did you mean 'spacing_m'?"),
         (('moved"', 'moved", settings = { fit = { cap_slop = 0 } }'), "", "in case 'moved'"),
         (('preset = "back-projection"', 'preset = "back"'), "", "unknown name 'back'"),
         (

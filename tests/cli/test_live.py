@@ -23,7 +23,7 @@ BOX = ["--box", *map(str, examples.BOX_M), "--preset", "fast"]
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     """Surfaces of cells of 1 cm: the command has no flag for them."""
-    fast = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    fast = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
     monkeypatch.setattr(session, "preset_type", lambda _: lambda: fast)
 
 

@@ -36,11 +36,11 @@ def test_a_run_is_repeated_by_its_config(built_run, built_scene, tmp_path, monke
 
 def test_flags_go_before_the_config(built_run, built_scene, tmp_path):
     config, out = str(built_run / "config.toml"), tmp_path / "out"
-    flags = ["--fit.distance-rounds", "0", "--seed", "3", "--box", "0.21", "0.21", "0.21"]
+    flags = ["--fit.completion", "smooth", "--seed", "3", "--box", "0.21", "0.21", "0.21"]
     command = ["reconstruct", str(built_scene), str(out), "--no-report", "--config", config]
     assert main([*command, *flags]) == 0
     record = RunRecord.read(out / "config.toml")
-    assert (record.config.fit.distance_rounds, record.config.fit.spacing_m) == (0, 0.012)
+    assert (record.config.fit.completion, record.config.fit.spacing_m) == ("smooth", 0.012)
     assert record.options.seed == 3
     assert record.prior.box == (0.21, 0.21, 0.21)
 

@@ -46,7 +46,7 @@ LEFT_OUT = {
     "bench/python/": "measures for minutes: tests/test_bench_scripts.py",
 }
 """How words of commands begin that are not run."""
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.008", "--fit.distance-rounds", "1"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.008"]
 SMALLER = {
     "reconstruct": [*COARSE, "--no-report"],
     "batch": [*COARSE, "--workers", "1"],
@@ -93,7 +93,7 @@ def made_small(spec, **_):
 
 @pytest.fixture
 def quick(monkeypatch):
-    fast = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    fast = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
     grids = PhotoConfig(stages=(GridStage(n_longest=24, n_steps=20),), rays_per_step=256)
     monkeypatch.setattr(simulate, "simulate", made_small)
     monkeypatch.setattr(scan_time, "_SPACINGS_M", (0.004,))  # of 1 to 8 mm

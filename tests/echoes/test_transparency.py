@@ -34,7 +34,7 @@ def plastic():
 
 def through_of(capture):
     """Closed surface through glints, as the stage of the glints makes it."""
-    config = FitConfig(spacing_m=0.006, distance_rounds=1)
+    config = FitConfig(spacing_m=0.006)
     return lambda glints: zero_level(fit_sdf(glints, config))
 
 

@@ -16,7 +16,7 @@ aperture_m = [0.12, 0.14]
 wall_patch_m = 0.02
 antenna_block_m = 0.07
 """
-_COARSE = {"fit.spacing-m": "0.012", "fit.distance-rounds": "1"}
+_COARSE = {"fit.spacing-m": "0.012"}
 FAST = ["--preset", "fast", *(w for name, v in _COARSE.items() for w in (f"--{name}", v))]
 QUICK_BEST = [*(w for name, v in _COARSE.items() for w in (f"--refine.{name}", v))]
 BOX = ["--box", "0.2", "0.2", "0.2"]

@@ -24,8 +24,7 @@ from geraf2.surfaces import FitConfig
 from helpers.run_folders import add_steps
 
 COARSE, FINER = (
-    geraf2.FastPreset(fit=FitConfig(spacing_m=spacing_m, distance_rounds=1))
-    for spacing_m in (0.01, 0.005)
+    geraf2.FastPreset(fit=FitConfig(spacing_m=spacing_m)) for spacing_m in (0.01, 0.005)
 )
 SIZE = np.array([0.30, 0.20, 0.25])
 

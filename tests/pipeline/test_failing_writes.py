@@ -19,7 +19,7 @@ from geraf2.errors import UserError
 from geraf2.scene.store import capture_digest, load_capture, save_capture
 from helpers.folders import contents
 
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.01", "--fit.distance-rounds", "1"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.01"]
 COARSE += ["--calibrate", "no", "--trust-los", "--threads", "1", "--no-report"]
 COARSE += ["--box", *map(str, examples.BOX_M)]
 

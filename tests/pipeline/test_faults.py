@@ -19,7 +19,7 @@ from geraf2.pipeline.commands.verify import verify
 from geraf2.scene import save_capture
 
 BOX = [str(side) for side in examples.BOX_M]
-COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006", "--fit.distance-rounds", "1"]
+COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006"]
 COARSE += ["--calibrate", "no"]
 
 

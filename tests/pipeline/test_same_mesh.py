@@ -21,7 +21,7 @@ def capture():
 
 
 def _content(capture: Capture, num_threads: int = 1):
-    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.006, distance_rounds=1))
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.006))
     prior = geraf2.LosPrior.from_box(examples.BOX_M)
     return geraf2.reconstruct(capture, prior, coarse, num_threads=num_threads).content
 

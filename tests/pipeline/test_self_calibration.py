@@ -10,7 +10,7 @@ from geraf2.pipeline.stages.calibration import correct_capture
 from geraf2.surfaces import FitConfig
 from helpers.carton import PRIOR, carton_capture
 
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.02))
 
 
 @pytest.fixture(scope="module")

@@ -62,7 +62,7 @@ def do_steps(config, capture, prior, folder):
 
 
 def coarse(preset):
-    fit = {"spacing_m": 0.008, "distance_rounds": 1}
+    fit = {"spacing_m": 0.008}
     if isinstance(preset, FastPreset):
         return replace(preset, fit=replace(preset.fit, **fit))
     refine = replace(preset.refine, fit=replace(preset.refine.fit, **fit))

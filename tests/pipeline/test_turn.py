@@ -12,7 +12,7 @@ from helpers.specular import BOX_M, capture_of, raster, sphere_paths
 
 CENTERS, RADII = np.array([[0.03, 0.01, 0.0], [-0.025, 0.02, 0.01]]), [0.022, 0.018]
 BOX = (BOX_M,) * 3
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.006, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.006))
 
 
 @pytest.fixture(scope="module")

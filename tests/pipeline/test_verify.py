@@ -30,7 +30,7 @@ from geraf2.surfaces import FitConfig
 from helpers.console import the_error
 from helpers.small_scene import COARSE_RENDER
 
-COARSE = FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.01))
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +131,7 @@ def test_a_mesh_states_its_origin(made, name):
     assert made_from["scene"] == record["scene"]["digest"]
     assert made_from["command"] == (
         "geraf2 reconstruct scene OUT --los los.ply --preset fast --calibrate no"
-        " --fit.spacing-m 0.01 --fit.distance-rounds 1"
+        " --fit.spacing-m 0.01"
     )
 
 

@@ -85,11 +85,12 @@ def _margin(aperture, point, outwards):
     return min(half[0] - abs(float(away @ right)), half[1] - abs(float(away @ up)))
 
 
-def inputs_of_voxel(sdf, positions, normals, weights, apertures, voxel):
+def inputs_of_voxel(sdf, points, apertures, outlines, voxel):
     """Inputs of one voxel, a triple, in the order of `geraf2.surfaces.completion.features`."""
     step, field = 100.0 * sdf.grid.spacing_m, 100.0 * sdf.values.astype(float)
     shape, origin = field.shape, 100.0 * np.asarray(sdf.grid.origin_m)
-    glints, point = 100.0 * positions, origin + step * np.array(voxel)
+    normals, weights = points.normals, points.normal_weights
+    glints, point = 100.0 * points.positions, origin + step * np.array(voxel)
     slope = _slope(field, voxel, step)
     steep = float(np.linalg.norm(slope))
     outwards = slope / max(steep, 1e-3)
@@ -132,4 +133,6 @@ def inputs_of_voxel(sdf, positions, normals, weights, apertures, voxel):
         margins.append(_clip(100.0 * _margin(aperture, 0.01 * point, outwards)))
         towards = aperture.middle_m - 0.01 * point
         cosines.append(float(towards @ outwards) / float(np.linalg.norm(towards)))
-    return np.array([*found, max(margins), max(cosines)]), away[order[0]]
+    found += [max(margins), max(cosines)]
+    outside = -math.inf if outlines is None else outlines.free_distance(0.01 * point[None])[0]
+    return np.array([*found, _clip(100.0 * outside)]), away[order[0]]

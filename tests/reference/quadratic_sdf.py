@@ -26,7 +26,7 @@ def _basis(shape):
         yield unit.reshape(shape)
 
 
-def _residuals(f, spacing, points, weights, terms, pulls):
+def _residuals(f, spacing, points, weights, terms):
     """All weighted linear forms of f, in a fixed order; the right sides are separate."""
     rows = []
     for p, w_p, w_n in zip(points, weights[0], weights[1], strict=True):
@@ -47,24 +47,19 @@ def _residuals(f, spacing, points, weights, terms, pulls):
     inner[1:-1, 1:-1, 1:-1] = True
     faces = f[~inner]
     rows.extend(np.sqrt(terms.outside / faces.size) * faces)
-    rows.extend(np.sqrt(pulls[1]) * f.ravel()[pulls[0]])
     return np.array(rows)
 
 
-def minimise(shape, spacing, points, normals, weights, terms, pulls):
-    """Grid values (shape) [cm]; points in voxels, weights = (position, normal) that sum to 1.
-
-    `pulls` = flat voxels, weights, values [cm].
-    """
+def minimise(shape, spacing, points, normals, weights, terms):
+    """Grid values (shape) [cm]; points in voxels, weights = (position, normal) that sum to 1."""
     matrix = np.stack(
-        [_residuals(f, spacing, points, weights, terms, pulls) for f in _basis(shape)], axis=1
+        [_residuals(f, spacing, points, weights, terms) for f in _basis(shape)], axis=1
     )
     right = []
     for n, w_n in zip(normals, weights[1], strict=True):
         right.extend([0.0, *(np.sqrt(terms.normal * w_n) * n)])
     n_faces = np.prod(shape) - np.prod(np.array(shape) - 2)
-    right.extend([0.0] * (len(matrix) - len(right) - n_faces - len(pulls[0])))
+    right.extend([0.0] * (len(matrix) - len(right) - n_faces))
     distance = 100.0 * terms.outside_distance_m
     right.extend([np.sqrt(terms.outside / n_faces) * distance] * n_faces)
-    right.extend(np.sqrt(pulls[1]) * pulls[2])
     return np.linalg.lstsq(matrix, np.array(right), rcond=None)[0].reshape(shape)

@@ -26,7 +26,9 @@ from geraf2.surfaces.completion import (
 )
 from geraf2.surfaces.fit import FitConfig, fit_sdf
 from geraf2.surfaces.isosurface import extract_surface
+from geraf2.surfaces.linear_sdf import OrientedPoints
 from helpers.glint_sets import glints_at
+from helpers.shadows import outlines
 from helpers.specular import fibonacci_sphere, frame
 from reference.completion import inputs_of_voxel
 
@@ -49,12 +51,18 @@ def sphere_field(spacing_m=SPACING_M, reach_m=0.075):
 
 
 def evidence(n=60, seed=0):
-    """Glints of the sphere's waist with errors: positions, normals and weights."""
+    """Glints of the sphere's waist with errors."""
     rng = np.random.default_rng(seed)
     normals = rng.standard_normal((n, 3)) * np.array([1.0, 1.0, 0.3])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     positions = CENTER + (RADIUS_M + 0.001 * rng.standard_normal((n, 1))) * normals
-    return positions, normals, rng.uniform(0.2, 1.0, n)
+    return weighted(positions, normals, rng.uniform(0.2, 1.0, n))
+
+
+def weighted(positions, normals, weights):
+    return OrientedPoints(
+        positions=positions, normals=normals, position_weights=weights, normal_weights=weights
+    )
 
 
 def some_network(n_inputs, n_networks=2, seed=1):
@@ -74,18 +82,19 @@ def some_network(n_inputs, n_networks=2, seed=1):
 
 
 def n_inputs():
-    return features(sphere_field(), *evidence(), PLANES, chosen=np.array([0]))[0].shape[1]
+    return features(sphere_field(), evidence(), PLANES, chosen=np.array([0]))[0].shape[1]
 
 
-@pytest.mark.parametrize("n_glints", [60, 5])
-def test_inputs_are_those_of_plain_loops(n_glints):
-    """With fewer glints than the network asks for as well."""
+@pytest.mark.parametrize(("n_glints", "axes"), [(60, None), (5, [1]), (60, [0, 1])])
+def test_inputs_are_those_of_plain_loops(n_glints, axes):
+    """With fewer glints than the network asks for as well, and with one outline, or none."""
     sdf, of = sphere_field(), evidence(n_glints)
-    inputs, voxels, nearest_cm = features(sdf, *of, PLANES)
+    seen = None if axes is None else outlines(axes, (0.04, 0.03, 0.03))
+    inputs, voxels, nearest_cm = features(sdf, of, PLANES, seen)
     chosen = np.random.default_rng(2).choice(len(voxels), 5, replace=False)
     for k in chosen:
         voxel = tuple(int(i) for i in np.unravel_index(voxels[k], sdf.grid.shape))
-        expected, nearest = inputs_of_voxel(sdf, *of, PLANES, voxel)
+        expected, nearest = inputs_of_voxel(sdf, of, PLANES, seen, voxel)
         # Inputs are float32: an ulp at 4 cm is 5e-7 cm.
         np.testing.assert_allclose(inputs[k], expected, rtol=2e-6, atol=2e-6)
         assert nearest_cm[k] == pytest.approx(nearest)
@@ -93,9 +102,9 @@ def test_inputs_are_those_of_plain_loops(n_glints):
 
 def test_chosen_voxels_have_the_inputs_that_they_have_among_all():
     sdf, of = sphere_field(), evidence()
-    every, voxels, nearest_cm = features(sdf, *of, PLANES)
+    every, voxels, nearest_cm = features(sdf, of, PLANES)
     chosen = np.array([5, 3, 400])
-    some = features(sdf, *of, PLANES, chosen=chosen)
+    some = features(sdf, of, PLANES, chosen=chosen)
     np.testing.assert_array_equal(voxels, np.flatnonzero(np.abs(sdf.values) < BAND_CM / 100.0))
     for got, expected in zip(some, (every, voxels, nearest_cm), strict=True):
         np.testing.assert_allclose(got, expected[chosen], rtol=1e-6)
@@ -128,12 +137,11 @@ def test_the_least_change_on_which_networks_agree_is_that_of_plain_loops():
 
 def test_the_field_stays_at_glints_and_changes_away_from_them():
     """At the voxels themselves, bit for bit: the network reads the field at the same spacing."""
-    sdf, (positions, normals, weights) = sphere_field(), evidence()
+    sdf, known = sphere_field(), evidence()
     points = sdf.grid.points()
-    positions = np.concatenate([positions, points[::97]])  # many voxels have a glint
-    normals = np.concatenate([normals, np.tile([0.0, 0.0, 1.0], (len(points[::97]), 1))])
-    weights = np.ones(len(positions))
-    of = positions, normals, weights, PLANES
+    positions = np.concatenate([known.positions, points[::97]])  # many voxels have a glint
+    normals = np.concatenate([known.normals, np.tile([0.0, 0.0, 1.0], (len(points[::97]), 1))])
+    of = weighted(positions, normals, np.ones(len(positions))), PLANES
     completed = complete(sdf, *of, network=some_network(n_inputs(), n_networks=1))
     away = np.linalg.norm(points[:, None] - positions[None], axis=2).min(axis=1)
     change = (completed.values - sdf.values).ravel()
@@ -146,7 +154,7 @@ def test_the_field_stays_at_glints_and_changes_away_from_them():
 def test_a_finer_field_changes_by_what_lies_between():
     """The change is interpolated from voxels of 5 mm; those of 2.5 mm take the same at the same
     places."""
-    coarse, of = sphere_field(), (*evidence(), PLANES)
+    coarse, of = sphere_field(), (evidence(), PLANES)
     index = np.arange(2 * coarse.grid.shape[0] - 1) // 2
     fine = sphere_field(0.5 * SPACING_M)
     assert fine.grid.shape[0] == len(index)
@@ -199,7 +207,7 @@ def balls(half_gap_m, radius_m=0.02):
         away = np.linalg.norm(vertices[:, None] - centers, axis=2).min(axis=1)
         return np.abs(away - radius_m).mean()
 
-    return sdf, (positions, normals, np.ones(len(positions)), PLANES), mean_error_m
+    return sdf, (weighted(positions, normals, np.ones(len(positions))), PLANES), mean_error_m
 
 
 def test_two_balls_that_the_fit_joins_are_parted():
@@ -215,18 +223,18 @@ def test_balls_that_the_fit_closes_well_stay_as_they_are():
 @pytest.mark.parametrize("n_glints", [1, 3, 31])
 def test_few_glints_are_enough(n_glints):
     sdf = sphere_field()
-    completed = complete(sdf, *evidence(n_glints), PLANES)
+    completed = complete(sdf, evidence(n_glints), PLANES)
     assert np.isfinite(completed.values).all()
     assert not np.array_equal(completed.values, sdf.values)
 
 
 def test_a_scan_without_planes_is_completed_as_one_that_received_nothing():
-    completed = complete(sphere_field(), *evidence(), [])
+    completed = complete(sphere_field(), evidence(), [])
     assert np.isfinite(completed.values).all()
 
 
 def test_every_call_gives_the_same_bits_whatever_the_number_of_threads():
-    sdf, of = sphere_field(), (*evidence(), PLANES)
+    sdf, of = sphere_field(), (evidence(), PLANES)
     found = []
     for n_threads in (1, 2, 2):
         with threadpool_limits(n_threads):

@@ -21,14 +21,14 @@ def glints_on(directions, strengths=1.0):
     return glints_at(CENTER + RADIUS_M * directions, directions, strengths)
 
 
-def errors_near(sdf, directions, reach_m=0.008):
+def errors_near(sdf, directions, reach_m=0.004):
     """Signed-distance error at points within reach of the sphere, along the directions."""
     offset = np.random.default_rng(0).uniform(-reach_m, reach_m, len(directions))
     points = CENTER + (RADIUS_M + offset)[:, None] * directions
     return sdf.sample(points) - offset
 
 
-def test_a_fully_seen_sphere_gives_its_signed_distance():
+def test_a_fully_seen_sphere_gives_its_surface():
     sdf = fit_sdf(glints_on(fibonacci_sphere(1500)), COARSE)
     error = errors_near(sdf, fibonacci_sphere(997))
     assert np.abs(error).max() < 8e-4
@@ -61,7 +61,7 @@ def test_unseen_top_and_bottom_are_closed():
     surface = extract_surface(sdf)
     assert surface_report(surface).is_watertight
     assert surface_report(surface).n_components == 1
-    error = errors_near(sdf, seen_from_the_side(), 0.004)
+    error = errors_near(sdf, seen_from_the_side())
     assert np.abs(error).max() < 1e-3
     reach = np.abs(surface.vertices - CENTER).max(axis=0)
     np.testing.assert_allclose(reach[:2], RADIUS_M, atol=1e-3)
@@ -76,7 +76,7 @@ def test_two_runs_are_bit_identical():
 
 
 def test_the_grid_stays_below_its_cap():
-    config = FitConfig(spacing_m=0.002, max_voxels=8000, distance_rounds=0)
+    config = FitConfig(spacing_m=0.002, max_voxels=8000)
     sdf = fit_sdf(glints_on(fibonacci_sphere(300)), config)
     # the cap counts cells; one more voxel than cells a side
     assert sdf.grid.n_voxels <= 21**3

@@ -17,9 +17,10 @@ from scipy.spatial import KDTree
 
 from geraf2._types import AnyPath, Array, Bools, Floats, Ints
 from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.checkpoint import load_checkpoint
 from geraf2.scene.aperture import Aperture
-from geraf2.surfaces.linear_sdf import CM, resample, trilinear_rows
+from geraf2.surfaces.linear_sdf import CM, OrientedPoints, resample, trilinear_rows
 
 WEIGHTS_NAME, WEIGHTS_KIND, WEIGHTS_VERSION = "completion.safetensors", "completion", 1
 SPACING_M = 0.005
@@ -49,10 +50,9 @@ _FEW, _NONE, _FLAT = 0.01, 1e-4, 1e-3
 
 def complete(
     sdf: SdfGrid,
-    positions: Floats,
-    normals: Floats,
-    weights: Floats,
+    points: OrientedPoints,
     apertures: Sequence[Aperture],
+    outlines: Silhouettes | None = None,
     network: "Network | None" = None,
 ) -> SdfGrid:
     """Correct a fitted field away from its glints.
@@ -61,12 +61,12 @@ def complete(
     ----------
     sdf
         Signed distance of the fit.
-    positions, normals
-        Glints, (n, 3) each [m].
-    weights
-        Of the glints relative to a strong one, 0 to 1, (n,).
+    points
+        Glints and tangent points of outlines, with weights relative to a strong glint.
     apertures
         Of all planes of the scan, with glints or without.
+    outlines
+        Of the content on far walls.
     network
         That of the package when None.
 
@@ -76,7 +76,7 @@ def complete(
         Signed distance on the same grid.
     """
     coarse = resample(sdf, SPACING_M)
-    inputs, voxels, nearest_cm = features(coarse, positions, normals, weights, apertures)
+    inputs, voxels, nearest_cm = features(coarse, points, apertures, outlines)
     trust = np.clip((nearest_cm - _TRUSTED_CM) / (_FREE_CM - _TRUSTED_CM), 0.0, 1.0)
     change = np.zeros(coarse.grid.shape, dtype=np.float32)
     network = trained_network() if network is None else network
@@ -88,17 +88,16 @@ def complete(
 
 def features(
     sdf: SdfGrid,
-    positions: Floats,
-    normals: Floats,
-    weights: Floats,
+    points: OrientedPoints,
     apertures: Sequence[Aperture],
+    outlines: Silhouettes | None = None,
     chosen: Ints | None = None,
 ) -> tuple[Array, Ints, Floats]:
     """Compute what the network reads of each voxel in the band.
 
     Parameters
     ----------
-    sdf, positions, normals, weights, apertures
+    sdf, points, apertures, outlines
         As those of `complete`; the voxels have `SPACING_M`.
     chosen
         Of the voxels that are returned otherwise, those that are wanted.
@@ -125,7 +124,8 @@ def features(
     inputs = [at(field), steep, place.outwards[:, 2]]
     inputs += [at(gaussian_filter(field, width / step)) - at(field) for width in _BLURS_CM]
 
-    origin, glints = np.asarray(sdf.grid.origin_m) * CM, positions * CM
+    normals, weights = points.normals, points.normal_weights
+    origin, glints = np.asarray(sdf.grid.origin_m) * CM, points.positions * CM
     offsets = np.einsum("nk,nk->n", glints, normals)[:, None]
     values = weights[:, None] * np.hstack([np.ones_like(offsets), normals, offsets])
     moments = _spread(field.shape, (glints - origin) / step, values)
@@ -138,7 +138,7 @@ def features(
     for width in _SIGHT_WIDTHS_CM:
         inputs.append(np.log(at(_blurred(passed, width / step, 2)) + _FEW))
     near, nearest_cm = place.nearest(glints, normals)
-    inputs += [*near, *place.reception(apertures)]
+    inputs += [*near, *place.reception(apertures), place.outside(outlines)]
     return np.stack(inputs, axis=1).astype(np.float32), voxels, nearest_cm
 
 
@@ -195,6 +195,12 @@ class _Place:
             along = np.einsum("nk,nk->n", towards, self.outwards)
             cosine = np.maximum(cosine, along / np.linalg.norm(towards, axis=1))
         return [margin, cosine]
+
+    def outside(self, outlines: Silhouettes | None) -> Floats:
+        """Distance to what outlines leave to the content, negative where it may be."""
+        if outlines is None:
+            return np.full(len(self.points), -_FAR_CM)
+        return np.clip(outlines.free_distance(self.points / CM) * CM, -_FAR_CM, _FAR_CM)
 
 
 def _spread(shape: tuple[int, int, int], index: Floats, values: Floats) -> list[Floats]:

@@ -1,6 +1,6 @@
 """Fit of the content's signed distance to its glints."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -14,7 +14,6 @@ from geraf2._bounds import (
     LengthM,
     NotNegative,
     Positive,
-    Rounds,
 )
 from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints, Progress
@@ -25,22 +24,19 @@ from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.freespace.tangents import Tangents, tangent_points
 from geraf2.geometry.nearest import nearest_distance
-from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.completion import SPACING_M as COMPLETION_M
 from geraf2.surfaces.completion import complete
 from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.isosurface import extract_surface
-from geraf2.surfaces.linear_sdf import DistanceTarget, LinearSdf, OrientedPoints, SdfTerms, resample
+from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.pieces import separate_pieces
 
-_RAMP_M = 0.004
-"""Width of the ramp that ends the distance term's weight at the end of its band [m]."""
 # Voxel size of the first solve over that of the second, which it only accelerates.
 _COARSE = 2.0
-# Relative residuals of the last solve (0.02 mm of error) and of those that only start another.
-_FINE, _ROUGH = 1e-5, 1e-4
+# Relative residual of a solve that only starts another.
+_ROUGH = 1e-4
 
 _MIN_KEPT = 0.5
 """Share of the glints on the fit's surface that have to stay on the completed one: where few glints
@@ -69,13 +65,6 @@ class FitConfig(Bounded):
     """Weight of the distance at the domain's faces; without it closed bodies open."""
     outside_distance_m: LengthM = 0.03
     """Distance that the fit assumes at the domain's faces [m]."""
-    distance_rounds: Rounds = 2
-    """Number of rounds that pull the field to the distance from its own zero level. Without them
-    it becomes flat and bulges."""
-    distance_weight: NotNegative = 0.12
-    """Weight of this distance term."""
-    distance_band_m: LengthM = 0.02
-    """Half width of the band around the zero level in which the distance term acts [m]."""
     completion: Literal["objects", "smooth"] = "objects"
     """What closes the surface where no echo came from: a network that has seen objects, or the
     smoothest surface."""
@@ -130,9 +119,8 @@ def fit_sdf(
 
     Minimises the sum of position, normal, bending and outside terms
     (docs/math/surface-fit.md#linear-signed-distance). It solves on a coarse grid, then on a fine
-    one, then with the points where edges of outlines touch the result. Further rounds pull the
-    field to the distance from its own zero level. Where no echo came from it is then completed
-    (docs/math/completion.md). Outlines finally cut it.
+    one, then with the points where edges of outlines touch the result. Where no echo came from it
+    is then completed (docs/math/completion.md). Outlines finally cut it.
 
     Parameters
     ----------
@@ -143,7 +131,7 @@ def fit_sdf(
     apertures
         Of all planes of the scan. Without them nothing is completed.
     num_threads
-        Of the distance queries; torch's number or all cores when None.
+        Of the solver; torch's number or all cores when None.
     progress
         Called with the fraction done.
 
@@ -161,26 +149,15 @@ def fit_sdf(
     --------
     >>> from geraf2.surfaces import FitConfig
     >>> sdf = geraf2.fit_sdf(geraf2.examples.small_run().glints,
-    ...                      FitConfig(spacing_m=0.012, distance_rounds=0))
+    ...                      FitConfig(spacing_m=0.012))
     >>> sdf.values.shape == sdf.grid.shape
     True
     """
     evidence = Evidence(glints=glints) if isinstance(glints, Glints) else glints
     config = config or FitConfig()
-    report = progress or (lambda _: None)
-    n_rounds = config.distance_rounds
-    n_solves = 2 + n_rounds
-    system, sdf, points = _first_solves(
-        evidence, config, num_threads, lambda n: report(n / n_solves)
-    )
-    for number in range(n_rounds):
-        target = _distance_target(sdf, config, num_threads)
-        tolerance = _FINE if number + 1 == n_rounds else _ROUGH
-        sdf = system.solve(target, start=sdf, tolerance=tolerance)
-        report((3.0 + number) / n_solves)
+    sdf, points = smooth_fit(evidence, config, num_threads=num_threads, progress=progress)
     if apertures and config.completion == "objects":
-        known = points.positions, points.normals, points.normal_weights
-        completed = complete(sdf, *known, apertures)
+        completed = complete(sdf, points, apertures, evidence.outlines)
         kept, before = (_weight_on(of, evidence) for of in (completed, sdf))
         sdf = completed if kept > _MIN_KEPT * before else sdf
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
@@ -189,29 +166,32 @@ def fit_sdf(
     return cut_to_outlines(sdf, outlines, evidence.seen, clearance_m, num_threads=num_threads)
 
 
-def _first_solves(
-    evidence: Evidence, config: FitConfig, num_threads: int | None, report: Callable[[int], None]
-) -> tuple[LinearSdf, SdfGrid, OrientedPoints]:
-    """Fit the oriented points on a coarse grid, a fine one, and with the tangent points.
+def smooth_fit(
+    evidence: Evidence,
+    config: FitConfig,
+    *,
+    num_threads: int | None = None,
+    progress: Progress | None = None,
+) -> tuple[SdfGrid, OrientedPoints]:
+    """Fit the smoothest field, without completion and cut -> field, points that it was fitted to.
 
-    Returns the last system, its field, whose gradient is not yet of length 1, and its points.
+    Arguments as those of `fit_sdf`. The points are glints, and tangent points of outlines.
     """
+    report = progress or (lambda _: None)
     terms, points = _terms(config), _weigh(evidence)
     grid = _domain(evidence.glints.positions, config)
     coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
-    report(1)
+    report(1.0 / 3.0)
     start = resample(coarse, grid.spacing_m / _COARSE)
-    system = LinearSdf(start, points, terms, num_threads=num_threads)
-    tolerance = _ROUGH if config.distance_rounds else _FINE
-    sdf = system.solve(tolerance=tolerance)
+    sdf = LinearSdf(start, points, terms, num_threads=num_threads).solve()
+    report(2.0 / 3.0)
     touched = _touched(evidence, sdf, num_threads)
     if touched is not None:
         points = _weigh(evidence, touched)
-        system = LinearSdf(sdf, points, terms, num_threads=num_threads)
-        sdf = system.solve(tolerance=tolerance)
-    report(2)
-    return system, sdf, points
+        sdf = LinearSdf(sdf, points, terms, num_threads=num_threads).solve()
+    report(1.0)
+    return sdf, points
 
 
 def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tangents | None:
@@ -280,20 +260,6 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     hint = "raise the fit's spacing-m, or lower its max-voxels"
     require_memory(fit_bytes((cells * _COARSE) ** 3), hint)
     return Grid.centered(center, spacing, (cells + 1,) * 3)
-
-
-def _distance_target(sdf: SdfGrid, config: FitConfig, num_threads: int | None) -> DistanceTarget:
-    """Distance of voxels in the band to the zero level."""
-    vertices, faces = zero_level(sdf)
-    points, band_m = sdf.grid.points(), config.distance_band_m
-    scene = MeshScene(vertices, faces, num_threads=num_threads)
-    distance = scene.distance(points, max_distance_m=band_m)
-    weights = np.clip((band_m - distance) / _RAMP_M, 0.0, 1.0)
-    voxels = np.nonzero(weights)[0]
-    # The sign is that of the field: an open zero level has no reliable sign.
-    values = np.copysign(distance[voxels], sdf.values.ravel()[voxels].astype(np.float64))
-    weights *= config.distance_weight / weights.sum()
-    return DistanceTarget(values=values, voxels=voxels, weights=weights[voxels])
 
 
 def cut_to_outlines(

@@ -1,7 +1,7 @@
-"""Signed distance from glints: linear least squares, corrected to a true distance in a few rounds.
+"""Signed distance from glints by linear least squares.
 
-The energy is quadratic in the grid values. Each round is one linear solve by conjugate gradients
-with a multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
+The energy is quadratic in the grid values. Its minimum is found by conjugate gradients with a
+multigrid cycle (docs/math/surface-fit.md#linear-signed-distance).
 """
 
 from collections.abc import Callable
@@ -23,7 +23,6 @@ from geraf2.surfaces.multigrid import (
     coarser_length,
     conjugate_gradients,
     largest_eigenvalue,
-    restrict,
     restriction,
 )
 
@@ -70,18 +69,6 @@ class OrientedPoints:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DistanceTarget:
-    """Distances that a term of the energy pulls the field to, voxel by voxel."""
-
-    values: Floats
-    """(n_used,) [m]."""
-    voxels: Ints
-    """Flat indices of these voxels, (n_used,)."""
-    weights: Floats
-    """Weight of (f - target)^2 at each voxel, (n_used,)."""
-
-
 class LinearSdf:
     """Quadratic energy of a signed distance on one grid."""
 
@@ -109,40 +96,25 @@ class LinearSdf:
         while np.prod(self._sizes[-1].shape) > DIRECT_VOXELS:
             self._sizes.append(self._sizes[-1].coarser())
         self._data = [_data_matrix(size, position, points, terms) for size in self._sizes]
-        # The distance term adds to the diagonal, which raises no eigenvalue of D^-1 A above 1.
-        self._largest = [
-            largest_eigenvalue(self._energy(level, _face_pull(size.shape, terms), np.float32))
-            for level, size in enumerate(self._sizes[:-1])
-        ]
 
     def solve(
         self,
-        target: DistanceTarget | None = None,
         *,
-        start: SdfGrid | None = None,
         tolerance: float = 1e-5,
         max_iterations: int = _MAX_ITERATIONS,
         on_iteration: Callable[[], None] | None = None,
     ) -> SdfGrid:
-        """Minimise the energy, with a distance term if `target` is given -> signed distance.
+        """Minimise the energy -> signed distance.
 
-        target: distances that the field is pulled to.
-        start: first guess on the same grid; that of the constructor when None.
         tolerance: residual relative to the right side; 1e-5 leaves 0.02 mm of error.
         max_iterations: of the conjugate gradients.
         on_iteration: called after each iteration.
         """
-        right, pull = self._right, np.zeros(self._grid.n_voxels)
-        if target is not None:
-            pull[target.voxels] = target.weights
-            right = right.copy()
-            right[target.voxels] += target.weights * target.values * CM
-        first = self._start if start is None else start.values.astype(np.float64).ravel() * CM
         solution = conjugate_gradients(
-            self._energy(0, _face_pull(self._grid.shape, self._terms) + pull, np.float64),
-            self._preconditioner(pull),
-            right,
-            first,
+            self._energy(0, np.float64),
+            self._preconditioner(),
+            self._right,
+            self._start,
             tolerance=tolerance,
             max_iterations=max_iterations,
             on_iteration=on_iteration,
@@ -150,32 +122,27 @@ class LinearSdf:
         values = (solution / CM).reshape(self._grid.shape).astype(np.float32)
         return SdfGrid(grid=self._grid, values=values)
 
-    def _energy(
-        self, level: int, diagonal: Floats, dtype: type[np.float32] | type[np.float64]
-    ) -> GridEnergy:
+    def _energy(self, level: int, dtype: type[np.float32] | type[np.float64]) -> GridEnergy:
         size = self._sizes[level]
         return GridEnergy(
             size.shape,
             size.spacing,
             bending=self._terms.bending,
             sparse=self._data[level],
-            diagonal=diagonal,
+            diagonal=_face_pull(size.shape, self._terms),
             dtype=dtype,
             num_threads=self._num_threads,
         )
 
-    def _preconditioner(self, pull: Floats) -> Preconditioner:
-        """Levels with the energy discretised on each grid; `pull` is restricted to each."""
+    def _preconditioner(self) -> Preconditioner:
+        """Levels with the energy discretised on each grid."""
         levels = []
-        for number, largest in enumerate(self._largest):
-            shape = self._sizes[number].shape
-            energy = self._energy(number, _face_pull(shape, self._terms) + pull, np.float32)
-            x, y, z = (restriction(n) for n in shape)
+        for number, size in enumerate(self._sizes[:-1]):
+            energy = self._energy(number, np.float32)
+            x, y, z = (restriction(n) for n in size.shape)
+            largest = largest_eigenvalue(energy)
             levels.append(Level(energy=energy, largest=largest, to_coarser=(x, y, z)))
-            shared = restrict(pull.astype(np.float32).reshape(shape), (x, y, z))
-            pull = shared.ravel().astype(np.float64)
-        faces = _face_pull(self._sizes[-1].shape, self._terms)
-        return Preconditioner(levels, self._energy(len(levels), faces + pull, np.float64))
+        return Preconditioner(levels, self._energy(len(levels), np.float64))
 
 
 @dataclass(frozen=True, kw_only=True)

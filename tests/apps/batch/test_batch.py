@@ -33,7 +33,7 @@ distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
 BOX = geraf2.examples.BOX_M
-COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012))
 QUIET = geraf2.RunOptions(calibrate="no")
 
 

@@ -47,7 +47,6 @@ def position(tmp_path, monkeypatch, small_scan):
 
 BATCH = ["scans/one", "out", "--box", *map(str, geraf2.examples.BOX_M), "--preset", "fast"]
 BATCH += ["--fit.spacing-m", "0.012"]
-BATCH += ["--fit.distance-rounds", "1"]
 
 
 def _require_done(command, position, **environment):

@@ -57,7 +57,7 @@ def test_two_scenes_of_one_name_are_refused_as_one_would_hide_the_other(scans):
 
 def test_columns_of_a_table_give_the_box_and_the_truth(scans):
     lines = ["scene, prior, truth", "two, one/los.ply, one/truth.ply", "three,,", "one,,"]
-    base = FastPreset(fit=FitConfig(distance_rounds=1))
+    base = FastPreset(fit=FitConfig(spacing_m=0.01))
     two, three, one = read_jobs([_table(scans, *lines)], box=BOX, config=base)
     assert (two.prior.los, two.truth) == (scans / "one" / "los.ply", scans / "one" / "truth.ply")
     assert (three.prior.box, three.truth) == (BOX, None)

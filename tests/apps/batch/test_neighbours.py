@@ -60,7 +60,7 @@ def trapped(tmp_path, monkeypatch):
 def test_a_batch_runs_nothing_of_the_working_directory(trapped, small_scan):
     geraf2.save_capture(small_scan[0], Path("one"))
     command = ["batch", "one", "out", "--box", *map(str, geraf2.examples.BOX_M), "--workers", "1"]
-    command += ["--preset", "fast", "--fit.spacing-m", "0.012", "--fit.distance-rounds", "1"]
+    command += ["--preset", "fast", "--fit.spacing-m", "0.012"]
     script = "from geraf2.cli.main import run; run()"
     done = subprocess.run(
         [sys.executable, "-P", "-c", script, *command, "--report"],

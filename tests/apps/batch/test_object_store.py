@@ -19,7 +19,7 @@ from geraf2.surfaces import FitConfig
 pytest.importorskip("obstore", reason="object stores need the package obstore")
 
 BOX = geraf2.examples.BOX_M
-COARSE = FastPreset(fit=FitConfig(spacing_m=0.012, distance_rounds=1))
+COARSE = FastPreset(fit=FitConfig(spacing_m=0.012))
 QUIET = geraf2.RunOptions(calibrate="no")
 
 

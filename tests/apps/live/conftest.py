@@ -14,5 +14,5 @@ def capture():
 
 @pytest.fixture(scope="session")
 def whole(capture):
-    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
     return geraf2.reconstruct(capture, examples.BOX_M, coarse)

@@ -21,7 +21,7 @@ from geraf2.surfaces import FitConfig
 from helpers.run_folders import VERDICTS
 from helpers.synthetic import CAPTURE_JSON, write_frame
 
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
 BOX = PriorSource(box=examples.BOX_M)
 QUICK = LiveOptions(idle_s=0.5, report=False)
 

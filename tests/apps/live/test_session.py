@@ -24,7 +24,7 @@ from geraf2.surfaces import FitConfig
 from geraf2.surfaces.refinement import RefineConfig
 from helpers.run_folders import VERDICTS
 
-COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+COARSE = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
 
 
 def _about(capture):
@@ -166,7 +166,7 @@ from geraf2.surfaces import FitConfig
 from geraf2.surfaces.refinement import RefineConfig
 
 capture = geraf2.load_capture(sys.argv[1])
-coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
 session = geraf2.Session(replace(capture, poses=()), examples.BOX_M, coarse, sys.argv[2])
 for pose in capture.poses:
     session.add(pose)

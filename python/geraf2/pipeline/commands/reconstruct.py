@@ -126,7 +126,7 @@ def reconstruct(
     Examples
     --------
     >>> from geraf2.surfaces import FitConfig
-    >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01, distance_rounds=1))
+    >>> coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.01))
     >>> capture, truth = geraf2.examples.small_capture()
     >>> prior = geraf2.LosPrior.from_box(geraf2.examples.BOX_M)
     >>> result = geraf2.reconstruct(capture, prior, coarse, "out")

@@ -38,7 +38,7 @@ from geraf2.surfaces.pieces import piece_numbers, pieces_of
 from geraf2.surfaces.refinement import evidence_of, select_glints
 
 # Fit through first surfaces, which only has to block lines of sight.
-_FIRST_SURFACE = FitConfig(spacing_m=0.006, distance_rounds=1)
+_FIRST_SURFACE = FitConfig(spacing_m=0.006)
 
 
 def reconstruct_fast(job: Job) -> None:
