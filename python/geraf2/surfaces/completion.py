@@ -44,6 +44,8 @@ _SIGHT_WIDTHS_CM = (0.4, 1.0)
 """Widths of the Gaussians in which lines of sight are counted [cm]."""
 _FAR_CM = 4.0
 """Largest distance that is told apart [cm]."""
+_PART = 4096
+"""Voxels whose nearest glints are looked up at once."""
 _FEW, _NONE, _FLAT = 0.01, 1e-4, 1e-3
 # Sums and slopes below which nothing is there; they keep logarithms and quotients finite.
 
@@ -132,9 +134,10 @@ def features(
     for width in _SCALES_CM:
         weight, *mean, offset = (at(_blurred(of, width / step, 3)) for of in moments)
         inputs += place.against(np.stack(mean, axis=1), offset, weight)
-    sight = (glints[:, None] + _SIGHT_CM[:, None] * normals[:, None]).reshape(-1, 3)
-    along = np.repeat(weights, len(_SIGHT_CM))[:, None]
-    (passed,) = _spread(field.shape, (sight - origin) / step, along)
+    passed = np.zeros(field.shape)
+    for away in _SIGHT_CM:
+        sight = (glints + away * normals - origin) / step
+        passed += _spread(field.shape, sight, weights[:, None])[0]
     for width in _SIGHT_WIDTHS_CM:
         inputs.append(np.log(at(_blurred(passed, width / step, 2)) + _FEW))
     near, nearest_cm = place.nearest(glints, normals)
@@ -169,10 +172,22 @@ class _Place:
 
     def nearest(self, glints: Floats, normals: Floats) -> tuple[list[Floats], Floats]:
         """Compare voxels with their nearest glints, and return the distance to the nearest one."""
-        n_near = min(max(_NEAREST), len(glints))
-        distance, which = KDTree(glints).query(self.points, k=np.arange(1, n_near + 1))
-        aside = np.einsum("nkc,nkc->nk", self.points[:, None] - glints[which], normals[which])
-        found = [np.minimum(distance[:, min(k, n_near) - 1], _FAR_CM) for k in _RANKS]
+        tree, n_parts = KDTree(glints), 1 + len(self.points) // _PART
+        parts = zip(
+            np.array_split(self.points, n_parts),
+            np.array_split(self.outwards, n_parts),
+            strict=True,
+        )
+        found = np.concatenate([_Place(*part)._near(tree, normals) for part in parts], axis=1)
+        return list(found[1:]), found[0]
+
+    def _near(self, tree: KDTree, normals: Floats) -> Floats:
+        """Distance to the nearest glint, then the inputs, (n_inputs + 1, n_voxels)."""
+        n_near = min(max(_NEAREST), len(normals))
+        distance, which = tree.query(self.points, k=np.arange(1, n_near + 1))
+        aside = np.einsum("nkc,nkc->nk", self.points[:, None] - tree.data[which], normals[which])
+        found = [distance[:, 0]]
+        found += [np.minimum(distance[:, min(k, n_near) - 1], _FAR_CM) for k in _RANKS]
         for n in _NEAREST:
             mean, some = normals[which[:, :n]].mean(axis=1), aside[:, :n]
             found += [
@@ -182,7 +197,7 @@ class _Place:
                 np.linalg.norm(mean, axis=1),
                 np.einsum("nk,nk->n", mean, self.outwards),
             ]
-        return found, distance[:, 0]
+        return np.stack(found)
 
     def reception(self, apertures: Sequence[Aperture]) -> list[Floats]:
         """Margin of the aperture that best receives an echo from there, and its cosine."""
