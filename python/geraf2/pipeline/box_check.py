@@ -164,17 +164,18 @@ def check_prior(
             is_other = isinstance(error, NoCuboidError)
             if is_other and name == STATED:
                 raise
-            seen = str(error).partition(",")[0] if is_other else "no wall is seen squarely"
+            seen = str(error).partition(",")[0] if is_other else "too few walls are seen squarely"
             return replace(
                 kept,
-                text=f"{seen}: {what} was compared with nothing",
+                text=f"{seen}: {what} could not be checked, and is used as it is",
                 is_warning=is_other and prior.cuboid is not None,
                 delay_m=error.delay_change_m,
             )
         except DelayUnknownError:
             if prior.cuboid is not None:
                 raise
-            return replace(kept, text="the delay is not known: the prior was compared with nothing")
+            text = "the delay is not known: the prior could not be checked, and is used as it is"
+            return replace(kept, text=text)
     if prior.cuboid is None:
         return _with_delay(
             replace(kept, found=found, text=f"{found}; {what} is no cuboid and is not compared")
