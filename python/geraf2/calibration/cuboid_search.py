@@ -266,8 +266,8 @@ class DelayOdds:
                 what="the instrument delay was not recorded, and the scan does not show it",
                 expected="echoes of opposite walls from both sides, which agree at one delay alone",
                 got="echoes that fit any delay, each with another size of the box",
-                hint="give the delay as path_bias_m in scene.toml, or, if no box is stated yet, its "
-                "outside with --box X Y Z",
+                hint="give the delay as path_bias_m in scene.toml, or, if no box is stated yet, "
+                "its outside with --box X Y Z",
             )
         if self.box_odds > _RARE_NATS:
             raise DelayUnknownError(

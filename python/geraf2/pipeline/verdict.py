@@ -174,7 +174,7 @@ class RunTests:
         return Verdict(
             trust=trust,
             probability_of_failure=round(probability, 3),
-            causes=() if trust == Trust.RELIABLE else tuple(self._causes()),
+            causes=() if trust == Trust.RELIABLE else tuple(self._causes(weighed)),
             tests={
                 **self.planes.numbers(),
                 "visible": round(self.echoes.visible, 3),
@@ -185,23 +185,31 @@ class RunTests:
             },
         )
 
-    def _causes(self) -> Iterator[Cause]:
-        """Yield what explains a failure: what a test shows first, then what is low in general."""
+    def _causes(self, weighed: Mapping[str, float]) -> Iterator[Cause]:
+        """Yield what explains a failure: what a test shows first, then what is low in general.
+
+        weighed: what each result adds to the log odds, by which causes in the content are ordered.
+        """
         yield from _of_planes(self.planes, is_turned=self.is_turned)
-        # A wrong delay and plastic leave the planes in agreement.
+        if self.saturation > MAX_SATURATED:
+            yield self._saturated()
+        yield from sorted(
+            (*self._of_content(), *self._of_coverage()),
+            key=lambda cause: -weighed.get(cause.name, weighed["unseen"]),
+        )
+        yield from _disagreeing(self.planes)
+        yield self._uncertain()
+
+    def _of_content(self) -> Iterator[Cause]:
+        """Yield a wrong delay and plastic, which leave the planes in agreement."""
         agrees = self.planes.recorded.share > _LOW_AGREEMENT
         is_odd = agrees and delay_log_odds(self.radius_m) > 0.0
         if self.walls.is_wrong:
             yield self._wrong_by_walls()
         elif is_odd and not self.walls.is_right and not self.plastic:
             yield self._delayed()
-        if self.saturation > MAX_SATURATED:
-            yield self._saturated()
         if agrees and (self.plastic or (is_odd and self.walls.is_right)):
             yield self._plastic()
-        yield from self._of_coverage()
-        yield from _disagreeing(self.planes)
-        yield self._uncertain()
 
     def _of_coverage(self) -> Iterator[Cause]:
         """Yield what the planes cannot see: content out of their height, and few planes."""
