@@ -42,7 +42,7 @@ def poisson_surface(positions: Floats, normals: Floats, grid: Grid) -> SdfGrid:
         msg = "positions must hold at least one point, got none"
         raise ValueError(msg)
     index = (positions - np.asarray(grid.origin_m)) / grid.spacing_m
-    rows, _ = trilinear_rows(index, grid.shape, 1.0)
+    rows = trilinear_rows(index, grid.shape)
 
     def splat(values: Floats, sigma: float) -> Field:
         return np.asarray(gaussian_filter((rows.T @ values).reshape(grid.shape), sigma))

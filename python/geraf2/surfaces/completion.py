@@ -225,7 +225,7 @@ def _spread(shape: tuple[int, int, int], index: Floats, values: Floats) -> list[
     """
     padded = shape[0] + 2, shape[1] + 2, shape[2] + 2
     near = ((index > -1.0) & (index < np.array(shape))).all(axis=1)
-    rows = trilinear_rows(index[near] + 1.0, padded, 1.0)[0]
+    rows = trilinear_rows(index[near] + 1.0, padded)
     sums = (rows.T @ values[near]).T.reshape(-1, *padded)
     return list(sums[:, 1:-1, 1:-1, 1:-1])
 

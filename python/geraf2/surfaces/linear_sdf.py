@@ -87,7 +87,7 @@ class LinearSdf:
         spacing = sdf.grid.spacing_m * CM
         position = (points.positions - np.asarray(sdf.grid.origin_m)) * CM
         self._right = np.zeros(sdf.grid.n_voxels)
-        for axis, rows in enumerate(trilinear_rows(position / spacing, sdf.grid.shape, spacing)[1]):
+        for axis, rows in enumerate(_gradient_rows(position / spacing, sdf.grid.shape, spacing)):
             weighted = points.normal_weights * points.normals[:, axis]
             self._right += terms.normal * (rows.T @ weighted)
         self._right += _face_pull(sdf.grid.shape, terms) * (terms.outside_distance_m * CM)
@@ -180,38 +180,46 @@ def resample(sdf: SdfGrid, spacing_m: float) -> SdfGrid:
     return SdfGrid(grid=grid, values=values.reshape(grid.shape))
 
 
-def trilinear_rows(
-    index: Floats, shape: tuple[int, int, int], spacing: float | tuple[float, float, float]
-) -> tuple[sp.csr_matrix, list[sp.csr_matrix]]:
-    """Sparse rows for a trilinear field's value and its three derivatives at points."""
-    columns, value, gradients = _corners(index, shape, np.broadcast_to(spacing, 3))
+def trilinear_rows(index: Floats, shape: tuple[int, int, int]) -> sp.csr_matrix:
+    """Sparse rows for a trilinear field's value at points; index: in voxels, (n, 3)."""
+    columns, along = _corners(index, shape)
+    return _rows(along.prod(axis=0), columns, shape)
+
+
+def _gradient_rows(
+    index: Floats, shape: tuple[int, int, int], spacing: float
+) -> list[sp.csr_matrix]:
+    """Sparse rows for the three derivatives of a trilinear field at points."""
+    columns, along = _corners(index, shape)
+    return [_rows(of, columns, shape) for of in _slopes(along, np.full(3, spacing))]
+
+
+def _rows(entries: Floats, columns: Ints, shape: tuple[int, int, int]) -> sp.csr_matrix:
     offsets = np.arange(0, columns.size + 1, 8)
-    size = (len(index), int(np.prod(shape)))
-
-    def rows(entries: Floats) -> sp.csr_matrix:
-        return sp.csr_matrix((entries.ravel(), columns.ravel(), offsets), shape=size)
-
-    return rows(value), [rows(gradient) for gradient in gradients]
+    size = (len(columns), int(np.prod(shape)))
+    return sp.csr_matrix((entries.ravel(), columns.ravel(), offsets), shape=size)
 
 
-def _corners(
-    index: Floats, shape: tuple[int, int, int], spacing: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Voxels around each point (n, 8), their weights (n, 8), the weights' gradients (3, n, 8)."""
+def _corners(index: Floats, shape: tuple[int, int, int]) -> tuple[Ints, Floats]:
+    """Voxels around each point, (n, 8), and their weights along each axis, (3, n, 8)."""
     cell = np.clip(np.floor(index).astype(np.int64), 0, np.asarray(shape) - 2)
     t = index - cell
-    columns = np.empty((len(index), 8), dtype=np.int64)
-    value, gradients = np.empty((len(index), 8)), np.empty((3, len(index), 8))
+    columns, along = np.empty((len(index), 8), dtype=np.int64), np.empty((3, len(index), 8))
     for corner, sides in enumerate(product((0, 1), repeat=3)):
         node = cell + np.asarray(sides)
         columns[:, corner] = (node[:, 0] * shape[1] + node[:, 1]) * shape[2] + node[:, 2]
-        weight = [t[:, k] if side else 1.0 - t[:, k] for k, side in enumerate(sides)]
-        slope = [(1.0 if side else -1.0) / spacing[k] for k, side in enumerate(sides)]
-        value[:, corner] = weight[0] * weight[1] * weight[2]
-        gradients[0, :, corner] = slope[0] * weight[1] * weight[2]
-        gradients[1, :, corner] = weight[0] * slope[1] * weight[2]
-        gradients[2, :, corner] = weight[0] * weight[1] * slope[2]
-    return columns, value, gradients
+        for axis, side in enumerate(sides):
+            along[axis, :, corner] = t[:, axis] if side else 1.0 - t[:, axis]
+    return columns, along
+
+
+def _slopes(along: Floats, spacing: Floats) -> Floats:
+    """Differentiate the weights along each axis, (3, n, 8)."""
+    sides = np.array(list(product((-1.0, 1.0), repeat=3))).T[:, None] / spacing[:, None, None]
+    slopes = np.stack([along, along, along])  # in each, the factor of its own axis is replaced
+    for axis in range(3):
+        slopes[axis, axis] = sides[axis]
+    return np.asarray(slopes[:, 0] * slopes[:, 1] * slopes[:, 2])
 
 
 def _data_matrix(
@@ -219,11 +227,11 @@ def _data_matrix(
 ) -> sp.csr_matrix:
     """Matrix of the position and normal terms: each point couples the eight voxels around it."""
     spacing = np.asarray(size.spacing)
-    columns, value, gradients = _corners(position / spacing, size.shape, spacing)
+    columns, along = _corners(position / spacing, size.shape)
     forms = np.concatenate(
         [
-            np.sqrt(terms.position * points.position_weights)[:, None] * value[None],
-            np.sqrt(terms.normal * points.normal_weights)[:, None] * gradients,
+            np.sqrt(terms.position * points.position_weights)[:, None] * along.prod(axis=0)[None],
+            np.sqrt(terms.normal * points.normal_weights)[:, None] * _slopes(along, spacing),
         ]
     ).transpose(1, 0, 2)
     # Points in one cell couple the same voxels, so one block per cell is enough.
