@@ -42,12 +42,7 @@ def thinned(pose: Pose, step: int) -> Pose:
     keep = np.ones(pose.n_antennas, dtype=bool)
     for along in (pose.phase_centers @ pose.axes[1:].T).T:
         keep &= np.unique(np.rint(1e4 * along), return_inverse=True)[1] % step == 0
-    return replace(
-        pose,
-        signal=pose.signal[keep],
-        tx_positions=pose.tx_positions[keep],
-        rx_positions=pose.rx_positions[keep],
-    )
+    return pose.select(np.flatnonzero(keep))
 
 
 def part_of(capture: Capture, n_planes: int, step: int) -> Capture:

@@ -176,12 +176,7 @@ def cut(pose: Pose, part: Part) -> Pose:
     below = (n_rows - min(part.rows, n_rows)) // 2
     keep = (row >= below) & (row < n_rows - below)
     keep &= (row % part.step == 0) & (column % part.step == 0)
-    return replace(
-        pose,
-        signal=pose.signal[keep],
-        tx_positions=pose.tx_positions[keep],
-        rx_positions=pose.rx_positions[keep],
-    )
+    return pose.select(np.flatnonzero(keep))
 
 
 def minutes(capture: Capture, part: Part, channels: int) -> float:

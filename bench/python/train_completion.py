@@ -195,14 +195,13 @@ def draw_outlines(mesh: TriangleMesh, scan: ScanSpec, rng: np.random.Generator) 
     v = v + scan.height_m
     shown = [axis for axis in (0, 1) if rng.random() < SHOWN]
     axes = shown if rng.random() < SHADOWED else []
-    outlines = np.ones((len(axes), len(u), len(v)))
+    outlines, scene = np.ones((len(axes), len(u), len(v))), MeshScene(mesh.vertices, mesh.faces)
     for number, axis in enumerate(axes):
         start = np.full((len(u), len(v), 3), -1.0)
         start[..., 1 - axis], start[..., 2] = np.meshgrid(u, v, indexing="ij")
         end = start.copy()
         end[..., axis] = 1.0
-        rays = start.reshape(-1, 3), end.reshape(-1, 3)
-        dark = MeshScene(mesh.vertices, mesh.faces).occluded(*rays).reshape(len(u), len(v))
+        dark = scene.occluded(start.reshape(-1, 3), end.reshape(-1, 3)).reshape(len(u), len(v))
         outside_m = distance_transform_edt(~dark) - distance_transform_edt(dark)
         ripple = gaussian_filter(rng.standard_normal(dark.shape), EDGE_LENGTH_M / spacing_m)
         outside_m = spacing_m * outside_m + EDGE_RIPPLE_M * ripple / ripple.std()

@@ -106,7 +106,7 @@ def test_a_given_cuboid_is_kept_with_a_warning_and_a_mesh_without(scan):
         check = box_check.check_prior(capture, prior, "--box", None, Listener(), None)
         assert check.prior is prior
         assert check.is_warning == is_warning
-        assert check.text.startswith("the walls of the box fit no cuboid: the prior")
+        assert check.text.startswith("the walls of the box fit no cuboid: the prior could not be")
 
 
 def test_a_box_with_skewed_corners_is_found_by_the_walls_that_fit():

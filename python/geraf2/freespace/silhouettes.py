@@ -313,9 +313,7 @@ def _cells(wall: Wall, axis: int, config: SilhouetteConfig) -> list[Floats]:
     return [config.spacing_m * np.arange(-n, n + 1) for n in counts]
 
 
-def _focused(
-    pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig
-) -> "_Focused | None":
+def _focused(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfig) -> _Focused | None:
     """Flash of the far wall along an axis, and its blur; None if too few antennas face it.
 
     It is kept as long as the plane: a growing scan asks for its shadows after each further one.

@@ -150,6 +150,7 @@ def check_prior(
     by another cuboid, and refused for another shape.
     """
     what = STATED if name == STATED else "the prior"
+    unchecked = f"{what} could not be checked, and is used as it is"
     kept = BoxCheck(prior=prior, found=None, text="", name=name)
     with listener.step(BOX_STAGE):
         try:
@@ -167,15 +168,14 @@ def check_prior(
             seen = str(error).partition(",")[0] if is_other else "too few walls are seen squarely"
             return replace(
                 kept,
-                text=f"{seen}: {what} could not be checked, and is used as it is",
+                text=f"{seen}: {unchecked}",
                 is_warning=is_other and prior.cuboid is not None,
                 delay_m=error.delay_change_m,
             )
         except DelayUnknownError:
             if prior.cuboid is not None:
                 raise
-            text = "the delay is not known: the prior could not be checked, and is used as it is"
-            return replace(kept, text=text)
+            return replace(kept, text=f"the delay is not known: {unchecked}")
     if prior.cuboid is None:
         return _with_delay(
             replace(kept, found=found, text=f"{found}; {what} is no cuboid and is not compared")
