@@ -5,8 +5,7 @@ the box from behind. Hypotheses of a cuboid are compared by how many sub-apertur
 (docs/math/calibration.md#box-from-the-scan).
 """
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -200,19 +199,26 @@ class Flashes:
         return np.asarray(2.0 * np.pi * widths[0] * widths[1] * smooth)
 
 
-class Counts(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Counts:
     """Flashes of walls with one normal, from one side."""
 
     density: Floats
     """Count over offset and level, (n_offsets, n_levels)."""
     n_facing: int
     """Number of sub-apertures that face such a wall."""
+    _scores: dict[int, Floats] = field(default_factory=dict)
 
     def score(self, pair: int) -> Floats:
         """Count of flashes less missed ones, (n_offsets, n_levels).
 
         pair: half the distance of a wall's two echoes, in cells; 0 for a single one.
         """
+        if pair not in self._scores:
+            self._scores[pair] = self._score(pair)
+        return self._scores[pair]
+
+    def _score(self, pair: int) -> Floats:
         count, expected = self.density, self.n_facing
         if pair:
             count = 2.0 * np.minimum(shifted(count, pair), shifted(count, -pair))

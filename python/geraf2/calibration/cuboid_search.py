@@ -143,21 +143,28 @@ class BoxSearch:
             total[:, levels] += (both - away).max(axis=-1, initial=0.0).T
         return total
 
-    def bound(self, yaw_rad: float) -> float:
+    def bound(self, yaw_rad: float, pairs: Iterable[int] = (0,)) -> float:
         """Largest score at a yaw if near and far walls had delays of their own."""
-        both = [kind.score(0).max(axis=0) for side in self.sides(yaw_rad) for kind in side]
-        return float(np.sum(both, axis=0)[self.lowest_level(0) :].max())
+        kinds, largest = [kind for side in self.sides(yaw_rad) for kind in side], 0.0
+        for pair in pairs:
+            both = np.sum([kind.score(pair).max(axis=0) for kind in kinds], axis=0)
+            largest = max(largest, float(both[self.lowest_level(pair) :].max()))
+        return largest
 
-    def best(self, yaws: Iterable[float], shifts: Sequence[int]) -> list[Hypothesis]:
-        """Best hypothesis at each yaw.
+    def best(self, yaws: Floats, shifts: Sequence[int], least: float = 1.0) -> list[Hypothesis]:
+        """Best hypothesis at each yaw; of score -inf where it is below a share of the highest.
 
         shifts: of the delay, in cells of the offset.
+        least: the share.
         """
         penalties = {shift: shift_penalty(shift) for shift in shifts}
-        found = []
-        for yaw in yaws:
-            sides = self.sides(yaw)
-            tries = []
+        found = [Hypothesis(-np.inf, yaw, 0, 0, 0) for yaw in yaws.tolist()]
+        bounds = [self.bound(yaw, self.pairs) for yaw in yaws]
+        for number in np.argsort(bounds)[::-1]:
+            if bounds[number] < least * max(found).score:
+                break
+            yaw = float(yaws[number])
+            sides, tries = self.sides(yaw), []
             for pair in self.pairs:
                 total = self.scores(sides, pair, penalties)
                 level = int(total.max(axis=0).argmax())
@@ -166,13 +173,13 @@ class BoxSearch:
                 shift = round(float(share @ shifts / share.sum()))
                 shift += self.unmoved if pair else 0
                 tries.append(Hypothesis(float(total.max()), yaw, shift, pair, level))
-            found.append(max(tries))
+            found[number] = max(tries)
         return found
 
     @cached_property
     def coarse(self) -> list[Hypothesis]:
         """Best hypothesis with about the recorded delay at each yaw of the first search."""
-        return self.best(_COARSE_YAWS_RAD, range(-MAX_SHIFT, MAX_SHIFT + 1, 2))
+        return self.best(_COARSE_YAWS_RAD, range(-MAX_SHIFT, MAX_SHIFT + 1, 2), _LIKE_SHARE)
 
     @property
     def rivals(self) -> list[Hypothesis]:
