@@ -10,6 +10,7 @@ void bind_mesh_scene(py::module_& m);
 void bind_grid_energy(py::module_& m);
 void bind_lensless(py::module_& m);
 void bind_matched_filter(py::module_& m);
+void bind_pair_density(py::module_& m);
 void bind_physical_optics(py::module_& m);
 void bind_subaperture(py::module_& m);
 void bind_ray_march(py::module_& m);
@@ -24,6 +25,7 @@ PYBIND11_MODULE(_core, m) {
     geraf2::bindings::bind_grid_energy(m);
     geraf2::bindings::bind_lensless(m);
     geraf2::bindings::bind_matched_filter(m);
+    geraf2::bindings::bind_pair_density(m);
     geraf2::bindings::bind_physical_optics(m);
     geraf2::bindings::bind_subaperture(m);
     geraf2::bindings::bind_ray_march(m);

@@ -14,6 +14,32 @@ def embree_major() -> int: ...
 def simd_level() -> str: ...
 def max_threads() -> int: ...
 
+class PairModel:
+    def __init__(
+        self,
+        *,
+        reach: float,
+        least_cosine: float,
+        spread: float,
+        offset_variance: float,
+        bend: float,
+        turn_variance: float,
+        curvature: float,
+        least_density: float,
+    ) -> None: ...
+
+def pair_densities(
+    positions: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    planes: NDArray[np.int64],
+    subapertures: NDArray[np.int64],
+    other_positions: NDArray[np.float64],
+    other_normals: NDArray[np.float64],
+    other_planes: NDArray[np.int64],
+    other_subapertures: NDArray[np.int64],
+    model: PairModel,
+) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]]: ...
+
 class GridEnergyFloat:
     def __init__(
         self,

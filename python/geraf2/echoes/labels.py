@@ -9,11 +9,9 @@ box's walls are candidates, too. They explain grating lobes of a wall's flash.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
-from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
@@ -21,6 +19,7 @@ from geraf2.echoes.hypotheses import Candidates
 from geraf2.echoes.noise import ECHO_NOISE
 from geraf2.imaging.peaks import PeakSet
 from geraf2.io.points import cloud_bytes
+from geraf2.ops.pair_density import PairModel, PeakPoints, pair_densities
 
 _SPREAD_M = 0.011
 """Standard deviation of the distance along the surface at which points predict each other [m]; this
@@ -45,7 +44,8 @@ _MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
 _LEAST_MARGIN_DB = 15.0
 """Ratio to the noise of peaks that just stand out of it [dB]."""
-_POINTS_AT_ONCE = 250
+_POINTS_AT_ONCE = 2000
+"""So many have about 5 MB of pairs."""
 _NEGLIGIBLE = 1e-6
 """Support that is neglected, relative to a neighbour at the same position."""
 _ROUNDS = 6
@@ -178,15 +178,15 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
         presence prior (alone + r_s) (1 + r_o / scale)^power / r_0^shared
 
     r_s and r_o are the support by neighbours of its own plane and of other planes, in units of the
-    clutter density: sums of `pair_density` times the neighbours' probabilities. r_0 is the support
-    by a neighbour at the same position.
+    clutter density: sums of `pair_densities` times the neighbours' probabilities. r_0 is the
+    support by a neighbour at the same position.
 
     peaks: of the candidates. found: (n,). volume_m3: of the box [m^3].
     inside: candidates in the box, (n,).
     """
     if not len(found):
         return np.zeros(0)
-    points = _Points.of(peaks, found)
+    points = _points_of(peaks, found)
     blocks = list(_neighbours(points, points))
     probability = 1.0 / np.bincount(found.peaks, minlength=len(peaks))[found.peaks]
     update = _Update(peaks, found, volume_m3, inside)
@@ -204,7 +204,7 @@ def continuing(
     """
     if not len(found):
         return np.zeros(0)
-    blocks = _neighbours(_Points.of(peaks, found), _Points.of_glints(known))
+    blocks = _neighbours(_points_of(peaks, found), _points_of_glints(known))
     own, other = _support(blocks, known.probability)
     probability, update = np.zeros(len(found)), _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
@@ -238,101 +238,50 @@ class _Update:
 
 
 def _peak_density() -> float:
-    """Value of `pair_density` at the same position [1 / (m^3 sr)]."""
-    here = np.zeros(1)
-    return float(pair_density(here, here, here, here)[0])
-
-
-def pair_density(offset_m: Floats, turn_rad: Floats, along_m: Floats, distance_m: Floats) -> Floats:
-    """Density of a second surface point, predicted by a first one, (n,) [1 / (m^3 sr)].
-
-    offset_m: (p_i - p_j) . (n_i + n_j) / |n_i + n_j|, Gaussian with the variance of both points
-        and of the third-order term of a surface.
-    turn_rad: angle between the normals, Gaussian along two axes with the variance of both normals
-        and of the curvature.
-    along_m: distance perpendicular to the mean normal. distance_m: between both points.
-    """
-    offset2, turn2 = ECHO_NOISE.offset_variance(distance_m), ECHO_NOISE.turn_variance(distance_m)
-    exponent = offset_m**2 / offset2 + turn_rad**2 / turn2 + (along_m / _SPREAD_M) ** 2
+    """Density that a point predicts at its own place [1 / (m^3 sr)]."""
+    offset2, turn2 = ECHO_NOISE.offset_variance(np.zeros(1)), ECHO_NOISE.turn_variance(np.zeros(1))
     scale = np.sqrt(2.0 * np.pi * offset2) * (2.0 * np.pi * turn2) * 2.0 * np.pi * _SPREAD_M**2
-    return np.asarray(np.exp(-0.5 * exponent) / scale)
+    return float(1.0 / scale[0])
 
 
-_Block = tuple[sparse.csr_array, sparse.csr_array]
-"""Densities of pairs of one plane, and of others, (n_block, n_others)."""
+def _points_of(peaks: PeakSet, found: Candidates) -> PeakPoints:
+    subapertures = peaks.subapertures[found.peaks]
+    planes = peaks.subaperture_planes[subapertures]
+    return PeakPoints(found.positions, found.normals, planes, subapertures)
 
 
-class _Points(NamedTuple):
-    """Oriented points with their planes and sub-apertures."""
-
-    positions: Floats  # (n, 3) [m]
-    normals: Floats
-    planes: Ints
-    subapertures: Ints  # -1: any
-
-    @classmethod
-    def of(cls, peaks: PeakSet, found: Candidates) -> "_Points":
-        subapertures = peaks.subapertures[found.peaks]
-        planes = peaks.subaperture_planes[subapertures]
-        return cls(found.positions, found.normals, planes, subapertures)
-
-    def rows(self, chosen: slice) -> "_Points":
-        return _Points(*(values[chosen] for values in self))  # type: ignore[arg-type]
-
-    @classmethod
-    def of_glints(cls, glints: Glints) -> "_Points":
-        return cls(glints.positions, glints.normals, glints.poses, np.full(len(glints), -1))
+def _points_of_glints(glints: Glints) -> PeakPoints:
+    """Their sub-apertures are no candidate's."""
+    return PeakPoints(glints.positions, glints.normals, glints.poses, np.full(len(glints), -1))
 
 
-def _support(blocks: Iterable[_Block], probability: Floats) -> tuple[Floats, Floats]:
+def _support(blocks: Iterable[sparse.csr_array], probability: Floats) -> tuple[Floats, Floats]:
     """Support of each point by probable neighbours, of its plane and of others, (n_points,) each.
 
     blocks: of `_neighbours`. probability: of the neighbours, (n_others,).
     """
-    parts = [(same @ probability, other @ probability) for same, other in blocks]
-    own, other = (np.concatenate(part) for part in zip(*parts, strict=True))
+    of_kinds = np.kron(np.eye(2), probability[:, None])
+    other, own = np.concatenate([block @ of_kinds for block in blocks]).T
     return own, other
 
 
-def _neighbours(points: _Points, to: _Points) -> Iterator[_Block]:
-    """Pair densities within a plane and between planes, by blocks of points.
+def _neighbours(points: PeakPoints, to: PeakPoints) -> Iterator[sparse.csr_array]:
+    """Densities of pairs by blocks of points.
 
-    Peaks of one sub-aperture do not support each other: it has one return of a smooth surface. Most
-    pairs in reach have no effect, so they are computed in blocks and dropped if negligible.
+    Peaks of one sub-aperture do not support each other: it has one return of a smooth surface.
     """
-    tree, n_points = KDTree(to.positions), len(points.positions)
-    for first in range(0, n_points, _POINTS_AT_ONCE):
-        block = points.rows(slice(first, first + _POINTS_AT_ONCE))
-        near = KDTree(block.positions).sparse_distance_matrix(tree, _REACH_M, output_type="ndarray")
-        i, j = near["i"], near["j"]
-        i, j, density = _densities(block, to, i, j)
-        same_plane = block.planes[i] == to.planes[j]
-        shape = len(block.positions), len(to.positions)
-        same, other = (
-            sparse.csr_array((density[mask], (i[mask], j[mask])), shape=shape)
-            for mask in (same_plane, ~same_plane)
-        )
-        yield same, other
-
-
-def _densities(points: _Points, to: _Points, i: Ints, j: Ints) -> tuple[Ints, Ints, Floats]:
-    """Pairs that support each other, and their densities, (n,) each."""
-    # `take` selects rows three times as fast as an index does.
-    cosine = np.einsum("ij,ij->i", points.normals.take(i, axis=0), to.normals.take(j, axis=0))
-    fits = (points.subapertures[i] != to.subapertures[j]) & (cosine > _ALIKE)
-    i, j, cosine = i[fits], j[fits], cosine[fits]
-    step = to.positions.take(j, axis=0) - points.positions.take(i, axis=0)
-    mean = points.normals.take(i, axis=0) + to.normals.take(j, axis=0)
-    square = np.einsum("ij,ij->i", step, step)
-    offset = np.einsum("ij,ij->i", step, mean) / np.sqrt(2.0 + 2.0 * cosine)
-    density = pair_density(
-        offset,
-        np.sqrt(np.maximum(2.0 - 2.0 * cosine, 0.0)),
-        np.sqrt(np.maximum(square - offset**2, 0.0)),
-        np.sqrt(square),
+    model = PairModel(
+        reach=_REACH_M,
+        least_cosine=_ALIKE,
+        spread=_SPREAD_M,
+        offset_variance=2.0 * ECHO_NOISE.peak_m**2,
+        bend=ECHO_NOISE.bend_per_m2,
+        turn_variance=2.0 * ECHO_NOISE.peak_normal_rad**2,
+        curvature=ECHO_NOISE.curvature_per_m,
+        least_density=_NEGLIGIBLE * _peak_density(),
     )
-    mask = density > _NEGLIGIBLE * _peak_density()
-    return i[mask].astype(np.int32), j[mask].astype(np.int32), density[mask]
+    for first in range(0, len(points.planes), _POINTS_AT_ONCE):
+        yield pair_densities(points.rows(first, first + _POINTS_AT_ONCE), to, model)
 
 
 def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:
