@@ -25,8 +25,9 @@ from geraf2.surfaces.linear_sdf import CM, OrientedPoints, resample, trilinear_r
 WEIGHTS_NAME, WEIGHTS_KIND, WEIGHTS_VERSION = "completion.safetensors", "completion", 1
 SPACING_M = 0.005
 """Voxels at which the network reads the field [m]."""
-BAND_CM = 2.4
-"""Half width of the band around the zero level that the network corrects [cm]."""
+BAND_CM = 1.2
+"""Half width of the band around the zero level that the network corrects [cm]. Farther out no voxel
+changed its sign. Changes are interpolated over the diagonal of a voxel, 0.9 cm."""
 _BLURS_CM = (0.5, 1.0, 2.0)
 """Widths of the Gaussians that smooth the field [cm]."""
 _SCALES_CM = (0.5, 1.0, 2.0, 4.0)

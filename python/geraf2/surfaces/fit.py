@@ -43,7 +43,7 @@ _MIN_KEPT = 0.5
 lie in clumps, the networks take the clumps for false and remove the body."""
 UNKNOWN_OFFSET_M: float = DELAY_SIGMA_M
 """Standard deviation of the range offset, when a scan shows no wall of its box [m]."""
-FIT_VERSION = 26
+FIT_VERSION = 27
 """Increase when the same glints and settings give another field, also for the preset best."""
 
 
