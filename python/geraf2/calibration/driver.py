@@ -152,6 +152,7 @@ class _Run:
         self.steps = list[_Step]()
         self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
         self.subset = _planes_around(capture)
+        self.echoes: tuple[Capture, list[EchoPhases]] | None = None
         self.alignment = replace(config.alignment, keep_delay=not config.delay)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
@@ -159,6 +160,12 @@ class _Run:
         """Record a step and apply it to the capture."""
         self.steps.append(step)
         self.capture = Corrections(**step).applied(self.capture)
+
+    def strong_echoes(self, capture: Capture) -> list[EchoPhases]:
+        """Echoes of the planes for tests, collected once while nothing is corrected."""
+        if self.echoes is None or self.echoes[0] is not capture:
+            self.echoes = capture, _strong_echoes(capture, self.peaks, self.subset)
+        return self.echoes[1]
 
     def leakage(self) -> _Step:
         """Estimate leakage, whose delays are shorter than those of the box."""
@@ -182,7 +189,7 @@ class _Run:
                 problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = _strong_echoes(capture, self.peaks, self.subset)
+        echoes = self.strong_echoes(capture)
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -260,8 +267,7 @@ class _Run:
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        few = _strong_echoes(capture, self.peaks, self.subset)
-        drift = focus_antennas(capture, few, config)
+        drift = focus_antennas(capture, self.strong_echoes(capture), config)
         if drift.gain.is_sure:
             every = _strong_echoes(capture, self.peaks, range(len(capture.poses)))
             drift = focus_antennas(capture, every, config)

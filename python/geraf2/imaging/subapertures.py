@@ -104,8 +104,8 @@ def _find_raster(pose: Pose, wavelength_m: float) -> Raster | None:
 def _lattice(values: Floats, tolerance: float) -> tuple[Floats, Ints] | None:
     """Equally spaced lines through all values within the tolerance, and the line of each value."""
     ordered = np.sort(values)
-    groups = np.split(ordered, np.nonzero(np.diff(ordered) > 2.0 * tolerance)[0] + 1)
-    centers = np.array([group.mean() for group in groups])
+    starts = np.flatnonzero(np.diff(ordered, prepend=-np.inf) > 2.0 * tolerance)
+    centers = np.add.reduceat(ordered, starts) / np.diff(starts, append=len(ordered))
     if len(centers) < 2:
         return None
     spacing = float(np.median(np.diff(centers)))
