@@ -119,18 +119,17 @@ void bind_mesh_scene(py::module_& m) {
             py::arg("num_threads"))
         .def(
             "distance",
-            [](const MeshScene& scene, const Doubles& points, double max_distance,
-               int num_threads) {
+            [](const MeshScene& scene, const Doubles& points, int num_threads) {
                 require_shape("points", points, {-1, 3});
                 auto distances = make_array<double>({points.shape(0)});
                 const auto distances_view = mutable_view(distances);
                 {
                     const py::gil_scoped_release nogil;
-                    scene.distance(view(points), max_distance, distances_view, num_threads);
+                    scene.distance(view(points), distances_view, num_threads);
                 }
                 return distances;
             },
-            py::arg("points").noconvert(), py::arg("max_distance"), py::arg("num_threads"))
+            py::arg("points").noconvert(), py::arg("num_threads"))
         .def(
             "signed_distance",
             [](const MeshScene& scene, const Doubles& points, int num_threads) {

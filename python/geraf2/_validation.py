@@ -12,13 +12,6 @@ def require_positive(name: str, value: float) -> None:
         raise ValueError(msg)
 
 
-def require_not_negative(name: str, value: float) -> None:
-    """Raise ValueError unless `value` is zero or above; inf is."""
-    if not value >= 0:
-        msg = f"{name} must not be negative, got {value}"
-        raise ValueError(msg)
-
-
 def require_finite(name: str, value: float) -> None:
     """Raise ValueError unless `value` is finite."""
     if not math.isfinite(value):

@@ -174,7 +174,6 @@ CALLS = [
     (lambda: triangle(num_threads=-1), "at least 1, got -1"),
     (lambda: triangle([[0, 1, 2**40]]), "index 3 vertices"),
     (lambda: triangle().closest_hit(POINT, POINT), "directions must not be zero"),
-    (lambda: triangle().distance(POINT, max_distance_m=-1.0), "not be negative, got -1"),
     (lambda: triangle().occluded(POINT, POINT + 1, margin_m=np.nan), "margin_m must be finite"),
     (lambda: looks(0), "n_looks must be 1 to 10000, got 0"),
     (lambda: looks(2**40), "n_looks must be 1 to 10000"),

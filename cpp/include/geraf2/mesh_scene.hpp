@@ -63,10 +63,8 @@ public:
                                       std::span<const double> directions, // (n_rays, 3)
                                       int num_threads) const;
 
-    /// Distance to the nearest face, +inf where that is farther than max_distance. Quickest where
-    /// points near each other follow each other.
+    /// Distance to the nearest face. Quickest where points near each other follow each other.
     void distance(std::span<const double> points, // (n_points, 3) [m]
-                  double max_distance,            // [m]
                   std::span<double> distances,    // (n_points) [m]
                   int num_threads) const;
 

@@ -271,15 +271,14 @@ struct MeshScene::Impl {
         return norm(closest_on_triangle(point, a, b, c) - point);
     }
 
-    /// Distance to the nearest face; +inf where none is within `reach`, up to rounding. `face` is
-    /// one that may be near, or `no_face`, and becomes the nearest: the search begins there.
-    [[nodiscard]] double distance(const Vec& point, double reach, unsigned& face) const;
+    /// Distance to the nearest face. `face` is one that may be near, or `no_face`, and becomes the
+    /// nearest: the search begins there.
+    [[nodiscard]] double distance(const Vec& point, unsigned& face) const;
 
-    /// Distances of many points: a point is no farther away than the one before it in the list plus
-    /// the step from there, nor than that one's nearest face, which shortens the search where
-    /// neighbours are consecutive.
+    /// Distances of many points: the search begins at the nearest face of the point before, which
+    /// shortens it where neighbours are consecutive.
     template <class Finish>
-    void distances(std::span<const double> points, double limit, int num_threads, Finish finish,
+    void distances(std::span<const double> points, int num_threads, Finish finish,
                    std::span<double> out) const;
 
     void open();   // device and empty scene
@@ -299,7 +298,7 @@ struct NearestFace {
 
 } // namespace
 
-double MeshScene::Impl::distance(const Vec& point, double reach, unsigned& face) const {
+double MeshScene::Impl::distance(const Vec& point, unsigned& face) const {
     NearestFace nearest{this, point};
     if (face != no_face) {
         nearest.distance = distance_to_face(point, face);
@@ -309,7 +308,7 @@ double MeshScene::Impl::distance(const Vec& point, double reach, unsigned& face)
     query.x = static_cast<float>(point.x);
     query.y = static_cast<float>(point.y);
     query.z = static_cast<float>(point.z);
-    query.radius = search_radius(std::min(reach, nearest.distance));
+    query.radius = search_radius(nearest.distance);
     RTCPointQueryContext context;
     rtcInitPointQueryContext(&context);
     rtcPointQuery(
@@ -332,11 +331,10 @@ double MeshScene::Impl::distance(const Vec& point, double reach, unsigned& face)
 }
 
 template <class Finish>
-void MeshScene::Impl::distances(std::span<const double> points, double limit, int num_threads,
-                                Finish finish, std::span<double> out) const {
+void MeshScene::Impl::distances(std::span<const double> points, int num_threads, Finish finish,
+                                std::span<double> out) const {
     parallel_for(static_cast<index_t>(out.size()), num_threads, [&](index_t i) {
         const Vec point = load(points, i) - center;
-        double reach = limit;
         double same_side = 0.0; // a distance of the same sign as this one; zero without one
         thread_local unsigned face = no_face; // nearest to the point before
         // The first of a chunk follows one that another thread may be writing.
@@ -345,12 +343,10 @@ void MeshScene::Impl::distances(std::span<const double> points, double limit, in
         } else {
             const double before = out[static_cast<std::size_t>(i - 1)];
             const double step = norm(point - (load(points, i - 1) - center));
-            reach = std::min(limit, std::abs(before) + step);
             // No face is between two points that are nearer to each other than to any face.
             same_side = step * (1.0 + 1e-6) + merge_m < std::abs(before) ? before : 0.0;
         }
-        const double d = distance(point, reach, face);
-        out[static_cast<std::size_t>(i)] = finish(point, d <= limit ? d : HUGE_VAL, same_side);
+        out[static_cast<std::size_t>(i)] = finish(point, distance(point, face), same_side);
     });
 }
 
@@ -540,11 +536,10 @@ Crossings MeshScene::crossings(std::span<const double> origins, std::span<const 
     return out;
 }
 
-void MeshScene::distance(std::span<const double> points, double max_distance,
-                         std::span<double> distances, int num_threads) const {
+void MeshScene::distance(std::span<const double> points, std::span<double> distances,
+                         int num_threads) const {
     impl_->distances(
-        points, max_distance, num_threads, [](const Vec&, double d, double) { return d; },
-        distances);
+        points, num_threads, [](const Vec&, double d, double) { return d; }, distances);
 }
 
 void MeshScene::signed_distance(std::span<const double> points, std::span<double> distances,
@@ -558,7 +553,7 @@ void MeshScene::signed_distance(std::span<const double> points, std::span<double
         thread_local std::vector<Impl::Crossing> crossing;
         return s.inside(point, met, crossing) ? -d : d;
     };
-    s.distances(points, std::numeric_limits<double>::infinity(), num_threads, sign, distances);
+    s.distances(points, num_threads, sign, distances);
 }
 
 void MeshScene::contains(std::span<const double> points, std::span<std::uint8_t> inside,

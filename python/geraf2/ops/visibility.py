@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from geraf2 import _core  # noqa: TID251 - ops is the package that wraps the native module
 from geraf2._types import Bools, Floats, Ints
-from geraf2._validation import require_not_negative, require_shape
+from geraf2._validation import require_shape
 from geraf2.ops._geometry import require_positions
 from geraf2.ops._threads import resolve_num_threads
 
@@ -132,16 +132,13 @@ class MeshScene:
         )
         return _intervals(offsets, distances, (entering != 0) == self._wound_outward)
 
-    def distance(self, points: ArrayLike, *, max_distance_m: float = np.inf) -> Floats:
+    def distance(self, points: ArrayLike) -> Floats:
         """Distance to the nearest face, (n_points, 3) [m] -> (n_points,) [m].
 
-        inf where it is larger than `max_distance_m`, which spares the search there. Quickest
-        where points near each other follow each other, as those of a grid do. Not differentiable.
+        Quickest where points near each other follow each other, as those of a grid do. Not
+        differentiable.
         """
-        require_not_negative("max_distance_m", max_distance_m)
-        return self._scene.distance(
-            _rows("points", points), float(max_distance_m), self._num_threads
-        )
+        return self._scene.distance(_rows("points", points), self._num_threads)
 
     def signed_distance(self, points: ArrayLike) -> Floats:
         """Distance to the nearest face, negative inside, (n_points, 3) [m] -> (n_points,) [m].
