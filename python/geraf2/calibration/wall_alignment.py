@@ -42,8 +42,6 @@ _N_ROUNDS = 6
 # Share of the near walls' largest density that replaces hidden far walls. It is enough to find a
 # delay from near walls alone, and too small to interpret a far wall as a near one.
 _MISSING_FAR_SHARE = 0.1
-# Near walls alone are the first peak with this share of the highest.
-_FIRST_PEAK_SHARE = 0.6
 
 Group = Literal["delay", "frame"]
 """Groups that are accepted separately: delay; position of the prior."""
@@ -433,15 +431,8 @@ def find_wall_offset(
     of_near, of_far = density(*near), density(*far)
     score = np.sqrt(of_near * (of_far + _MISSING_FAR_SHARE * of_near.max(initial=0.0)))
 
-    def count(kind: tuple[Floats, Floats], best: int) -> int:
-        return int((np.abs(kind[0] - candidates[best]) < MAX_OFFSET_M).sum())
-
     best = int(score.argmax())
-    if count(far, best) < least:  # content, which may be as dense, is farther away
-        rises, falls = np.diff(score, prepend=0.0) >= 0.0, np.diff(score, append=0.0) < 0.0
-        peaks = np.flatnonzero(rises & falls & (score >= _FIRST_PEAK_SHARE * score[best]))
-        best = int(peaks[0]) if len(peaks) else best
-    n_near = count(near, best)
+    n_near = int((np.abs(near[0] - candidates[best]) < MAX_OFFSET_M).sum())
     if n_near < least or best in (0, n_steps - 1):  # a maximum at the edge is no peak
         raise walls_not_seen(n_near, search_m, least)
     return float(candidates[best])
