@@ -15,7 +15,6 @@ from geraf2._bounds import (
     NotNegative,
     Positive,
 )
-from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M
@@ -28,7 +27,6 @@ from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.completion import SPACING_M as COMPLETION_M
 from geraf2.surfaces.completion import complete
-from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.isosurface import extract_surface
 from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.pieces import separate_pieces
@@ -257,8 +255,6 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     if fine_cells**3 > config.max_voxels:
         grow = fine_cells / config.max_voxels ** (1.0 / 3.0)
         spacing, cells = spacing * grow, max(4, int(np.ceil(cells / grow)))
-    hint = "raise the fit's spacing-m, or lower its max-voxels"
-    require_memory(fit_bytes((cells * _COARSE) ** 3), hint)
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
