@@ -41,6 +41,7 @@ from geraf2.calibration.found_box import (
 from geraf2.calibration.free_air import SLACK_M
 from geraf2.calibration.leakage import find_leakage, without_leakage
 from geraf2.calibration.wall_alignment import AlignmentConfig, WallProblem
+from geraf2.constants import NORMAL_95
 from geraf2.echoes.flashes import MAX_OFFSET_M, OFFSET_SIGMA_M, WallMiddles
 from geraf2.echoes.wall_faces import N_MODES
 from geraf2.errors import UserError
@@ -60,7 +61,6 @@ _SEEN_SHARE, _MIN_FLASHES = 0.5, 2
 _MAX_CURVED, _MIN_SPREAD_M = 0.4, 0.02
 # Largest share of energy outside of the walls: grating lobes and multipath.
 _MAX_OUTSIDE = 0.3
-_COVER = 1.96
 # Least number of walls that are seen squarely: flat content looks like one wall.
 _MIN_WALLS = 2
 # Least number of sub-apertures with walls that are no cuboid's: four overlap, and four count.
@@ -327,7 +327,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
     offsets, sigmas, seen = box.offsets_m.copy(), box.sigmas_m.copy(), box.seen.copy()
     square = seen == Seen.SQUARELY
     normals, middles = box.normals, WallMiddles.of(capture.walls, capture.waveform)
-    bounds = offsets[..., None] + _COVER * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
+    bounds = offsets[..., None] + NORMAL_95 * np.where(square, sigmas, 0.0)[..., None] * [-1.0, 1.0]
     for _, k, side in face_names():
         face = (k, side)
         if square[face]:
@@ -343,7 +343,7 @@ def _bounded(capture: Capture, box: FoundBox, peaks: PeakSet) -> FoundBox:
         else:
             offsets[face], sigmas[face] = edge, OFFSET_SIGMA_M
             seen[face] = Seen.EDGES
-            bounds[face] = edge + _COVER * OFFSET_SIGMA_M * np.array([-1.0, 1.0])
+            bounds[face] = edge + NORMAL_95 * OFFSET_SIGMA_M * np.array([-1.0, 1.0])
     _require_outside(capture, normals, offsets)
     return replace(box, offsets_m=offsets, sigmas_m=sigmas, seen=seen, bounds_m=bounds)
 

@@ -31,7 +31,7 @@ COARSE = SubapertureConfig(step_m=0.04, direction_oversampling=2.0)
 hundreds of echoes."""
 # Side of the imaged region over the planes' distance, larger than any box between them.
 _REGION = 1.3
-OFFSET_STEP_M = 0.002
+OFFSET_STEP_M = 0.5 * OFFSET_SIGMA_M
 """Grid of a wall's offset [m]."""
 # Grid of a wall's level, standard deviation among walls of one box, and number of levels below the
 # strongest peak [dB].

@@ -21,8 +21,6 @@ from geraf2.records import Wall
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-_STEP_M = 0.04
-"""Distance of the sub-apertures that are looked at: half of their side [m]."""
 _CELLS = np.linspace(0.0, 4.0, 161)
 """Offsets at which the response of a window is tabulated, in cells of one over its length."""
 LEAST_RADIUS_M = 0.0012
@@ -105,7 +103,7 @@ class Detector:
         planes = self.needed_radii(points, blocker)
         if not planes:
             return np.full(len(points), np.inf)
-        share = len(self.peaks.tops) / max(int(self.peaks.spaced(_STEP_M).sum()), 1)
+        share = len(self.peaks.tops) / max(int(self._spaced().sum()), 1)
         # Sub-apertures in which a ball of each radius stands out, (n_points, n_planes, n_radii).
         counts = share * np.stack(
             [(one[:, :, None] <= _RADII_M).sum(axis=1) for one in planes], axis=1
@@ -130,13 +128,17 @@ class Detector:
 
         inf where the ball is out of sight, or out of the image.
         """
-        kept = self.peaks.spaced(_STEP_M)
+        kept = self._spaced()
         found = []
         for number in range(len(self.apertures)):
             own = np.flatnonzero((self.peaks.subaperture_planes == number) & kept)
             if len(own):
                 found.append(self._of_plane(points, number, own, blocker))
         return found
+
+    def _spaced(self) -> Bools:
+        """Whether each sub-aperture is one of those half a side apart, (n_subapertures,)."""
+        return self.peaks.spaced(0.5 * self.config.subaperture.size_m)
 
     def _of_plane(
         self, points: Floats, number: int, own: Ints, blocker: MeshScene | None

@@ -8,12 +8,12 @@ from numpy.typing import NDArray
 from geraf2._types import Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.peaks import PeakSet
+from geraf2.imaging.subapertures import MIN_ANTENNAS
 from geraf2.scene import Capture, Pose, Waveform
 
 # Shares of a point's wavefront curvature that are removed, in trials along each axis: none for a
 # point (0), all for a plane (1).
 _CURVATURES = np.linspace(0.0, 1.0, 6)
-_MIN_ANTENNAS = 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,7 +99,7 @@ class _Antennas:
         pose, waveform = self.pose, self.waveform
         offsets = self.across - pose.axes[1:] @ center
         inside = np.flatnonzero((np.abs(offsets) < 0.5 * self.size_m).all(axis=1))
-        if len(inside) < _MIN_ANTENNAS:
+        if len(inside) < MIN_ANTENNAS:
             return []
         offsets = offsets[inside]
         window = np.prod(np.cos(np.pi / self.size_m * offsets), axis=1) ** 2

@@ -17,7 +17,7 @@ from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.hypotheses import Candidates
 from geraf2.echoes.noise import ECHO_NOISE
-from geraf2.imaging.peaks import PeakSet
+from geraf2.imaging.peaks import DETECTION_DB, PeakSet
 from geraf2.io.points import cloud_bytes
 from geraf2.ops.pair_density import PairModel, PeakPoints, pair_densities
 
@@ -42,8 +42,6 @@ _PER_STRENGTH_DB, _PER_MARGIN_DB = 0.038, 0.026
 """Change of the log odds with strength and with the ratio to the noise [1/dB]."""
 _MAX_MARGIN_DB = 40.0
 """Ratio to the noise above which the noise has no effect [dB]."""
-_LEAST_MARGIN_DB = 15.0
-"""Ratio to the noise of peaks that just stand out of it [dB]."""
 _POINTS_AT_ONCE = 2000
 """So many have about 5 MB of pairs."""
 _NEGLIGIBLE = 1e-6
@@ -139,7 +137,7 @@ class Clutter:
             - _SHARED * np.log(self.support)
         )
         return np.asarray(
-            _LOG_ODDS + _PER_STRENGTH_DB * below_db + _PER_MARGIN_DB * _LEAST_MARGIN_DB + support
+            _LOG_ODDS + _PER_STRENGTH_DB * below_db + _PER_MARGIN_DB * DETECTION_DB + support
         )
 
     def numbers(self) -> dict[str, float]:

@@ -29,10 +29,9 @@ _THICKNESS_SHARE = 0.02
 """Standard uncertainty of a stated wall thickness, as a share of it."""
 _NEAREST_FOCUS_M = 0.01
 """Least range of a focus [m]: a nearer plane faces across the content, or lies in it."""
-_N_POINTS = 17
-"""Points along each side of a sub-aperture in the sum over its window."""
-_N_RANGES = 17
-"""Ranges at which the echo of both faces of a wall is evaluated."""
+_N_STEPS = 17
+"""Points along each side of a sub-aperture in the sum over its window, and ranges at which the echo
+of both faces of a wall is evaluated."""
 
 
 def db(ratio: Floats) -> Floats:
@@ -92,7 +91,7 @@ def window_gain(windows: Windows, range_m: Floats, curvature: Floats, wave_numbe
     range_m: distance R of each return, (n,) [m]. curvature: S in the frame, (n, 3, 3) [1/m].
     wave_number: k at mid-band [rad/m].
     """
-    steps = (np.arange(_N_POINTS) + 0.5) / _N_POINTS - 0.5
+    steps = (np.arange(_N_STEPS) + 0.5) / _N_STEPS - 0.5
     hann = np.cos(np.pi * steps) ** 2
     weight = np.outer(hann, hann).ravel()
     at = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -130,7 +129,7 @@ def wall_flash(wall: Wall, waveform: Waveform, thickness_share: float = 1.0) -> 
     f = waveform.start_frequency_hz + np.linspace(0.0, waveform.bandwidth_hz, 64)
     weight = np.hanning(len(f) + 2)[1:-1]
     reach = np.sqrt(wall.permittivity) * wall.thickness_m
-    ranges = np.linspace(-reach, 2.0 * reach, _N_RANGES)
+    ranges = np.linspace(-reach, 2.0 * reach, _N_STEPS)
     turns = np.exp(4j * np.pi * np.outer(ranges, f) / SPEED_OF_LIGHT_M_PER_S)
     real = Wall(
         size_m=wall.size_m,

@@ -26,7 +26,7 @@ REACH_M = (0.1, 0.05)
 from there show that the prior is too small or displaced."""
 _BOX_MARGIN_M = 0.02
 """Margin around the prior's box for the blur of its walls' echoes [m]."""
-MAX_RANGE_SHIFT_M = 0.05
+MAX_RANGE_SHIFT_M = REACH_M[1]
 """Largest shift of ranges that does not require images of other ranges [m]."""
 _SAME_LINE_M = 1e-6
 """Largest distance of sub-apertures on one line of their lattice [m]."""

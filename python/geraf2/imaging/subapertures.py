@@ -27,8 +27,8 @@ from geraf2.scene import Pose, Waveform
 _RASTER_TOLERANCE_WAVELENGTHS = 0.05
 # Largest share of empty raster points; they count as zeros.
 _RASTER_MAX_HOLES = 0.05
-# Least number of irregular antennas of an image.
-_MIN_ANTENNAS = 16
+MIN_ANTENNAS = 16
+"""Least number of irregular antennas of a sub-aperture."""
 # Two directions are ambiguous if the power response of irregular antennas to their difference
 # exceeds two limits. The first value is above the side lobes of windows. The second is the
 # probability with which random positions exceed the other limit.
@@ -320,7 +320,7 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
         middle = np.array([h.start, v.start]) + sides / 2
         offset = local[:, 1:] - middle
         inside = np.nonzero((np.abs(offset) < sides / 2).all(axis=1))[0]
-        if len(inside) < _MIN_ANTENNAS:
+        if len(inside) < MIN_ANTENNAS:
             continue
         weight = np.prod(np.cos(np.pi * offset[inside] / sides), axis=1) ** 2
         antennas.append(inside)

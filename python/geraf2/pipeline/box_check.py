@@ -18,6 +18,7 @@ from geraf2.calibration.found_box import (
     WallsNotFoundError,
 )
 from geraf2.calibration.free_air import content_region
+from geraf2.constants import NORMAL_95
 from geraf2.errors import UserError
 from geraf2.io.belt_file import MOTION_KEY
 from geraf2.io.run_folder import RunFolder
@@ -36,8 +37,6 @@ _SIZE_M, _CENTER_M, _TURN_DEG = 0.004, 0.008, 3.0
 _OTHER_BOX_M = 0.03
 # Largest typical expected error of content without a box: half a range cell of 4 GHz [m].
 _MAX_ERROR_M = 0.02
-# Coverage factor of the found box's standard deviations.
-_COVER = 2.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,7 +271,7 @@ class Difference:
         size, axes = size_m[list(order)], axes[list(order)]
         middle = found.axes @ center_m
         offsets = np.stack([0.5 * size - middle, 0.5 * size + middle], axis=1)
-        tolerance = _COVER * found.size_sigma_m
+        tolerance = NORMAL_95 * found.size_sigma_m
         off_size = found.size_m - size
         center = 0.5 * (found.offsets_m[:, 1] - found.offsets_m[:, 0]) - middle
         turn = np.rad2deg(np.arccos(np.clip(np.abs((found.axes * axes).sum(axis=1)), 0.0, 1.0)))
@@ -280,7 +279,7 @@ class Difference:
         parts = []
         if len(both) and (np.abs(off_size[both]) > _SIZE_M + tolerance[both]).any():
             parts.append(f"{1e3 * np.abs(off_size[both]).max():.1f} mm of size")
-        if turn_deg > _TURN_DEG + _COVER * found.yaw_sigma_deg:
+        if turn_deg > _TURN_DEG + NORMAL_95 * found.yaw_sigma_deg:
             parts.append(f"{turn_deg:.1f} degrees of rotation")
         shift = float(np.linalg.norm(center[both]))
         if shift > _CENTER_M:

@@ -18,6 +18,7 @@ from geraf2.geometry.triangles import (
     volume_centroid_m,
 )
 from geraf2.io.mesh import TriangleMesh
+from geraf2.surfaces.expected_error import SEEN_REACH_M
 
 LIKELY = 0.5
 """Pieces with a lower probability are likely ghosts."""
@@ -41,8 +42,6 @@ class PieceModel:
     """Slope of the log odds over the logarithm of the number of planes."""
     main: float = 0.99
     """Least probability of the main piece."""
-    reach_m: float = 0.005
-    """A glint within this distance [m] belongs to the piece nearest to it."""
     min_size_m: float = 0.005
     """Least diameter of the ball with a piece's area [m]; smaller ones are point scatterers."""
     min_density: float = 0.1
@@ -115,7 +114,7 @@ def separate_pieces(mesh: TriangleMesh, glints: Glints) -> Separated:
     of_vertex[mesh.faces] = labels[:, None]
     used = np.unique(mesh.faces)
     distance, nearest = KDTree(mesh.vertices[used]).query(glints.positions)
-    near = distance <= model.reach_m
+    near = distance <= SEEN_REACH_M  # such a glint belongs to the piece nearest to it
     piece = of_vertex[used[nearest[near]]]
     counts = np.bincount(piece, minlength=n_pieces)
     probability = model.probability(n_pieces, piece, glints.poses[near], glints.probability[near])

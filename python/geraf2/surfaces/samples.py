@@ -8,13 +8,11 @@ import numpy as np
 
 from geraf2._short import Short
 from geraf2._types import AnyPath, Floats
+from geraf2.constants import NORMAL_95
 from geraf2.geometry.triangles import enclosed_volume_m3, vertex_normals
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.mesh import TriangleMesh
 from geraf2.io.text import interval_text
-
-NORMAL_95 = 1.96
-"""Half width of the 95 % interval of a normal distribution, in standard deviations."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
