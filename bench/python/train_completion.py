@@ -214,7 +214,6 @@ def draw_outlines(mesh: TriangleMesh, scan: ScanSpec, rng: np.random.Generator) 
         transmission=outlines,
         known=np.ones(outlines.shape, dtype=bool),
         thresholds=np.full(len(axes), 0.5),
-        disagreement=np.zeros(len(axes)),
         reason=np.array(""),
     )
 

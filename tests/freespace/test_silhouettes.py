@@ -156,14 +156,12 @@ def test_the_delay_of_an_inner_box_is_subtracted():
     assert len(unknown) != 2 or np.abs(unknown - straight).max() > 5e-4
 
 
-def test_planes_from_both_sides_agree_and_cover_more():
+def test_planes_from_both_sides_give_one_outline():
     one, other = (shadow_capture("top", "geometric_flash", side=side) for side in (-1.0, 1.0))
     both = replace(one, poses=(one.poses[0], other.poses[0]))
     found = find_silhouettes(both)
     assert len(found) == 1
     np.testing.assert_allclose(edges(found, "top"), [0.03], atol=1.5e-3)
-    assert found.disagreement.item() < 0.03
-    assert find_silhouettes(one).disagreement.item() == 1.0  # from one side alone
 
 
 def made(transmission, *, axis=1, known=None):

@@ -18,7 +18,6 @@ def shadows(transmission, axes=(0,), known=None):
         transmission=transmission,
         known=np.ones(shape, dtype=bool) if known is None else np.broadcast_to(known, shape),
         thresholds=np.full(n, 0.5),
-        disagreement=np.zeros(n),
         reason=np.array(""),
     )
 

@@ -41,11 +41,8 @@ def test_outlines_that_glints_contradict_are_dropped():
     )
     kept = [len(uncontradicted(one, seen, config)) for one in (right, wrong, elsewhere)]
     assert kept == [1, 0, 0]
-    # A doubt of 2 % counts where the other side of the box does not show the same.
-    doubted = seen.join(ball_glints(20, radius_m=0.07))
-    for disagreement, n_kept in ((0.0, 1), (0.5, 0)):
-        one = replace(right, disagreement=np.array([disagreement]))
-        assert len(uncontradicted(one, doubted, config)) == n_kept
+    # 2 % of the glints may contradict it.
+    assert len(uncontradicted(right, seen.join(ball_glints(8, radius_m=0.07)), config)) == 1
     # Of glints that are false with certainty no outline is to be doubted.
     false = replace(ball_glints(40, radius_m=0.06), probability=np.full(40, 1e-6))
     assert len(uncontradicted(right, seen.join(false), config)) == 1

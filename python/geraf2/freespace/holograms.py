@@ -19,8 +19,6 @@ class Flash(NamedTuple):
     """Distance to the middle of the box along the wall's normal, (n,) [m]."""
     wall_m: Floats
     """Distance to the wall, (n,) [m]."""
-    side: float
-    """Sign of the direction to the wall along its axis, 1 or -1."""
 
 
 def focal_lengths_m(flash: Flash, focus: float) -> Floats:

@@ -51,8 +51,6 @@ attenuate."""
 _THIN, _BLUR_M = 0.7, 0.008
 """Largest transmission of a part too thin to block the flash; squared for two passes. Nearer than
 the second value [m] to a blocked line of sight, it may be the blur of an edge."""
-_SAME_EDGE_M = 0.005
-"""Largest distance between edges of one outline from opposite sides [m], by focusing errors."""
 _EDGE = 0.5
 """Relative field at the edge of a half plane."""
 
@@ -78,7 +76,6 @@ _LAYOUTS = {
     "transmission": "float n u v",
     "known": "bool n u v",
     "thresholds": "float n",
-    "disagreement": "float n",
     "reason": "text",
 }
 
@@ -99,9 +96,6 @@ class Silhouettes:
     """Cells that antennas cover, (n, n_u, n_v)."""
     thresholds: Floats
     """Least transmission of a free line of sight, (n,)."""
-    disagreement: Floats
-    """Share of the blocked lines of sight on which planes of opposite sides disagree, (n,); 1 if
-    there is no outline from both."""
     reason: NDArray[np.str_]
     """Reason for no outline, (); empty if there is one."""
 
@@ -112,7 +106,6 @@ class Silhouettes:
         require_shape("transmission", self.transmission, (n, None, None))
         require_shape("known", self.known, self.transmission.shape)
         require_shape("thresholds", self.thresholds, (n,))
-        require_shape("disagreement", self.disagreement, (n,))
         for name in ("spacing_m", "reason"):
             require_shape(name, getattr(self, name), ())
 
@@ -243,7 +236,7 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             focused = _focused(pose, axis, capture, config)
             if focused is not None:
                 by_axis[axis].append(focused)
-    outlines, disagreement, free_shares = [], [], [0.0]
+    outlines, free_shares = [], [0.0]
     for axis, flashes in by_axis.items():
         wall = capture.walls[0]
         cells = _cells(wall, axis, config)
@@ -251,11 +244,9 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             flashes, cells, capture.waveform.center_wavelength_m, config
         )
         free_shares.append(free_share)
-        if found:
+        if found is not None:
             first = [c[0] for c in cells] + np.asarray(wall.center_m)[_across(axis)]
-            outlines.append((axis, first, found[0]))
-            sides = _joined([(axis, first, side) for side in found[1:]], config.spacing_m)
-            disagreement.append(_disagreement(sides))
+            outlines.append((axis, first, found))
     reason = ""
     if not capture.walls:
         reason = "the walls of the box are not known"
@@ -266,11 +257,7 @@ def find_silhouettes(capture: Capture, config: SilhouetteConfig | None = None) -
             f"at most {max(free_shares):.0%} of a plane's lines of sight show the far wall's flash "
             f"without a shadow, at least {config.min_free:.0%} are needed"
         )
-    return replace(
-        _joined(outlines, config.spacing_m),
-        disagreement=np.array(disagreement, dtype=np.float64),
-        reason=np.array(reason),
-    )
+    return replace(_joined(outlines, config.spacing_m), reason=np.array(reason))
 
 
 def _joined(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> Silhouettes:
@@ -283,7 +270,6 @@ def _joined(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> S
         transmission=np.ones((len(outlines), *shape)),
         known=np.zeros((len(outlines), *shape), dtype=np.bool_),
         thresholds=np.array([o.threshold for *_, o in outlines]),
-        disagreement=np.ones(len(outlines)),
         reason=np.array(""),
     )
     for number, (*_, outline) in enumerate(outlines):
@@ -291,15 +277,6 @@ def _joined(outlines: list[tuple[int, Floats, _Outline]], spacing_m: float) -> S
         found.transmission[number, :n_u, :n_v] = outline.transmission
         found.known[number, :n_u, :n_v] = outline.known
     return found
-
-
-def _disagreement(sides: Silhouettes) -> float:
-    """Share of blocked lines of sight that only one of two outlines blocks; 1 if none does."""
-    (one, known, _), (other, also_known, _) = sides._distance_maps
-    one, other = (part[known & also_known] for part in (one, other))
-    blocked = (one < 0.0) | (other < 0.0)
-    differ = blocked & (np.maximum(one, other) > _SAME_EDGE_M)
-    return float(differ.sum() / blocked.sum()) if blocked.any() else 1.0
 
 
 def _across(axis: int) -> list[int]:
@@ -373,7 +350,6 @@ def _wall_flash(pose: Pose, axis: int, capture: Capture, config: SilhouetteConfi
         response=response * wall_m[used] / share[used],
         content_m=content_m[used],
         wall_m=wall_m[used],
-        side=side,
     )
     flash = _correct_tilt(flash, 2.0 * np.pi / waveform.center_wavelength_m, config)
     return _correct_bulge(flash, waveform.center_wavelength_m)
@@ -423,34 +399,31 @@ def _correct_bulge(flash: Flash, wavelength_m: float) -> Flash:
 
 def _focus_planes(
     focused: list[_Focused], cells: list[Floats], wavelength_m: float, config: SilhouetteConfig
-) -> tuple[list[_Outline], float]:
-    """Outlines of all planes and of each side at the sharpest focus; largest free share."""
+) -> tuple[_Outline | None, float]:
+    """Outline of all planes at the sharpest focus, None if too few are free; largest free share."""
     blurs = [blurs for _, blurs in focused if blurs]
     if not blurs:
-        return [], 0.0
+        return None, 0.0
     flashes = [flash for flash, blurs in focused if blurs]
     blur = [np.concatenate(planes).mean() for planes in zip(*blurs, strict=True)]
     focus = _FOCUSES[int(np.argmin(blur))]
-    shape = (2, len(cells[0]), len(cells[1]))
+    shape = len(cells[0]), len(cells[1])
     total, count, free_shares = np.zeros(shape), np.zeros(shape), []
     for flash in flashes:
         image, known = hologram(flash, cells, focus, wavelength_m, config.aperture)
         free_shares.append(float((np.abs(image[known] - 1.0) < _FREE).mean()) if known.any() else 0)
         if free_shares[-1] >= config.min_free:
-            total[int(flash.side > 0.0), known] += image.real[known]
-            count[int(flash.side > 0.0), known] += 1.0
+            total[known] += image.real[known]
+            count[known] += 1.0
     # With waves on both passes the content attenuates twice.
     threshold, blur_m = _EDGE**2, 0.0
     if focus < 0.5:
         focal_m = np.median(np.concatenate([focal_lengths_m(flash, focus) for flash in flashes]))
         blur_m = np.sqrt(wavelength_m * focal_m) / (2.0 * np.pi * config.aperture)
         threshold = _EDGE
-    outlines = []
-    for parts in ([0, 1], [0], [1]):
-        n = count[parts].sum(axis=0)
-        mean = np.where(n > 0.0, total[parts].sum(axis=0) / np.maximum(n, 1.0), 1.0)
-        outlines.append(_Outline(sharpened(mean, blur_m / config.spacing_m), n > 0.0, threshold))
-    return outlines if count.any() else [], max(free_shares)
+    mean = np.where(count > 0.0, total / np.maximum(count, 1.0), 1.0)
+    outline = _Outline(sharpened(mean, blur_m / config.spacing_m), count > 0.0, threshold)
+    return outline if count.any() else None, max(free_shares)
 
 
 def sharpened(image: Floats, blur_cells: float) -> Floats:

@@ -16,12 +16,7 @@ from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.fit import UNKNOWN_OFFSET_M, Evidence, FitConfig
 from geraf2.surfaces.workers import Workers
 
-_MAX_DISAGREEMENT = 0.05
-"""Largest share of blocked lines of sight on which both sides of a correct outline disagree;
-a property of the simulated population of objects."""
-_MIN_CONFIRMING = 20
-"""Least number of glints on the known lines of sight of an outline that confirm it."""
-SELECTION_VERSION = 9
+SELECTION_VERSION = 10
 """Increase when :func:`select_glints` returns something else for the same capture."""
 
 
@@ -47,8 +42,7 @@ class RefineConfig(Bounded):
     """Whether to remove content on lines of sight that silhouettes show free."""
     max_contradicted: Share = 0.03
     """Largest share of the amplitude of glints on an outline's known lines of sight that lies in
-    its free space. Half of it applies if the opposite side disagrees. Outlines above are dropped.
-    A property of the simulated population of objects."""
+    its free space. Other outlines are dropped. A property of the population of objects."""
 
 
 class SelectedGlints(NamedTuple):
@@ -114,15 +108,12 @@ def uncontradicted(outlines: Silhouettes, seen: Glints, config: RefineConfig) ->
     """Select the outlines whose free lines of sight do not cross glints.
 
     Glints on the known lines of sight confirm an outline; a region without content has none. They
-    count by amplitude and probability. Wrong outlines come from errors of a wall's shape and
-    position, which differ on opposite sides of the box.
+    count by amplitude and probability.
     """
-    limit = np.where(outlines.disagreement > _MAX_DISAGREEMENT, 0.5, 1.0) * config.max_contradicted
     free_m = outlines.free_distances(seen.positions)
     known = np.isfinite(free_m) * seen.probability * relative_strengths(seen.strengths)
     wrong = (known * (free_m > config.outline_clearance_m)).sum(axis=1)
-    confirmed = np.isfinite(free_m).sum(axis=1) >= _MIN_CONFIRMING
-    return outlines.select(confirmed & (wrong <= limit * known.sum(axis=1)))
+    return outlines.select(wrong < config.max_contradicted * known.sum(axis=1))
 
 
 def evidence_of(
