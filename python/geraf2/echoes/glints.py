@@ -4,7 +4,6 @@ A monostatic specular return comes from the point whose normal points at the ant
 sub-aperture image therefore gives a position and a normal (docs/math/echoes.md#glints).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -33,9 +32,6 @@ _MIN_GLINTS, _MIN_OF_FEW = 100, 0.15
 """Where fewer glints reach the least probability, the likeliest ones above the second value are
 taken. By F1 of 21 random scans: twice as many add ghosts to five of them, and without the rule
 three lose their surface."""
-
-# Least share of peaks moved to another direction that is reported.
-_REPORTED_SHARE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +74,6 @@ def find_glints(
     peaks: PeakSet | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
-    note: Callable[[str], None] | None = None,
 ) -> Glints:
     """Glints of the content of the prior's box.
 
@@ -96,8 +91,6 @@ def find_glints(
         When None, torch's number if torch is loaded, else all cores.
     progress
         Called with the fraction done.
-    note
-        Called with messages for the user, about grating lobes of a coarse raster.
 
     Returns
     -------
@@ -123,7 +116,6 @@ def find_glints(
         peaks=peaks,
         num_threads=num_threads,
         progress=progress,
-        note=note,
     ).glints
 
 
@@ -135,7 +127,6 @@ def find_echoes(
     peaks: PeakSet | None = None,
     num_threads: int | None = None,
     progress: Progress | None = None,
-    note: Callable[[str], None] | None = None,
 ) -> FoundEchoes:
     """Glints, and the label of every peak at the ranges of the box.
 
@@ -158,12 +149,6 @@ def find_echoes(
     keep = labelled.probability > _threshold(labelled.probability, config.min_probability)
     if not keep.any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
-    n_moved = int((labelled.labels == Label.ALIAS).sum())
-    if note is not None and n_moved > _REPORTED_SHARE * len(near):
-        note(
-            f"grating lobes of sparse sampling: of {len(near)} peaks {n_moved} were moved to "
-            "their true direction"
-        )
     glints = as_glints(near, labelled.candidates.select(keep), labelled.probability[keep])
     metal = metal_level(
         near,

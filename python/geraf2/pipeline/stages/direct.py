@@ -86,7 +86,6 @@ def find_glints(job: Job) -> Glints:
             job.config.glints,
             peaks=job.peaks.of(capture, progress=step.progress),
             num_threads=threads,
-            note=job.listener.note,
         )
         first, behind, body = first_surfaces(glints, surface_through, num_threads=threads)
         labelled = labelled.relabelled(index[behind], Label.SEEN_THROUGH)
