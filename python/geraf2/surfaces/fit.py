@@ -31,11 +31,6 @@ from geraf2.surfaces.isosurface import extract_surface
 from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.pieces import separate_pieces
 
-# Voxel size of the first solve over that of the second, which it only accelerates.
-_COARSE = 2.0
-# Relative residual of a solve that only starts another.
-_ROUGH = 1e-4
-
 _MIN_KEPT = 0.5
 """Share of the glints on the fit's surface that have to stay on the completed one: where few glints
 lie in clumps, the networks take the clumps for false and remove the body."""
@@ -116,9 +111,9 @@ def fit_sdf(
     """Signed distance of the content from its glints, negative inside.
 
     Minimises the sum of position, normal, bending and outside terms
-    (docs/math/surface-fit.md#linear-signed-distance). It solves on a coarse grid, then on a fine
-    one, then with the points where edges of outlines touch the result. Where no echo came from it
-    is then completed (docs/math/completion.md). Outlines finally cut it.
+    (docs/math/surface-fit.md#linear-signed-distance). It solves once, then with the points
+    where edges of outlines touch the result. Where no echo came from it is then completed
+    (docs/math/completion.md). Outlines finally cut it.
 
     Parameters
     ----------
@@ -178,12 +173,9 @@ def smooth_fit(
     report = progress or (lambda _: None)
     terms, points = _terms(config), _weigh(evidence)
     grid = _domain(evidence.glints.positions, config)
-    coarse = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
-    coarse = LinearSdf(coarse, points, terms, num_threads=num_threads).solve(tolerance=_ROUGH)
-    report(1.0 / 3.0)
-    start = resample(coarse, grid.spacing_m / _COARSE)
+    start = SdfGrid(grid=grid, values=np.zeros(grid.shape, dtype=np.float32))
     sdf = LinearSdf(start, points, terms, num_threads=num_threads).solve()
-    report(2.0 / 3.0)
+    report(0.5)
     touched = _touched(evidence, sdf, num_threads)
     if touched is not None:
         points = _weigh(evidence, touched)
@@ -245,16 +237,13 @@ def _weight_on(sdf: SdfGrid, evidence: Evidence) -> float:
 
 
 def _domain(points: Floats, config: FitConfig) -> Grid:
-    """Coarse grid around the surface: a cube, so that no axis is preferred."""
+    """Grid around the surface: a cube, so that no axis is preferred."""
     low, high = points.min(axis=0), points.max(axis=0)
     half = 0.5 * float((high - low).max()) + config.margin_m
     center = 0.5 * (low + high)
-    spacing = _COARSE * config.spacing_m
-    cells = max(4, int(np.ceil(2.0 * half / spacing)))
-    fine_cells = cells * _COARSE
-    if fine_cells**3 > config.max_voxels:
-        grow = fine_cells / config.max_voxels ** (1.0 / 3.0)
-        spacing, cells = spacing * grow, max(4, int(np.ceil(cells / grow)))
+    # The larger voxels of at most so many; an even number of cells has exact coarser grids.
+    spacing = max(config.spacing_m, 2.0 * half / config.max_voxels ** (1.0 / 3.0))
+    cells = 2 * max(4, int(np.ceil(half / spacing)))
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
