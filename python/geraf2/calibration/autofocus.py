@@ -108,6 +108,7 @@ def focus_antennas(
     """Displacements at which the phases of echoes agree best.
 
     There are three estimates: from each half of the echoes, tested by the other half, and from all.
+    Echoes of one plane err together: they share antennas, and what a thin body does to the phases.
 
     echoes: strong echoes of the capture, with the phases of channels removed.
     config: model of the displacements.
@@ -124,25 +125,23 @@ def focus_antennas(
         {pose: linear.select(first[pose] == half) for pose, linear in every.items()}
         for half in (True, False)
     ]
-    judged = []
+    judged = [np.zeros((3, 0))]
     for own, others in (halves, halves[::-1]):
         trial, _ = _estimate(len(bases), own, config)
         # The free shift, slope and curvature of each echo are removed in both cases.
-        judged += [
-            (before, after)
-            for pose, linear in others.items()
-            for before, after in zip(
-                linear.coherence(np.zeros(n)), linear.coherence(trial[pose]), strict=True
-            )
-        ]
+        for pose, linear in others.items():
+            both = (linear.coherence(values) for values in (np.zeros(n), trial[pose]))
+            judged.append(np.stack([np.full(len(linear.root), pose), *both]))
     coefficients, sigma = _estimate(len(bases), every, config)
-    before, after = np.array(judged).reshape(-1, 2).T
+    plane, before, after = np.concatenate(judged, axis=1)
+    nats = coherence_nats(before, after)
+    by_plane = np.bincount(np.unique(plane, return_inverse=True)[1], nats).astype(np.float64)
     return AntennaDrift(
         coefficients_m=coefficients,
         sigma_m=sigma,
         coherence_before=float(before.mean()) if len(before) else 0.0,
         coherence_after=float(after.mean()) if len(after) else 0.0,
-        gain=Gain.of(coherence_nats(before, after)),
+        gain=max(Gain.of(nats), Gain.of(by_plane), key=lambda gain: gain.error),
     )
 
 

@@ -45,10 +45,10 @@ from geraf2.errors import UserError
 from geraf2.imaging.peaks import KeptPeaks
 from geraf2.scene import Capture, LosPrior
 
-CALIBRATION_VERSION = 15
+CALIBRATION_VERSION = 16
 """Increase when the same capture gives other corrections."""
 
-# Planes for channels and for a first test of positions; step of sub-apertures [m]; echoes a plane.
+# Planes for channels; step of sub-apertures [m]; echoes a plane.
 _N_POSES, _STEP_M, _N_ECHOES = 8, 0.03, 30
 _Step: TypeAlias = dict[str, Any]  # arguments of `Corrections` from one step
 
@@ -152,7 +152,6 @@ class _Run:
         self.steps = list[_Step]()
         self.found = dict[str, Any]()  # arguments of `Calibration` besides the corrections
         self.subset = _planes_around(capture)
-        self.echoes: tuple[Capture, list[EchoPhases]] | None = None
         self.alignment = replace(config.alignment, keep_delay=not config.delay)
         self.offset_sigma_m = 0.5 * self.alignment.delay_sigma_m
 
@@ -160,12 +159,6 @@ class _Run:
         """Record a step and apply it to the capture."""
         self.steps.append(step)
         self.capture = Corrections(**step).applied(self.capture)
-
-    def strong_echoes(self, capture: Capture) -> list[EchoPhases]:
-        """Echoes of the planes for tests, collected once while nothing is corrected."""
-        if self.echoes is None or self.echoes[0] is not capture:
-            self.echoes = capture, _strong_echoes(capture, self.peaks, self.subset)
-        return self.echoes[1]
 
     def leakage(self) -> _Step:
         """Estimate leakage, whose delays are shorter than those of the box."""
@@ -189,7 +182,7 @@ class _Run:
                 problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = self.strong_echoes(capture)
+        echoes = _strong_echoes(capture, self.peaks, self.subset)
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -263,14 +256,12 @@ class _Run:
         return dict(ChainMap(*(values[group] for group in chosen)))
 
     def positions(self) -> _Step:
-        """Estimate slow errors of positions, on all planes only if some show an error."""
+        """Estimate slow errors of positions."""
         if not self.config.positions:
             return {}
         capture, config = self.capture, self.config.autofocus
-        drift = focus_antennas(capture, self.strong_echoes(capture), config)
-        if drift.gain.is_sure:
-            every = _strong_echoes(capture, self.peaks, range(len(capture.poses)))
-            drift = focus_antennas(capture, every, config)
+        echoes = _strong_echoes(capture, self.peaks, range(len(capture.poses)))
+        drift = focus_antennas(capture, echoes, config)
         self.found["drift"] = drift
         rms_m = drift.rms_m(capture)
         numbers = {
