@@ -1,4 +1,4 @@
-"""Glints behind others on their own line of sight: back faces of dielectric bodies.
+"""Crossings of lines of sight with the surface that other glints show.
 
 A specular return comes back along its line of sight. Metal blocks that line at the first surface,
 so a return from behind a surface that faces away, which another plane sees from outside, passed
@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.glint_set import Glints
 
 _REACH_M = 0.005
 """Radius of the disc of surface that a glint represents [m]."""
@@ -21,21 +20,13 @@ _OWN_M = 0.004
 """Nearer crossings may be of the glint's own surface [m]."""
 BEHIND_M = 0.006
 """Least depth behind a surface [m]; errors and rounded edges of metal reach 5 mm."""
-_N_FRONTS = 2
-"""Front faces ahead of a glint that show that it was seen through a body."""
-_N_BACKS = 4
-"""Back faces ahead of it that show the same. They weigh half as much as front faces: a line of
-sight leaves a body only after a front face, which may have no glint of its own."""
 _METAL_SHARE = 0.015
 """Mean share of the returns of metal that seem to have passed through it, of those with a surface
 on the other side; it is exponentially distributed, that of plastic uniform: means .014 of 26 parts,
 .77 of 19 (`bench/python/materials.py`, seeds 0 to 9 and 10000 to 10007)."""
 _OUTLIERS = 0.01
 """Share of parts that are not as their population."""
-_N_LINES = 2000
-"""Most lines of sight that decide this."""
 _CHUNK = 256
-_MAX_ROUNDS = 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,52 +81,3 @@ def odds_of_metal(passed_share: float) -> float:
     """
     metal = np.exp(-passed_share / _METAL_SHARE) / _METAL_SHARE
     return float(np.log((1.0 - _OUTLIERS) * metal + _OUTLIERS))
-
-
-def seen_through_share(glints: Glints) -> float:
-    """Share of the strength of glints that passed through a surface that faces away.
-
-    The probabilities of the glints that show such a surface exceed a sum of one. The near side of a
-    shell does not count, so an object inside is not seen through.
-    """
-    n = len(glints)
-    if n == 0:
-        return 0.0
-    lines = np.arange(0, n, -(-n // _N_LINES))
-    found = find_crossings(glints.positions, glints.normals, lines)
-    away = ~found.is_front & (found.depth_m > BEHIND_M)
-    shown = np.bincount(found.lines[away], glints.probability[found.surfaces[away]], n)
-    strengths = glints.strengths * glints.probability
-    return float(strengths[shown > 1.0].sum() / strengths[lines].sum())
-
-
-def seen_first(glints: Glints) -> tuple[Bools, Bools]:
-    """Glints with no other in front of them: certainly, and possibly, (n_glints,) each.
-
-    Only glints that are themselves first count as being in front. The first round starts from the
-    glints with nothing in front; what enough of them cover is behind; and so on. Front faces are
-    evaluated first, then back faces among the remainder. Glints that cover each other are possible.
-    """
-    found = find_crossings(glints.positions, glints.normals)
-    far = found.depth_m > BEHIND_M
-    behind, front, is_front = found.lines[far], found.surfaces[far], found.is_front[far]
-    nothing = np.zeros(len(glints), dtype=bool)
-    weight = np.where(is_front, _N_BACKS, 0)  # whole numbers: a front face counts as two back faces
-    covered = ~_uncovered(behind, front, weight, nothing)[1]
-    return _uncovered(behind, front, np.where(is_front, _N_BACKS, _N_FRONTS), covered)
-
-
-def _uncovered(behind: Ints, front: Ints, weight: Ints, known: Bools) -> tuple[Bools, Bools]:
-    """Glints that are first, certainly and possibly; `known` ones are behind.
-
-    behind, front, weight: of each crossing.
-    """
-    n, enough = len(known), _N_FRONTS * _N_BACKS
-    covered, first = known, ~known
-    for _ in range(_MAX_ROUNDS):
-        first = ~known & (np.bincount(behind, weight * ~covered[front], n) < enough)
-        more = known | (np.bincount(behind, weight * first[front], n) >= enough)
-        if (more == covered).all():
-            break
-        covered = more
-    return first, ~covered

@@ -25,7 +25,7 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-GLINTS_VERSION = 26
+GLINTS_VERSION = 27
 """Increase when the same capture and settings give other glints."""
 
 _MIN_GLINTS, _MIN_OF_FEW = 100, 0.15

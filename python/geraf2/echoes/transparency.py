@@ -1,27 +1,21 @@
-"""Glints of a dielectric body without those of its back faces, and its permittivity.
+"""Glints of a dielectric body on its faces, and its permittivity.
 
 Glints of metal remain unchanged.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.back_faces import BEHIND_M, odds_of_metal, seen_first, seen_through_share
-from geraf2.echoes.chords import place_fronts
+from geraf2._types import Bools, Floats
+from geraf2.echoes.faces import AHEAD_M, Scan, find_faces
 from geraf2.echoes.glint_set import Glints
-from geraf2.errors import UserError
 from geraf2.io.text import interval_text
 from geraf2.ops.visibility import MeshScene
 
-_ROUNDS = 2
-"""Fits of a surface that covers the glints behind it."""
-_AHEAD_M = 0.4
-"""Start of a line of sight in front of its glint, outside of any content [m]."""
 _MIN_COSINE = 0.95
 """Least cosine of a line of sight with the normals of both faces."""
 _MIN_THICKNESS_M = 0.012
@@ -45,7 +39,7 @@ _RATIO_SIGMA = 0.03
 class SeenThrough:
     """Properties of a dielectric body from its glints."""
 
-    n_dropped: int
+    n_behind: int
     """Number of glints of back faces and of other returns from behind the front."""
     strength_share: float
     """Their share of the strength of all glints."""
@@ -59,15 +53,15 @@ class SeenThrough:
     """Thickness of the body at such pairs, 10 % and 90 % quantile [m]."""
 
     @classmethod
-    def of(cls, glints: Glints, dropped: Bools) -> "SeenThrough":
-        """Body without permittivity. dropped: (n_glints,)."""
-        share = glints.strengths[dropped].sum() / glints.strengths.sum()
-        return cls(n_dropped=int(dropped.sum()), strength_share=float(share))
+    def of(cls, glints: Glints, behind: Bools) -> "SeenThrough":
+        """Body without permittivity. behind: (n_glints,)."""
+        share = glints.strengths[behind].sum() / glints.strengths.sum()
+        return cls(n_behind=int(behind.sum()), strength_share=float(share))
 
     def numbers(self) -> dict[str, Any]:
         """Entry of run.json."""
         found: dict[str, Any] = {
-            "n_back_faces": self.n_dropped,
+            "n_back_faces": self.n_behind,
             "back_face_share": round(self.strength_share, 3),
         }
         if self.permittivity is None or self.permittivity_sigma is None:
@@ -86,8 +80,8 @@ def describe(numbers: Mapping[str, Any]) -> str:
     if "n_back_faces" not in numbers:
         return ""
     text = (
-        f"the content is a dielectric: {numbers['n_back_faces']} glints seen through it, "
-        f"{100.0 * numbers['back_face_share']:.0f} % of the strength, were left out"
+        f"the content is a dielectric: {numbers['n_back_faces']} glints, "
+        f"{100.0 * numbers['back_face_share']:.0f} % of the strength, are echoes of back faces"
     )
     if "permittivity" not in numbers:
         return f"{text}; its permittivity is unknown"
@@ -100,54 +94,26 @@ def describe(numbers: Mapping[str, Any]) -> str:
 
 
 def first_surfaces(
-    glints: Glints,
-    surface_through: Callable[[Glints], tuple[Floats, Ints]],
-    *,
-    num_threads: int | None = None,
+    scan: Scan, *, num_threads: int | None = None
 ) -> tuple[Glints, Bools, SeenThrough | None]:
-    """Glints of first surfaces, mask of those seen through, (n_glints,), and the body.
+    """Glints on the faces of the content, mask of those seen through it, (n_glints,), and the body.
 
     Of metal these are all, none, and None.
 
-    The share of the strength from behind surfaces that face away shows whether the content is a
-    dielectric. If so, and if opposite planes show the fronts of back faces, all glints are moved
-    there. Else glints behind others on their own line of sight are dropped. Then, twice, a surface
-    is fitted through the remainder, and glints behind it are dropped: it closes front faces without
-    glints.
+    Where faces of plastic explain the glints better than fronts of metal do, each glint is put on
+    the face that it is most likely an echo of.
 
-    surface_through: vertices [m] and faces of a closed surface through glints, which blocks lines
-        of sight; raises UserError where they enclose nothing.
     num_threads: all when None.
     """
+    glints, faces = scan.glints, find_faces(scan)
     nothing = np.zeros(len(glints), dtype=bool)
-    if odds_of_metal(seen_through_share(glints)) > 0.0:
+    if faces is None:
         return glints, nothing, None
-    placed = place_fronts(glints)
-    if placed is not None:
-        moved, known = placed
-        return moved.select(known), ~nothing, SeenThrough.of(glints, ~known)
-    keep, possibly = seen_first(glints)
-    scene: MeshScene | None = None
-    for _ in range(_ROUNDS):
-        if not keep.any():
-            return glints, nothing, None
-        try:
-            vertices, faces = surface_through(glints.select(keep))
-        except UserError:  # too few glints to enclose a volume
-            return glints, nothing, None
-        scene = MeshScene(vertices, faces, num_threads=num_threads)
-        keep = possibly & (_behind(glints, scene) < BEHIND_M)
-    if not keep.any():
-        return glints, nothing, None
-    assert scene is not None
-    kept, seen = glints.select(keep), SeenThrough.of(glints, ~keep)
-    return kept, ~keep, _material(seen, face_pairs(glints.select(~keep), kept, scene))
-
-
-def _behind(glints: Glints, scene: MeshScene) -> Floats:
-    """Depth of each glint behind the first surface on its line of sight, (n,) [m]; or -inf."""
-    start = glints.positions + _AHEAD_M * glints.normals
-    return np.asarray(_AHEAD_M - scene.closest_hit(start, -glints.normals)[0])
+    behind = ~nothing
+    behind[faces.sources[~faces.is_back]] = False
+    scene = MeshScene(*scan.surface_through(faces.glints), num_threads=num_threads)
+    pairs = face_pairs(glints.select(behind), faces.glints.select(~faces.is_back), scene)
+    return faces.glints, behind, _material(SeenThrough.of(glints, behind), pairs)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,13 +135,13 @@ def face_pairs(back: Glints, front: Glints, scene: MeshScene) -> FacePairs:
     front: glints of first surfaces.
     scene: closed surface through these.
     """
-    start, directions = back.positions + _AHEAD_M * back.normals, -back.normals
+    start, directions = back.positions + AHEAD_M * back.normals, -back.normals
     inside = scene.entry_exit(start, directions)
-    if inside.t_entry.shape[1] == 0:
+    if inside.t_entry.shape[1] == 0 or not len(front):
         return FacePairs(entries=start[:0], thickness_m=np.zeros(0), optical_m=np.zeros(0))
     entry, leave = inside.t_entry[:, 0], inside.t_exit[:, 0]
-    good = np.isfinite(leave) & (leave < _AHEAD_M)
-    good &= (inside.t_entry[:, 1:] > _AHEAD_M).all(axis=1)
+    good = np.isfinite(leave) & (leave < AHEAD_M)
+    good &= (inside.t_entry[:, 1:] > AHEAD_M).all(axis=1)
     entry, leave = np.where(good, entry, 0.0), np.where(good, leave, 0.0)
     good &= leave - entry > _MIN_THICKNESS_M
     tree = KDTree(front.positions)
@@ -184,7 +150,7 @@ def face_pairs(back: Glints, front: Glints, scene: MeshScene) -> FacePairs:
         facing = sign * np.einsum("ij,ij->i", front.normals[nearest], back.normals)
         good &= (distance < _NEAR_M) & (facing > _MIN_COSINE)
     entries = start + entry[:, None] * directions
-    thickness, optical = leave - entry, _AHEAD_M - entry
+    thickness, optical = leave - entry, AHEAD_M - entry
     return FacePairs(entries=entries[good], thickness_m=thickness[good], optical_m=optical[good])
 
 

@@ -2,9 +2,12 @@
 
 from typing import Any
 
+import numpy as np
+
 from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
 from geraf2.echoes.detectability import Detector
+from geraf2.echoes.faces import Scan
 from geraf2.echoes.glints import find_echoes
 from geraf2.echoes.labels import Clutter, Label
 from geraf2.echoes.ruled_out import region_numbers, rule_out
@@ -87,7 +90,10 @@ def find_glints(job: Job) -> Glints:
             peaks=job.peaks.of(capture, progress=step.progress),
             num_threads=threads,
         )
-        first, behind, body = first_surfaces(glints, surface_through, num_threads=threads)
+        scan = Scan(
+            glints, surface_through, capture.waveform.range_cell_m, float(np.prod(job.prior.size_m))
+        )
+        first, behind, body = first_surfaces(scan, num_threads=threads)
         labelled = labelled.relabelled(index[behind], Label.SEEN_THROUGH)
         if behind.any():  # seen through a dielectric
             glints.select(behind).save(folder / BACK_NAME)
