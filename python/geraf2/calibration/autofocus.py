@@ -81,25 +81,14 @@ def trajectory_basis(n_antennas: int, n_coefficients: int, n_at_once: int = 1) -
 
     n_at_once: successive antennas with the same value.
     """
+    from scipy.interpolate import BSpline  # noqa: PLC0415 - takes 0.1 s to import
+
     if n_antennas == 0:
         return np.zeros((0, n_coefficients))
     inner = np.linspace(0.0, 1.0, n_coefficients - _DEGREE + 1)
     knots = np.concatenate([np.zeros(_DEGREE), inner, np.ones(_DEGREE)])
     position = (np.arange(n_antennas) // n_at_once + 0.5) * n_at_once / n_antennas
-    # De Boor's recurrence [de Boor, A Practical Guide to Splines, ch. X]: scipy.interpolate, which
-    # has it too, takes 0.2 s to import.
-    last = np.searchsorted(knots[:n_coefficients], position, side="right") - 1
-    values = np.eye(1, _DEGREE + 1).repeat(n_antennas, axis=0)
-    for degree in range(1, _DEGREE + 1):
-        lower, values[:, 0] = values[:, :degree].copy(), 0.0
-        for k in range(1, degree + 1):
-            low, high = knots[last + k - degree], knots[last + k]
-            share = lower[:, k - 1] / (high - low)
-            values[:, k - 1] += share * (high - position)
-            values[:, k] = share * (position - low)
-    basis = np.zeros((n_antennas, n_coefficients))
-    np.put_along_axis(basis, last[:, None] + np.arange(-_DEGREE, 1), values, axis=1)
-    return basis
+    return np.asarray(BSpline.design_matrix(position, knots, _DEGREE).toarray())
 
 
 def focus_antennas(

@@ -23,28 +23,24 @@ so: half the bytes, which is most of the time of an import. They are read as com
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from math import prod
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from geraf2._memory import require_memory
-from geraf2._types import Array
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
 from geraf2.io.manifest import SCENE_VERSION, SceneManifest
-from geraf2.io.objects import exists, is_file, is_remote
+from geraf2.io.objects import exists, is_file, is_remote, zarr_store
 from geraf2.io.outputs import require_consent, require_folder
 from geraf2.io.pose_digest import ANTENNA_ARRAYS
 from geraf2.io.regular import RECORD_BYTES, require_no_links, require_regular
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of
 from geraf2.io.toml import from_table, read_table
-from geraf2.io.zarr_files import METADATA_NAME, ZarrArray, read_array, read_group
+from geraf2.io.zarr_files import METADATA_NAME
 from geraf2.records import Pose, RawPose, Samples
-
-_T = TypeVar("_T")
 
 MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
@@ -149,10 +145,10 @@ class SceneReader:
     def __init__(self, path: Path) -> None:
         self.path = Path(path)
         self.manifest = read_scene_manifest(self.path)
-        self._attributes = self._open_group()
+        self._group = self._open_group()
         self._arrays = {name: self._open_array(name) for name in ARRAY_TYPES}
-        self.n_antennas = self._read("antenna_count")
-        self.angles_deg = self._read("angle")
+        self.n_antennas = np.asarray(self._read("antenna_count", slice(None)), dtype=np.int64)
+        self.angles_deg = np.asarray(self._read("angle", slice(None)), dtype=np.float64)
         self._names = self._pose_names()
         self._check_shapes()
         self._checksums = self._read_checksums()
@@ -179,9 +175,10 @@ class SceneReader:
             raise IndexError(msg)
         keep = int(self.n_antennas[index])
         angle = float(self.angles_deg[index])
-        own = (index, index + 1)
-        stored = {name: self._read(name, own, (0, keep))[0] for name in ANTENNA_ARRAYS}
-        stored["axes"] = self._read("axes", own)[0]
+        stored = {
+            name: np.asarray(self._read(name, (index, slice(keep)))) for name in ANTENNA_ARRAYS
+        }
+        stored["axes"] = np.asarray(self._read("axes", index))
         counted = {"antenna_count": self.n_antennas[index], "angle": self.angles_deg[index]}
         for name, value in {**counted, **stored}.items():
             sums = self._checksums.get(name)
@@ -198,34 +195,53 @@ class SceneReader:
             angle_deg=None if np.isnan(angle) else angle,
         )
 
-    def _open_group(self) -> dict[str, Any]:
-        """Attributes of the group."""
+    def _open_group(self) -> Any:
+        import zarr  # noqa: PLC0415 - keeps `import geraf2` and `geraf2 --help` fast
+
         store = self.path / RADAR_NAME
         if not exists(store):
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         refuse_other_kind(store / METADATA_NAME)
-        return _attempt(store, lambda: read_group(store))
+        try:
+            where, group = zarr_store(store)
+            return zarr.open_group(where, path=group, mode="r", zarr_format=3)
+        except MemoryError:
+            raise
+        except Exception as error:  # zarr raises anything where metadata are wrong
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=store) from None
 
-    def _open_array(self, name: str) -> ZarrArray:
-        group = self.path / RADAR_NAME
-        where = group / name
+    def _open_array(self, name: str) -> Any:
+        where = self.path / RADAR_NAME / name
         refuse_other_kind(where / METADATA_NAME)
         try:
-            array = _attempt(where, lambda: read_array(group, name, ARRAY_TYPES[name]))
-        except FileNotFoundError:
+            array = self._group[name]
+            dtype, chunk_bytes = array.dtype.name, array.dtype.itemsize * np.prod(array.chunks)
+            codecs = [type(codec).__name__ for codec in array.metadata.codecs]
+        except KeyError:
             raise UserError(what="array is missing", where=where) from None
-        if not is_remote(where):  # chunks are read whole
+        except MemoryError:
+            raise
+        except Exception as error:  # as above
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
+        if dtype not in ARRAY_TYPES[name]:
+            expected = " or ".join(ARRAY_TYPES[name])
+            raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
+        if not is_remote(where):  # zarr reads chunks whole
             for file in require_no_links(where):
                 with suppress(FileNotFoundError):  # renamed meanwhile, by the writer of the scene
-                    require_regular(file, max(RECORD_BYTES, array.chunk_bytes))
-        n_bytes = float(array.chunk_bytes)
+                    require_regular(file, max(RECORD_BYTES, int(chunk_bytes)))
+        if codecs != ["BytesCodec"]:
+            # Others unpack to any size, and no scene has them.
+            what, expected = "is compressed or filtered", "plain numbers (codec bytes)"
+            raise UserError(what, where=where, expected=expected, got=", ".join(codecs))
+        n_bytes = float(chunk_bytes)
         if name not in ANTENNA_ARRAYS:  # read whole
-            n_bytes = max(n_bytes, float(np.dtype(array.dtype).itemsize * prod(array.shape)))
+            n_bytes = max(n_bytes, array.dtype.itemsize * np.prod(array.shape, dtype=float))
         require_memory(2.0 * n_bytes, "it is too large", where=where)
         return array
 
     def _pose_names(self) -> list[str]:
-        names = self._attributes.get("pose_names", [])
+        names = self._group.attrs.get("pose_names", [])
         if not isinstance(names, list):
             where = self.path / RADAR_NAME
             raise UserError(what="pose_names is no list", where=where, got=repr(names)[:40])
@@ -233,7 +249,7 @@ class SceneReader:
 
     def _read_checksums(self) -> dict[str, list[Any]]:
         """Checksums of each pose by array; empty in a scene of an earlier version."""
-        sums = self._attributes.get(CHECKSUMS, {})
+        sums = self._group.attrs.get(CHECKSUMS, {})
         good = isinstance(sums, dict) and all(
             name in ARRAY_TYPES and isinstance(one, list) and len(one) == self.n_poses
             for name, one in sums.items()
@@ -244,10 +260,14 @@ class SceneReader:
             )
         return dict(sums)
 
-    def _read(self, name: str, *ranges: tuple[int, int]) -> Array:
-        """Part of an array; arguments as those of `ZarrArray.read`."""
-        group = self.path / RADAR_NAME
-        return _attempt(group / name, lambda: self._arrays[name].read(group, *ranges))
+    def _read(self, name: str, selection: Any) -> Any:
+        where = self.path / RADAR_NAME / name
+        try:
+            return self._arrays[name][selection]
+        except MemoryError:
+            raise
+        except Exception as error:  # zarr and its codecs raise anything where bytes are wrong
+            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
 
     def _check_shapes(self) -> None:
         where = self.path / RADAR_NAME
@@ -256,7 +276,7 @@ class SceneReader:
             expected = f"at most {MAX_PLANES} planes"
             raise UserError(what="too many planes", where=where, expected=expected, got=n_poses)
         shape = self._shape("signal")
-        of_integers = np.dtype(self._arrays["signal"].dtype).kind == "i"
+        of_integers = self._arrays["signal"].dtype.kind == "i"
         if shape[3:] != ((2,) if of_integers else ()) or len(shape) < 3:
             raise UserError(
                 what="signal has the wrong shape",
@@ -297,7 +317,7 @@ class SceneReader:
             raise UserError(what="antenna_count lies outside the arrays", where=where)
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        return self._arrays[name].shape
+        return tuple(int(n) for n in self._arrays[name].shape)
 
 
 def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
@@ -308,16 +328,6 @@ def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
         if missing.any():
             signal[missing] = COMPLEX_NAN
     return signal
-
-
-def _attempt(where: Path, read: Callable[[], _T]) -> _T:
-    """Do what reads a file; UserError where its content is wrong."""
-    try:
-        return read()
-    except (MemoryError, UserError, FileNotFoundError):
-        raise
-    except Exception as error:  # of any type, where metadata are wrong
-        raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
 
 
 def _one_line(error: BaseException) -> str:

@@ -138,6 +138,16 @@ def local_folder(path: Path) -> Iterator[Path]:
         push(folder, path)
 
 
+def zarr_store(path: Path) -> tuple[Any, str]:
+    """Store from which zarr reads a group, and the group's path in it."""
+    if not is_remote(path):
+        return str(path), ""
+    from zarr.storage import ObjectStore  # noqa: PLC0415 - as in geraf2.io.container
+
+    store, key = _address(path)
+    return ObjectStore(store, read_only=True), key
+
+
 def _address(path: Path) -> tuple[Any, str]:
     """Store of a bucket, and the key of a path in it."""
     match = _ADDRESS.fullmatch(str(path))

@@ -1,22 +1,33 @@
-"""Reader of STL, GLB and glTF by trimesh, from bytes: it opens no file but a glTF's own buffers.
+"""STL, GLB and glTF by trimesh, from bytes to bytes: it opens no file but a glTF's own buffers.
 
 ValueError states what is wrong with the bytes.
 """
 
 import re
 import struct
+from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from geraf2 import __version__
+from geraf2._types import Array, Bytes, Floats, Ints
 from geraf2.errors import UserError
+from geraf2.geometry.triangles import vertex_normals
+from geraf2.io.mesh_colours import to_linear
 from geraf2.io.mesh_formats import RawMesh
 from geraf2.io.mesh_limits import require_gltf_content
-from geraf2.io.mesh_writers import FRAME_FROM_GLTF
 from geraf2.io.regular import BINARY_BYTES, read_regular
 
+FRAME_FROM_GLTF = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], float)
+"""Axes of the file in the frame, as columns: glTF is +Y up by its standard, frames are +Z up."""
 _STL_HEAD, _STL_FACET = 84, 50
+_MATERIAL = {
+    "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8},
+    "doubleSided": True,
+}
 
 
 class _Beside:
@@ -93,3 +104,56 @@ def _load(data: bytes, kind: str, resolver: _Beside | None = None) -> RawMesh:
     )
     vertices = np.array(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     return RawMesh(vertices=vertices, faces=np.array(loaded.faces, dtype=np.int64).reshape(-1, 3))
+
+
+def stl_bytes(vertices: Floats, faces: Ints) -> bytes:
+    """Binary STL of a mesh; vertices (n_vertices, 3) [m], faces (n_faces, 3)."""
+    import trimesh  # noqa: PLC0415 - as in _load
+
+    return bytes(trimesh.Trimesh(vertices, faces, process=False).export(file_type="stl"))
+
+
+def glb_bytes(
+    vertices: Floats,
+    faces: Ints,
+    srgb: Bytes,
+    columns: Mapping[str, Array],
+    made_from: Mapping[str, str],
+) -> bytes:
+    """GLB of a mesh.
+
+    vertices, faces: (n_vertices, 3) [m] in the frame, (n_faces, 3).
+    srgb: colour of each vertex, (n_vertices, 3).
+    columns: more numbers of the vertices, each (n_vertices,), by name.
+    made_from: what the mesh was made from, kept as metadata.
+    """
+    import trimesh  # noqa: PLC0415 - as in _load
+
+    # glTF vertex colours are linear light, the palette is sRGB (gamma close to 2.2).
+    colours = np.full((len(vertices), 4), 255, dtype=np.uint8)
+    colours[:, :3] = np.rint(255.0 * to_linear(srgb / 255.0))
+    normals = vertex_normals(vertices, faces)
+    # glTF asks for unit normals everywhere; a vertex without area gets an arbitrary one.
+    normals[~np.any(normals, axis=1)] = (0.0, 0.0, 1.0)
+    mesh = trimesh.Trimesh(
+        vertices,
+        faces,
+        process=False,
+        vertex_normals=normals if len(normals) else None,
+        vertex_colors=colours,
+        # glTF takes no wider integers here, and bytes would have to be padded.
+        vertex_attributes={f"_{name.upper()}": of.astype("<f4") for name, of in columns.items()},
+    )
+
+    def describe(tree: dict[str, Any]) -> None:
+        tree["asset"]["generator"] = f"geraf2 {__version__}"
+        if made_from:
+            tree["asset"]["extras"] = {"made_from": dict(made_from)}
+        tree["materials"] = [_MATERIAL]
+        for one in tree.get("meshes", ()):
+            one["primitives"][0]["material"] = 0
+
+    scene = trimesh.Scene()
+    scene.add_geometry(mesh, "surface", "surface", transform=FRAME_FROM_GLTF.T)
+    data = scene.export(file_type="glb", include_normals=True, tree_postprocessor=describe)
+    return bytes(data)

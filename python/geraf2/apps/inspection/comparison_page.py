@@ -12,8 +12,8 @@ from geraf2.apps.inspection.scan_evidence import owners_of
 from geraf2.geometry.triangles import used_vertices
 from geraf2.io.atomic import write_bytes_atomic, write_json_atomic, write_text_atomic
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.mesh_writers import glb_bytes
 from geraf2.io.run_folder import COMPARISON_NAME
+from geraf2.io.trimesh_formats import glb_bytes
 from geraf2.report import html
 from geraf2.report.canvas import GLINT_COLOUR, RED, SKY, TRUTH_COLOUR
 from geraf2.report.view3d import (

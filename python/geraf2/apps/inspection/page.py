@@ -9,7 +9,7 @@ from geraf2.apps.inspection.result import Inspection, rotation_vector_deg
 from geraf2.echoes.ruled_out import ruled_out_rows
 from geraf2.geometry.transforms import triple
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.mesh_writers import glb_bytes
+from geraf2.io.trimesh_formats import glb_bytes
 from geraf2.report import html
 from geraf2.report.canvas import SKY, TRUTH_COLOUR
 from geraf2.report.html import picture_source
