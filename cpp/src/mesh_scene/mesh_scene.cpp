@@ -301,8 +301,10 @@ struct NearestFace {
 double MeshScene::Impl::distance(const Vec& point, unsigned& face) const {
     NearestFace nearest{this, point};
     if (face != no_face) {
-        nearest.distance = distance_to_face(point, face);
-        nearest.face = face;
+        const double known = distance_to_face(point, face);
+        if (known < nearest.distance) { // not where a face without area has no distance
+            nearest = {this, point, known, face};
+        }
     }
     RTCPointQuery query{};
     query.x = static_cast<float>(point.x);
@@ -317,7 +319,7 @@ double MeshScene::Impl::distance(const Vec& point, unsigned& face) const {
             auto* best = static_cast<NearestFace*>(args->userPtr);
             const auto* self = static_cast<const Impl*>(best->impl);
             const double d = self->distance_to_face(best->point, args->primID);
-            if (d >= best->distance) {
+            if (!(d < best->distance)) {
                 return false;
             }
             best->distance = d;
