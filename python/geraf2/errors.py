@@ -97,3 +97,11 @@ def attempt(function: Callable[[], _T]) -> tuple[_T | None, UserError | None]:
         return function(), None
     except UserError as error:
         return None, error
+
+
+def lacks_memory(error: BaseException) -> bool:
+    """Whether memory ran out, also as torch states it, and NumPy without an error of its own."""
+    return isinstance(error, MemoryError) or (
+        isinstance(error, RuntimeError | SystemError)
+        and any(text in str(error) for text in ("can't allocate memory", "without exception set"))
+    )

@@ -26,7 +26,7 @@ from geraf2.cli._commands import (
     take_values,
     thread_count,
 )
-from geraf2.errors import UserError, printable, shortened, speaking_of_flags
+from geraf2.errors import UserError, lacks_memory, printable, shortened, speaking_of_flags
 
 EXIT_OK = 0
 EXIT_BUG = 1
@@ -171,7 +171,7 @@ def describe_error(
     if isinstance(error, KeyboardInterrupt):
         number = error.args[0] if error.args else signal.SIGINT
         return f"interrupted{after_stop}", EXIT_SIGNAL + int(number)
-    if _lacks_memory(error):
+    if lacks_memory(error):
         detail = f" ({_one_line(error)})" if str(error) else ""
         return (
             f"error: not enough memory{detail}; 'geraf2 info' estimates what a run takes",
@@ -185,14 +185,6 @@ def describe_error(
     return (
         f"internal error: {type(error).__name__}: {_one_line(error)}; --debug shows where",
         EXIT_BUG,
-    )
-
-
-def _lacks_memory(error: BaseException) -> bool:
-    """Also as torch states it, and NumPy, whose sums then fail without an error of their own."""
-    return isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError | SystemError)
-        and any(text in str(error) for text in ("can't allocate memory", "without exception set"))
     )
 
 

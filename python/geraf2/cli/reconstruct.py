@@ -11,7 +11,7 @@ from geraf2.cli._console import CONSOLE, keep, threads, warn
 from geraf2.cli._fields import Positional, part_of, values_of
 from geraf2.cli._flags import help_text, value_of
 from geraf2.cli._outcome import print_found, print_next, print_verdict
-from geraf2.errors import UserError
+from geraf2.errors import UserError, lacks_memory
 from geraf2.io.objects import is_remote
 from geraf2.pipeline.box_check import BOX_STAGE
 from geraf2.pipeline.commands.reconstruct import reconstruct
@@ -99,7 +99,12 @@ def main(config: Config) -> int:
             num_threads=threads(),
             listener=CONSOLE,
         )
-    _print_outcome(result)
+    try:
+        _print_outcome(result)
+    except Exception as error:
+        if not lacks_memory(error):
+            raise
+        warn(f"{result.path} is whole, but memory ran out before it was described")
     page = result.report if config.open else None
     if page is not None and not webbrowser.open(page.resolve().as_uri()):
         warn(f"no browser opened; the report is {page}")

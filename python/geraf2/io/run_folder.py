@@ -288,12 +288,13 @@ class RunFolder:
             with self.lock():
                 if file_digest(self.path / RUN_NAME) != before:
                     raise self._overtaken()
+                known = file_digest(new.path / RUN_NAME)
                 if in_place:
                     new._move_into(place)
                 else:
                     take_place(folder, place)
         self.__dict__ |= {name: getattr(new, name) for name in _RECORDED}
-        self._known = file_digest(self.path / RUN_NAME)
+        self._known = known
 
     def _overtaken(self) -> BusyFolderError:
         return BusyFolderError("another result was written here meanwhile", where=self.path)
