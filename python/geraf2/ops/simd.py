@@ -28,7 +28,8 @@ def simd_level() -> str:
 def kernel_paths() -> dict[str, str]:
     """Name the path that each kernel takes here; raises as `simd_level` does."""
     level = simd_level()
-    others = {"mesh_scene": "chosen by Embree", "lensless": "one for all processors"}
+    others = {"mesh_scene": "chosen by Embree"}
+    others |= dict.fromkeys(("lensless", "pair_density"), "one for all processors")
     return {**dict.fromkeys(VECTOR_KERNELS, level), **others}
 
 
