@@ -30,9 +30,6 @@ _STARTS_M = (0.0, 0.008, 0.016, 0.028, 0.05, 0.09)
 _UNEXPLAINED = 0.15
 """Share of the echoes that no front explains from which on plastic is tried. Metal leaves 0.04 to
 0.15 in 27 of 30 scans."""
-_MIN_GAIN = 0.15
-"""Least gain of the mean log density by plastic: that of metal is at most 0.11, that of plastic at
-least 0.2, but where fronts alone are seen."""
 _ROUNDS = 6
 """Rounds of each start."""
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
@@ -114,7 +111,7 @@ def find_faces(scan: Scan) -> Faces | None:
     if fronts is None or best is None:
         return best
     fronts = _improve(scan, fronts, _METAL, range(_ROUNDS // 2, _ROUNDS)) or fronts
-    return best if best.log_likelihood > fronts.log_likelihood + _MIN_GAIN else None
+    return best if best.log_likelihood > fronts.log_likelihood else None
 
 
 def _start(glints: Glints, shares: Floats) -> Faces:
