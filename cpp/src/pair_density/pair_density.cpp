@@ -52,11 +52,11 @@ public:
     }
 
 private:
-    static constexpr index_t n_bits = 20;
+    static constexpr index_t n_a_side = 1'000'000;
 
     /// Farther cells are one with the last one, which costs time and changes nothing.
-    Cell cell_of(const Triple& position) const noexcept {
-        constexpr double most = (1 << (n_bits - 1)) - 2;
+    [[nodiscard]] Cell cell_of(const Triple& position) const noexcept {
+        constexpr double most = 0.5 * static_cast<double>(n_a_side) - 2.0;
         Cell cell{};
         for (std::size_t axis = 0; axis < 3; ++axis) {
             const double number = std::floor(position[axis] / side_);
@@ -66,7 +66,7 @@ private:
     }
 
     static index_t key(const Cell& cell) noexcept {
-        return (((cell[0] << n_bits) + cell[1]) << n_bits) + cell[2];
+        return (cell[0] * n_a_side + cell[1]) * n_a_side + cell[2];
     }
 
     double side_;
