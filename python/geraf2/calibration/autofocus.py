@@ -7,10 +7,10 @@ effect. Each echo has a free shift, slope and curvature of its phase, because a 
 position, orientation and curvature (docs/math/calibration.md#positions).
 """
 
-from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
+from itertools import groupby
 from typing import Annotated
 
 import numpy as np
@@ -92,42 +92,39 @@ def trajectory_basis(n_antennas: int, n_coefficients: int, n_at_once: int = 1) -
 
 
 def focus_antennas(
-    capture: Capture, echoes: list[EchoPhases], config: AutofocusConfig | None = None
+    capture: Capture, echoes: Iterable[EchoPhases], config: AutofocusConfig | None = None
 ) -> AntennaDrift:
     """Displacements at which the phases of echoes agree best.
 
     There are three estimates: from each half of the echoes, tested by the other half, and from all.
     Echoes of one plane err together: they share antennas, and what a thin body does to the phases.
 
-    echoes: strong echoes of the capture, with the phases of channels removed.
+    echoes: strong echoes of the capture, with the phases of channels removed; those of a plane
+        one after the other.
     config: model of the displacements.
     """
     config = config or AutofocusConfig()
-    n = config.n_coefficients
-    bases = [trajectory_basis(pose.n_antennas, n, config.n_at_once) for pose in capture.poses]
-    of_pose: dict[int, list[EchoPhases]] = defaultdict(list)
-    for echo in echoes:
-        of_pose[echo.pose].append(echo)
-    first = {pose: np.arange(len(own)) % 2 == 0 for pose, own in of_pose.items()}
-    every = {pose: _Phases.of(own, bases[pose], capture.waveform) for pose, own in of_pose.items()}
-    halves = [
-        {pose: linear.select(first[pose] == half) for pose, linear in every.items()}
-        for half in (True, False)
-    ]
+    n, n_poses = config.n_coefficients, len(capture.poses)
+    coefficients = np.zeros((n_poses, n))
+    variances = np.full((n_poses, n), config.sigma_m**2)
     judged = [np.zeros((3, 0))]
-    for own, others in (halves, halves[::-1]):
-        trial, _ = _estimate(len(bases), own, config)
-        # The free shift, slope and curvature of each echo are removed in both cases.
-        for pose, linear in others.items():
-            both = (linear.coherence(values) for values in (np.zeros(n), trial[pose]))
-            judged.append(np.stack([np.full(len(linear.root), pose), *both]))
-    coefficients, sigma = _estimate(len(bases), every, config)
+    # One plane at a time: its phases take some megabytes.
+    for pose, group in groupby(echoes, key=lambda echo: echo.pose):
+        basis = trajectory_basis(capture.poses[pose].n_antennas, n, config.n_at_once)
+        every = _Phases.of(list(group), basis, capture.waveform)
+        is_first = np.arange(len(every.root)) % 2 == 0
+        for half in (is_first, ~is_first):
+            trial, _ = _estimate(every.select(half), config)
+            # The free shift, slope and curvature of each echo are removed in both cases.
+            both = [every.select(~half).coherence(values) for values in (np.zeros(n), trial)]
+            judged.append(np.stack([np.full(len(both[0]), pose), *both]))
+        coefficients[pose], variances[pose] = _estimate(every, config)
     plane, before, after = np.concatenate(judged, axis=1)
     nats = coherence_nats(before, after)
     by_plane = np.bincount(np.unique(plane, return_inverse=True)[1], nats).astype(np.float64)
     return AntennaDrift(
         coefficients_m=coefficients,
-        sigma_m=sigma,
+        sigma_m=float(np.sqrt(variances.mean())),
         coherence_before=float(before.mean()) if len(before) else 0.0,
         coherence_after=float(after.mean()) if len(after) else 0.0,
         gain=max(Gain.of(nats), Gain.of(by_plane), key=lambda gain: gain.error),
@@ -147,24 +144,16 @@ def with_displacements(capture: Capture, coefficients_m: Floats, n_at_once: int 
     return replace(capture, poses=tuple(poses))
 
 
-def _estimate(
-    n_poses: int, echoes: Mapping[int, "_Phases"], config: AutofocusConfig
-) -> tuple[Floats, float]:
+def _estimate(echoes: "_Phases", config: AutofocusConfig) -> tuple[Floats, Floats]:
+    """Coefficients of a plane [m] and their variances [m^2], (n,) each."""
     n = config.n_coefficients
-    coefficients = np.zeros((n_poses, n))
-    variances = np.full((n_poses, n), config.sigma_m**2)
-    for number, problem in echoes.items():
-        if len(problem.root) == 0:
-            continue
-        solution = np.zeros(n)
-        for _ in range(_N_ROUNDS):
-            matrix, vector = problem.normal_equations(solution)
-            matrix += np.eye(n) / config.sigma_m**2
-            vector -= solution / config.sigma_m**2
-            solution = solution + np.linalg.solve(matrix, vector)
-        coefficients[number] = solution
-        variances[number] = np.diag(np.linalg.inv(matrix))
-    return coefficients, float(np.sqrt(variances.mean()))
+    solution, matrix = np.zeros(n), np.eye(n) / config.sigma_m**2
+    for _ in range(_N_ROUNDS if len(echoes.root) else 0):
+        matrix, vector = echoes.normal_equations(solution)
+        matrix += np.eye(n) / config.sigma_m**2
+        vector -= solution / config.sigma_m**2
+        solution = solution + np.linalg.solve(matrix, vector)
+    return solution, np.diag(np.linalg.inv(matrix))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ content: results stay in the frame of the recorded positions (docs/math/calibrat
 """
 
 from collections import ChainMap
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
@@ -182,7 +182,7 @@ class _Run:
                 problem = WallProblem(capture, self.prior, self.alignment, self.peaks)
                 delay_m = problem.result(problem.fit(GROUPS[:1])).delay_m
                 capture = Corrections(delay_m=delay_m).applied(capture)
-        echoes = _strong_echoes(capture, self.peaks, self.subset)
+        echoes = list(_strong_echoes(capture, self.peaks, self.subset))
         index = offset_channels(capture.poses) if self.config.n_channels is None else None
         n_turns = self.config.n_channels or (0 if index is not None else find_turns(echoes))
         if n_turns is None:
@@ -287,8 +287,10 @@ def _planes_around(capture: Capture) -> list[int]:
     return [int(order[step]) for step in sorted(steps)]
 
 
-def _strong_echoes(capture: Capture, peaks: KeptPeaks, planes: Collection[int]) -> list[EchoPhases]:
-    """Echoes of some planes."""
+def _strong_echoes(
+    capture: Capture, peaks: KeptPeaks, planes: Collection[int]
+) -> Iterator[EchoPhases]:
+    """Echoes of some planes, one after the other."""
     found = peaks.of(capture, planes).thinned(_STEP_M)
     return collect_phases(capture, found, size_m=DRIFT_SIZE_M, n_echoes=_N_ECHOES)
 

@@ -1,5 +1,6 @@
 """Contribution of each antenna to the strong echoes of its sub-aperture."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,15 +45,14 @@ class EchoPhases:
 
 def collect_phases(
     capture: Capture, peaks: PeakSet, *, size_m: float, n_echoes: int
-) -> list[EchoPhases]:
-    """Strong echoes of the planes at each antenna.
+) -> Iterator[EchoPhases]:
+    """Strong echoes at each antenna, plane by plane.
 
     capture: the scan; its instrument delay must be right to a few centimetres.
     peaks: of some of its planes.
     size_m: side of the sub-apertures around the centres of those of the peaks [m].
     n_echoes: number of the strongest echoes of each plane.
     """
-    found = []
     for number in np.unique(peaks.planes):
         pose, own = capture.poses[number], peaks.of_plane(number)
         own = own.select(np.argsort(-own.magnitudes, kind="stable")[:n_echoes])
@@ -63,8 +63,7 @@ def collect_phases(
             members = np.flatnonzero(own.subapertures == subaperture)
             seen = antennas.phases(own.subaperture_centers[subaperture], points[members])
             parts |= zip(members[: len(seen)].tolist(), seen, strict=True)
-        found += [parts[rank] for rank in sorted(parts)]
-    return found
+        yield from (parts[rank] for rank in sorted(parts))
 
 
 def response_at(

@@ -50,7 +50,7 @@ def remove_vibration(
         one, own = replace(capture, poses=(pose,)), peaks.of_plane(number)
         own = replace(own, subaperture_planes=np.zeros_like(own.subaperture_planes))
         strong = own.select(_strongest_peaks(own, pose))
-        echoes = collect_phases(one, strong, size_m=DRIFT_SIZE_M, n_echoes=len(strong))
+        echoes = list(collect_phases(one, strong, size_m=DRIFT_SIZE_M, n_echoes=len(strong)))
         n = max(4, round(float(np.ptp(pose.phase_centers[:, 0])) / _KNOT_M))
         config = AutofocusConfig(n_coefficients=n, sigma_m=_SIGMA_M, n_at_once=n_at_once)
         drift = focus_antennas(one, echoes, config)
