@@ -13,6 +13,7 @@ from helpers.specular import (
     capture_of,
     raster,
     sphere_capture,
+    sphere_paths,
 )
 
 BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
@@ -147,3 +148,30 @@ def test_an_empty_box_reports_its_wall_echoes():
     stated = "no glint inside the box.*8 echoes of the box's walls and 0 outside it"
     with pytest.raises(UserError, match=stated):  # two walls in each of four poses
         find_glints(capture, BOX, NARROW)
+
+
+def path_via_wall(positions, image, radius_m):
+    """Point, ball at the origin, image of the point: shortest path over the ball, (n,) [m]."""
+    one, two = (p / np.linalg.norm(p, axis=1, keepdims=True) for p in (positions, image))
+    shares = np.linspace(0.0, 1.0, 201)[:, None, None]
+    points = (1.0 - shares) * one + shares * two  # in the plane of both legs
+    points *= radius_m / np.linalg.norm(points, axis=2, keepdims=True)
+    leg = np.linalg.norm(points - positions, axis=2) + np.linalg.norm(points - image, axis=2)
+    return leg.min(axis=0)
+
+
+def test_images_in_a_wall_are_no_glints():
+    # What goes over ball and wall seems to come from the wall, midway between ball and image; what
+    # goes over the wall twice from the image, outside.
+    wall_m, radius_m = -0.5 * BOX_M, 0.03
+
+    def paths(positions, _):
+        image = positions * [1.0, -1.0, 1.0] + [0.0, 2.0 * wall_m, 0.0]
+        own, twice = (sphere_paths(p, [[0.0, 0.0, 0.0]], [radius_m]) for p in (positions, image))
+        return np.column_stack([own, path_via_wall(positions, image, radius_m), twice])
+
+    # On a raster of 3 mm the image's direction, a cosine of 0.45, wraps around to one inside.
+    capture = capture_of(paths, n_poses=1, positions=raster(51, 0.002))
+    found = find_glints(capture, LosPrior.from_box((BOX_M,) * 3))
+    assert len(found) == 9  # one for each sub-aperture
+    assert np.abs(np.linalg.norm(found.positions, axis=1) - radius_m).max() < 2e-3

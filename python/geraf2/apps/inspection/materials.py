@@ -15,9 +15,9 @@ from scipy.special import expit
 
 from geraf2._types import Bools, Floats
 from geraf2.apps.inspection.bodies import Body
+from geraf2.apps.inspection.crossings import BEHIND_M, find_crossings, odds_of_metal
 from geraf2.apps.inspection.material import CERTAIN, Kind, Material, Measured
 from geraf2.echoes import Glints
-from geraf2.echoes.back_faces import BEHIND_M, find_crossings, odds_of_metal
 from geraf2.echoes.labels import Label
 from geraf2.echoes.reflectivity import (
     Windows,

@@ -43,19 +43,17 @@ class Crossings:
     """Whether the disc faces the antenna, (n,)."""
 
 
-def find_crossings(positions: Floats, normals: Floats, lines: Ints | None = None) -> Crossings:
+def find_crossings(positions: Floats, normals: Floats) -> Crossings:
     """Crossings of lines of sight, from glint to antenna, with the discs of other glints.
 
     positions: of glints or other returns, (n, 3) [m]. normals: (n, 3).
-    lines: glints whose lines of sight are followed, (n_lines,); all when None.
     """
-    chosen = np.arange(len(positions)) if lines is None else lines
     points = (positions - positions.mean(axis=0)).astype(np.float32)
     single = normals.astype(np.float32)
     square = np.einsum("ij,ij->i", points, points)
     parts = []
-    for start in range(0, len(chosen), _CHUNK):
-        some = chosen[start : start + _CHUNK]
+    for start in range(0, len(points), _CHUNK):
+        some = np.arange(start, min(start + _CHUNK, len(points)))
         p, n = points[some], single[some]
         along = n @ points.T - np.einsum("ij,ij->i", p, n)[:, None]
         beside2 = square[some, None] + square - 2.0 * (p @ points.T) - along * along
