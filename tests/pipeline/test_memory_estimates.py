@@ -3,7 +3,9 @@
 import re
 import subprocess
 import sys
+from contextlib import nullcontext
 
+import numpy as np
 import pytest
 
 import geraf2
@@ -13,6 +15,8 @@ from geraf2.pipeline.estimates import image_estimate, reconstruct_cost, require_
 from geraf2.pipeline.presets import BestPreset, FastPreset
 from geraf2.scene.summary import summarize_capture
 from geraf2.surfaces import FitConfig
+from geraf2.surfaces.fit import _domain
+from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.refinement import RefineConfig
 from helpers.synthetic import point_capture
 
@@ -52,3 +56,13 @@ def test_memory_depends_on_voxels_and_samples():
             require_reconstructable(summary, FastPreset(), (0.7, 0.05, 0.05), "scene")
         capped = FitConfig(spacing_m=0.001, max_voxels=10**6)
         require_reconstructable(summary, FastPreset(fit=capped), box, "scene")
+
+
+def test_a_fit_is_refused_where_its_own_grid_exceeds_the_limit():
+    """A box may be larger than its content, or the prior unknown before the run."""
+    corners = np.array([[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]])
+    config = FitConfig(spacing_m=0.002)
+    n_voxels = _domain(corners, config).n_voxels
+    for allowed, refused in ((1.1 * fit_bytes(n_voxels), False), (0.8 * fit_bytes(n_voxels), True)):
+        with memory_limit(allowed), pytest.raises(UserError) if refused else nullcontext():
+            _domain(corners, config)

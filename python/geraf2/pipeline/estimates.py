@@ -11,6 +11,7 @@ from geraf2._memory import require_memory
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.summary import CaptureSummary
 from geraf2.surfaces.config import SurfaceFitConfig
+from geraf2.surfaces.fit_memory import fit_bytes
 
 # CPU seconds of `geraf2 reconstruct` by preset: serial part (imports, pictures), parallel part
 # (fits, mesh), and parallel part per antenna sample.
@@ -18,9 +19,6 @@ _RECONSTRUCT_S = {"fast": (6.0, 0.0, 0.25e-6), "best": (8.0, 10.0, 0.55e-6)}
 # Python with its libraries and the pictures of a report, then bytes per antenna sample.
 _RECONSTRUCT_FIXED_BYTES = 320e6
 _RECONSTRUCT_BYTES_PER_SAMPLE = 32.0
-# Of a fit, and per voxel of its grid; within 5 % for 1 to 4.3 million voxels
-# (`bench/python/memory.py`).
-_FIT_FIXED_BYTES, _FIT_BYTES_PER_VOXEL = 200e6, 155.0
 # Time per voxel-antenna pair of the block kernel on one thread, for 64 samples and AVX2 [ns].
 _IMAGE_NS_PER_PAIR = 0.9
 _IMAGE_FIXED_BYTES = 190e6
@@ -80,8 +78,7 @@ def require_reconstructable(
     fits = [holder.fit for holder in holders if hasattr(holder, "fit")]
     # The grid is a cube around the content, about as large as the box with its margin.
     voxels = [min(fit.max_voxels, (max(size_m) / fit.spacing_m) ** 3) for fit in fits]
-    fit_bytes = _FIT_FIXED_BYTES + _FIT_BYTES_PER_VOXEL * max(voxels, default=0.0)
-    needed = max(reconstruct_estimate(summary).memory_bytes, fit_bytes)
+    needed = max(reconstruct_estimate(summary).memory_bytes, fit_bytes(max(voxels, default=0.0)))
     hint = "raise the fit's spacing-m, lower its max-voxels, or leave planes out"
     require_memory(needed, hint, where=where)
 

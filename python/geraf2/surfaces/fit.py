@@ -15,6 +15,7 @@ from geraf2._bounds import (
     NotNegative,
     Positive,
 )
+from geraf2._memory import require_memory
 from geraf2._types import Floats, Ints, Progress
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.wall_delay import DELAY_SIGMA_M
@@ -27,6 +28,7 @@ from geraf2.scene import Grid
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.completion import SPACING_M as COMPLETION_M
 from geraf2.surfaces.completion import complete
+from geraf2.surfaces.fit_memory import fit_bytes
 from geraf2.surfaces.isosurface import extract_surface
 from geraf2.surfaces.linear_sdf import LinearSdf, OrientedPoints, SdfTerms, resample
 from geraf2.surfaces.pieces import separate_pieces
@@ -244,6 +246,7 @@ def _domain(points: Floats, config: FitConfig) -> Grid:
     # The larger voxels of at most so many; an even number of cells has exact coarser grids.
     spacing = max(config.spacing_m, 2.0 * half / config.max_voxels ** (1.0 / 3.0))
     cells = 2 * max(4, int(np.ceil(half / spacing)))
+    require_memory(fit_bytes(cells**3), "raise the fit's spacing-m, or lower its max-voxels")
     return Grid.centered(center, spacing, (cells + 1,) * 3)
 
 
