@@ -211,3 +211,4 @@ def test_points_on_a_surface_that_lie_close_together_are_near_it(step):
     scene = MeshScene(vertices, faces, num_threads=1)
     assert np.abs(scene.signed_distance(points)).max() < 1e-8
     assert scene.distance(points).max() < 1e-8
+    assert scene.distance(points[:0]).shape == (0,)

@@ -6,7 +6,7 @@ echoes: both are estimated in turns, by expectation maximisation, from several s
 """
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
 from geraf2.echoes.glint_set import Glints, relative_strengths
+from geraf2.echoes.noise import ECHO_NOISE, normal_density
 from geraf2.errors import UserError
 from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.ops.visibility import MeshScene
@@ -35,8 +36,6 @@ _ROUNDS = 6
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
 """Standard deviation of an echo about its face [m]; over the path in the body, and in bodies that
 were crossed before."""
-_TURN_RAD = 0.25
-"""Standard deviation of the turn of a glint's normal against the surface's."""
 _MERGED, _MERGED_SIGMA = 0.67, 0.12
 """Place of the one echo of both faces of a thin body over the optical thickness, and its standard
 deviation: of nine random bodies."""
@@ -53,8 +52,6 @@ _WIDEST, _NARROWER = 2.5, 0.5
 """Standard deviations of the first round over those at last, and their change in each round."""
 _LIKELY = 0.15
 """Least probability of a face that is used."""
-
-
 _MIN_GLINTS = 10
 """Glints without which no surface is fitted."""
 
@@ -86,7 +83,8 @@ class _Lines(NamedTuple):
     area_m2: float
 
 
-class Scan(NamedTuple):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scan:
     """Glints whose faces are searched, and what the search needs of their scan."""
 
     glints: Glints
@@ -95,6 +93,8 @@ class Scan(NamedTuple):
     """Range cell [m]."""
     volume_m3: float
     """Volume of the box, in which clutter is uniform [m^3]."""
+    num_threads: int | None = None
+    """All when None."""
 
 
 def find_faces(scan: Scan) -> Faces | None:
@@ -126,7 +126,7 @@ def _improve(scan: Scan, faces: Faces, prior: Floats, rounds: range) -> Faces | 
     for number in rounds:
         width = max(1.0, _WIDEST - _NARROWER * number)
         try:
-            lines = _cross(scan.glints, *scan.surface_through(faces.glints), width)
+            lines = _cross(scan, faces.glints, width)
         except UserError:
             return None
         density = _densities(lines, faces.shares, width, scan.cell_m)
@@ -142,9 +142,10 @@ def _improve(scan: Scan, faces: Faces, prior: Floats, rounds: range) -> Faces | 
     return faces
 
 
-def _cross(glints: Glints, vertices: Floats, faces: Ints, width: float) -> _Lines:
-    """Crossings of the lines of sight with a closed surface."""
-    scene, tree = MeshScene(vertices, faces), KDTree(vertices)
+def _cross(scan: Scan, placed: Glints, width: float) -> _Lines:
+    """Crossings of the lines of sight with the surface through glints that were put on faces."""
+    glints, (vertices, faces) = scan.glints, scan.surface_through(placed)
+    scene, tree = MeshScene(vertices, faces, num_threads=scan.num_threads), KDTree(vertices)
     normals = vertex_normals(vertices, faces)
     start = glints.positions + AHEAD_M * glints.normals
     found = scene.entry_exit(start, -glints.normals)
@@ -156,7 +157,7 @@ def _cross(glints: Glints, vertices: Floats, faces: Ints, width: float) -> _Line
         points = start[:, None] - distance_m[..., None] * glints.normals[:, None]
         cosine = sign * np.einsum("nki,ni->nk", normals[tree.query(points)[1]], glints.normals)
         turn2 = 2.0 - 2.0 * np.clip(cosine, -1.0, 1.0)
-        return np.asarray(np.exp(-0.5 * turn2 / (width * _TURN_RAD**2)))
+        return np.asarray(np.exp(-0.5 * turn2 / (width * ECHO_NOISE.peak_normal_rad**2)))
 
     return _Lines(
         behind_m=AHEAD_M - entry - (INDEX - 1.0) * before,
@@ -176,16 +177,14 @@ def _densities(lines: _Lines, shares: Floats, width: float, cell_m: float) -> Fl
     thin = np.clip((_THICK - optical / cell_m) / (_THICK - _THIN), 0.0, 1.0)
     both = thin * lines.entry * lines.leave
     hidden = lines.exists * _HIDDEN ** np.arange(optical.shape[1]) / lines.area_m2
-    front = (lines.entry - both) * _normal(lines.behind_m, own)
-    back = (lines.leave - 0.5 * both) * _normal(
+    front = (lines.entry - both) * normal_density(lines.behind_m, own)
+    back = (lines.leave - 0.5 * both) * normal_density(
         lines.behind_m - optical, own + _SIGMA_OF_PATH * optical
     )
-    merged = both * _normal(lines.behind_m - _MERGED * optical, own + _MERGED_SIGMA * optical)
+    merged = both * normal_density(
+        lines.behind_m - _MERGED * optical, own + _MERGED_SIGMA * optical
+    )
     return np.stack([front, back, merged], axis=2) * shares[:3] * hidden[..., None]
-
-
-def _normal(error_m: Floats, sigma_m: Floats) -> Floats:
-    return np.asarray(np.exp(-0.5 * (error_m / sigma_m) ** 2) / (sigma_m * np.sqrt(2.0 * np.pi)))
 
 
 def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:

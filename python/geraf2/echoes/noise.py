@@ -72,6 +72,11 @@ ECHO_NOISE = EchoNoise()
 """The values of the package."""
 
 
+def normal_density(error: Floats | float, sigma: Floats | float) -> Floats:
+    """Density of a normal distribution about 0 at an error, in one over the error's unit."""
+    return np.asarray(np.exp(-0.5 * (error / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
+
+
 def tangent_deviation(
     positions: Floats, normals: Floats, others: tuple[Floats, Floats] | None = None
 ) -> Floats:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Floats, Ints
-from geraf2.echoes.noise import ECHO_NOISE
+from geraf2.echoes.noise import ECHO_NOISE, normal_density
 from geraf2.imaging.peaks import PeakSet
 from geraf2.scene import Pose
 
@@ -78,8 +78,8 @@ def _pairs(echoes: PeakSet) -> tuple[Ints, Ints, Floats]:
     both = normals.take(i, axis=0) + normals.take(j, axis=0)
     offset = np.einsum("ij,ij->i", step, both) / np.sqrt(2.0 + 2.0 * cosine)
     sigma = np.sqrt(ECHO_NOISE.offset_variance(distance))
-    density = np.exp(-0.5 * (offset / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma)
-    return planes[i], planes[j], density * 2.0 * np.maximum(distance, sigma)
+    density = normal_density(offset, sigma) * 2.0 * np.maximum(distance, sigma)
+    return planes[i], planes[j], density
 
 
 def _agreement(i: Ints, j: Ints, density: Floats, n_planes: int) -> PlaneAgreement:

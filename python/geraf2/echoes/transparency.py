@@ -93,17 +93,11 @@ def describe(numbers: Mapping[str, Any]) -> str:
     )
 
 
-def first_surfaces(
-    scan: Scan, *, num_threads: int | None = None
-) -> tuple[Glints, Bools, SeenThrough | None]:
+def place_on_faces(scan: Scan) -> tuple[Glints, Bools, SeenThrough | None]:
     """Glints on the faces of the content, mask of those seen through it, (n_glints,), and the body.
 
-    Of metal these are all, none, and None.
-
-    Where faces of plastic explain the glints better than fronts of metal do, each glint is put on
-    the face that it is most likely an echo of.
-
-    num_threads: all when None.
+    Of metal these are all, none, and None. Where faces of plastic explain the glints better than
+    fronts of metal do, each glint is put on the face that it is most likely an echo of.
     """
     glints, faces = scan.glints, find_faces(scan)
     nothing = np.zeros(len(glints), dtype=bool)
@@ -111,7 +105,7 @@ def first_surfaces(
         return glints, nothing, None
     behind = ~nothing
     behind[faces.sources[~faces.is_back]] = False
-    scene = MeshScene(*scan.surface_through(faces.glints), num_threads=num_threads)
+    scene = MeshScene(*scan.surface_through(faces.glints), num_threads=scan.num_threads)
     pairs = face_pairs(glints.select(behind), faces.glints.select(~faces.is_back), scene)
     return faces.glints, behind, _material(SeenThrough.of(glints, behind), pairs)
 

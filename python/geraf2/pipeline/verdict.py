@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import expit
 
 from geraf2.echoes import Glints
+from geraf2.echoes.noise import normal_density
 from geraf2.echoes.radius import modal_radius_m
 from geraf2.errors import UserError
 from geraf2.freespace.coverage import scan_coverage
@@ -322,7 +323,6 @@ def delay_log_odds(radius_m: float | None) -> float:
     if radius_m is None:
         return 0.0
     low, high = _ROUND_M
-    usual = np.exp(-0.5 * ((radius_m - _RADIUS_M) / _RADIUS_SIGMA_M) ** 2)
-    usual *= (1.0 - _ROUND_SHARE) / (np.sqrt(2.0 * np.pi) * _RADIUS_SIGMA_M)
+    usual = (1.0 - _ROUND_SHARE) * normal_density(radius_m - _RADIUS_M, _RADIUS_SIGMA_M)
     usual += (_ROUND_SHARE if low <= radius_m <= high else _OTHER_SHARE) / (high - low)
     return float(np.log(1.0 / (2.0 * _DELAY_ERROR_M) / usual))

@@ -11,7 +11,7 @@ from geraf2.echoes.faces import Scan
 from geraf2.echoes.glints import find_echoes
 from geraf2.echoes.labels import Clutter, Label
 from geraf2.echoes.ruled_out import region_numbers, rule_out
-from geraf2.echoes.transparency import describe, first_surfaces
+from geraf2.echoes.transparency import describe, place_on_faces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
 from geraf2.io.atomic import write_bytes_atomic
@@ -91,9 +91,13 @@ def find_glints(job: Job) -> Glints:
             num_threads=threads,
         )
         scan = Scan(
-            glints, surface_through, capture.waveform.range_cell_m, float(np.prod(job.prior.size_m))
+            glints=glints,
+            surface_through=surface_through,
+            cell_m=capture.waveform.range_cell_m,
+            volume_m3=float(np.prod(job.prior.size_m)),
+            num_threads=threads,
         )
-        first, behind, body = first_surfaces(scan, num_threads=threads)
+        first, behind, body = place_on_faces(scan)
         labelled = labelled.relabelled(index[behind], Label.SEEN_THROUGH)
         if behind.any():  # seen through a dielectric
             glints.select(behind).save(folder / BACK_NAME)
