@@ -43,6 +43,9 @@ MIDDLE_M = np.array([0.003, -0.002, 0.001])
 SCAN = ScanSpec(n_poses=24, spacing_m=0.004)
 SNR_DB = 20.0
 BUDGET_S, MIN_PLANES = 25.0, 12
+METAL = replace(
+    POPULATION, budget_s=BUDGET_S, plastic=0.0, world=(("none", 1.0),), waves=0.0
+)  # in an ideal world
 
 
 def backscatter(wave_number: float, radius_m: float) -> complex:
@@ -91,12 +94,10 @@ def capture_of(diameter_m: float) -> Capture:
 
 def drawn_pair(kind: str, seed: int) -> dict[str, SceneSpec] | None:
     """Scenes of metal and of plastic of one seed; None with fewer than twelve planes."""
-    world = {"plastic": 0.0, "world": (("none", 1.0),), "waves": 0.0}
-    spec = (
-        draw_scene(seed, replace(POPULATION, budget_s=BUDGET_S, **world)).spec
-        if kind == "random"
-        else replace(draw_ordinary(seed).spec, world=WorldSpec())
-    )
+    if kind == "random":
+        spec = draw_scene(seed, METAL).spec
+    else:
+        spec = replace(draw_ordinary(seed).spec, world=WorldSpec())
     spec = limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
     rng = np.random.default_rng([seed, 7])
     permittivity, loss = (
