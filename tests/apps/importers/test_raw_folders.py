@@ -163,7 +163,7 @@ def test_a_real_recording_cut_into_positions_is_the_same(tmp_path, shared_data, 
         open_recording(folder, RadarManifest())
 
 
-@pytest.mark.parametrize("chips", [("master", "slave1"), ("master", "slave1", "slave2", "slave3")])
+@pytest.mark.parametrize("chips", [("master", "slave1"), ("dev0", "dev1", "dev2", "dev3")])
 @pytest.mark.parametrize("per_position", [False, True])
 def test_the_chips_of_a_cascade_are_no_positions(tmp_path, chips, per_position):
     for chip in chips:
@@ -174,7 +174,7 @@ def test_the_chips_of_a_cascade_are_no_positions(tmp_path, chips, per_position):
         open_recording(tmp_path, RadarManifest(), options)
     assert "file-per-position" not in str(caught.value)
     # The hint is obeyed: one file, or the folder of one chip, whose index is left aside.
-    assert open_recording(tmp_path / "master_0000_data.bin", RadarManifest()).n_frames == 40
+    assert open_recording(tmp_path / f"{chips[0]}_0000_data.bin", RadarManifest()).n_frames == 40
     for chip in chips[1:]:
         (tmp_path / f"{chip}_0000_data.bin").unlink()
     assert open_recording(tmp_path, RadarManifest()).n_frames == 40

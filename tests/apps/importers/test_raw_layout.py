@@ -107,15 +107,33 @@ def test_one_receiver_is_said_to_be_assumed(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("kind", "scale"), [("<f4", 1e-4), ("<f8", 3e4), ("<c8", 3e4), ("<c16", 1e-4)]
+    ("kind", "scale", "named"),
+    [
+        ("<f4", 1e-4, "floating-point numbers of 32 bits"),
+        ("<f8", 3e4, "floating-point numbers of 64 bits"),
+        ("<c8", 3e4, "floating-point numbers of 32 bits"),
+        ("<c16", 1e-4, "floating-point numbers of 64 bits"),
+        (">f4", 1.0, "floating-point numbers of 32 bits"),
+        ("<f2", 3.0, "floating-point numbers of 16 bits"),
+        ("<i4", 1.0, "integers of 32 bits"),
+        ("i1", 0.04, "integers of 8 bits"),
+        (">i2", 1.0, "big-endian integers of 16 bits"),
+    ],
 )
-def test_floating_point_numbers_are_no_words(tmp_path, kind, scale):
-    signal = beat().reshape(-1) * scale / 32768
+def test_numbers_of_other_kinds_are_no_words(tmp_path, kind, scale, named):
+    signal = beat().reshape(-1) * scale / (32768 if kind[1] in "f8c" else 1)
     values = signal if "c" in kind else np.stack([signal.real, signal.imag], axis=-1)
-    values.astype(kind).tofile(tmp_path / "a.bin")
-    bits = 32 if kind in ("<f4", "<c8") else 64
-    with pytest.raises(UserError, match=f"floating-point numbers of {bits} bits"):
+    (np.round(values) if "i" in kind else values).astype(kind).tofile(tmp_path / "a.bin")
+    with pytest.raises(UserError, match=named):
         opened(tmp_path / "a.bin")
+
+
+@pytest.mark.parametrize("n_together", [1, 4])
+def test_blocks_of_i_and_q_are_no_real_samples(tmp_path, n_together):
+    pairs = words_of(beat(), "iq-sequential").reshape(-1, n_together, 64, 2)
+    np.moveaxis(pairs, -1, 1).tofile(tmp_path / "a.bin")
+    with pytest.raises(UserError, match="write I and Q as arrays"):
+        opened(tmp_path / "a.bin", raw=RawManifest(n_rx=4), n_samples=64)
 
 
 @pytest.mark.parametrize(("amplitude", "offset"), [(3, True), (300, False), (30000, True)])
