@@ -36,9 +36,12 @@ def _parameters(node: ast.FunctionDef) -> tuple[str, ...]:
 def _stub_signatures(body: list[ast.stmt], owner: str = "") -> set[tuple[str, ...]]:
     """Names with the parameters' names; an overload is one more."""
     found: set[tuple[str, ...]] = set()
+    classes = {node.name: node for node in body if isinstance(node, ast.ClassDef)}
     for node in body:
         if isinstance(node, ast.ClassDef):
-            found |= {(node.name,)} | _stub_signatures(node.body, node.name + ".")
+            bases = [classes.get(ast.unparse(base).partition("[")[0], node) for base in node.bases]
+            members = [member for one in [node, *bases] for member in one.body]
+            found |= {(node.name,)} | _stub_signatures(members, node.name + ".")
         elif isinstance(node, ast.FunctionDef):
             is_value = "property" in [getattr(d, "id", "") for d in node.decorator_list]
             found.add((owner + node.name, *(() if is_value else _parameters(node))))

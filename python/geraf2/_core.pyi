@@ -1,6 +1,6 @@
 import enum
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ def pair_densities(
     model: PairModel,
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], NDArray[np.int64]]: ...
 
-class GridEnergyFloat:
+class _GridEnergy(Generic[_Real]):
     def __init__(
         self,
         shape: tuple[int, int, int],
@@ -52,41 +52,20 @@ class GridEnergyFloat:
         values: NDArray[np.float64],
         diagonal: NDArray[np.float64],
     ) -> None: ...
-    def apply(self, field: NDArray[np.float32], num_threads: int) -> NDArray[np.float32]: ...
-    def diagonal(self, n_voxels: int) -> NDArray[np.float32]: ...
+    def apply(self, field: NDArray[_Real], num_threads: int) -> NDArray[_Real]: ...
+    def diagonal(self, n_voxels: int) -> NDArray[_Real]: ...
     def smooth(
         self,
-        right: NDArray[np.float32],
-        field: NDArray[np.float32],
+        right: NDArray[_Real],
+        field: NDArray[_Real],
         degree: int,
         low: float,
         high: float,
         num_threads: int,
-    ) -> NDArray[np.float32]: ...
+    ) -> NDArray[_Real]: ...
 
-class GridEnergyDouble:
-    def __init__(
-        self,
-        shape: tuple[int, int, int],
-        spacing: tuple[float, float, float],
-        bending: float,
-        rows: NDArray[np.int64],
-        starts: NDArray[np.int64],
-        columns: NDArray[np.int32],
-        values: NDArray[np.float64],
-        diagonal: NDArray[np.float64],
-    ) -> None: ...
-    def apply(self, field: NDArray[np.float64], num_threads: int) -> NDArray[np.float64]: ...
-    def diagonal(self, n_voxels: int) -> NDArray[np.float64]: ...
-    def smooth(
-        self,
-        right: NDArray[np.float64],
-        field: NDArray[np.float64],
-        degree: int,
-        low: float,
-        high: float,
-        num_threads: int,
-    ) -> NDArray[np.float64]: ...
+class GridEnergyFloat(_GridEnergy[np.float32]): ...
+class GridEnergyDouble(_GridEnergy[np.float64]): ...
 
 class MeshScene:
     def __init__(self, vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> None: ...
@@ -164,7 +143,7 @@ class MatchedFilterChoice:
     @property
     def block_share(self) -> float: ...
 
-class MatchedFilterPlanFloat:
+class _MatchedFilterPlan(Generic[_Complex]):
     def __init__(
         self,
         tx: NDArray[np.float64],
@@ -174,23 +153,12 @@ class MatchedFilterPlanFloat:
         options: MatchedFilterOptions,
     ) -> None: ...
     def image(
-        self, signal: NDArray[np.complex64], progress: Callable[[float], None] | None
-    ) -> NDArray[np.complex64]: ...
-    def adjoint(self, image: NDArray[np.complex64]) -> NDArray[np.complex64]: ...
+        self, signal: NDArray[_Complex], progress: Callable[[float], None] | None
+    ) -> NDArray[_Complex]: ...
+    def adjoint(self, image: NDArray[_Complex]) -> NDArray[_Complex]: ...
 
-class MatchedFilterPlanDouble:
-    def __init__(
-        self,
-        tx: NDArray[np.float64],
-        rx: NDArray[np.float64],
-        points: NDArray[np.float64] | VoxelGrid,
-        waveform: Waveform,
-        options: MatchedFilterOptions,
-    ) -> None: ...
-    def image(
-        self, signal: NDArray[np.complex128], progress: Callable[[float], None] | None
-    ) -> NDArray[np.complex128]: ...
-    def adjoint(self, image: NDArray[np.complex128]) -> NDArray[np.complex128]: ...
+class MatchedFilterPlanFloat(_MatchedFilterPlan[np.complex64]): ...
+class MatchedFilterPlanDouble(_MatchedFilterPlan[np.complex128]): ...
 
 def choose_matched_filter_float32(
     tx: NDArray[np.float64],
