@@ -191,7 +191,6 @@ def main():
         options.out.mkdir(parents=True, exist_ok=True)
         write_mesh(mesh, options.out / "mesh.ply", frame=surface.frame)
         write_image(options.out / "views.png", picture)
-        surface.save(options.out / "surface.safetensors")
         (options.out / "scores.json").write_text(json.dumps(result, indent=2) + "\n")
 
 

@@ -41,9 +41,6 @@ class LosOptions(Bounded):
     """Grids of the training: fine ones (minutes), or coarse ones for a first look (quick)."""
     hold_out: CountOrZero = 0
     """Exclude every N-th photo from the training and compare it with the surface; 0: none."""
-    keep_surface: Annotated[bool, Arg(hidden=True)] = False
-    """Also keep the trained surface with its colours (surface.safetensors, about 100 MB), which
-    `geraf2.apps.photos.neural_surface.NeuralSurface.load` reads and renders."""
     seed: Annotated[Seed, Arg(hidden=True)] = 0
     """Seed of the training."""
 

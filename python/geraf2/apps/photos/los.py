@@ -42,7 +42,6 @@ if TYPE_CHECKING:
 
 MESH_NAME = "los.ply"
 FIELD_NAME = "los.npz"
-SURFACE_NAME = "surface.safetensors"
 VIEWS_NAME = "views.png"
 REFUSED_NAME = "refused.png"
 """Views of a surface that does not explain its photos; it becomes no prior."""
@@ -259,8 +258,7 @@ def train_los(
     if num_threads is not None:
         torch.set_num_threads(num_threads)
     options = job.options
-    others = [VIEWS_NAME, *([SURFACE_NAME] if options.keep_surface else [])]
-    kept = _load_kept(folder, job.key, others)
+    kept = _load_kept(folder, job.key, [VIEWS_NAME])
     if kept is not None:
         with listener.step("surface from photos (done before)"):
             los_views.warn_unexplained(kept.record.numbers, job.source, listener)
@@ -287,10 +285,8 @@ def train_los(
     if refused:
         raise los_views.refutation_error(numbers, job.source, folder / REFUSED_NAME)
     los_views.warn_unexplained(numbers, job.source, listener)
-    if options.keep_surface:
-        surface.save(folder / SURFACE_NAME)
     record = LosRecord(kind="photos", source=str(job.source), key=job.key, numbers=numbers)
-    made = write_los(folder, sdf, record, mesh=mesh, others=others, frame=job.photos.frame)
+    made = write_los(folder, sdf, record, mesh=mesh, others=[VIEWS_NAME], frame=job.photos.frame)
     checkpoint.unlink(missing_ok=True)
     return made
 
@@ -432,7 +428,7 @@ def _read_in_frame(path: Path, options: LosOptions) -> TriangleMesh:
 def _require_own(out: Path) -> None:
     """Refuse a folder with foreign files; remains of an interrupted command are allowed."""
     ours = (out / LOS_RECORD_NAME).is_file() or any(out.glob("training-*.safetensors"))
-    known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, SURFACE_NAME, VIEWS_NAME, REFUSED_NAME}
+    known = {MESH_NAME, MESH_NAME + ".json", FIELD_NAME, VIEWS_NAME, REFUSED_NAME}
     left = out.is_dir() and all(entry.name in known for entry in out.iterdir())
     require_folder(out, "prior", own=ours or left)
 

@@ -1,6 +1,5 @@
 """A surface that was trained from photos: signed distance, mesh, pictures."""
 
-import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -9,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from geraf2._types import AnyPath, Array
+from geraf2._types import Array
 from geraf2.apps.photos.config import PhotoConfig
 from geraf2.apps.photos.grid_smoothing import close_body, quick_redistance
 from geraf2.apps.photos.neus.coloured_grid import ColouredGrid
@@ -18,9 +17,7 @@ from geraf2.apps.photos.neus.rendering import Rendering, render_rays, sample_edg
 from geraf2.apps.photos.visual_hull import Region
 from geraf2.fields.sdf_field import CubeDomain
 from geraf2.fields.sdf_grid import SdfGrid
-from geraf2.io.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.text import parse_json
 from geraf2.io.toml import from_table
 from geraf2.scene import Grid
 from geraf2.scene.photos import Camera
@@ -157,18 +154,6 @@ class NeuralSurface:
         field.features.restore(tensors["field.features.rows"])
         field.load_state_dict({name: tensors[f"field.{name}"] for name in field.state_dict()})
         return cls(config, region, field, inv_s=header["inv_s"], frame=header["frame"])
-
-    def save(self, path: AnyPath) -> None:
-        """Write everything in safetensors with a JSON header."""
-        arrays, header = self.state()
-        header = parse_json(json.dumps(header))
-        save_checkpoint(path, Checkpoint(kind=KIND, version=VERSION, arrays=arrays, header=header))
-
-    @classmethod
-    def load(cls, path: AnyPath) -> "NeuralSurface":
-        """Surface of a file of `save` or a checkpoint of the training; UserError for others."""
-        stored = load_checkpoint(path, kind=KIND, version=VERSION)
-        return cls.from_state(stored.arrays, stored.header)
 
 
 def enclosing_cube(region: Region) -> CubeDomain:
