@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,8 +10,6 @@ from geraf2.geometry.triangles import enclosed_volume_m3
 from geraf2.io.mesh import Evidence, TriangleMesh, read_mesh, write_mesh
 from geraf2.io.mesh_colours import error_colours, to_linear, worst_shown_m
 from geraf2.scene import LosPrior
-
-SPOT_TRUTH = Path(__file__).parents[3] / "shared" / "data" / "spot_carton" / "truth_object.ply"
 
 
 @pytest.fixture
@@ -160,11 +157,3 @@ def test_materials_are_not_opened(box, tmp_path, monkeypatch, caplog, kind, exis
     assert read_mesh(tmp_path / f"m.{kind}").faces.shape == (12, 3)
     assert opened == []
     assert caplog.records == []
-
-
-@pytest.mark.data
-@pytest.mark.skipif(not SPOT_TRUTH.exists(), reason="shared test captures are absent")
-def test_the_shared_truth_is_closed_once_its_vertices_are_merged():
-    mesh = read_mesh(SPOT_TRUTH)
-    assert mesh.vertices.shape[0] == 11533
-    assert trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).is_watertight

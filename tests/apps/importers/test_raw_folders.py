@@ -144,25 +144,6 @@ def test_one_position_and_many_exclude_each_other(tmp_path):
         open_recording(folder / "scan_0.bin", RadarManifest(), options)
 
 
-@pytest.mark.data
-@pytest.mark.parametrize("name", ["iwr1443_2lane", "awr1243_offset_binary"])
-def test_a_real_recording_cut_into_positions_is_the_same(tmp_path, shared_data, name):
-    data = (shared_data / "dca1000" / f"{name}.bin").read_bytes()
-    position = len(data) // 16
-    folder = write(tmp_path / "scan", [data[k * position : (k + 1) * position] for k in range(16)])
-    radar = {key: value for key, value in BOARD.items() if key != "sample_rate_hz"}
-    manifest = RadarManifest.model_validate({**radar, "sample_rate_hz": 1e7, "raster": RASTER})
-    whole = load_importer("dca1000").open(shared_data / "dca1000" / f"{name}.bin", manifest)
-    options = ImportOptions(file_per_position=True)
-    signal, tx, _ = whole_pose(load_importer("dca1000").open(folder, manifest, options))
-    expected, expected_tx, _ = whole_pose(whole)
-    assert signal.shape == (64, 256)
-    assert np.array_equal(signal, expected)
-    assert np.array_equal(tx, expected_tx)
-    with pytest.raises(UserError, match="holds more than one recording"):
-        open_recording(folder, RadarManifest())
-
-
 @pytest.mark.parametrize("chips", [("master", "slave1"), ("dev0", "dev1", "dev2", "dev3")])
 @pytest.mark.parametrize("per_position", [False, True])
 def test_the_chips_of_a_cascade_are_no_positions(tmp_path, chips, per_position):

@@ -4,7 +4,6 @@ import sys
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType, IndexType
 
 from geraf2.apps.importers import ImportOptions, load_importer
 from geraf2.apps.importers._bag import frame_clock
@@ -14,7 +13,7 @@ from geraf2.errors import UserError
 from geraf2.io.manifest import AntennaManifest, RadarManifest, RawManifest
 from helpers.console import the_error
 from helpers.raw_capture import RADAR, RADAR_TOML
-from helpers.ros_bag import PARTS, at_times, frames_of, rewritten, scan_path, write_bag
+from helpers.ros_bag import PARTS, at_times, frames_of, scan_path, write_bag
 
 RADAR_MANIFEST = RadarManifest(
     **RADAR, raw=RawManifest(n_rx=1), antennas=AntennaManifest(rx_offsets_m=[[0.0, 0.0, 0.0]])
@@ -40,6 +39,11 @@ def frames(path):
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory, path, frames):
     return write_bag(tmp_path_factory.mktemp("ros") / "scan", path, frames, late_s=LATE_S)
+
+
+@pytest.fixture(scope="module")
+def few(frames):
+    return frames[0][:150], frames[1][:150]
 
 
 def offset_ms(scan):
@@ -123,12 +127,12 @@ def test_noise_has_no_offset():
     ("kind", "poses"),
     [(BYTES, "pose"), ("std_msgs/msg/Int16MultiArray", "odometry")],
 )
-def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, frames, kind, poses):
-    bag = write_bag(tmp_path / "b", path, frames, adc=kind, poses=poses, storage="SQLITE3")
+def test_arrays_without_header_and_poses_of_one_topic_are_read(tmp_path, path, few, kind, poses):
+    bag = write_bag(tmp_path / "b", path, few, adc=kind, poses=poses, storage="SQLITE3")
     scan = opened(bag, clock_offset_ms=0.0)
     assert dict(scan.facts)["positions from"].startswith("/radar/pose")
     positions = np.concatenate([pose.tx_positions for pose in scan.poses()])
-    assert np.abs(positions - at_times(path, frames[0])[0]).max() < 1e-5
+    assert np.abs(positions - at_times(path, few[0])[0]).max() < 1e-5
 
 
 def require_few(bag, few):
@@ -138,28 +142,9 @@ def require_few(bag, few):
     assert np.array_equal(signal[:, :, 0], np.stack(few[1])[:, ::2])
 
 
-@pytest.fixture(scope="module")
-def few(frames):
-    return frames[0][:150], frames[1][:150]
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"compression": CompressionType.ZSTD},
-        {"compression": CompressionType.LZ4, "chunk_size": 4096},
-        {"use_chunking": False},
-        {"index_types": IndexType.NONE, "use_statistics": False, "use_summary_offsets": False},
-    ],
-)
-def test_mcap_files_of_other_writers_are_read(tmp_path, path, few, options):
-    bag = write_bag(tmp_path / "b", path, few)
-    require_few(rewritten(bag, tmp_path / "scan.mcap", **options), few)
-
-
 @pytest.mark.parametrize(
     ("storage", "compression"),
-    [("MCAP", "STORAGE"), ("MCAP", "FILE"), ("SQLITE3", "FILE"), ("SQLITE3", "MESSAGE")],
+    [("MCAP", "STORAGE"), ("MCAP", "FILE"), ("SQLITE3", "MESSAGE")],
 )
 def test_compressed_bags_are_read(tmp_path, path, few, storage, compression):
     bag = write_bag(tmp_path / "b", path, few, storage=storage, compression=compression)
@@ -200,26 +185,26 @@ def test_stretches_between_turns_are_planes(tmp_path):
     assert np.allclose(axes[1], [np.cos(np.pi / 6), np.sin(np.pi / 6), 0], atol=1e-3)
 
 
-def test_lost_frames_are_refused_or_left_out(tmp_path, path, frames):
-    times, words = frames
-    kept = np.delete(np.arange(len(times)), [200, 201, 700])
+def test_lost_frames_are_refused_or_left_out(tmp_path, path, few):
+    times, words = few
+    kept = np.delete(np.arange(len(times)), [20, 21, 70])
     some = times[kept], [words[k] for k in kept]
     bag = write_bag(tmp_path / "b", path, some)
-    with pytest.raises(UserError, match=r"3 of 1341 frames are missing from /radar/adc.*got none"):
+    with pytest.raises(UserError, match=r"3 of 150 frames are missing from /radar/adc.*got none"):
         opened(bag)
     scan = opened(bag, keep_good=True, clock_offset_ms=0.0)
-    assert scan.n_antennas == (1338,)
+    assert scan.n_antennas == (147,)
     signal = np.concatenate([pose.signal for pose in scan.poses()])
-    assert np.array_equal(signal[200].reshape(-1), words[202])
+    assert np.array_equal(signal[20].reshape(-1), words[22])
 
 
-def test_stamps_that_go_back_are_refused_or_left_out(tmp_path, path, frames):
-    times = frames[0].copy()
+def test_stamps_that_go_back_are_refused_or_left_out(tmp_path, path, few):
+    times = few[0].copy()
     times[50] -= 0.1
-    bag = write_bag(tmp_path / "b", path, (times, frames[1]))
-    with pytest.raises(UserError, match="do not increase at 1 of 1341 messages"):
+    bag = write_bag(tmp_path / "b", path, (times, few[1]))
+    with pytest.raises(UserError, match="do not increase at 1 of 150 messages"):
         opened(bag)
-    assert opened(bag, keep_good=True, clock_offset_ms=0.0).n_antennas == (1340,)
+    assert opened(bag, keep_good=True, clock_offset_ms=0.0).n_antennas == (149,)
 
 
 def test_jittered_stamps_are_frames_at_equal_times():
@@ -243,8 +228,8 @@ def test_jittered_stamps_are_frames_at_equal_times():
         (BYTES, "tf", {"pose_topic": "/radar/adc"}, "holds no poses"),
     ],
 )
-def test_what_a_bag_lacks_is_named(tmp_path, path, frames, adc, poses, options, text):
-    few = frames[0][:40], frames[1][:40]
+def test_what_a_bag_lacks_is_named(tmp_path, path, few, adc, poses, options, text):
+    few = few[0][:40], few[1][:40]
     bag = write_bag(tmp_path / "b", path, few, adc=adc, poses=poses)
     with pytest.raises(UserError, match=text):
         opened(bag, **options)
