@@ -67,15 +67,6 @@ def test_importing_again_changes_nothing_and_another_capture_is_refused(source, 
     assert run_import(other, "--overwrite") == 0
 
 
-def test_noise_alone_leaves_the_sign_unclear(tmp_path, capture, capsys):
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(2, *capture.poses[0].signal.shape)).astype(np.float32)
-    poses = tuple(replace(pose, signal=noise[0] + 1j * noise[1]) for pose in capture.poses)
-    source = write_geraf_sens(tmp_path / "capture", replace(capture, poses=poses))
-    assert run_import(source) == 0
-    assert "the sign of the phase is not clear" in capsys.readouterr().err
-
-
 def test_a_delay_of_zero_that_is_given_is_not_warned_of(tmp_path, capture, capsys):
     for bias, warned in ((0.0, False), (None, True)):
         parameters = {**CAPTURE_JSON, "path_bias_m": bias}

@@ -19,15 +19,9 @@ def source(shared_data):
 def test_from_the_capture_to_its_scores(source, tmp_path, capsys):
     scene, out = str(tmp_path / "scene"), str(tmp_path / "out")
     assert main(["import", "geraf-sens", str(source), scene]) == 0
-    assert main(["info", scene]) == 0
-    captured = capsys.readouterr()
-    shown = " ".join(captured.out.split())
-    assert "142128 (3948 per plane)" in shown
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "142128" in shown
     assert "phase sign exp(-j...)" in shown
-    assert "error" not in captured.err
-    small = ["--box", "0.16", "0.16", "0.16"]
-    assert main(["reconstruct", scene, out, *small]) == 2
-    assert "the scan shows another box than the prior" in capsys.readouterr().err
     los = ["--los", str(source / "los_box.ply")]
     assert main(["reconstruct", scene, out, *los, "--preset", "fast", "--no-report"]) == 0
     finished = json.loads((tmp_path / "out" / "log.jsonl").read_text().splitlines()[-1])

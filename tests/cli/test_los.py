@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from carton_photos import PhotosSpec, simulate_photos
-from geraf2.apps.photos import los, los_views, training
+from geraf2.apps.photos import los, training
 from geraf2.apps.photos.config import GridStage, PhotoConfig
 from geraf2.apps.photos.formats.images import read_image
 from geraf2.cli.main import main
 from geraf2.fields import SdfGrid
 from geraf2.geometry.triangles import count_open_edges
 from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
-from geraf2.pipeline.events import Listener
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import load_prior
 from geraf2.scene import LosPrior, Wall
@@ -159,26 +158,6 @@ def test_the_key_differs_with_photos_and_settings(photo_folder, tiny_training):
     assert key() == key()
     others = ({"seed": 1}, {"hold_out": 4}, {"unit": "1.001"}, {"bounds": (-1, -1, -1, 1, 1, 1)})
     assert len({key(), *(key(**flags) for flags in others)}) == 1 + len(others)
-
-
-@pytest.mark.parametrize(
-    ("numbers", "refuted", "warned"),
-    [
-        ((25.0, 0.97), False, False),
-        ((11.0, 0.97), False, True),
-        ((25.0, 0.9), False, True),
-        ((25.0, 0.6), True, True),
-    ],
-)
-@pytest.mark.parametrize("of", ["", "trained_"])
-def test_silhouettes_decide_and_one_colour_for_all(numbers, of, refuted, warned):
-    names = (f"{of}psnr_db", f"{of}silhouette_iou")
-    numbers, reported = dict(zip(names, numbers, strict=True)) | {f"{of}one_colour_db": 14.0}, []
-    listener = Listener()
-    listener.warning = reported.append
-    assert los_views.is_refuted(numbers) == refuted
-    los_views.warn_unexplained(numbers, "photos", listener)
-    assert bool(reported) == warned
 
 
 @pytest.mark.slow

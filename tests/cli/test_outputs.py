@@ -18,7 +18,6 @@ from helpers.small_scene import BOX, FAST, SPEC
     "flags",
     [
         [*BOX, *FAST, "--fit.bending-weight", "0.5"],
-        [*BOX, "--preset", "back-projection"],
         ["--box", "0.21", "0.21", "0.21", *FAST],
     ],
 )

@@ -105,15 +105,21 @@ def test_too_little_memory_is_reported_before_the_run(built_scene, tmp_path, mon
     assert not (tmp_path / "out").exists()
 
 
-def test_planes_can_be_held_out(built_scene, tmp_path):
+def test_planes_that_are_held_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
+    out = tmp_path / "out"
     more = ["--hold-out", "0", "40", "--paper.stage1.n-steps", "1", "--paper.stage2.n-steps", "0"]
-    assert run(built_scene, tmp_path / "out", *more) == 0
+    assert run(built_scene, out, *more) == 0
+    assert main(["render", str(out), *RENDER]) == 0
+    assert set(json.loads((out / "views" / "psnr.json").read_text())["psnr_db"]) == {"0", "40"}
+    assert "(seen in training)" not in capsys.readouterr().out
+
+
+RENDER = ["--n-draws", "1", "--spacing-m", "0.02"]
 
 
 @pytest.mark.usefixtures("drawn")
 def test_planes_are_rendered_beside_the_measured(paper_run, tmp_path, capsys):
-    options = ["--angles", "0", "40", "--n-draws", "1", "--spacing-m", "0.02"]
-    assert main(["render", str(paper_run), *options]) == 0
+    assert main(["render", str(paper_run), "--angles", "0", "40", *RENDER]) == 0
     text = capsys.readouterr().out
     assert "0 deg" in text
     assert "(seen in training)" in text

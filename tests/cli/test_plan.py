@@ -77,7 +77,7 @@ def test_a_single_plane_without_a_box(tmp_path, capsys):
         (["--array", "awr1843"], ["12 at once\n", "Of --preset fast, for metal objects"]),
         (["--preset", "awr1843", "--channels", "2"], ["2 at once\n"]),
         ([], ["1 at once; --channels or --array names more"]),
-        (["--box", "1.2", "1.2", "1.2", "--minutes", "60", "--array", "awr1843"], ["unknown: "]),
+        (["--box", "0.5", "0.5", "0.5", "--max-elevation-deg", "0"], ["unknown: "]),
     ],
 )
 def test_a_plan_names_its_board_and_what_its_forecast_holds_for(flags, texts, capsys):

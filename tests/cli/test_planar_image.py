@@ -174,16 +174,3 @@ def test_the_real_letter_is_seen_without_a_flag(tmp_path, shared_data, capsys):
     stem = power[(y > -0.06) & (y < 0.045)][:, np.abs(z + 0.029) < 0.005].mean(axis=1)
     beyond = power[(y > -0.06) & (y < 0.045)][:, (z > -0.075) & (z < -0.05)]
     assert (stem > 4 * beyond.mean()).mean() > 0.95
-
-
-@pytest.mark.data
-def test_one_frequency_of_the_real_letter_is_enough(tmp_path, shared_data):
-    with (shared_data / "letter_r_22ghz" / "d_R.npy").open("rb") as handle:
-        arrays = [np.load(handle, allow_pickle=False) for _ in range(6)]
-    frequency = np.linspace(arrays[1], arrays[2], 6)[2]
-    with (tmp_path / "one.npy").open("wb") as handle:
-        for array in (arrays[0][2], frequency, frequency, np.array(1), *arrays[4:]):
-            np.save(handle, array)
-    _, about = imaged(tmp_path / "one.npy", tmp_path)
-    assert 0.185 <= about["sharpest_depth_m"] <= 0.215
-    assert max(about["sharpness"]) > 5

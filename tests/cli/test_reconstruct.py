@@ -12,11 +12,11 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.errors import UserError
-from geraf2.io.mesh import Evidence, read_mesh, write_mesh
+from geraf2.io.mesh import Evidence, read_mesh
 from geraf2.io.run_folder import RunFolder
 from geraf2.pipeline.commands.evaluate import evaluate
 from geraf2.pipeline.reconstruction import load_run
-from geraf2.scene import LosPrior, load_capture, save_capture
+from geraf2.scene import load_capture, save_capture
 from helpers.console import the_error
 from helpers.folders import contents
 from helpers.small_scene import BOX, FAST
@@ -100,19 +100,6 @@ def test_what_stops_a_run_is_one_line_and_changes_nothing(
     assert [path.name for path in finished_run.parent.iterdir()] == ["finished"]
 
 
-def test_a_mesh_or_its_side_lengths_give_the_same(scene, tmp_path, built_run):
-    write_mesh(LosPrior.from_box((0.2, 0.2, 0.2)).mesh, tmp_path / "los.ply")
-    assert run(scene, tmp_path / "out", "--los", str(tmp_path / "los.ply")) == 0
-    runs = (tmp_path / "out", built_run)
-    glints = [np.load(folder / "glints.npz")["positions"] for folder in runs]
-    # The file holds the corners in float32.
-    np.testing.assert_allclose(glints[0], glints[1], atol=1e-7)
-    fields = [np.load(folder / "sdf.npz")["values"] for folder in runs]
-    difference = np.abs(fields[0] - fields[1])
-    # float32 rounds 0.1 m to 4 nm; nothing in the fit is a step that this could take.
-    assert difference.max() < 2e-6
-
-
 def test_a_box_can_be_trusted_against_the_echoes(scene, tmp_path, capsys):
     assert run(scene, tmp_path / "out", "--box", "0.14", "0.14", "0.14") == 2
     assert "the scan shows another box than the prior, expected sides of 140" in the_error(capsys)
@@ -132,17 +119,6 @@ def test_without_a_prior_the_box_is_found(scene, tmp_path, capsys):
     np.testing.assert_allclose(load_run(tmp_path / "out").prior.cuboid[1], box["size_m"], atol=1e-5)
     warned = RunFolder.read(tmp_path / "out").warnings
     assert any("states sides of 150 x 150 mm, which the scan contradicts" in x for x in warned)
-
-
-def test_a_prior_that_is_off_is_corrected_in_one_line(scene, tmp_path, capsys):
-    assert run(scene, tmp_path / "out", "--box", "0.208", "0.208", "0.2") == 0
-    assert any("was corrected" in text for text in RunFolder.read(tmp_path / "out").warnings)
-    lines = [x for x in capsys.readouterr().err.splitlines() if "corrected" in x]
-    assert len(lines) == 1
-    assert "the prior is off by" in lines[0]
-    _, size, _ = load_run(tmp_path / "out").prior.cuboid
-    np.testing.assert_allclose(size[:2], 0.2, atol=2e-3)
-    assert 0.2 < size[2] < 0.22  # top and bottom are not seen: as uncertain as the sides were off
 
 
 def test_no_glint_is_an_error_with_what_was_seen(scene, tmp_path, capsys):

@@ -7,7 +7,7 @@ import pytest
 
 from geraf2.cli.main import main
 from geraf2.io.run_folder import RunFolder
-from helpers.small_scene import BOX, COARSE_RENDER, FAST
+from helpers.small_scene import COARSE_RENDER
 
 
 def psnr(out):
@@ -37,13 +37,3 @@ def test_reflectivity_is_fitted_once_and_kept(finished_run, capsys):
     assert psnr(finished_run)["psnr_db"]["0"] == pytest.approx(value, abs=1e-3)
     assert main([*again, "--echo.n-nodes", "2"]) == 0
     assert (finished_run / "echo.safetensors").stat().st_mtime_ns != before
-
-
-def test_planes_left_out_are_the_ones_rendered(built_scene, tmp_path, capsys):
-    out = tmp_path / "out"
-    fast = [*FAST, "--no-report"]
-    options = [*BOX, *fast, "--hold-out", "0"]
-    assert main(["reconstruct", str(built_scene), str(out), *options]) == 0
-    assert main(["render", str(out), *COARSE_RENDER]) == 0
-    assert set(psnr(out)["psnr_db"]) == {"0"}
-    assert "(seen in training)" not in capsys.readouterr().out

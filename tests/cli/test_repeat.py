@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from geraf2.apps.viewing.server import scene_of
+from geraf2.cli._flags import parse
 from geraf2.cli.main import main
+from geraf2.cli.reconstruct import Config, defaults
 from geraf2.errors import UserError
 from geraf2.pipeline.los_options import LosOptions
 from geraf2.pipeline.prior import PriorSource
@@ -34,15 +36,13 @@ def test_a_run_is_repeated_by_its_config(built_run, built_scene, tmp_path, monke
     assert record.config.fit.spacing_m == 0.012
 
 
-def test_flags_go_before_the_config(built_run, built_scene, tmp_path):
-    config, out = str(built_run / "config.toml"), tmp_path / "out"
+def test_flags_go_before_the_config(built_run, built_scene):
     flags = ["--fit.completion", "smooth", "--seed", "3", "--box", "0.21", "0.21", "0.21"]
-    command = ["reconstruct", str(built_scene), str(out), "--no-report", "--config", config]
-    assert main([*command, *flags]) == 0
-    record = RunRecord.read(out / "config.toml")
-    assert (record.config.fit.completion, record.config.fit.spacing_m) == ("smooth", 0.012)
-    assert record.options.seed == 3
-    assert record.prior.box == (0.21, 0.21, 0.21)
+    words = [str(built_scene), "out", "--config", str(built_run / "config.toml"), *flags]
+    config = parse(Config, words, prog="geraf2 reconstruct", default=defaults(words))
+    assert (config.settings.fit.completion, config.settings.fit.spacing_m) == ("smooth", 0.012)
+    assert (config.seed, config.samples) == (3, 6)
+    assert config.box == (0.21, 0.21, 0.21)
 
 
 def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
@@ -128,6 +128,7 @@ def test_addresses_of_stores_come_from_the_command_line(
         assert "config.toml: names an object store" in the_error(capsys)
     assert asked == []
     assert not (tmp_path / "out").exists()
-    assert main(["reconstruct", str(built_scene), str(tmp_path / "out"), *config, *BOX]) == 0
+    given = [*config, *BOX, "--no-report"]
+    assert main(["reconstruct", str(built_scene), str(tmp_path / "out"), *given]) == 0
     assert main(["reconstruct", str(built_scene), "o", *config, "--los", "s3://mine/a.ply"]) == 2
     assert asked == ["s3://mine"]
