@@ -178,17 +178,15 @@ class _Phases:
         for number, echo in enumerate(echoes):
             n_antennas = len(echo.antennas)
             n_bins = max(4, min(_MAX_BINS, n_antennas // _MIN_PER_BIN))
-            order = np.argsort(echo.antennas, kind="stable")
             starts = -(-np.arange(n_bins) * n_antennas // n_bins)
-            size = np.abs(echo.values)[order]
+            size = np.abs(echo.values)
             weight = np.add.reduceat(size, starts)
-            phase_per_m = 2.0 * k * (echo.directions @ echo.looking_direction)
-            h, v = (echo.offsets_m / (0.5 * DRIFT_SIZE_M)).T
-            columns = np.stack([np.ones_like(h), h, v, h * h, h * v, v * v, phase_per_m], axis=1)
-            columns = np.hstack([columns[:, :6], columns[:, 6:] * basis[echo.antennas]])[order]
-            binned = np.add.reduceat(size[:, None] * columns, starts, axis=0)
+            h, v = echo.offsets_m.T / (0.5 * DRIFT_SIZE_M)
+            columns = np.stack([size, size * h, size * v, size * h * h, size * h * v, size * v * v])
+            path = (2.0 * k * size * echo.cosines) * basis.T[:, echo.antennas]
+            binned = np.add.reduceat(np.concatenate([columns, path]), starts, axis=1).T
             binned /= np.maximum(weight, 1e-300)[:, None]
-            sums[number, :n_bins] = np.add.reduceat(echo.values[order], starts)
+            sums[number, :n_bins] = np.add.reduceat(echo.values, starts)
             sums[number, n_bins:] = sums[number, n_bins - 1]
             weights[number, :n_bins] = weight
             modes[number, :n_bins], phase[number, :n_bins] = binned[:, :6], binned[:, 6:]

@@ -2,11 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
-from geraf2._types import Floats, Ints
+from geraf2._types import Array, Floats, Ints
 from geraf2.constants import SPEED_OF_LIGHT_M_PER_S
 from geraf2.imaging.peaks import PeakSet
 from geraf2.imaging.subapertures import MIN_ANTENNAS
@@ -23,16 +25,14 @@ class EchoPhases:
 
     pose: int
     antennas: Ints
-    """Indices of the antennas in the pose, (n,)."""
+    """Indices of the antennas in the pose, ascending, (n,)."""
     values: NDArray[np.complex128]
     """Windowed contribution of each antenna to the focused echo, (n,).
 
     Path and wavefront curvature are removed, so only errors of the antennas remain in the phases.
     """
-    directions: Floats
-    """Unit vectors from each antenna to the reflector, (n, 3)."""
-    looking_direction: Floats
-    """Looking direction of the pose, (3,)."""
+    cosines: Floats
+    """Between the looking direction and that from each antenna to the reflector, (n,)."""
     offsets_m: Floats
     """Antenna positions about the sub-aperture's centre, horizontal and vertical, (n, 2) [m]."""
 
@@ -71,18 +71,29 @@ def response_at(
 ) -> NDArray[np.complex128]:
     """Range response of each antenna's samples, (n, n_samples), at its own paths, (..., n) [m].
 
-    With a Hann window. Paths include the waveform's bias. Returns (..., n). Frequencies have equal
-    steps, so the sum is a polynomial in a phasor. Horner's rule is twenty times as fast as one
-    exponential per sample.
+    With a Hann window, in the precision of the signal. Paths include the waveform's bias. Returns
+    (..., n). Frequencies have equal steps, so the sum is a polynomial in a phasor. Horner's rule is
+    twenty times as fast as one exponential per sample.
     """
-    phase_per_hz = 2j * np.pi / SPEED_OF_LIGHT_M_PER_S * path_m
-    step = np.exp(phase_per_hz * waveform.bandwidth_hz / waveform.n_samples)
-    weighted = (signal * np.hanning(waveform.n_samples + 2)[1:-1]).T.copy()
-    total = np.zeros(path_m.shape, dtype=np.complex128)
+    delay_s = path_m / SPEED_OF_LIGHT_M_PER_S
+    step = _phasor(delay_s * (waveform.bandwidth_hz / waveform.n_samples), signal.dtype)
+    window = np.hanning(waveform.n_samples + 2)[1:-1].astype(step.real.dtype)
+    weighted = np.multiply(signal.T, window[:, None], order="C")
+    total = np.zeros(path_m.shape, dtype=signal.dtype)
     for column in weighted[::-1]:
         total *= step
         total += column
-    return np.asarray(total * np.exp(phase_per_hz * waveform.frequencies_hz[0]))
+    total *= _phasor(delay_s * waveform.frequencies_hz[0], signal.dtype)
+    return total.astype(np.complex128)
+
+
+def _phasor(turns: Floats, dtype: np.dtype[Any]) -> Array:
+    """exp(2 pi j turns); sine and cosine in single precision take a tenth of the time."""
+    phasor = np.empty(turns.shape, dtype=dtype)
+    angle = (2.0 * np.pi * (turns - np.rint(turns))).astype(phasor.real.dtype)
+    np.cos(angle, out=phasor.real)
+    np.sin(angle, out=phasor.imag)
+    return phasor
 
 
 class _Antennas:
@@ -91,39 +102,33 @@ class _Antennas:
     def __init__(self, pose: Pose, number: int, waveform: Waveform, size_m: float) -> None:
         self.pose, self.number, self.waveform, self.size_m = pose, number, waveform, size_m
         self.centers = pose.phase_centers
-        self.across = self.centers @ pose.axes[1:].T
+        self.across = pose.axes[1:] @ self.centers.T
 
     def phases(self, center: Floats, points: Floats) -> list[EchoPhases]:
         """Echoes from points (n, 3) [m] in the sub-aperture around a centre; [] if it is sparse."""
         pose, waveform = self.pose, self.waveform
-        offsets = self.across - pose.axes[1:] @ center
-        inside = np.flatnonzero((np.abs(offsets) < 0.5 * self.size_m).all(axis=1))
+        offsets = self.across - (pose.axes[1:] @ center)[:, None]
+        inside = np.flatnonzero((np.abs(offsets) < 0.5 * self.size_m).all(axis=0))
         if len(inside) < MIN_ANTENNAS:
             return []
-        offsets = offsets[inside]
-        window = np.prod(np.cos(np.pi / self.size_m * offsets), axis=1) ** 2
-        to_points = points[:, None] - self.centers[inside]
-        distances = _lengths(to_points)
-        path = _lengths(points[:, None] - pose.tx_positions[inside])
-        path += _lengths(points[:, None] - pose.rx_positions[inside]) + waveform.path_bias_m
+        offsets, centers = offsets[:, inside], self.centers[inside]
+        window = np.prod(np.cos(np.pi / self.size_m * offsets), axis=0) ** 2
+        distances = cdist(points, centers)
+        path = cdist(points, pose.tx_positions[inside])
+        path += cdist(points, pose.rx_positions[inside]) + waveform.path_bias_m
         values = window * response_at(pose.signal[inside], path, waveform)
         flat = _without_curvature(values, offsets, waveform, distances.mean(axis=1))
+        ahead_m = (points @ pose.axes[0])[:, None] - centers @ pose.axes[0]
         return [
             EchoPhases(
                 pose=self.number,
                 antennas=inside,
                 values=own,
-                directions=direction,
-                looking_direction=pose.axes[0],
-                offsets_m=offsets,
+                cosines=cosines,
+                offsets_m=offsets.T,
             )
-            for own, direction in zip(flat, to_points / distances[..., None], strict=True)
+            for own, cosines in zip(flat, ahead_m / distances, strict=True)
         ]
-
-
-def _lengths(vectors: Floats) -> Floats:
-    """Row-wise length; three times as fast as np.linalg.norm."""
-    return np.asarray(np.sqrt(np.einsum("...j,...j->...", vectors, vectors)))
 
 
 def _without_curvature(
@@ -132,15 +137,16 @@ def _without_curvature(
     """Remove the difference between a surface's wavefront curvature and that of a point.
 
     At the offset s on the aperture, a surface of radius rho at range R has the path
-    2 R + s^2 / (R + rho), and a point 2 R + s^2 / R. Values (n_echoes, n), offsets (n, 2).
+    2 R + s^2 / (R + rho), and a point 2 R + s^2 / R. Values (n_echoes, n), offsets (2, n).
     """
-    k = 2.0 * np.pi / waveform.center_wavelength_m
-    one = np.exp(-1j * k * _CURVATURES[1] / ranges_m[:, None, None] * offsets.T**2)
-    bend = np.ones((len(_CURVATURES), *one.shape), dtype=np.complex128)  # (n_tried, n_echoes, 2, n)
+    turns = -_CURVATURES[1] / waveform.center_wavelength_m / ranges_m[:, None, None] * offsets**2
+    one = _phasor(turns, np.dtype(np.complex64))
+    bend = np.ones((len(_CURVATURES), *one.shape), dtype=one.dtype)  # (n_tried, n_echoes, 2, n)
     for number in range(1, len(bend)):
         np.multiply(bend[number - 1], one, out=bend[number])
-    bent, across = values[:, None] * bend[:, :, 0].swapaxes(0, 1), bend[:, :, 1]
+    across = bend[:, :, 1]
+    bent = values.astype(one.dtype)[:, None] * bend[:, :, 0].swapaxes(0, 1)
     sums = np.abs(bent @ across.transpose(1, 2, 0)).reshape(len(values), -1)
     first, second = np.divmod(sums.argmax(axis=1), len(_CURVATURES))
     every = np.arange(len(values))
-    return np.asarray(bent[every, first] * across[second, every])
+    return np.asarray(bent[every, first] * across[second, every], dtype=np.complex128)
