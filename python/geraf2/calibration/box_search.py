@@ -132,13 +132,11 @@ class Flashes:
         margin: further offsets at both ends.
         """
         cosine = self.normals @ normal
-        offsets_m = self.offsets_m + margin * OFFSET_STEP_M
         n_offsets += 2 * margin
-        own = np.flatnonzero(
-            (cosine > np.cos(MAX_ANGLE_RAD))
-            & (offsets_m > 0.0)
-            & (offsets_m < n_offsets * OFFSET_STEP_M)
-        )
+        own = np.flatnonzero(cosine > np.cos(MAX_ANGLE_RAD))
+        offsets_m = self.offsets_m[own] + margin * OFFSET_STEP_M
+        inside = (offsets_m > 0.0) & (offsets_m < n_offsets * OFFSET_STEP_M)
+        own, offsets_m = own[inside], offsets_m[inside]
         angle = np.arccos(np.clip(cosine[own], -1.0, 1.0))
         weights = self.weights[own] * (1.0 - (angle / MAX_ANGLE_RAD) ** 2)
         across = self.centers - np.outer(self.centers @ normal, normal)
@@ -147,7 +145,7 @@ class Flashes:
         found = []
         for far, facing in ((False, toward < -FACING_COSINE), (True, toward > FACING_COSINE)):
             kind = self.far[own] == far
-            density = self.density(own[kind], offsets_m[own[kind]], weights[kind], n_offsets)
+            density = self.density(own[kind], offsets_m[kind], weights[kind], n_offsets)
             found.append(Counts(density, int((is_near & facing).sum())))
         return found[0], found[1]
 
@@ -215,14 +213,20 @@ class Counts:
         pair: half the distance of a wall's two echoes, in cells; 0 for a single one.
         """
         if pair not in self._scores:
-            self._scores[pair] = self._score(pair)
+            self._scores[pair] = self._without_missed(self._count(pair), pair)
         return self._scores[pair]
 
-    def _score(self, pair: int) -> Floats:
-        count, expected = self.density, self.n_facing
-        if pair:
-            count = 2.0 * np.minimum(shifted(count, pair), shifted(count, -pair))
-            expected = 2 * expected
+    def largest(self, pair: int) -> Floats:
+        """Largest score over the offsets, (n_levels,): scores grow with the count."""
+        return self._without_missed(self._count(pair).max(axis=0), pair)
+
+    def _count(self, pair: int) -> Floats:
+        if not pair:
+            return self.density
+        return 2.0 * np.minimum(shifted(self.density, pair), shifted(self.density, -pair))
+
+    def _without_missed(self, count: Floats, pair: int) -> Floats:
+        expected = 2 * self.n_facing if pair else self.n_facing
         usual = 0.75  # mean weight of a flash by its angle
         return np.maximum(count - _MISS * np.maximum(expected - count / usual, 0.0), 0.0)
 

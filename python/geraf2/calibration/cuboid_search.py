@@ -140,14 +140,15 @@ class BoxSearch:
             at = np.arange(first, last)
             both = n[:, levels].T.take(at - shifts, axis=1)
             both += f[:, levels].T.take(at + shifts, axis=1)
-            total[:, levels] += (both - away).max(axis=-1, initial=0.0).T
+            both -= away
+            total[:, levels] += both.max(axis=-1, initial=0.0).T
         return total
 
     def bound(self, yaw_rad: float, pairs: Iterable[int] = (0,)) -> float:
         """Largest score at a yaw if near and far walls had delays of their own."""
         kinds, largest = [kind for side in self.sides(yaw_rad) for kind in side], 0.0
         for pair in pairs:
-            both = np.sum([kind.score(pair).max(axis=0) for kind in kinds], axis=0)
+            both = np.sum([kind.largest(pair) for kind in kinds], axis=0)
             largest = max(largest, float(both[self.lowest_level(pair) :].max()))
         return largest
 
