@@ -78,7 +78,7 @@ def lumpy_image(shape, dtype, seed):
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("wraps", [(False, False), (True, False), (False, True), (True, True)])
-@pytest.mark.parametrize("shape", [(14, 11, 9), (5, 5, 3), (1, 4, 6)])
+@pytest.mark.parametrize("shape", [(14, 11, 9), (8, 7, 19), (5, 5, 3), (1, 4, 6)])
 def test_peaks_are_those_of_the_twin(shape, wraps, dtype):
     magnitude = lumpy_image(shape, dtype, seed=7)
     bins = SubapertureBins(
@@ -100,6 +100,13 @@ def test_peaks_are_those_of_the_twin(shape, wraps, dtype):
         np.testing.assert_allclose(measured, scaled, atol=1e-9 if dtype is np.float64 else 1e-7)
         assert found.magnitudes[n] == value
         assert found.noise[n] == pytest.approx(noise)
+
+
+@pytest.mark.parametrize("n_directions", [5, 29, 33])  # 2, 8 and 9 are used
+def test_noise_floor_of_equal_and_zero_magnitudes_is_that_of_the_twin(n_directions):
+    magnitude = np.random.default_rng(9).integers(0, 4, (n_directions, 1, 21)).astype(np.float32)
+    bins = bins_of((n_directions, 0.01), (1, 0.1), n_ranges=21)
+    np.testing.assert_allclose(noise_floor(magnitude, bins), peaks_twin.noise_floor(magnitude))
 
 
 @pytest.mark.parametrize("scattered", [False, True])

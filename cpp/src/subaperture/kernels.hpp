@@ -66,6 +66,10 @@ struct SubapertureKernels {
     /// The same for one line a row; out: magnitudes, (count, n_ranges).
     void (*axis_magnitude)(const AxisSum<T>& axis, const T* rows, index_t row_stride,
                            index_t n_ranges, T* out);
+
+    /// Of each column, the value of rank n_rows / 2 from 0, and the one before it (if there is
+    /// one). columns: not negative, (n_rows, width), width a multiple of the lanes.
+    void (*middle_values)(const T* columns, index_t n_rows, index_t width, T* middle, T* before);
 };
 
 } // namespace geraf2::detail

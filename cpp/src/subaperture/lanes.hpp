@@ -3,6 +3,9 @@
 // docs/math/images.md#sub-aperture-images.
 #pragma once
 
+#include <cstdint>
+#include <type_traits>
+
 #include "simd/vector.hpp"
 #include "subaperture/kernels.hpp"
 
@@ -201,10 +204,41 @@ void axis_magnitude(const AxisSum<T>& axis, const T* rows, index_t row_stride, i
     }
 }
 
+/// Finds the bits of the value one by one, from the highest: numbers that are not negative are in
+/// the order of their bits. With std::nth_element, column by column, this was a fifth of an image.
+template <class T>
+void middle_values(const T* columns, index_t n_rows, index_t width, T* middle, T* before) {
+    using Integer = std::conditional_t<sizeof(T) == 4, std::int32_t, std::int64_t>;
+    using Bits = typename VectorOf<T>::bits;
+    const auto rank = static_cast<Integer>(n_rows / 2);
+    for (index_t r = 0; r < width; r += lanes<T>) {
+        Bits value{};
+        Bits bit = (Bits{} + 1) << (VectorOf<T>::sign_shift - 1);
+        for (; bit[0] > 0; bit >>= 1) {
+            const Bits tried = value | bit;
+            Bits n_below{};
+            for (index_t i = 0; i < n_rows; ++i) {
+                n_below -= reinterpret_cast<Bits>(load(columns + i * width + r)) < tried;
+            }
+            value = n_below <= rank ? tried : value;
+        }
+        Bits n_below{};
+        Bits largest_below{};
+        for (index_t i = 0; i < n_rows; ++i) {
+            const Bits other = reinterpret_cast<Bits>(load(columns + i * width + r));
+            const Bits is_below = other < value;
+            n_below -= is_below;
+            largest_below = (other & is_below) > largest_below ? other : largest_below;
+        }
+        store<T>(middle + r, reinterpret_cast<Vec<T>>(value));
+        store<T>(before + r, reinterpret_cast<Vec<T>>(n_below == rank ? largest_below : value));
+    }
+}
+
 template <class T>
 inline constexpr detail::SubapertureKernels<T> subaperture_kernels{
     lanes<T>, cosines_per_block, &focus_profiles<T>, &spread<T>,
-    &fold<T>, &axis_sum<T>,      &axis_magnitude<T>,
+    &fold<T>, &axis_sum<T>,      &axis_magnitude<T>, &middle_values<T>,
 };
 
 } // namespace geraf2::GERAF2_SIMD_NAMESPACE
