@@ -27,6 +27,8 @@ _STRONG_DB = -15.0
 """Least level of an echo relative to the strongest of its image: side lobes lie below [dB]."""
 _MAX_ECHOES = 3000
 """Largest number of echoes that are compared; more have the same sub-aperture's errors."""
+_PAIRS_AT_ONCE = 1 << 14
+"""Pairs that are compared together: their arrays stay in the cache."""
 _ROUNDS = 12
 MIN_PLANES = 4
 """Least number of planes whose agreement is compared."""
@@ -67,19 +69,23 @@ def _pairs(echoes: PeakSet) -> tuple[Ints, Ints, Floats]:
     """Planes of each pair, and the density of its offset on a common surface over that without."""
     points, normals, planes = echoes.points, -echoes.directions, echoes.planes
     near = KDTree(points).query_pairs(_REACH_M, output_type="ndarray")
-    i, j = near.T
-    apart = planes[i] != planes[j]
-    i, j = i[apart], j[apart]
-    cosine = np.einsum("ij,ij->i", normals.take(i, axis=0), normals.take(j, axis=0))
-    alike = cosine > _ALIKE
-    i, j, cosine = i[alike], j[alike], cosine[alike]
-    step = points.take(j, axis=0) - points.take(i, axis=0)
-    distance = np.sqrt(np.einsum("ij,ij->i", step, step))
-    both = normals.take(i, axis=0) + normals.take(j, axis=0)
-    offset = np.einsum("ij,ij->i", step, both) / np.sqrt(2.0 + 2.0 * cosine)
-    sigma = np.sqrt(ECHO_NOISE.offset_variance(distance))
-    density = normal_density(offset, sigma) * 2.0 * np.maximum(distance, sigma)
-    return planes[i], planes[j], density
+
+    def compared(pairs: Ints) -> tuple[Ints, Ints, Floats]:
+        i, j = pairs[planes[pairs[:, 0]] != planes[pairs[:, 1]]].T
+        cosine = np.einsum("ij,ij->i", normals.take(i, axis=0), normals.take(j, axis=0))
+        alike = cosine > _ALIKE
+        i, j, cosine = i[alike], j[alike], cosine[alike]
+        step = points.take(j, axis=0) - points.take(i, axis=0)
+        distance = np.sqrt(np.einsum("ij,ij->i", step, step))
+        both = normals.take(i, axis=0) + normals.take(j, axis=0)
+        offset = np.einsum("ij,ij->i", step, both) / np.sqrt(2.0 + 2.0 * cosine)
+        sigma = np.sqrt(ECHO_NOISE.offset_variance(distance))
+        density = normal_density(offset, sigma) * 2.0 * np.maximum(distance, sigma)
+        return planes[i], planes[j], density
+
+    parts = [compared(part) for part in np.array_split(near, len(near) // _PAIRS_AT_ONCE + 1)]
+    i, j, density = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return i, j, density
 
 
 def _agreement(i: Ints, j: Ints, density: Floats, n_planes: int) -> PlaneAgreement:
