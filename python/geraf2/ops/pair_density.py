@@ -44,7 +44,10 @@ def pair_densities(points: PeakPoints, others: PeakPoints, model: PairModel) -> 
     """
     arrays = (*_checked("points", points), *_checked("others", others))
     shape = len(points.planes), 2 * len(others.planes)
-    return sparse.csr_array(_core.pair_densities(*arrays, model), shape=shape)
+    densities, columns, starts = _core.pair_densities(*arrays, model)
+    index = np.int32 if starts[-1] <= np.iinfo(np.int32).max else np.int64  # half the memory
+    rows = densities, columns.astype(index), starts.astype(index)
+    return sparse.csr_array(rows, shape=shape)
 
 
 def _checked(name: str, points: PeakPoints) -> tuple[Floats, Floats, Ints, Ints]:
