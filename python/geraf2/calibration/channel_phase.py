@@ -85,8 +85,9 @@ def find_turns(echoes: list[EchoPhases]) -> int | None:
     antenna, vote, test = (np.concatenate(column) for column in (antennas, votes, half))
     gains = np.zeros(_MAX_TURNS + 1)
     for n in range(2, _MAX_TURNS + 1):
-        sums = np.zeros((2, n), dtype=np.complex128)
-        np.add.at(sums, (test.astype(np.int64), antenna % n), vote)
+        cell = test * n + antenna % n
+        parts_of_sums = [np.bincount(cell, part, 2 * n) for part in (vote.real, vote.imag)]
+        sums = (parts_of_sums[0] + 1j * parts_of_sums[1]).reshape(2, n)
         if (np.abs(sums) == 0.0).any():
             continue
         change = sums[0] / np.abs(sums[0])
