@@ -14,7 +14,7 @@ SUITE = """
 [base]
 figure = { name = "llama", height_m = 0.11 }
 walls = [{ size_m = [0.20, 0.20, 0.20] }]
-scan = { n_poses = 9, spacing_m = 0.006, aperture_m = [0.12, 0.14] }
+scan = { n_poses = 6, spacing_m = 0.006, aperture_m = [0.12, 0.14] }
 numerics = { wall_patch_m = 0.02, antenna_block_m = 0.07 }
 [scenes.llama]
 [scenes.giant]
@@ -22,10 +22,12 @@ figure = { height_m = 0.5 }
 
 [methods.fast]
 title = "geraf2"
+options = { trust_los = true }
 settings.fit = { spacing_m = 0.012 }
 [methods.back-projection]
 title = "points"
 preset = "back-projection"
+options = { trust_los = true }
 quick.back_projection = { spacing_m = 0.01 }
 settings.back_projection = { spacing_m = 0.006 }
 
@@ -33,7 +35,7 @@ settings.back_projection = { spacing_m = 0.006 }
 title = "best threshold"
 kind = "oracle"
 preset = "matched-filter"
-settings.matched_filter = { spacing_m = 0.01 }
+settings.matched_filter = { spacing_m = 0.015 }
 
 [experiments.objects]
 title = "Objects"

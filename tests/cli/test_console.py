@@ -50,7 +50,7 @@ def test_a_quiet_run_prints_warnings_alone_and_opens_its_page(scene, tmp_path, c
     opened = []
     monkeypatch.setattr(webbrowser, "open", lambda url: opened.append(url) or True)
     monkeypatch.chdir(tmp_path)
-    arguments = ["reconstruct", str(scene), *BOX, *FAST, "--quiet", "--open"]
+    arguments = ["reconstruct", str(scene), *BOX, *FAST, "--trust-los", "--quiet", "--open"]
     assert main([*arguments, "--no-report"]) == 2
     assert main(arguments) == 0
     printed = capsys.readouterr()

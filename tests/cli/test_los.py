@@ -163,7 +163,7 @@ def test_the_key_differs_with_photos_and_settings(photo_folder, tiny_training):
 @pytest.mark.slow
 def test_reconstruct_with_photos(photo_folder, tiny_training, scene, tmp_path):
     out = tmp_path / "run"
-    command = ("reconstruct", scene, out, "--los", photo_folder, *FAST)
+    command = ("reconstruct", scene, out, "--los", photo_folder, *FAST, "--trust-los")
     assert run(*command) == 0
     assert (out / "los" / "los.ply").is_file()
     box = read_mesh(out / "mesh_box.ply")

@@ -101,7 +101,7 @@ def test_no_content_is_an_error_that_keeps_the_old_mesh(
 
     monkeypatch.setattr("geraf2.pipeline.stages.direct.extract_meshes", without_content)
     before = contents(finished_run)
-    flags = [*BOX, *FAST, "--fit.bending-weight", "0.5", "--no-report", "--overwrite"]
+    flags = [*BOX, *FAST, "--fit.bending-weight", "0.5", "--trust-los", "--overwrite"]
     assert main(["reconstruct", str(built_scene), str(finished_run), *flags]) == 2
     assert "no surface was found inside the box" in the_error(capsys)
     assert contents(finished_run) == before

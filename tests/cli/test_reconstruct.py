@@ -92,10 +92,11 @@ def test_what_stops_a_run_is_one_line_and_changes_nothing(
         raise error
 
     monkeypatch.setattr(f"geraf2.pipeline.stages.direct.{step}", stopped)
-    other = [*BOX, "--overwrite", "--fit.bending-weight", "0.5"]
+    known = [*BOX, "--trust-los"]
+    other = [*known, "--overwrite", "--fit.bending-weight", "0.5"]
     assert run(built_scene, finished_run, *other) == code
     assert stated in the_error(capsys)
-    assert run(built_scene, finished_run.parent / "new", *BOX) == code
+    assert run(built_scene, finished_run.parent / "new", *known) == code
     assert contents(finished_run.parent) == before
     assert [path.name for path in finished_run.parent.iterdir()] == ["finished"]
 
@@ -209,7 +210,7 @@ def test_evaluate_knows_planes_and_seed_without_the_scene(finished_run, scene, t
     """The run folder holds where its antennas were; of planes that it left out nothing counts."""
     half, truth = tmp_path / "half", tmp_path / "gone" / "truth.ply"
     left_out = ["--hold-out", "0", "40", "80", "120", "160", "--seed", "7"]
-    assert run(scene, half, *BOX, *left_out) == 0
+    assert run(scene, half, *BOX, "--trust-los", *left_out) == 0
     scene.rename(tmp_path / "gone")
     few = {"n_samples": 500, "report": False}
     shares = [evaluate(f, truth, **few).by_sight[0].area_fraction for f in (finished_run, half)]

@@ -40,7 +40,7 @@ def made(tmp_path_factory):
     save_capture(examples.small_capture()[0], folder / "scene")
     main(["los", "x".join(map(str, examples.BOX_M)), str(folder / "los")])
     prior = folder / "los" / "los.ply"
-    options = RunOptions(calibrate="no")
+    options = RunOptions(calibrate="no", trust_los=True)
     reconstruct(folder / "scene", prior, COARSE, folder / "run", options=options)
     return folder
 
@@ -130,8 +130,8 @@ def test_a_mesh_states_its_origin(made, name):
     record = json.loads((made / "run" / "run.json").read_text())
     assert made_from["scene"] == record["scene"]["digest"]
     assert made_from["command"] == (
-        "geraf2 reconstruct scene OUT --los los.ply --preset fast --calibrate no"
-        " --fit.spacing-m 0.01"
+        "geraf2 reconstruct scene OUT --los los.ply --preset fast --trust-los"
+        " --calibrate no --fit.spacing-m 0.01"
     )
 
 
@@ -192,7 +192,7 @@ def test_the_folder_is_consistent_at_every_moment_of_another_run(folder, monkeyp
     evaluate(run, truth, n_samples=200, report=False)
     monkeypatch.setattr("geraf2.io.atomic._count", look)
     monkeypatch.setattr(Path, "unlink", unlink)
-    options = RunOptions(calibrate="no")
+    options = RunOptions(calibrate="no", trust_los=True)
     scene, prior = folder / "scene", folder / "los" / "los.ply"
     for n_samples in (300, 200):  # the second draws a report again, which the first drew
         evaluate(run, truth, n_samples=n_samples)

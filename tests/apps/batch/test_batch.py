@@ -34,7 +34,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning")
 
 BOX = geraf2.examples.BOX_M
 COARSE = FastPreset(fit=FitConfig(spacing_m=0.012))
-QUIET = geraf2.RunOptions(calibrate="no")
+QUIET = geraf2.RunOptions(calibrate="no", trust_los=True)
 
 
 @pytest.fixture(scope="module")

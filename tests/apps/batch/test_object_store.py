@@ -20,7 +20,7 @@ pytest.importorskip("obstore", reason="object stores need the package obstore")
 
 BOX = geraf2.examples.BOX_M
 COARSE = FastPreset(fit=FitConfig(spacing_m=0.012))
-QUIET = geraf2.RunOptions(calibrate="no")
+QUIET = geraf2.RunOptions(calibrate="no", trust_los=True)
 
 
 @pytest.fixture(scope="module")
