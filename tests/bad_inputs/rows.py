@@ -397,16 +397,8 @@ RUNS = [
         "run/config.toml",
         'seed|1.5|"one"\nbox|[1,2]|"big"\nfit.spacing_m|nan|"fine"\nfit.unknown|1',
     ),
-    *(
-        bad(line, npz(f"run/{name}.npz", array, change), text=f"{name}.npz")
-        for line, name, arrays in (
-            ("view run", "glints", ("positions", "normals", "strengths", "poses", "probability")),
-            ("view run", "sdf", ("values", "origin_m", "spacing_m")),
-            ("render run", "prior", ("vertices", "faces", "walls")),
-        )
-        for array in arrays
-        for change in (None, lambda a: np.full(a.shape, np.nan))
-    ),
+    # Of all arrays of our own files: tests/io/test_array_layouts.py.
+    *rows("view run", npz("run/glints.npz", "poses", None), npz("run/sdf.npz", "values", None)),
 ]
 
 # One reader of JSON and one of TOML serve all commands: every text meets the first file.
