@@ -22,6 +22,7 @@ assert (folder / "py.typed").is_file() and (folder / "_core.pyi").is_file()
 report = folder / "report"
 assert (report / "templates" / "run.html").is_file() and (report / "viewer" / "viewer.js").is_file()
 assert (folder / "surfaces" / "completion.safetensors").is_file()
+assert (folder / "echoes" / "faces.safetensors").is_file()
 print(f"geraf2 {geraf2.__version__} from the wheel, Embree {_core.embree_major()}")
 """
 

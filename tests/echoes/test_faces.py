@@ -1,13 +1,14 @@
-"""Densities of echoes by the faces of bodies on their lines of sight, against a slow twin."""
+"""Lines of sight through bodies, and the densities of echoes by their faces, against slow twins."""
 
 import numpy as np
+import pytest
 import trimesh
 
 from geraf2.echoes import faces
 from helpers.glint_sets import glints_at
-from reference.faces import densities
+from reference.faces import chord, densities
 
-CELL_M, WIDTH = 0.042, 1.5
+CELL_M, RADIUS_M = 0.042, 0.04
 
 
 def two_plates(glints):
@@ -18,20 +19,61 @@ def two_plates(glints):
     return both.vertices, both.faces
 
 
+def ball(glints):
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=RADIUS_M)
+    return mesh.vertices, mesh.faces
+
+
+def scan_of(glints, surface):
+    return faces.Scan(
+        glints=glints, surface_through=surface, cell_m=CELL_M, volume_m3=0.1, num_threads=1
+    )
+
+
 def test_densities_are_those_of_one_number_at_a_time():
     rng = np.random.default_rng(4)
     positions = np.column_stack([rng.uniform(-0.1, 0.03, 40), np.zeros(40), np.zeros(40)])
     glints = glints_at(positions, np.tile([1.0, 0.0, 0.0], (40, 1)))
-    scan = faces.Scan(
-        glints=glints, surface_through=two_plates, cell_m=CELL_M, volume_m3=0.1, num_threads=1
-    )
-    shares = np.array([0.4, 0.3, 0.2, 0.1])
-    lines = faces._cross(scan, glints, WIDTH)
+    lines = faces._cross(scan_of(glints, two_plates), glints)
     assert lines.exists.all()
-    found = faces._densities(lines, shares, WIDTH, CELL_M)
-    model = {"index": faces.INDEX, "cell_m": CELL_M, "width": WIDTH, "shares": shares[:3]}
+    found = faces._densities(lines, CELL_M)
+    model = {"index": faces.INDEX, "cell_m": CELL_M}
     model["area_m2"] = 2.0 * (0.2 * 0.2 * 2.0 + 4.0 * 0.2 * 0.018)
     # Where the line crosses a plate, both point out of it along the line.
     paths, agreements = [(-0.003, 0.003), (0.023, 0.053)], [(1.0, 1.0)] * 2
     for x, own in zip(positions[:, 0], found, strict=True):
         np.testing.assert_allclose(own, densities(-x, paths, agreements, model), rtol=1e-6)
+
+
+def test_a_line_of_sight_is_refracted_where_it_enters_a_ball():
+    beside = np.linspace(0.0, 0.8, 9) * RADIUS_M
+    positions = np.column_stack([np.zeros(9), beside, np.zeros(9)])
+    glints = glints_at(positions, np.tile([1.0, 0.0, 0.0], (9, 1)))
+    lines = faces._cross(scan_of(glints, ball), glints)
+    expected = [chord(b, RADIUS_M, faces.INDEX) for b in beside]
+    np.testing.assert_allclose(lines.thickness_m[:, 0], expected, atol=2e-4)
+    # A wave through the middle meets both faces at a right angle, others neither.
+    assert lines.entry[0, 0] > 0.99
+    assert lines.leave[0, 0] > 0.99
+    assert (np.diff(lines.entry[:, 0]) < 0.0).all()
+    assert (np.diff(lines.leave[:, 0]) < 0.0).all()
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.6])
+def test_refraction_follows_snells_law(ratio):
+    rng = np.random.default_rng(0)
+    normals, directions = rng.standard_normal((2, 200, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    directions -= 2.0 * np.maximum(np.sum(directions * normals, axis=1), 0.0)[:, None] * normals
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    bent = faces.refract(directions, normals, ratio)
+    before, behind = np.cross(normals, directions), np.cross(normals, bent)
+    np.testing.assert_allclose(behind, ratio * before, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(bent, axis=1), 1.0, atol=1e-12)
+    assert (np.sum(bent * normals, axis=1) < 0.0).all()
+
+
+def test_what_comes_from_inside_is_taken_for_grazing():
+    bent = faces.refract(np.array([0.0, 0.6, 0.8]), np.array([0.0, 0.0, 1.0]), 0.5)
+    assert bent[2] < 0.0
+    assert np.isfinite(bent).all()

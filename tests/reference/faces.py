@@ -1,4 +1,4 @@
-"""Density of an echo by the faces of a dielectric body, for one number at a time; slow."""
+"""Echoes of the faces of a dielectric body, for one number at a time; slow."""
 
 import math
 
@@ -13,34 +13,25 @@ def densities(depth, paths, agreements, model):
     depth: of the echo behind the first point of the line [m].
     paths: where the line enters and leaves each body, in order [m].
     agreements: of the normals there.
-    model: index, cell_m, area_m2, shares of front, back and both, and the width of the round.
+    model: index, cell_m and area_m2.
     """
-    n, cell, area, wide = (model[name] for name in ("index", "cell_m", "area_m2", "width"))
-    front_share, back_share, both_share = model["shares"]
-    found, crossed, left = [], 0.0, 1.0
+    n, cell, area = (model[name] for name in ("index", "cell_m", "area_m2"))
+    found, crossed = [], 0.0
     for (enter, leave), (k_front, k_back) in zip(paths, agreements, strict=True):
         thickness = leave - enter
         optical = n * thickness
         r = depth - enter - (n - 1.0) * crossed
-        own = wide * 0.002 + 0.08 * crossed
+        own = 0.002 + 0.08 * crossed
         h = min(1.0, max(0.0, (0.8 - optical / cell) / 0.3))
-        found.append(
-            [
-                left * front_share * (k_front - h * k_front * k_back) * normal(r, own) / area,
-                left
-                * back_share
-                * (k_back - 0.5 * h * k_front * k_back)
-                * normal(r - optical, own + 0.05 * optical)
-                / area,
-                left
-                * both_share
-                * h
-                * k_front
-                * k_back
-                * normal(r - 0.67 * optical, own + 0.12 * optical)
-                / area,
-            ]
-        )
+        both = h * k_front * k_back
+        front = (k_front - both) * normal(r, own)
+        back = (k_back - 0.5 * both) * normal(r - optical, own + 0.05 * optical)
+        merged = both * normal(r - 0.67 * optical, own + 0.12 * optical)
+        found.append([density / area for density in (front, back, merged)])
         crossed += thickness
-        left *= 0.5
     return found
+
+
+def chord(beside, radius, index):
+    """Path in a ball of a wave that enters it so far beside its middle, by Snell's law."""
+    return 2.0 * radius * math.cos(math.asin(beside / (radius * index)))

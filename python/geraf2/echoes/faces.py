@@ -2,7 +2,8 @@
 
 A wave that enters a body of refractive index n at f and is reflected after the thickness t seems to
 come from f + n t. Which echoes are of back faces follows from the surface, and the surface from the
-echoes: both are estimated in turns, by expectation maximisation, from several starts.
+echoes: both are estimated in turns, by expectation maximisation, from what a network that has seen
+objects takes each echo for.
 """
 
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats, Ints
+from geraf2.echoes.face_network import FaceGuess, guess_faces
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.noise import ECHO_NOISE, normal_density
 from geraf2.errors import UserError
@@ -26,13 +28,11 @@ INDEX = 1.67
 """Refractive index of plastics, 1.58 to 1.82."""
 AHEAD_M = 0.4
 """Start of a line of sight in front of its glint, outside of any content [m]."""
-_STARTS_M = (0.0, 0.008, 0.016, 0.028, 0.05, 0.09)
-"""Starts: all echoes this far behind the surface [m]."""
 _UNEXPLAINED = 0.15
 """Share of the echoes that no front explains from which on plastic is tried. Metal leaves 0.04 to
 0.15 in 27 of 30 scans."""
 _ROUNDS = 6
-"""Rounds of each start."""
+"""Rounds of expectation and maximisation."""
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
 """Standard deviation of an echo about its face [m]; over the path in the body, and in bodies that
 were crossed before."""
@@ -42,14 +42,10 @@ deviation: of nine random bodies."""
 _THIN, _THICK = 0.5, 0.8
 """Optical thickness over the range cell up to which both faces send one echo, and from which on
 two."""
-_HIDDEN = 0.5
-"""Share of the echoes that a body leaves of what is behind it."""
-_PLASTIC, _METAL = np.array([0.3, 0.3, 0.25, 0.15]), np.array([0.85, 0.0, 0.0, 0.15])
-"""Shares of echoes of front faces, back faces, both, and clutter before the scan is seen."""
-_PRIOR_WEIGHT = 0.2
-"""Their weight against the shares of the scan."""
-_WIDEST, _NARROWER = 2.5, 0.5
-"""Standard deviations of the first round over those at last, and their change in each round."""
+_LIFT_M = 5e-4
+"""Step of a refracted line off the face that it enters [m]."""
+_METAL = np.array([0.85, 0.0, 0.0, 0.15])
+"""Probability of a front face, back face, both, and clutter, of an echo of metal."""
 _LIKELY = 0.15
 """Least probability of a face that is used."""
 _MIN_GLINTS = 10
@@ -67,19 +63,21 @@ class Faces(NamedTuple):
     """Which of them are back faces, seen through the body, (n,)."""
     log_likelihood: float
     """Mean of the glints' log densities [log 1 / m^3]."""
-    shares: Floats
-    """Shares of fronts, backs, both, and clutter, (4,)."""
+    unexplained: float
+    """Share of the strength that no face explains."""
 
 
 class _Lines(NamedTuple):
     """What each line of sight crosses, (n_glints, n_bodies) each."""
 
     behind_m: Floats  # depth of the glint behind the apparent entry
-    thickness_m: Floats
+    thickness_m: Floats  # along the refracted line
     before_m: Floats  # path in bodies crossed before
     entry: Floats  # agreement of the surface's normal with the glint's where the line enters
-    leave: Floats  # and where it leaves
+    leave: Floats  # and with the refracted line where it leaves
     exists: Bools
+    entries: Floats  # points, (n_glints, n_bodies, 3)
+    inside: Floats  # directions of the refracted lines, (n_glints, n_bodies, 3)
     area_m2: float
 
 
@@ -99,84 +97,117 @@ class Scan:
 
 def find_faces(scan: Scan) -> Faces | None:
     """Faces of plastic, where they explain the glints better than fronts of metal; else None."""
-    fronts = _improve(scan, _start(scan.glints, _METAL), _METAL, range(_ROUNDS - 1, _ROUNDS))
-    if fronts is not None and fronts.shares[3] < _UNEXPLAINED:
+    n = len(scan.glints)
+    given = Faces(scan.glints, np.arange(n), np.zeros(n, dtype=bool), -np.inf, 1.0)
+    fronts = _improve(scan, given, _METAL, 1)
+    if fronts is not None and fronts.unexplained < _UNEXPLAINED:
         return None
-    found = []
-    for start_m in _STARTS_M:
-        start = scan.glints.positions + start_m * scan.glints.normals
-        faces = _start(replace(scan.glints, positions=start), _PLASTIC)
-        found.append(_improve(scan, faces, _PLASTIC, range(_ROUNDS)))
-    best = max(filter(None, found), key=lambda f: f.log_likelihood, default=None)
-    if fronts is None or best is None:
-        return best
-    fronts = _improve(scan, fronts, _METAL, range(_ROUNDS // 2, _ROUNDS)) or fronts
-    return best if best.log_likelihood > fronts.log_likelihood else None
+    guess = guess_faces(scan.glints)
+    faces = _improve(scan, _placed_by(scan.glints, guess), guess.probability, _ROUNDS)
+    if fronts is None or faces is None:
+        return faces
+    fronts = _improve(scan, fronts, _METAL, _ROUNDS // 2) or fronts
+    return faces if faces.log_likelihood > fronts.log_likelihood else None
 
 
-def _start(glints: Glints, shares: Floats) -> Faces:
-    n = len(glints)
-    return Faces(glints, np.arange(n), np.zeros(n, dtype=bool), -np.inf, shares)
+def _placed_by(glints: Glints, guess: FaceGuess) -> Faces:
+    """Glints on the faces, and at the thickness, that the network takes them for."""
+    n, depth_m = len(glints), INDEX * guess.thickness_m[:, None]
+    lines = _Lines(
+        behind_m=depth_m,
+        thickness_m=guess.thickness_m[:, None],
+        before_m=np.zeros((n, 1)),
+        entry=np.ones((n, 1)),
+        leave=np.ones((n, 1)),
+        exists=np.ones((n, 1), dtype=bool),
+        entries=(glints.positions + depth_m * glints.normals)[:, None],
+        inside=-glints.normals[:, None],
+        area_m2=1.0,
+    )
+    return _place(glints, lines, guess.probability[:, None, :3])
 
 
-def _improve(scan: Scan, faces: Faces, prior: Floats, rounds: range) -> Faces | None:
-    """Faces after some rounds; None where the surface does not close."""
+def _improve(scan: Scan, faces: Faces, odds: Floats, n_rounds: int) -> Faces | None:
+    """Faces after some rounds; None where the surface does not close.
+
+    odds: of a front face, a back face, both, and clutter, (4,) or for each glint, (n_glints, 4).
+    """
     weights = scan.glints.probability * relative_strengths(scan.glints.strengths)
     weights = weights / weights.sum()
-    for number in rounds:
-        width = max(1.0, _WIDEST - _NARROWER * number)
+    odds = np.broadcast_to(odds, (len(weights), 4))
+    for _ in range(n_rounds):
         try:
-            lines = _cross(scan, faces.glints, width)
+            lines = _cross(scan, faces.glints)
         except UserError:
             return None
-        density = _densities(lines, faces.shares, width, scan.cell_m)
-        total = density.sum(axis=(1, 2)) + faces.shares[3] / scan.volume_m3
+        density = _densities(lines, scan.cell_m) * odds[:, None, :3]
+        total = density.sum(axis=(1, 2)) + odds[:, 3] / scan.volume_m3
         chances = density / total[:, None, None]
-        seen = weights @ chances.sum(axis=1)
-        shares = (1.0 - _PRIOR_WEIGHT) * np.append(seen, 1.0 - seen.sum())
         faces = _place(scan.glints, lines, chances)._replace(
-            log_likelihood=float(weights @ np.log(total)), shares=shares + _PRIOR_WEIGHT * prior
+            log_likelihood=float(weights @ np.log(total)),
+            unexplained=1.0 - float(weights @ chances.sum(axis=(1, 2))),
         )
         if len(faces.glints) < _MIN_GLINTS:
             return None
     return faces
 
 
-def _cross(scan: Scan, placed: Glints, width: float) -> _Lines:
+def _cross(scan: Scan, placed: Glints) -> _Lines:
     """Crossings of the lines of sight with the surface through glints that were put on faces."""
     glints, (vertices, faces) = scan.glints, scan.surface_through(placed)
     scene, tree = MeshScene(vertices, faces, num_threads=scan.num_threads), KDTree(vertices)
     normals = vertex_normals(vertices, faces)
-    start = glints.positions + AHEAD_M * glints.normals
-    found = scene.entry_exit(start, -glints.normals)
+    start, ahead = glints.positions + AHEAD_M * glints.normals, -glints.normals[:, None]
+    found = scene.entry_exit(start, ahead[:, 0])
     exists = np.isfinite(found.t_entry) & np.isfinite(found.t_exit)
     entry, leave = (np.where(exists, t, 0.0) for t in (found.t_entry, found.t_exit))
     before = np.cumsum(leave - entry, axis=1) - (leave - entry)
+    entries = start[:, None] + entry[..., None] * ahead
+    at_entry = normals[tree.query(entries)[1]]
+    inside = refract(ahead, at_entry, 1.0 / INDEX)
+    lifted = entries + _LIFT_M * inside
+    thickness = scene.closest_hit(lifted.reshape(-1, 3), inside.reshape(-1, 3))[0] + _LIFT_M
+    exists &= np.isfinite(thickness.reshape(entry.shape))
+    thickness = np.where(exists, thickness.reshape(entry.shape), 0.0)
+    at_exit = normals[tree.query(entries + thickness[..., None] * inside)[1]]
 
-    def agreement(distance_m: Floats, sign: float) -> Floats:
-        points = start[:, None] - distance_m[..., None] * glints.normals[:, None]
-        cosine = sign * np.einsum("nki,ni->nk", normals[tree.query(points)[1]], glints.normals)
-        turn2 = 2.0 - 2.0 * np.clip(cosine, -1.0, 1.0)
-        return np.asarray(np.exp(-0.5 * turn2 / (width * ECHO_NOISE.peak_normal_rad**2)))
+    def agreement(outward: Floats, directions: Floats) -> Floats:
+        turn2 = ((outward - directions) ** 2).sum(axis=2)
+        return np.asarray(np.exp(-0.5 * turn2 / ECHO_NOISE.peak_normal_rad**2))
 
     return _Lines(
         behind_m=AHEAD_M - entry - (INDEX - 1.0) * before,
-        thickness_m=leave - entry,
+        thickness_m=thickness,
         before_m=before,
-        entry=agreement(entry, 1.0),
-        leave=agreement(leave, -1.0),
+        entry=agreement(at_entry, -ahead),
+        leave=agreement(at_exit, inside),
         exists=exists,
+        entries=entries,
+        inside=inside,
         area_m2=float(face_areas(vertices[faces]).sum()),
     )
 
 
-def _densities(lines: _Lines, shares: Floats, width: float, cell_m: float) -> Floats:
+def refract(directions: Floats, normals: Floats, ratio: float) -> Floats:
+    """Directions of waves behind a surface, by Snell's law, (..., 3).
+
+    directions: of the waves before it, unit vectors, (..., 3).
+    normals: against them, unit vectors, (..., 3). A wave that comes from the other side is taken
+        for a grazing one.
+    ratio: of the refractive indices, before over behind, at most 1.
+    """
+    cosine = np.maximum(-(directions * normals).sum(axis=-1, keepdims=True), 0.0)
+    inner = np.sqrt(1.0 - ratio**2 * (1.0 - cosine**2))
+    bent = ratio * directions + (ratio * cosine - inner) * normals
+    return np.asarray(bent / np.linalg.norm(bent, axis=-1, keepdims=True))
+
+
+def _densities(lines: _Lines, cell_m: float) -> Floats:
     """Density of glints by fronts, backs, and both faces, (n_glints, n_bodies, 3) [1 / m^3]."""
     optical, before = INDEX * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
-    own = width * _SIGMA_M + before
+    own = _SIGMA_M + before
     thin = np.clip((_THICK - optical / cell_m) / (_THICK - _THIN), 0.0, 1.0)
     both = thin * lines.entry * lines.leave
-    hidden = lines.exists * _HIDDEN ** np.arange(optical.shape[1]) / lines.area_m2
     front = (lines.entry - both) * normal_density(lines.behind_m, own)
     back = (lines.leave - 0.5 * both) * normal_density(
         lines.behind_m - optical, own + _SIGMA_OF_PATH * optical
@@ -184,7 +215,7 @@ def _densities(lines: _Lines, shares: Floats, width: float, cell_m: float) -> Fl
     merged = both * normal_density(
         lines.behind_m - _MERGED * optical, own + _MERGED_SIGMA * optical
     )
-    return np.stack([front, back, merged], axis=2) * shares[:3] * hidden[..., None]
+    return np.stack([front, back, merged], axis=2) * lines.exists[..., None] / lines.area_m2
 
 
 def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:
@@ -198,21 +229,22 @@ def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:
     chance, kind = flat[rows, np.append(choices, choices[both])], np.append(kind, kind[both] + 1)
     likely = chance > _LIKELY
     rows, body, kind, chance = rows[likely], body[likely], kind[likely], chance[likely]
-    behind, thickness, before = (
-        values[rows, body] for values in (lines.behind_m, lines.thickness_m, lines.before_m)
-    )
-    none, merged = np.zeros(len(rows)), _MERGED * INDEX * thickness
-    moved = [none, (1.0 - 1.0 / INDEX) * behind, merged, merged - thickness]
-    merged_sigma = _MERGED_SIGMA * INDEX * thickness
-    sigma = [none, _SIGMA_OF_PATH * thickness, merged_sigma, merged_sigma]
-    moved_m = np.choose(kind, moved) + (INDEX - 1.0) * before
-    sigma_m = np.choose(kind, sigma) + _SIGMA_OF_BODY * before
+    crossed = (lines.behind_m, lines.thickness_m, lines.before_m, lines.entries, lines.inside)
+    behind, thickness, before, entry, inside = (values[rows, body] for values in crossed)
     own, is_back = glints.select(rows), kind % 2 == 1
+    merged = _MERGED * INDEX * thickness
+    front = own.positions + ((INDEX - 1.0) * before)[:, None] * own.normals
+    thin = front + merged[:, None] * own.normals
+    far = entry + (behind / INDEX)[:, None] * inside
+    places = [front, far, thin, thin + thickness[:, None] * inside]
+    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * INDEX * thickness
+    sigmas = [none, _SIGMA_OF_PATH * thickness, merged_sigma, merged_sigma]
+    sigma_m = np.choose(kind, sigmas) + _SIGMA_OF_BODY * before
     placed = replace(
         own,
-        positions=own.positions + moved_m[:, None] * own.normals,
-        normals=np.where(is_back[:, None], -own.normals, own.normals),
+        positions=np.choose(kind[:, None], places),
+        normals=np.where(is_back[:, None], inside, own.normals),
         position_sigma_m=np.hypot(own.position_sigma_m, sigma_m),
         probability=own.probability * chance,
     )
-    return Faces(placed, rows, is_back, -np.inf, _PLASTIC)
+    return Faces(placed, rows, is_back, -np.inf, 1.0)
