@@ -62,7 +62,7 @@ class FitConfig(Bounded):
     """Distance that the fit assumes at the domain's faces [m]."""
     completion: Literal["objects", "smooth"] = "objects"
     """What closes the surface where no echo came from: a network that has seen objects, or the
-    smoothest surface."""
+    smoothest surface. Content of plastic gets the smoothest one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,5 +1,6 @@
 """Steps of the presets fast and best, and the meshes of every preset."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,9 @@ def find_glints(job: Job) -> Glints:
 
 
 def _fit(job: Job, evidence: Glints | Evidence, config: FitConfig) -> SdfGrid:
+    if "n_back_faces" in job.run.stages["glints"].numbers:
+        # The completion has only seen faces from outside, with free space before them.
+        config = replace(config, completion="smooth")
     with job.step("sdf") as step:
         sdf = fit_sdf(
             evidence,
