@@ -115,7 +115,8 @@ def _token_features(positions: Floats, normals: Floats, strengths: Floats) -> Ar
 
 def pair_features(positions: Floats, normals: Floats) -> Array:
     """Of each pair of glints, (n, n, 14): how far the second lies behind and beside the first."""
-    step = (positions[None] - positions[:, None]) / LENGTH_M
+    normals = normals.astype(np.float32)
+    step = ((positions[None] - positions[:, None]) / LENGTH_M).astype(np.float32)
     depth = np.einsum("ijk,ik->ij", step, normals)
     behind = np.einsum("ijk,jk->ij", step, normals)
     cosine, square = normals @ normals.T, np.einsum("ijk,ijk->ij", step, step)
@@ -126,7 +127,7 @@ def pair_features(positions: Floats, normals: Floats) -> Array:
     found += [np.exp(-4.0 * square), np.exp(-0.5 * square), np.tanh(0.5 * np.sqrt(square))]
     found += [np.maximum(cosine, 0.0) * offset]
     found += [np.maximum(-cosine, 0.0) * np.tanh(depth - behind)]
-    return np.stack(found, axis=2).astype(np.float32)
+    return np.stack(found, axis=2)
 
 
 def _silu(values: Array) -> Array:
