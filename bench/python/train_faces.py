@@ -431,7 +431,7 @@ def fit(folder: Path, out: Path, seed: int, n_steps: int) -> None:
 
 
 def save(network: Network, out: Path) -> None:
-    """Write the weights, which take the units and factors in."""
+    """Write the weights in half precision, with the units and factors in them."""
     arrays = {name: value.numpy().copy() for name, value in network.state_dict().items()}
     arrays["out.bias"][4] += np.log(THICKNESS_M)
     for block in (f"blocks.{number}" for number in range(N_BLOCKS)):
@@ -439,6 +439,7 @@ def save(network: Network, out: Path) -> None:
         # of each head: what is shared, then what is counted
         counted = arrays[f"{block}.o.weight"].reshape(N_WIDE, N_HEADS, 2, -1)[:, :, 1]
         counted *= COUNTED
+    arrays = {name: array.astype(np.float16) for name, array in arrays.items()}
     stored = Checkpoint(kind=WEIGHTS_KIND, version=WEIGHTS_VERSION, arrays=arrays, header={})
     save_checkpoint(out, stored)
 
