@@ -94,7 +94,6 @@ def test_what_a_test_shows_is_the_first_cause(change, cause):
         {"planes": replace(PLANES, recorded=agreement(0.02))},
         {"planes": replace(PLANES, reversed_turn=Rival(share=0.4, sigmas=3.0))},
         {"radius_m": -0.03},
-        {"plastic": 0.4},
     ],
 )
 def test_each_test_raises_the_probability(worse):

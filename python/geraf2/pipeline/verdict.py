@@ -40,7 +40,6 @@ _WEIGHTS: Mapping[str, float] = {
     "disagreement": 1.59,
     "sense": 0.94,
     "delay": 0.44,
-    "plastic": 5.77,
 }
 DOUBTFUL, FAILED = 0.15, 0.5
 """Probabilities of a failure from which a result is doubtful, and not to be trusted."""
@@ -157,7 +156,6 @@ class RunTests:
             "delay": min(self.walls.odds, _MAX_NATS)
             if self.walls.is_wrong
             else delay_log_odds(self.radius_m),
-            "plastic": float(self.plastic > 0.0),
         }
 
     def verdict(self) -> Verdict:
@@ -264,8 +262,8 @@ class RunTests:
             seen = "the echoes lie on surfaces that curve as no outside of a body does"
         return Cause(
             "plastic",
-            f"{seen}: the content is plastic, whose shape and size are not determined",
-            "use the position of the content, not its shape",
+            f"{seen}: the content is plastic, and which of its two faces an echo is of is not sure",
+            "add planes from opposite sides (geraf2 plan), or use the position of the content alone",
         )
 
 
