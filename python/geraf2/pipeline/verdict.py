@@ -263,7 +263,7 @@ class RunTests:
         return Cause(
             "plastic",
             f"{seen}: the content is plastic, and which of its two faces an echo is of is not sure",
-            "add planes from opposite sides (geraf2 plan), or use the position of the content alone",
+            "add planes from opposite sides (geraf2 plan), or use the content's position alone",
         )
 
 
