@@ -1,6 +1,8 @@
 """Small ROS 2 bags of a simulated serpentine scan, written by rosbags."""
 
 import numpy as np
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from scipy.spatial.transform import Rotation
@@ -147,3 +149,25 @@ def _write_poses(writer, store, path, poses, end_s):
         static = writer.add_connection("/tf_static", kind, typestore=store)
         message = types[kind](transforms=[link("arm", "radar", EPOCH_NS, (0, 0, -0.1), 0.0)])
         writer.write(static, EPOCH_NS, store.serialize_cdr(message, kind))
+
+
+def rewritten(bag, target, **options):
+    """Copy of the MCAP of a bag by the package mcap, with options of its writer."""
+    with next(bag.glob("*.mcap")).open("rb") as file, target.open("wb") as out:
+        writer = McapWriter(out, **options)
+        writer.start(profile="ros2")
+        schemas, channels = {}, {}
+        for schema, channel, message in make_reader(file).iter_messages():
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
+            if channel.id not in channels:
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas[schema.id]
+                )
+            writer.add_message(
+                channels[channel.id], message.log_time, message.data, message.publish_time
+            )
+        writer.finish()
+    return target
