@@ -1,11 +1,14 @@
 """Lines of sight through bodies, and the densities of echoes by their faces, against slow twins."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
 from geraf2.echoes import faces
 from helpers.glint_sets import glints_at
+from helpers.specular import fibonacci_sphere
 from reference.faces import chord, densities
 
 CELL_M, RADIUS_M = 0.042, 0.04
@@ -77,3 +80,16 @@ def test_what_comes_from_inside_is_taken_for_grazing():
     bent = faces.refract(np.array([0.0, 0.6, 0.8]), np.array([0.0, 0.0, 1.0]), 0.5)
     assert bent[2] < 0.0
     assert np.isfinite(bent).all()
+
+
+def test_side_lobes_of_strong_back_faces_are_left_out():
+    legs = fibonacci_sphere(200)
+    back, false, front = -0.055 * legs, (2.2 * CELL_M - 0.055) * legs, 0.024 * legs
+    strengths = np.repeat([1.0, 0.25, 0.25], 200)
+    glints = glints_at(np.concatenate([back, false, front]), np.concatenate([legs] * 3), strengths)
+    found = faces._side_lobes(scan_of(glints, ball))
+    assert not found[:200].any()
+    assert found[200:400].all()
+    assert not found[400:].any()
+    equal = faces._side_lobes(scan_of(replace(glints, strengths=np.ones(600)), ball))
+    assert not equal.any()

@@ -33,6 +33,9 @@ _METAL = 0.2
 it is 0.00 to 0.09, of 20 plastic ones 0.34 to 0.99; four that show fronts alone have up to 0.08."""
 _ENOUGH = 768
 """Glints from which this share is known to about 0.01."""
+_SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
+"""Place of the range window's side lobe in front of an echo [range cells], the least ratio of both
+amplitudes, and the largest angle of both directions [rad]."""
 _ROUNDS = 6
 """Rounds of expectation and maximisation."""
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
@@ -96,6 +99,8 @@ def find_faces(scan: Scan) -> Faces | None:
     drawn = np.random.default_rng(0).permutation(len(scan.glints))[:_ENOUGH]
     if back_share(scan.glints.select(drawn)) < _METAL:
         return None
+    kept = np.flatnonzero(~_side_lobes(scan))
+    scan = replace(scan, glints=scan.glints.select(kept))
     guess = guess_faces(scan.glints)
     faces = _placed_by(scan.glints, guess)
     for _ in range(_ROUNDS):
@@ -109,13 +114,28 @@ def find_faces(scan: Scan) -> Faces | None:
         faces = _place(scan.glints, lines, density / total[:, None, None])
         if len(faces.glints) < _MIN_GLINTS:
             return None
-    return faces
+    return faces._replace(sources=kept[faces.sources])
 
 
 def back_share(glints: Glints) -> float:
     """Share of the strength that the network takes for echoes of back faces."""
     weights = glints.probability * relative_strengths(glints.strengths)
     return float(weights @ guess_faces(glints).probability[:, 1:3].sum(axis=1) / weights.sum())
+
+
+def _side_lobes(scan: Scan) -> Bools:
+    """Glints where the range window of a far stronger back face shows a side lobe, (n_glints,)."""
+    glints, found = scan.glints, np.zeros(len(scan.glints), dtype=bool)
+    lobe_m = _SIDE_LOBE * scan.cell_m
+    tree = KDTree(glints.positions)
+    ahead = glints.positions - lobe_m * glints.normals
+    for number, near in enumerate(tree.query_ball_point(ahead, 0.25 * scan.cell_m)):
+        same = np.array(near, dtype=np.int64)
+        same = same[glints.poses[same] == glints.poses[number]]
+        along = glints.normals[same] @ glints.normals[number] > 1.0 - 0.5 * _SAME_RAD**2
+        stronger = glints.strengths[same] > _STRONGER * glints.strengths[number]
+        found[number] = bool((along & stronger).any())
+    return found
 
 
 def _placed_by(glints: Glints, guess: FaceGuess) -> Faces:
