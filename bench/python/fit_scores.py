@@ -54,6 +54,8 @@ THRESHOLDS_M = (0.005, 0.003, 0.002)
 N_SAMPLES, N_POINTS = 10_000, 100_000
 # Sub-aperture and step, distance within which it has one echo [m]; dynamic range in power.
 SIZE_M, STEP_M, ECHO_M, DYNAMIC_RANGE = 0.08, 0.02, 0.018, 10.0**2.2
+# Step off a surface at which a wave is no longer blocked by it [m].
+OFF_M = 5e-4
 
 
 # Errors of a glint, as found in runs with a known truth: an offset of its plane, along the normal
@@ -142,49 +144,71 @@ def apertures_of(scan: ScanSpec) -> list[Aperture]:
     return apertures
 
 
-def surface_points(mesh: TriangleMesh, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Points of a surface and its smooth normals there, (N_POINTS, 3) each."""
+def surface_points(
+    mesh: TriangleMesh, rng: np.random.Generator, n_points: int = N_POINTS
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a surface and its smooth normals there, (n_points, 3) each."""
     areas = face_areas(mesh.corners)
-    face = rng.choice(len(areas), N_POINTS, p=areas / areas.sum())
-    weights = rng.dirichlet(np.ones(3), N_POINTS)
+    face = rng.choice(len(areas), n_points, p=areas / areas.sum())
+    weights = rng.dirichlet(np.ones(3), n_points)
     smooth = vertex_normals(mesh.vertices, mesh.faces)[mesh.faces[face]]
     points = np.einsum("nk,nkc->nc", weights, mesh.corners[face])
     normals = np.einsum("nk,nkc->nc", weights, smooth)
     return points, normals / np.linalg.norm(normals, axis=1, keepdims=True)
 
 
+def received(
+    aperture: Aperture,
+    points: np.ndarray,
+    directions: np.ndarray,
+    blocker: MeshScene,
+    step_m: float = STEP_M,
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Middle of each sub-aperture of a plane, and the waves that it receives, its middle first.
+
+    points, directions: where waves leave a surface, and whereto, (n, 3) each.
+    """
+    mirror = aperture.mirror(points, directions)
+    hit = np.flatnonzero(mirror.margins_m > 0.0)
+    hit = hit[~blocker.occluded(points[hit] + OFF_M * directions[hit], mirror.positions_m[hit])]
+    low, sides = aperture.low_m[1:], 2.0 * aperture.half_m
+    n_steps = np.floor((sides - np.minimum(SIZE_M, sides)) / step_m + 1e-9)
+    first = low + 0.5 * (sides - n_steps * step_m)
+    local = mirror.positions_m[hit] @ aperture.axes[1:].T
+    cell = np.rint((local - first) / step_m)
+    inside = ((cell >= 0) & (cell <= n_steps)).all(axis=1)
+    hit, local, cell = hit[inside], local[inside], cell[inside]
+    off = np.linalg.norm(local - (first + cell * step_m), axis=1)
+    corners, which = np.unique(cell, axis=0, return_inverse=True)
+    order = np.lexsort((off, which.ravel()))
+    groups = np.split(hit[order], np.cumsum(np.bincount(which.ravel()))[:-1])
+    for corner, own in zip(corners, groups[: len(corners)], strict=True):
+        shares = (first + corner * step_m - low) / np.maximum(aperture.half_m, 1e-9) - 1.0
+        yield aperture.points_at(shares[None])[0], own
+
+
+def separate(waves: np.ndarray, points: np.ndarray) -> Iterator[tuple[int, int]]:
+    """First wave of each echo, and the number of waves, which is in proportion to its power.
+
+    waves: rows of `points`, from where they seem to come, (n, 3) [m].
+    """
+    while len(waves):
+        near = np.linalg.norm(points[waves] - points[waves[0]], axis=1) < ECHO_M
+        yield int(waves[0]), int(near.sum())
+        waves = waves[~near]
+
+
 def echoes(
     aperture: Aperture, points: np.ndarray, normals: np.ndarray, blocker: MeshScene
 ) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """Positions, directions and strengths of the echoes of each sub-aperture of a plane."""
-    mirror = aperture.mirror(points, normals)
-    hit = np.flatnonzero(mirror.margins_m > 0.0)
-    hit = hit[~blocker.occluded(points[hit] + 5e-4 * normals[hit], mirror.positions_m[hit])]
-    low, sides = aperture.low_m[1:], 2.0 * aperture.half_m
-    n_steps = np.floor((sides - np.minimum(SIZE_M, sides)) / STEP_M + 1e-9)
-    first = low + 0.5 * (sides - n_steps * STEP_M)
-    local = mirror.positions_m[hit] @ aperture.axes[1:].T
-    cell = np.rint((local - first) / STEP_M)
-    inside = ((cell >= 0) & (cell <= n_steps)).all(axis=1)
-    hit, local, cell = hit[inside], local[inside], cell[inside]
-    if not len(hit):
-        return
-    off = np.linalg.norm(local - (first + cell * STEP_M), axis=1)
-    corners, which = np.unique(cell, axis=0, return_inverse=True)
-    order = np.lexsort((off, which.ravel()))
-    groups = np.split(hit[order], np.cumsum(np.bincount(which.ravel()))[:-1])
-    for corner, own in zip(corners, groups, strict=True):
-        shares = (first + corner * STEP_M - low) / np.maximum(aperture.half_m, 1e-9) - 1.0
-        middle, found, left = aperture.points_at(shares[None])[0], [], own
-        while len(left):  # the power of an echo is the area that reflects to the sub-aperture
-            near = np.linalg.norm(points[left] - points[left[0]], axis=1) < ECHO_M
-            found.append((points[left[0]], int(near.sum())))
-            left = left[~near]
+    for middle, waves in received(aperture, points, normals, blocker):
+        found = list(separate(waves, points))
         least = max(power for _, power in found) / DYNAMIC_RANGE
-        for point, power in found:
+        for wave, power in found:
             if power > least:
-                direction = middle - point
-                yield point, direction / np.linalg.norm(direction), float(np.sqrt(power))
+                direction = middle - points[wave]
+                yield points[wave], direction / np.linalg.norm(direction), float(np.sqrt(power))
 
 
 def drawn_scene(drawn: DrawnScene, kind: str) -> Scene:

@@ -1,7 +1,7 @@
 """Train the network that says which face of a plastic body each echo is of.
 
     python bench/python/train_faces.py make DIR --seeds A:B
-    python bench/python/train_faces.py fit DIR OUT.safetensors [--seed 0] [--steps 12000]
+    python bench/python/train_faces.py fit DIR OUT.safetensors [--seed 0] [--steps 11000]
     python bench/python/train_faces.py score WEIGHTS.safetensors DIR
 
 `make` draws an object for each seed, turns and scales it in eight ways, scans each by planes of its
@@ -26,16 +26,16 @@ from scipy.spatial import KDTree
 from torch import nn
 
 import completion_objects
-import fit_scores
-from fit_scores import DYNAMIC_RANGE, ECHO_M, SIZE_M, apertures_of, surface_points
+from fit_scores import DYNAMIC_RANGE, OFF_M, apertures_of, received, separate, surface_points
 from geraf2._types import Floats
 from geraf2.apps.benchmark.population import parse_seeds
 from geraf2.echoes.face_network import (
     AT_ONCE,
-    LENGTH_M,
     WEIGHTS_KIND,
     WEIGHTS_VERSION,
     load_network,
+    pair_features,
+    token_features,
 )
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic
@@ -47,13 +47,9 @@ from geraf2.simulation import random_objects
 from geraf2.simulation.spec import ScanSpec
 from train_completion import centred, draw_object, draw_scan, rotation, sample_files, with_time_left
 
-# Objects are meshed at twice the usual step, which glints do not tell apart, and seen at fewer
-# points and sub-apertures.
-random_objects._CELLS //= 2
-random_objects._CELL_M = tuple(2.0 * step for step in random_objects._CELL_M)
-completion_objects.STEP *= 2.0
-fit_scores.N_POINTS = 12_000
-STEP_M = 0.04
+# Objects are meshed at this multiple of the usual step, which glints do not tell apart, and seen at
+# fewer points and sub-apertures than those of `fit_scores.py`.
+COARSER, N_POINTS, STEP_M = 2, 12_000, 0.04
 # Ways in which each object is turned, scaled and scanned; of which objects some are left out.
 N_WAYS, LEFT_OUT = 8, 12
 # Longest side of an object, uniform in its logarithm [m], deviation of the logarithm of each side,
@@ -69,9 +65,8 @@ NEAR_RANGE_M, NEAR_ACROSS_M = 0.025, 0.012
 # Loss of amplitude in the material [1/m].
 LOSS_PER_M = 8.0
 MIN_GLINTS, MAX_GLINTS = 30, 600
-OFF_M = 5e-4
 
-N_BLOCKS, N_HEADS, N_PAIR_FEATURES, N_WIDE, N_EDGE = 4, 4, 14, 64, 24
+N_TOKEN_FEATURES, N_PAIR_FEATURES, N_BLOCKS, N_HEADS, N_WIDE, N_EDGE = 4, 14, 4, 4, 64, 24
 BATCH, RATE, DECAY = 8, 2e-3, 1e-3
 # Unit of the thickness [m], and factors that make first steps small.
 THICKNESS_M, SHUT, COUNTED = 0.02, 2.0, 1.0 / 16.0
@@ -128,32 +123,15 @@ def candidates(
     return Candidates(*(np.concatenate(pair) for pair in zip(front, back, strict=True)))
 
 
-def received(
+def echoes(
     aperture: Aperture, found: Candidates, scene: MeshScene
 ) -> Iterator[tuple[int, Floats, float]]:
     """Candidate, middle of the sub-aperture that receives it, and strength."""
-    mirror = aperture.mirror(found.exits, found.towards)
-    hit = np.flatnonzero(mirror.margins_m > 0.0)
-    start = found.exits[hit] + OFF_M * found.towards[hit]
-    hit = hit[~scene.occluded(start, mirror.positions_m[hit])]
-    low, sides = aperture.low_m[1:], 2.0 * aperture.half_m
-    n_steps = np.floor((sides - np.minimum(SIZE_M, sides)) / STEP_M + 1e-9)
-    first = low + 0.5 * (sides - n_steps * STEP_M)
-    local = mirror.positions_m[hit] @ aperture.axes[1:].T
-    cell = np.rint((local - first) / STEP_M)
-    inside = ((cell >= 0) & (cell <= n_steps)).all(axis=1)
-    hit, local, cell = hit[inside], local[inside], cell[inside]
-    off = np.linalg.norm(local - (first + cell * STEP_M), axis=1)
-    for corner in np.unique(cell, axis=0):
-        own = np.flatnonzero((cell == corner).all(axis=1))
-        left, powers = hit[own[np.argsort(off[own], kind="stable")]], []
-        while len(left):  # the power of an echo is the area that reflects to the sub-aperture
-            step = found.apparent[left] - found.apparent[left[0]]
-            near = np.linalg.norm(step, axis=1) < ECHO_M
-            powers.append((float(near.sum()) * found.amplitudes[left[0]] ** 2, int(left[0])))
-            left = left[~near]
-        shares = (first + corner * STEP_M - low) / np.maximum(aperture.half_m, 1e-9) - 1.0
-        middle = aperture.points_at(shares[None])[0]
+    for middle, waves in received(aperture, found.exits, found.towards, scene, STEP_M):
+        powers = [
+            (n_waves * float(found.amplitudes[wave]) ** 2, wave)
+            for wave, n_waves in separate(waves, found.apparent)
+        ]
         for power, echo in resolved(sorted(powers, key=lambda one: -one[0]), found):
             yield echo, middle, float(np.sqrt(power))
 
@@ -176,8 +154,8 @@ def scanned(
 ) -> dict[str, np.ndarray] | None:
     """Glints of a plastic body as they are stored; None where there are few."""
     index, scene = rng.uniform(*INDICES), MeshScene(mesh.vertices, mesh.faces, num_threads=1)
-    found = candidates(*surface_points(mesh, rng), scene, index, rng)
-    rows = [row for aperture in apertures_of(scan) for row in received(aperture, found, scene)]
+    found = candidates(*surface_points(mesh, rng, N_POINTS), scene, index, rng)
+    rows = [row for aperture in apertures_of(scan) for row in echoes(aperture, found, scene)]
     if len(rows) < MIN_GLINTS:
         return None
     if len(rows) > MAX_GLINTS:
@@ -216,6 +194,9 @@ def make_samples(seed: int) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
 
 def make(folder: Path, seeds: range) -> None:
     """Write the samples of the seeds that have none yet."""
+    random_objects._CELLS //= COARSER
+    random_objects._CELL_M = tuple(COARSER * step for step in random_objects._CELL_M)
+    completion_objects.STEP *= COARSER
     missing = [seed for seed in seeds if not any(folder.glob(f"{seed}_*.npz"))]
     for seed in with_time_left(missing, "object"):
         try:
@@ -296,34 +277,20 @@ Batch = tuple[torch.Tensor, ...]
 
 
 def batch_of(samples: Sequence[Glints]) -> Batch:
-    """Positions, normals, strengths, kinds, thickness and mask, padded to one length."""
+    """Features of glints and of pairs, kinds, and thickness, padded to one length; kind -1 is none.
 
-    def padded(values: np.ndarray, fill: float) -> np.ndarray:
-        rest = [(0, AT_ONCE - len(values))] + [(0, 0)] * (values.ndim - 1)
-        return np.pad(values, rest, constant_values=fill)
-
-    fills = (0.0, 0.577, 1.0, -1, 0.0)
-    parts = [
-        np.stack([padded(values, fill) for values in columns])
-        for columns, fill in zip(zip(*samples, strict=True), fills, strict=True)
-    ]
-    numbers = [torch.tensor(part, dtype=torch.float32) for part in parts]
-    return (*numbers[:3], torch.tensor(parts[3]), numbers[4], torch.tensor(parts[3] >= 0))
-
-
-def pair_features(positions: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """Of all pairs, (n_samples, n, n, N_PAIR_FEATURES)."""
-    step = (positions[:, None] - positions[:, :, None]) / LENGTH_M
-    one, other = normals[:, :, None], normals[:, None]
-    depth, behind, cosine = ((a * b).sum(-1) for a, b in ((step, one), (step, other), (one, other)))
-    distance = step.norm(dim=-1)
-    across2 = (distance**2 - depth**2).clamp(min=1e-6)
-    offset = torch.tanh(3.0 * (depth + behind))
-    found = [torch.tanh(k * v) for v in (depth, behind, depth + behind) for k in (1.0, 3.0)]
-    found += [cosine, torch.exp(-4.0 * across2), torch.exp(-0.5 * across2)]
-    found += [torch.exp(-4.0 * distance**2), torch.exp(-0.5 * distance**2)]
-    found += [torch.tanh(0.5 * distance), cosine.relu() * offset]
-    return torch.stack([*found, (-cosine).relu() * torch.tanh(depth - behind)], dim=-1)
+    What the network reads is computed by the package.
+    """
+    shape = len(samples), AT_ONCE
+    tokens = np.zeros((*shape, N_TOKEN_FEATURES), dtype=np.float32)
+    pairs = np.zeros((*shape, AT_ONCE, N_PAIR_FEATURES), dtype=np.float32)
+    kinds, thickness = np.full(shape, -1), np.zeros(shape, dtype=np.float32)
+    for number, own in enumerate(samples):
+        n = len(own.kinds)
+        tokens[number, :n] = token_features(own.positions, own.normals, own.strengths)
+        pairs[number, :n, :n] = pair_features(own.positions, own.normals)
+        kinds[number, :n], thickness[number, :n] = own.kinds, own.thickness
+    return tuple(map(torch.from_numpy, (tokens, pairs, kinds, thickness)))
 
 
 class Block(nn.Module):
@@ -356,25 +323,16 @@ class Network(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.inp, self.edge = nn.Linear(4, N_WIDE), nn.Linear(N_PAIR_FEATURES, N_EDGE)
+        self.inp = nn.Linear(N_TOKEN_FEATURES, N_WIDE)
+        self.edge = nn.Linear(N_PAIR_FEATURES, N_EDGE)
         self.blocks = nn.ModuleList([Block() for _ in range(N_BLOCKS)])
         self.ln, self.out = nn.LayerNorm(N_WIDE), nn.Linear(N_WIDE, 5)
 
     def forward(
-        self,
-        positions: torch.Tensor,
-        normals: torch.Tensor,
-        strengths: torch.Tensor,
-        is_glint: torch.Tensor,
+        self, tokens: torch.Tensor, pairs: torch.Tensor, is_glint: torch.Tensor
     ) -> torch.Tensor:
         """Logits of the kinds and log of the thickness, (n_samples, n, 5)."""
-        count = is_glint.sum(1, keepdim=True)
-        height = positions[..., 2] - (positions[..., 2] * is_glint).sum(1, keepdim=True) / count
-        strongest = torch.where(is_glint, strengths, 0.0).amax(1, keepdim=True)
-        level = torch.log(strengths / strongest + 1e-3) * is_glint
-        many = (torch.log(count) - 4.0).expand_as(level)
-        x = self.inp(torch.stack([level, normals[..., 2], height / LENGTH_M, many], dim=-1))
-        edges = nn.functional.silu(self.edge(pair_features(positions, normals)))
+        x, edges = self.inp(tokens), nn.functional.silu(self.edge(pairs))
         mask = torch.where(is_glint, 0.0, -1e4)[:, None, None]
         for block in self.blocks:
             x = block(x, edges, mask)
@@ -383,8 +341,8 @@ class Network(nn.Module):
 
 def losses(network: Network, batch: Batch) -> tuple[torch.Tensor, torch.Tensor]:
     """Cross entropy of the kinds, and mean error of the log of the thickness."""
-    positions, normals, strengths, kinds, thickness, is_glint = batch
-    found = network(positions, normals, strengths, is_glint)
+    tokens, pairs, kinds, thickness = batch
+    found = network(tokens, pairs, kinds >= 0)
     entropy = nn.functional.cross_entropy(found[..., :4].transpose(1, 2), kinds, ignore_index=-1)
     through = (kinds == 1) | (kinds == 2)
     true = torch.log(thickness[through].clamp(min=0.003) / THICKNESS_M)
@@ -468,7 +426,7 @@ def main() -> None:
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("out", type=Path)
     fitting.add_argument("--seed", type=int, default=0)
-    fitting.add_argument("--steps", type=int, default=12_000)
+    fitting.add_argument("--steps", type=int, default=11_000)
     scoring = commands.add_parser("score")
     scoring.add_argument("weights", type=Path)
     scoring.add_argument("folder", type=Path)

@@ -197,7 +197,7 @@ def print_probabilities(rows: list[dict[str, Any]]) -> None:
 
 
 def evidence_of(rows: list[dict[str, Any]]) -> np.ndarray:
-    """One and the evidence of each judged run, (n_rows, 8)."""
+    """One and the evidence of each judged run, (n_rows, 7)."""
     return np.array([[1.0, *row["verdict"]["tests"]["evidence"].values()] for row in rows])
 
 

@@ -50,7 +50,7 @@ class FaceNetwork:
 
         positions: (n, 3) [m]. normals: (n, 3). strengths: above 0, (n,).
         """
-        tokens = self._linear("inp", _token_features(positions, normals, strengths))
+        tokens = self._linear("inp", token_features(positions, normals, strengths))
         edges = _silu(self._linear("edge", pair_features(positions, normals)))
         for block in sorted({name.split(".")[1] for name in self.arrays if "blocks" in name}):
             tokens = self._block(f"blocks.{block}", tokens, edges)
@@ -105,8 +105,8 @@ def guess_faces(glints: Glints, network: FaceNetwork | None = None) -> FaceGuess
     return FaceGuess(softmax(logits, axis=1), np.exp(log_thickness))
 
 
-def _token_features(positions: Floats, normals: Floats, strengths: Floats) -> Array:
-    """Of each glint, (n, 4)."""
+def token_features(positions: Floats, normals: Floats, strengths: Floats) -> Array:
+    """Of each glint, (n, 4): level, height and slope, and how many are read together."""
     level = np.log(strengths / strengths.max() + 1e-3)
     height = (positions[:, 2] - positions[:, 2].mean()) / LENGTH_M
     many = np.full(len(level), np.log(len(level)) - 4.0)
