@@ -115,9 +115,10 @@ def focus_antennas(
         is_first = np.arange(len(every.root)) % 2 == 0
         for half in (is_first, ~is_first):
             trial, _ = _estimate(every.select(half), config)
+            others = every.select(~half)
             # The free shift, slope and curvature of each echo are removed in both cases.
-            both = [every.select(~half).coherence(values) for values in (np.zeros(n), trial)]
-            judged.append(np.stack([np.full(len(both[0]), pose), *both]))
+            both = (others.coherence(values) for values in (np.zeros(n), trial))
+            judged.append(np.stack([np.full(len(others.root), pose), *both]))
         coefficients[pose], variances[pose] = _estimate(every, config)
     plane, before, after = np.concatenate(judged, axis=1)
     nats = coherence_nats(before, after)
