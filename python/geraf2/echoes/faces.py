@@ -56,7 +56,7 @@ _MIN_GLINTS = 10
 
 
 class Faces(NamedTuple):
-    """Glints on the faces that they are echoes of, and the surface that explains them."""
+    """Glints on the faces that they are echoes of."""
 
     glints: Glints
     """At the faces, with outward normals."""

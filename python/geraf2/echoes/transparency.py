@@ -96,8 +96,8 @@ def describe(numbers: Mapping[str, Any]) -> str:
 def place_on_faces(scan: Scan) -> tuple[Glints, Bools, SeenThrough | None]:
     """Glints on the faces of the content, mask of those seen through it, (n_glints,), and the body.
 
-    Of metal these are all, none, and None. Where faces of plastic explain the glints better than
-    fronts of metal do, each glint is put on the face that it is most likely an echo of.
+    Of metal these are all, none, and None. Of plastic each glint is put on the face that it is most
+    likely an echo of.
     """
     glints, faces = scan.glints, find_faces(scan)
     nothing = np.zeros(len(glints), dtype=bool)

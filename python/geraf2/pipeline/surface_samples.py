@@ -10,6 +10,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.io.run_folder import GLINTS_NAME, RIM_NAME, SILHOUETTES_NAME, RunFolder
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
 from geraf2.pipeline.stages.calibration import common_sigma_m
+from geraf2.pipeline.stages.direct import content_fit
 from geraf2.surfaces.error_field import sample_surface
 from geraf2.surfaces.fit import Evidence, FitConfig
 from geraf2.surfaces.refinement import SelectedGlints, evidence_of
@@ -51,7 +52,8 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
     """Load the data of a run's fit, and its settings."""
     if isinstance(config, FastPreset):
         glints = Glints.load(_file(run, GLINTS_NAME))
-        return Evidence(glints=glints, common_sigma_m=common_sigma_m(run)), config.fit
+        evidence = Evidence(glints=glints, common_sigma_m=common_sigma_m(run))
+        return evidence, content_fit(run, config.fit)
     assert isinstance(config, BestPreset)  # see require_samples
     shadows = run.find_file(SILHOUETTES_NAME)
     selected = SelectedGlints(
@@ -60,7 +62,7 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
         Silhouettes.load(shadows) if shadows is not None else None,
     )
     evidence = evidence_of(selected, config.refine, common_sigma_m(run))
-    return evidence, config.refine.fit
+    return evidence, content_fit(run, config.refine.fit)
 
 
 def _file(run: RunFolder, name: str) -> Path:

@@ -29,6 +29,7 @@ from geraf2.io.run_folder import (
     RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
+    RunFolder,
 )
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.stages.calibration import common_sigma_m
@@ -114,19 +115,26 @@ def find_glints(job: Job) -> Glints:
 
 
 def _fit(job: Job, evidence: Glints | Evidence, config: FitConfig) -> SdfGrid:
-    if "n_back_faces" in job.run.stages["glints"].numbers:
-        # The completion has only seen faces from outside, with free space before them.
-        config = replace(config, completion="smooth")
     with job.step("sdf") as step:
         sdf = fit_sdf(
             evidence,
-            config,
+            content_fit(job.run, config),
             apertures=[Aperture.from_pose(pose) for pose in job.capture.poses],
             num_threads=job.num_threads,
             progress=step.progress,
         )
         sdf.save(job.run.path / FIT_NAME)
     return sdf
+
+
+def content_fit(run: RunFolder, config: FitConfig) -> FitConfig:
+    """Return the settings with which the content of a run is fitted, once its glints are found.
+
+    Plastic is not completed: the networks have only seen faces from outside, with free space before
+    them.
+    """
+    is_plastic = "n_back_faces" in run.stages["glints"].numbers
+    return replace(config, completion="smooth") if is_plastic else config
 
 
 def draw_surface(job: Job, sdf: SdfGrid, evidence: Evidence | float) -> None:
