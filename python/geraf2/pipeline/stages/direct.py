@@ -128,12 +128,13 @@ def _fit(job: Job, evidence: Glints | Evidence, config: FitConfig) -> SdfGrid:
 
 
 def content_fit(run: RunFolder, config: FitConfig) -> FitConfig:
-    """Return the settings with which the content of a run is fitted, once its glints are found.
+    """Return the settings with which the content of a run is fitted.
 
     Plastic is not completed: the networks have only seen faces from outside, with free space before
-    them.
+    them. A run whose glints came from elsewhere says nothing of plastic.
     """
-    is_plastic = "n_back_faces" in run.stages["glints"].numbers
+    glints = run.stages.get("glints")
+    is_plastic = glints is not None and "n_back_faces" in glints.numbers
     return replace(config, completion="smooth") if is_plastic else config
 
 
