@@ -262,7 +262,8 @@ class RunTests:
             seen = "the echoes lie on surfaces that curve as no outside of a body does"
         return Cause(
             "plastic",
-            f"{seen}: the content is plastic, and which of its two faces an echo is of is not sure",
+            f"{seen}: the content is plastic, and it is not certain which of its two faces sent "
+            "each echo",
             "add planes from opposite sides (geraf2 plan), or use the content's position alone",
         )
 
