@@ -1,13 +1,14 @@
 """Train the network that says which face of a plastic body each echo is of.
 
     python bench/python/train_faces.py make DIR --seeds A:B
-    python bench/python/train_faces.py fit DIR OUT.safetensors [--seed 0] [--steps 11000]
+    python bench/python/train_faces.py fit DIR OUT.safetensors [--seed 0] [--steps 15000]
     python bench/python/train_faces.py score WEIGHTS.safetensors DIR
 
 `make` draws an object for each seed, turns and scales it in eight ways, scans each by planes of its
 own, and writes the glints of its front and back faces with what they are. These follow from
-geometry: a wave is refracted where it enters the body, and comes back where it meets a face at a
-right angle. `fit` trains the network on all files of a folder but every twelfth object, whose
+geometry: a wave is refracted where it enters the body, comes back where it meets a face at a right
+angle, and is focused by the curvature of both faces; of two echoes of a range cell only the
+stronger is seen. `fit` trains the network on all files of a folder but every twelfth object, whose
 glints it prints the loss of. The same files, seed and steps give the same weights within rounding.
 `score` prints the share of glints whose kind is right, and the median error of the thickness, of
 the objects that were left out.
@@ -44,6 +45,7 @@ from geraf2.io.mesh import TriangleMesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene.aperture import Aperture
 from geraf2.simulation import random_objects
+from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.spec import ScanSpec
 from train_completion import centred, draw_object, draw_scan, rotation, sample_files, with_time_left
 
@@ -60,10 +62,11 @@ INDICES = (1.55, 1.85)
 # each point, send one echo, whose place over that thickness has a mean and a standard deviation.
 # Both faces have to be turned by less than this angle [rad].
 RANGE_CELL_M, MERGING, MERGED, MERGED_SIGMA, PARALLEL = 0.042, (0.5, 0.8), 0.67, 0.12, 0.3
-# Of two echoes of a sub-aperture that are nearer in range and across, the stronger is left [m].
-NEAR_RANGE_M, NEAR_ACROSS_M = 0.025, 0.012
-# Loss of amplitude in the material [1/m].
-LOSS_PER_M = 8.0
+# Wavelength, and cell across the line of sight of a sub-aperture of 8 cm at 0.4 m [m].
+WAVELENGTH_M, ACROSS_CELL_M = 0.0039, 0.0097
+# Neighbours from which the curvature at a point is known, the step over which it is smoothed [m],
+# and the curvature of a wave that is as good as plane over a sub-aperture [1/m].
+N_NEAR, SMOOTH_M, PLANE_PER_M = 16, 1e-3, 2.5
 MIN_GLINTS, MAX_GLINTS = 30, 600
 
 N_TOKEN_FEATURES, N_PAIR_FEATURES, N_BLOCKS, N_HEADS, N_WIDE, N_EDGE = 4, 14, 4, 4, 64, 24
@@ -71,6 +74,11 @@ BATCH, RATE, DECAY = 8, 2e-3, 1e-3
 # Unit of the thickness [m], and factors that make first steps small.
 THICKNESS_M, SHUT, COUNTED = 0.02, 2.0, 1.0 / 16.0
 METAL_SHARE = 0.1
+# How often strong back faces have side lobes, and these lie so far in front of them [range cells].
+LOBES, LOBE_CELLS = 0.25, 2.2
+# Weakest glints below the strong ones, in powers of ten, and the largest share of false ones, to
+# the power of 2/3.
+FLOOR, MOST_FALSE = (0.6, 1.5), 0.4
 
 
 class Candidates(NamedTuple):
@@ -93,12 +101,18 @@ def candidates(
     inside = np.isfinite(path)
     path = np.where(inside, path, 0.0)
     far = points - path[:, None] * normals
-    facing = normals[KDTree(points).query(far)[1]]
+    nearest = KDTree(points).query(far)[1]
+    facing = normals[nearest]
     reflection = (index - 1.0) / (index + 1.0)
     merging = RANGE_CELL_M * rng.uniform(*MERGING, n)
     # A wave that arrives along the normal goes straight on.
     along = -np.einsum("ij,ij->i", facing, normals)
     thin = inside & (index * path < merging) & (along > np.cos(PARALLEL))
+    # Amplitude of the back's echo over the front's.
+    shapes = shape_operators(points, normals)
+    per_m = 2.0 * np.pi * index * rng.uniform(*POPULATION.loss_tangent) / WAVELENGTH_M
+    passed = (1.0 - reflection**2) * np.exp(-per_m * path)
+    passed *= np.sqrt(focusing(normals, shapes[nearest], shapes, path, index))
     place = (MERGED + MERGED_SIGMA * rng.standard_normal(n)) * index * path
     front = Candidates(
         points,
@@ -106,7 +120,7 @@ def candidates(
         normals,
         np.where(thin, 2, 0),
         np.where(thin, path, 0.0),
-        np.full(n, reflection),
+        reflection * (1.0 + np.where(thin, passed, 0.0)),
     )
     # One that is reflected at a point of the back leaves the body at the far end of its normal.
     square = 1.0 - index**2 * (1.0 - np.clip(along, -1.0, 1.0) ** 2)
@@ -115,12 +129,45 @@ def candidates(
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     parallel = np.einsum("ij,ij->i", facing, out) > np.cos(PARALLEL)
     leaves = inside & (along > 0.05) & (square > 0.01) & ~((index * path < merging) & parallel)
-    loss = (1.0 - reflection**2) * np.exp(-LOSS_PER_M * path)
     back = Candidates(
-        far, far - index * path[:, None] * out, out, np.full(n, 1), path, reflection * loss
+        far, far - index * path[:, None] * out, out, np.full(n, 1), path, reflection * passed
     )
     back = Candidates(*(values[leaves] for values in back))
     return Candidates(*(np.concatenate(pair) for pair in zip(front, back, strict=True)))
+
+
+def shape_operators(points: Floats, normals: Floats) -> Floats:
+    """Change of the normal over a step along the surface, (n, 3, 3) [1/m]."""
+    near = KDTree(points).query(points, N_NEAR)[1]
+    steps, turns = points[near] - points[:, None], normals[near] - normals[:, None]
+    same = (np.einsum("nkc,nc->nk", normals[near], normals) > 0.3)[..., None]
+    squares = np.einsum("nki,nkj->nij", same * steps, steps) + SMOOTH_M**2 * np.eye(3)
+    found = np.linalg.solve(squares, np.einsum("nki,nkj->nij", same * steps, turns))
+    return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
+
+
+def focusing(normals: Floats, front: Floats, back: Floats, path: Floats, index: float) -> Floats:
+    """Power of the echo of a back face over that of its rays as they are counted, (n,).
+
+    A front face returns a plane wave with twice its curvature, and the rays that meet it at a right
+    angle are counted by its curvature once. For a back face both follow from the paraxial matrices
+    of a lens with a mirror behind it (Siegman, Lasers, 1986, section 15): of a plane wave that
+    enters, and of the rays that leave the back at a right angle.
+
+    normals: of the back face, (n, 3).
+    front, back: shape operators where the wave enters and where it is reflected, (n, 3, 3).
+    """
+    across = np.linalg.svd(normals[:, None])[2][:, 1:]
+    lens, mirror = (np.einsum("nai,nij,nbj->nab", across, s, across) for s in (front, back))
+    lens, mirror = (index - 1.0) * lens, index * mirror
+    unit, reduced = np.eye(2), (path / index)[:, None, None]
+    at_back = unit - reduced * lens
+    turned = -lens - 2.0 * mirror @ at_back
+    plane = turned - lens @ (at_back + reduced * turned)
+    counted = -mirror - lens @ (unit - reduced * mirror)
+    sharp, many = (np.linalg.svd(value, compute_uv=False) for value in (plane, counted))
+    many, sharp = np.maximum(many, PLANE_PER_M), np.maximum(sharp, 2.0 * PLANE_PER_M)
+    return np.asarray(4.0 * many.prod(axis=1) / sharp.prod(axis=1))
 
 
 def echoes(
@@ -137,16 +184,30 @@ def echoes(
 
 
 def resolved(powers: list[tuple[float, int]], found: Candidates) -> list[tuple[float, int]]:
-    """Echoes, strongest first, without those that a stronger one covers or that are too weak."""
+    """Echoes, strongest first, without those that a stronger one covers or that are too weak.
+
+    An echo is covered up to the distance at which it has twice the amplitude of the stronger one's
+    main lobe: one cell where both are equal.
+    """
     kept: list[tuple[float, int]] = []
     for power, echo in powers:
-        steps = found.apparent[echo] - found.apparent[[other for _, other in kept]]
-        depth = steps @ found.towards[echo]
-        across = np.linalg.norm(steps - depth[:, None] * found.towards[echo], axis=1)
-        covered = (np.abs(depth) < NEAR_RANGE_M) & (across < NEAR_ACROSS_M)
-        if not covered.any() and (not kept or power > kept[0][0] / DYNAMIC_RANGE):
-            kept.append((power, echo))
+        if kept:
+            strong, others = (np.array(values) for values in zip(*kept, strict=True))
+            steps = found.apparent[echo] - found.apparent[others]
+            depth = steps @ found.towards[echo]
+            across = np.linalg.norm(steps - depth[:, None] * found.towards[echo], axis=1)
+            lobe = hann_lobe(depth / RANGE_CELL_M) * hann_lobe(across / ACROSS_CELL_M)
+            if (power < 4.0 * lobe**2 * strong).any() or power < kept[0][0] / DYNAMIC_RANGE:
+                continue
+        kept.append((power, echo))
     return kept
+
+
+def hann_lobe(cells: Floats) -> Floats:
+    """Amplitude beside an echo under Hann's window; 0 from two cells on."""
+    cells = np.minimum(np.abs(cells), 2.0)
+    near = np.abs(cells - 1.0) < 1e-6
+    return np.where(near, 0.5, np.sinc(cells) / (1.0 - np.where(near, 0.0, cells) ** 2))
 
 
 def scanned(
@@ -231,7 +292,7 @@ def degrade(glints: Glints, exits: np.ndarray, rng: np.random.Generator) -> Glin
     if rng.random() < METAL_SHARE:
         front = glints.kinds != 1
         glints = glints._replace(positions=exits, kinds=np.zeros_like(glints.kinds)).select(front)
-    glints = lose(glints, rng)
+    glints = lose(with_side_lobes(glints, rng), rng)
     n = min(AT_ONCE, len(glints.kinds))
     if rng.random() < 0.4:
         n = min(n, max(20, int(len(glints.kinds) * rng.uniform(0.2, 1.0))))
@@ -241,7 +302,7 @@ def degrade(glints: Glints, exits: np.ndarray, rng: np.random.Generator) -> Glin
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     positions = glints.positions + 2e-3 * blur * rng.standard_normal((n, 1)) * normals
     positions += 2e-3 * blur * rng.standard_normal((n, 3))
-    false = rng.choice(n, int(n * rng.uniform(0.0, 0.25) ** 1.5), replace=False)
+    false = rng.choice(n, int(n * rng.uniform(0.0, MOST_FALSE) ** 1.5), replace=False)
     kinds = glints.kinds.copy()
     kinds[false] = 3
     positions[false] = positions[rng.choice(n, len(false))] + rng.normal(0.0, 0.03, (len(false), 3))
@@ -254,8 +315,26 @@ def degrade(glints: Glints, exits: np.ndarray, rng: np.random.Generator) -> Glin
     )
 
 
+def with_side_lobes(glints: Glints, rng: np.random.Generator) -> Glints:
+    """Add, in some scans, false glints in front of strong back faces.
+
+    There the edge of the range window's main lobe and the echo of the front add up to a peak.
+    """
+    if rng.random() > LOBES:
+        return glints
+    strong = glints.strengths > 0.3 * np.quantile(glints.strengths, 0.98)
+    found = np.flatnonzero((glints.kinds == 1) & strong & (rng.random(len(strong)) < rng.random()))
+    false = glints.select(found)
+    false = false._replace(
+        positions=false.positions + LOBE_CELLS * RANGE_CELL_M * false.normals,
+        strengths=false.strengths * rng.uniform(0.15, 0.33, len(found)).astype(np.float32),
+        kinds=np.full(len(found), 3),
+    )
+    return Glints(*(np.concatenate(pair) for pair in zip(glints, false, strict=True)))
+
+
 def lose(glints: Glints, rng: np.random.Generator) -> Glints:
-    """Lose one kind, spots, a side, or the weak ones."""
+    """Lose the weak ones, and one kind, spots or a side."""
     n, kept = len(glints.kinds), np.ones(len(glints.kinds), dtype=bool)
     way = rng.random()
     if way < 0.75:
@@ -268,8 +347,8 @@ def lose(glints: Glints, rng: np.random.Generator) -> Glints:
         side = rng.standard_normal(3)
         facing = glints.normals @ side / np.linalg.norm(side)
         kept &= ~((facing > rng.uniform(0.2, 0.8)) & (rng.random(n) < 0.9))
-    if rng.random() < 0.5:
-        kept &= glints.strengths > glints.strengths.max() * 10.0 ** -rng.uniform(0.4, 1.1)
+    least = np.quantile(glints.strengths, 0.98) * 10.0 ** -rng.uniform(*FLOOR)
+    kept &= glints.strengths > least
     return glints.select(kept) if kept.sum() >= 20 else glints
 
 
@@ -426,7 +505,7 @@ def main() -> None:
     fitting.add_argument("folder", type=Path)
     fitting.add_argument("out", type=Path)
     fitting.add_argument("--seed", type=int, default=0)
-    fitting.add_argument("--steps", type=int, default=11_000)
+    fitting.add_argument("--steps", type=int, default=15_000)
     scoring = commands.add_parser("score")
     scoring.add_argument("weights", type=Path)
     scoring.add_argument("folder", type=Path)
