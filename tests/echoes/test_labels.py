@@ -110,15 +110,18 @@ def test_without_peaks_there_are_no_labels():
 
 def test_the_cloud_holds_every_peak_with_probability_and_label():
     found = labelled(join_peaks([sphere_peaks((0, 0, 0), RADIUS_M, range(12)), scattered(24)]))
-    data = found.relabelled(np.array([0, 1]), Label.SEEN_THROUGH).cloud_bytes()
+    front, back = np.eye(3, dtype=bool)[:2]
+    placed = found.on_faces(np.arange(3), front, back)
+    data = placed.cloud_bytes()
     head, body = data.split(b"end_header\n", 1)
     assert b"element vertex %d\n" % len(found.labels) in head
     names = [*("x", "y", "z", "nx", "ny", "nz", "probability")]
     rows = np.frombuffer(body, dtype=[*((name, "<f4") for name in names), ("label", "u1")])
     np.testing.assert_allclose(rows["y"], found.candidates.positions[:, 1], atol=1e-7)
-    np.testing.assert_allclose(rows["probability"][2:], found.probability[2:], atol=1e-7)
-    assert rows["label"][:2].tolist() == [Label.SEEN_THROUGH] * 2
-    assert rows["probability"][:2].tolist() == [0.0, 0.0]
+    np.testing.assert_allclose(rows["probability"][3:], found.probability[3:], atol=1e-7)
+    assert rows["label"][:3].tolist() == [Label.DIRECT, Label.SEEN_THROUGH, Label.CLUTTER]
+    assert rows["probability"][0] == pytest.approx(found.probability[0])
+    assert rows["probability"][1:3].tolist() == [0.0, 0.0]
 
 
 def test_beyond_an_assumed_face_a_lone_peak_needs_more_evidence_than_a_surface():

@@ -1,11 +1,11 @@
-"""Dielectric balls with back faces of known apparent position, and metal, that stays as it is."""
+"""Dielectric balls with back faces of known apparent position, and metal."""
 
 import numpy as np
 import pytest
 import trimesh
 
 from geraf2.echoes.faces import INDEX as INDEX_OF_PLASTICS
-from geraf2.echoes.faces import Scan, find_faces
+from geraf2.echoes.faces import Scan, find_faces, is_plastic
 from geraf2.echoes.glints import GlintConfig, find_glints
 from geraf2.echoes.transparency import describe, face_pairs, place_on_faces
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -51,7 +51,9 @@ def scan_of(glints):
 
 def test_a_dielectric_ball_has_both_faces_and_gives_its_permittivity(plastic):
     _, glints = plastic
-    placed, behind, seen = place_on_faces(scan_of(glints))
+    assert is_plastic(glints)
+    faces, seen = place_on_faces(scan_of(glints))
+    placed, behind = faces.glints, faces.of_glints(len(glints))[1]
     outside = np.linalg.norm(glints.positions, axis=1) > 1.5 * RADIUS_M
     assert outside.sum() > 100  # at the depth 2 n a they lie 2.2 radii from the middle
     assert (behind == outside).mean() > 0.98
@@ -73,17 +75,13 @@ def test_a_dielectric_ball_has_both_faces_and_gives_its_permittivity(plastic):
         ([[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], [0.025, 0.025]),  # behind each other
     ],
 )
-def test_metal_stays_as_it_is(centers, radii):
-    glints = find_glints(sphere_capture(centers, radii), BOX, NARROW)
-    first, behind, seen = place_on_faces(scan_of(glints))
-    assert first is glints
-    assert not behind.any()
-    assert seen is None
+def test_metal_is_not_taken_for_plastic(centers, radii):
+    assert not is_plastic(find_glints(sphere_capture(centers, radii), BOX, NARROW))
 
 
-def test_a_shell_and_what_is_in_it_stay_as_they_are():
+def test_a_shell_and_what_is_in_it_are_not_taken_for_plastic():
     glints = glints_on_sphere(0.07, 6000).join(glints_on_sphere(0.02, 600, seed=1))
-    assert place_on_faces(scan_of(glints))[0] is glints
+    assert not is_plastic(glints)
 
 
 @pytest.mark.parametrize("index", [1.58, 1.67, 1.8])

@@ -1,5 +1,7 @@
 """Echoes that a surface predicts: a sphere that all planes see, and one that is not there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -46,3 +48,11 @@ def test_planes_that_received_nothing_lower_it():
     half = half.select(half.poses % 2 == 0)
     share = Confirmation.of(ball(RADIUS_M), half, PLANES).confirmed
     assert share == pytest.approx(0.5, abs=0.1)
+
+
+def test_a_back_face_is_confirmed_by_planes_that_see_it_from_inside():
+    # Odd planes receive no front, but see the side across the ball.
+    seen = seen_glints(np.zeros(3))
+    front, other = (seen.select(seen.poses % 2 == k) for k in (0, 1))
+    back = replace(other, positions=-other.positions, normals=-other.normals)
+    assert Confirmation.of(ball(RADIUS_M), front.join(back), PLANES).confirmed > 0.98

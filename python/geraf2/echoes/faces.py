@@ -28,9 +28,13 @@ INDEX = 1.67
 """Refractive index of plastics, 1.58 to 1.82."""
 AHEAD_M = 0.4
 """Start of a line of sight in front of its glint, outside of any content [m]."""
-_METAL = 0.2
-"""Share of the strength that is taken for echoes of back faces, of metal at most. Of 18 metal scans
-it is 0.00 to 0.09, of 20 plastic ones 0.34 to 0.99; four that show fronts alone have up to 0.08."""
+_METAL = 0.25
+"""Share of the strength that is taken for echoes of back faces, of metal at most. Of 46 metal scans
+it is up to 0.19, but 0.4 of thin pliers; of 26 plastic ones 0.31 to 1.00, but for four that show
+hardly anything but fronts, of which it is at most 0.14."""
+LEAST_PROBABILITY = 0.1
+"""Of a glint of plastic. Its faces send weaker echoes than metal, and clutter is told by the
+network and the surface."""
 _ENOUGH = 768
 """Glints from which this share is known to about 0.01."""
 _SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
@@ -51,7 +55,7 @@ _LIFT_M = 5e-4
 """Step of a refracted line off the face that it enters [m]."""
 _LIKELY = 0.15
 """Least probability of a face that is used."""
-_MIN_GLINTS = 10
+MIN_GLINTS = 10
 """Glints without which no surface is fitted."""
 
 
@@ -64,6 +68,13 @@ class Faces(NamedTuple):
     """Glint that each comes from, (n,)."""
     is_back: Bools
     """Which of them are back faces, seen through the body, (n,)."""
+
+    def of_glints(self, n_glints: int) -> tuple[Bools, Bools]:
+        """Which glints have a front face, and which a back face alone, (n_glints,) each."""
+        front, back = np.zeros((2, n_glints), dtype=bool)
+        front[self.sources[~self.is_back]] = True
+        back[self.sources[self.is_back]] = True
+        return front, back & ~front
 
 
 class _Lines(NamedTuple):
@@ -78,6 +89,7 @@ class _Lines(NamedTuple):
     entries: Floats  # points, (n_glints, n_bodies, 3)
     inside: Floats  # directions of the refracted lines, (n_glints, n_bodies, 3)
     area_m2: float
+    index: float  # refractive
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,25 +106,28 @@ class Scan:
     """All when None."""
 
 
-def find_faces(scan: Scan) -> Faces | None:
-    """Faces of plastic; None of metal, and where their surface does not close."""
-    drawn = np.random.default_rng(0).permutation(len(scan.glints))[:_ENOUGH]
-    if back_share(scan.glints.select(drawn)) < _METAL:
-        return None
+def is_plastic(glints: Glints) -> bool:
+    """Whether some glints are echoes of back faces."""
+    drawn = np.random.default_rng(0).permutation(len(glints))[:_ENOUGH]
+    return back_share(glints.select(drawn)) >= _METAL
+
+
+def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
+    """Faces of plastic of a refractive index; None where their surface does not close."""
     kept = np.flatnonzero(~_side_lobes(scan))
     scan = replace(scan, glints=scan.glints.select(kept))
     guess = guess_faces(scan.glints)
-    faces = _placed_by(scan.glints, guess)
+    faces = _placed_by(scan.glints, guess, index)
     for _ in range(_ROUNDS):
         try:
-            lines = _cross(scan, faces.glints)
+            lines = _cross(scan, faces.glints, index)
         except UserError:
             return None
         density = _densities(lines, scan.cell_m) * guess.probability[:, None, :3]
         clutter = guess.probability[:, 3] / scan.volume_m3
         total = density.sum(axis=(1, 2)) + clutter
         faces = _place(scan.glints, lines, density / total[:, None, None])
-        if len(faces.glints) < _MIN_GLINTS:
+        if len(faces.glints) < MIN_GLINTS:
             return None
     return faces._replace(sources=kept[faces.sources])
 
@@ -138,9 +153,9 @@ def _side_lobes(scan: Scan) -> Bools:
     return found
 
 
-def _placed_by(glints: Glints, guess: FaceGuess) -> Faces:
+def _placed_by(glints: Glints, guess: FaceGuess, index: float) -> Faces:
     """Glints on the faces, and at the thickness, that the network takes them for."""
-    n, depth_m = len(glints), INDEX * guess.thickness_m[:, None]
+    n, depth_m = len(glints), index * guess.thickness_m[:, None]
     lines = _Lines(
         behind_m=depth_m,
         thickness_m=guess.thickness_m[:, None],
@@ -151,11 +166,12 @@ def _placed_by(glints: Glints, guess: FaceGuess) -> Faces:
         entries=(glints.positions + depth_m * glints.normals)[:, None],
         inside=-glints.normals[:, None],
         area_m2=1.0,
+        index=index,
     )
     return _place(glints, lines, guess.probability[:, None, :3])
 
 
-def _cross(scan: Scan, placed: Glints) -> _Lines:
+def _cross(scan: Scan, placed: Glints, index: float = INDEX) -> _Lines:
     """Crossings of the lines of sight with the surface through glints that were put on faces."""
     glints, (vertices, faces) = scan.glints, scan.surface_through(placed)
     scene, tree = MeshScene(vertices, faces, num_threads=scan.num_threads), KDTree(vertices)
@@ -167,7 +183,7 @@ def _cross(scan: Scan, placed: Glints) -> _Lines:
     before = np.cumsum(leave - entry, axis=1) - (leave - entry)
     entries = start[:, None] + entry[..., None] * ahead
     at_entry = normals[tree.query(entries)[1]]
-    inside = refract(ahead, at_entry, 1.0 / INDEX)
+    inside = refract(ahead, at_entry, 1.0 / index)
     lifted = entries + _LIFT_M * inside
     thickness = scene.closest_hit(lifted.reshape(-1, 3), inside.reshape(-1, 3))[0] + _LIFT_M
     exists &= np.isfinite(thickness.reshape(entry.shape))
@@ -179,7 +195,7 @@ def _cross(scan: Scan, placed: Glints) -> _Lines:
         return np.asarray(np.exp(-0.5 * turn2 / ECHO_NOISE.peak_normal_rad**2))
 
     return _Lines(
-        behind_m=AHEAD_M - entry - (INDEX - 1.0) * before,
+        behind_m=AHEAD_M - entry - (index - 1.0) * before,
         thickness_m=thickness,
         before_m=before,
         entry=agreement(at_entry, -ahead),
@@ -188,6 +204,7 @@ def _cross(scan: Scan, placed: Glints) -> _Lines:
         entries=entries,
         inside=inside,
         area_m2=float(face_areas(vertices[faces]).sum()),
+        index=index,
     )
 
 
@@ -207,7 +224,7 @@ def refract(directions: Floats, normals: Floats, ratio: float) -> Floats:
 
 def _densities(lines: _Lines, cell_m: float) -> Floats:
     """Density of glints by fronts, backs, and both faces, (n_glints, n_bodies, 3) [1 / m^3]."""
-    optical, before = INDEX * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
+    optical, before = lines.index * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
     own = _SIGMA_M + before
     thin = np.clip((_THICK - optical / cell_m) / (_THICK - _THIN), 0.0, 1.0)
     both = thin * lines.entry * lines.leave
@@ -235,12 +252,12 @@ def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:
     crossed = (lines.behind_m, lines.thickness_m, lines.before_m, lines.entries, lines.inside)
     behind, thickness, before, entry, inside = (values[rows, body] for values in crossed)
     own, is_back = glints.select(rows), kind % 2 == 1
-    merged = _MERGED * INDEX * thickness
-    front = own.positions + ((INDEX - 1.0) * before)[:, None] * own.normals
+    merged = _MERGED * lines.index * thickness
+    front = own.positions + ((lines.index - 1.0) * before)[:, None] * own.normals
     thin = front + merged[:, None] * own.normals
-    far = entry + (behind / INDEX)[:, None] * inside
+    far = entry + (behind / lines.index)[:, None] * inside
     places = [front, far, thin, thin + thickness[:, None] * inside]
-    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * INDEX * thickness
+    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * lines.index * thickness
     sigmas = [none, _SIGMA_OF_PATH * thickness, merged_sigma, merged_sigma]
     sigma_m = np.choose(kind, sigmas) + _SIGMA_OF_BODY * before
     placed = replace(

@@ -64,6 +64,14 @@ class FoundEchoes(NamedTuple):
     """Strength of metal on the scale of the magnitudes; None where no wall shows it."""
     clutter: Clutter
     """What a return competes with."""
+    peaks: PeakSet
+    """All peaks at the ranges of the box."""
+
+    def likelier_than(self, least: float) -> tuple[Glints, Ints]:
+        """Glints of another least probability than the configured one, and their indices."""
+        index = np.flatnonzero(self.labelled.probability > least)
+        chosen = self.labelled.candidates.select(index)
+        return as_glints(self.peaks, chosen, self.labelled.probability[index]), index
 
 
 def find_glints(
@@ -164,7 +172,7 @@ def find_echoes(
         capture.waveform,
     )
     clutter = Clutter.of(near, found, labelled, prior.expected_volume_m3)
-    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal, clutter)
+    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal, clutter, near)
 
 
 def _threshold(probability: Floats, least: float) -> float:

@@ -78,10 +78,12 @@ class LabelledPeaks:
     probability: Floats
     """Probability of a specular return of the content, (n,)."""
 
-    def relabelled(self, index: Ints, label: Label) -> "LabelledPeaks":
-        """Relabel some peaks as something else than a direct return."""
+    def on_faces(self, index: Ints, front: Bools, back: Bools) -> "LabelledPeaks":
+        """Relabel the peaks of plastic, of which index are on faces or clutter, (n,) each."""
         labels, probability = self.labels.copy(), self.probability.copy()
-        labels[index], probability[index] = label, 0.0
+        returned = np.where(self.candidates.is_alias[index], Label.ALIAS, Label.DIRECT)
+        seen = np.where(front, returned, np.where(back, Label.SEEN_THROUGH, Label.CLUTTER))
+        labels[index], probability[index] = seen, np.where(front, probability[index], 0.0)
         return replace(self, labels=labels, probability=probability)
 
     def cloud_bytes(self) -> bytes:

@@ -11,8 +11,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats
-from geraf2.echoes.faces import AHEAD_M, Scan, find_faces
+from geraf2.echoes.faces import AHEAD_M, MIN_GLINTS, Faces, Scan, find_faces
 from geraf2.echoes.glint_set import Glints
+from geraf2.errors import UserError
 from geraf2.io.text import interval_text
 from geraf2.ops.visibility import MeshScene
 
@@ -40,7 +41,7 @@ class SeenThrough:
     """Properties of a dielectric body from its glints."""
 
     n_behind: int
-    """Number of glints of back faces and of other returns from behind the front."""
+    """Number of glints of back faces."""
     strength_share: float
     """Their share of the strength of all glints."""
     permittivity: float | None = None
@@ -93,21 +94,34 @@ def describe(numbers: Mapping[str, Any]) -> str:
     )
 
 
-def place_on_faces(scan: Scan) -> tuple[Glints, Bools, SeenThrough | None]:
-    """Glints on the faces of the content, mask of those seen through it, (n_glints,), and the body.
+def place_on_faces(scan: Scan) -> tuple[Faces, SeenThrough] | None:
+    """Glints of plastic on the faces that they are most likely echoes of, and the body.
 
-    Of metal these are all, none, and None. Of plastic each glint is put on the face that it is most
-    likely an echo of.
+    None where no surface closes.
     """
-    glints, faces = scan.glints, find_faces(scan)
-    nothing = np.zeros(len(glints), dtype=bool)
+    faces = find_faces(scan)
     if faces is None:
-        return glints, nothing, None
-    behind = ~nothing
-    behind[faces.sources[~faces.is_back]] = False
-    scene = MeshScene(*scan.surface_through(faces.glints), num_threads=scan.num_threads)
-    pairs = face_pairs(glints.select(behind), faces.glints.select(~faces.is_back), scene)
-    return faces.glints, behind, _material(SeenThrough.of(glints, behind), pairs)
+        return None
+    body = _seen_through(scan, faces)
+    if body.permittivity is not None:
+        again = find_faces(scan, float(np.sqrt(body.permittivity)))
+        if again is not None:
+            return again, _seen_through(scan, again)
+    return faces, body
+
+
+def _seen_through(scan: Scan, faces: Faces) -> SeenThrough:
+    """Body that glints are seen through, with its permittivity where fronts show both ends."""
+    glints, first = scan.glints, faces.glints.select(~faces.is_back)
+    behind = faces.of_glints(len(glints))[1]
+    body = SeenThrough.of(glints, behind)
+    if len(first) < MIN_GLINTS:
+        return body
+    try:  # a surface through back faces would repeat the index by which they were placed
+        scene = MeshScene(*scan.surface_through(first), num_threads=scan.num_threads)
+    except UserError:
+        return body
+    return _material(body, face_pairs(glints.select(behind), first, scene))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,7 +39,8 @@ class Confirmation:
     visible: float
     """Share of the area whose echo some plane receives."""
     confirmed: float
-    """Share of the predicted echoes, over all planes, that were received; 1 if none is."""
+    """Share of the predicted echoes, over all planes, that were received; 1 if none is. The back of
+    a plastic body is also confirmed by the planes that see it from inside."""
 
     @classmethod
     def of(
@@ -61,9 +62,14 @@ class Confirmation:
         )
         predicted = np.isfinite(margins)
         n_predicted, n_received = int(predicted.sum()), 0
+        middles = np.array([aperture.middle_m for aperture in apertures])
+        towards = middles[glints.poses] - glints.positions
+        is_back = np.einsum("ij,ij->i", towards, glints.normals) < 0.0
+        behind = _is_near(points, normals, glints.select(is_back))
         for number in np.unique(glints.poses):
             own, asked = glints.select(glints.poses == number), predicted[:, number]
-            n_received += int(_is_near(points[asked], normals[asked], own).sum())
+            received = behind[asked] | _is_near(points[asked], normals[asked], own)
+            n_received += int(received.sum())
         return cls(
             visible=float(predicted.any(axis=1).mean()),
             confirmed=n_received / n_predicted if n_predicted else 1.0,
@@ -78,7 +84,9 @@ def _points_of(mesh: TriangleMesh) -> tuple[Floats, Floats]:
 
 
 def _is_near(points: Floats, normals: Floats, glints: Glints) -> Bools:
-    """Whether a glint of one plane lies near each point with a similar normal, (n,)."""
+    """Whether a glint lies near each point with a similar normal, (n,)."""
+    if not len(glints):
+        return np.zeros(len(points), dtype=bool)
     count = np.arange(1, min(_N_NEAREST, len(glints)) + 1)
     distance, nearest = KDTree(glints.positions).query(points, k=count)
     cosine = np.einsum("nkj,nj->nk", glints.normals[nearest], normals)

@@ -8,9 +8,9 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
 from geraf2.echoes.detectability import Detector
-from geraf2.echoes.faces import Scan
+from geraf2.echoes.faces import LEAST_PROBABILITY, Scan, is_plastic
 from geraf2.echoes.glints import find_echoes
-from geraf2.echoes.labels import Clutter, Label
+from geraf2.echoes.labels import Clutter
 from geraf2.echoes.ruled_out import region_numbers, rule_out
 from geraf2.echoes.transparency import describe, place_on_faces
 from geraf2.errors import UserError
@@ -85,29 +85,33 @@ def find_glints(job: Job) -> Glints:
         return zero_level(fit_sdf(first, _FIRST_SURFACE, num_threads=threads))
 
     with job.step("glints") as step:
-        glints, labelled, index, metal, clutter = find_echoes(
+        found = find_echoes(
             capture,
             job.prior,
             job.config.glints,
             peaks=job.peaks.of(capture, progress=step.progress),
             num_threads=threads,
         )
-        scan = Scan(
-            glints=glints,
-            surface_through=surface_through,
-            cell_m=capture.waveform.range_cell_m,
-            volume_m3=float(np.prod(job.prior.size_m)),
-            num_threads=threads,
-        )
-        first, behind, body = place_on_faces(scan)
-        labelled = labelled.relabelled(index[behind], Label.SEEN_THROUGH)
-        if behind.any():  # seen through a dielectric
-            glints.select(behind).save(folder / BACK_NAME)
-        glints = first
+        glints, labelled, body = found.glints, found.labelled, None
+        if is_plastic(glints):
+            every, index = found.likelier_than(LEAST_PROBABILITY)
+            scan = Scan(
+                glints=every,
+                surface_through=surface_through,
+                cell_m=capture.waveform.range_cell_m,
+                volume_m3=float(np.prod(job.prior.size_m)),
+                num_threads=threads,
+            )
+            if (placed := place_on_faces(scan)) is not None:
+                faces, body = placed
+                glints, (front, back) = faces.glints, faces.of_glints(len(every))
+                every.select(back).save(folder / BACK_NAME)  # seen through a dielectric
+                labelled = labelled.on_faces(index, front, back)
         glints.save(folder / GLINTS_NAME)
         write_bytes_atomic(folder / PEAKS_NAME, labelled.cloud_bytes())
         step.numbers |= {"n_glints": len(glints), "labels": labelled.counts()}
-        step.numbers |= {} if metal is None else metal.numbers() | clutter.numbers()
+        if found.metal is not None:
+            step.numbers |= found.metal.numbers() | found.clutter.numbers()
         step.numbers |= {} if body is None else body.numbers()
         if body is not None:
             job.listener.note(describe(body.numbers()))
