@@ -89,7 +89,7 @@ class _Lines(NamedTuple):
     entries: Floats  # points, (n_glints, n_bodies, 3)
     inside: Floats  # directions of the refracted lines, (n_glints, n_bodies, 3)
     area_m2: float
-    index: float  # refractive
+    n: float  # refractive index
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -166,7 +166,7 @@ def _placed_by(glints: Glints, guess: FaceGuess, index: float) -> Faces:
         entries=(glints.positions + depth_m * glints.normals)[:, None],
         inside=-glints.normals[:, None],
         area_m2=1.0,
-        index=index,
+        n=index,
     )
     return _place(glints, lines, guess.probability[:, None, :3])
 
@@ -204,7 +204,7 @@ def _cross(scan: Scan, placed: Glints, index: float = INDEX) -> _Lines:
         entries=entries,
         inside=inside,
         area_m2=float(face_areas(vertices[faces]).sum()),
-        index=index,
+        n=index,
     )
 
 
@@ -224,7 +224,7 @@ def refract(directions: Floats, normals: Floats, ratio: float) -> Floats:
 
 def _densities(lines: _Lines, cell_m: float) -> Floats:
     """Density of glints by fronts, backs, and both faces, (n_glints, n_bodies, 3) [1 / m^3]."""
-    optical, before = lines.index * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
+    optical, before = lines.n * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
     own = _SIGMA_M + before
     thin = np.clip((_THICK - optical / cell_m) / (_THICK - _THIN), 0.0, 1.0)
     both = thin * lines.entry * lines.leave
@@ -252,12 +252,12 @@ def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:
     crossed = (lines.behind_m, lines.thickness_m, lines.before_m, lines.entries, lines.inside)
     behind, thickness, before, entry, inside = (values[rows, body] for values in crossed)
     own, is_back = glints.select(rows), kind % 2 == 1
-    merged = _MERGED * lines.index * thickness
-    front = own.positions + ((lines.index - 1.0) * before)[:, None] * own.normals
+    merged = _MERGED * lines.n * thickness
+    front = own.positions + ((lines.n - 1.0) * before)[:, None] * own.normals
     thin = front + merged[:, None] * own.normals
-    far = entry + (behind / lines.index)[:, None] * inside
+    far = entry + (behind / lines.n)[:, None] * inside
     places = [front, far, thin, thin + thickness[:, None] * inside]
-    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * lines.index * thickness
+    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * lines.n * thickness
     sigmas = [none, _SIGMA_OF_PATH * thickness, merged_sigma, merged_sigma]
     sigma_m = np.choose(kind, sigmas) + _SIGMA_OF_BODY * before
     placed = replace(
