@@ -32,6 +32,8 @@ _MIN_CELLS = 5
 _MAX_SPREAD = 0.06
 """Largest relative deviation of the cells' ratios. Air gaps that the surface does not show, as
 between two legs, lower some of them."""
+_INDICES = (1.4, 2.0)
+"""Refractive indices of solid plastics; others come of faces that were mistaken."""
 _RATIO_SIGMA = 0.03
 """Relative standard deviation of a ratio: a round body focuses on its back face."""
 
@@ -173,6 +175,8 @@ def _material(seen: SeenThrough, pairs: FacePairs) -> SeenThrough:
     index = float(np.median(ratios))
     spread = 1.4826 * float(np.median(np.abs(np.array(ratios) - index))) / index
     if spread > _MAX_SPREAD or np.quantile(ratios, 0.9) > (1.0 + 2.0 * _MAX_SPREAD) * index:
+        return seen
+    if not _INDICES[0] < index < _INDICES[1]:
         return seen
     low, high = np.quantile(pairs.thickness_m, [0.1, 0.9])
     return replace(
