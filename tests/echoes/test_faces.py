@@ -93,3 +93,18 @@ def test_side_lobes_of_strong_back_faces_are_left_out():
     assert not found[400:].any()
     equal = faces._side_lobes(scan_of(replace(glints, strengths=np.ones(600)), ball))
     assert not equal.any()
+
+
+def test_a_clump_of_clutter_beside_a_body_is_left_out():
+    legs = fibonacci_sphere(400)
+    clump = np.array([0.0, 0.0, RADIUS_M + 0.02]) + 0.002 * legs[:3]
+    glints = glints_at(np.concatenate([RADIUS_M * legs, clump]), np.concatenate([legs, legs[:3]]))
+    numbers = np.arange(len(glints))
+    found = faces._without_stray(faces.Faces(glints, numbers, numbers % 2 == 0))
+    np.testing.assert_array_equal(found.sources, numbers[:400])
+    np.testing.assert_array_equal(found.is_back, numbers[:400] % 2 == 0)
+    # Another body of a fifth of the size stays.
+    other = RADIUS_M * legs[:80] + [0.0, 0.0, 0.2]
+    both = glints_at(np.concatenate([RADIUS_M * legs, other]), np.concatenate([legs, legs[:80]]))
+    numbers = np.arange(len(both))
+    assert len(faces._without_stray(faces.Faces(both, numbers, numbers < 0)).sources) == 480

@@ -18,6 +18,7 @@ from geraf2.echoes.face_network import FaceGuess, guess_faces
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.noise import ECHO_NOISE, normal_density
 from geraf2.errors import UserError
+from geraf2.geometry.components import connected_labels
 from geraf2.geometry.triangles import face_areas, vertex_normals
 from geraf2.ops.visibility import MeshScene
 
@@ -55,6 +56,9 @@ _LIFT_M = 5e-4
 """Step of a refracted line off the face that it enters [m]."""
 _LIKELY = 0.15
 """Least probability of a face that is used."""
+_LINK_M, _STRAY = 0.015, 0.01
+"""Distance within which glints are one group [m], and the weight of a stray group over that of the
+largest one: clutter that other planes do not see is in one place."""
 MIN_GLINTS = 10
 """Glints without which no surface is fitted."""
 
@@ -129,7 +133,18 @@ def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
         faces = _place(scan.glints, lines, density / total[:, None, None])
         if len(faces.glints) < MIN_GLINTS:
             return None
+    faces = _without_stray(faces)
     return faces._replace(sources=kept[faces.sources])
+
+
+def _without_stray(faces: Faces) -> Faces:
+    """Leave out groups that hold a small part of what the largest one holds."""
+    glints = faces.glints
+    i, j = KDTree(glints.positions).query_pairs(_LINK_M, output_type="ndarray").T
+    group = connected_labels(i, j, len(glints))
+    held = np.bincount(group, glints.probability)
+    stays = (held > _STRAY * held.max())[group]
+    return Faces(glints.select(stays), faces.sources[stays], faces.is_back[stays])
 
 
 def back_share(glints: Glints) -> float:
