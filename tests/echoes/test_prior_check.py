@@ -1,10 +1,12 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from geraf2.echoes.prior_check import locate_echoes, require_echoes_inside
 from geraf2.echoes.wall_delay import pair_distance_m
 from geraf2.errors import UserError
-from geraf2.imaging.peaks import KeptPeaks
+from geraf2.imaging.peaks import KeptPeaks, join_peaks
 from geraf2.scene import Capture, LosPrior
 from helpers.synthetic import WAVEFORM, point_capture, point_pose
 
@@ -36,6 +38,16 @@ def test_all_echoes_are_inside_a_box_around_everything(capture):
     assert positions.bounds_m[0, 0] == pytest.approx(-0.05, abs=0.01)
     assert positions.bounds_m[1, 1] == pytest.approx(0.05, abs=0.01)
     assert positions.inside + positions.in_front + positions.beside == pytest.approx(1.0)
+
+
+def test_leakage_beside_the_antennas_is_not_in_front_of_the_box(capture):
+    prior = box(0.12)
+    peaks = KeptPeaks(prior).of(capture)
+    strongest = peaks.select(peaks.magnitudes == peaks.magnitudes.max())
+    for cells, is_in_front in ((1.0, False), (3.0, True)):
+        ranges = np.full(len(strongest), cells * WAVEFORM.range_cell_m)
+        both = join_peaks([peaks, replace(strongest, ranges_m=ranges)])
+        assert (locate_echoes(capture, prior, both).in_front > 0.0) == is_in_front
 
 
 def test_a_small_box_has_echoes_in_front(capture):

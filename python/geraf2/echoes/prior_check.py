@@ -21,7 +21,7 @@ from geraf2.echoes.flashes import (
 from geraf2.echoes.wall_delay import PAIR_SHARES, pair_distance_m
 from geraf2.echoes.wall_faces import WallFaces
 from geraf2.errors import UserError
-from geraf2.imaging.peaks import PeakSet, grating_lobes
+from geraf2.imaging.peaks import LEAKAGE_CELLS, PeakSet, grating_lobes
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.checks import format_mm
@@ -60,7 +60,8 @@ def locate_echoes(
 
     peaks: of the capture's planes, including those in front of the box and behind it.
     """
-    strong = peaks.select(peaks.levels_db >= -_DYNAMIC_RANGE_DB)
+    is_leakage = peaks.ranges_m < LEAKAGE_CELLS * capture.waveform.range_cell_m
+    strong = peaks.select((peaks.levels_db >= -_DYNAMIC_RANGE_DB) & ~is_leakage)
     if not len(strong):
         return EchoLocations(
             n_echoes=0, inside=0.0, in_front=0.0, beside=0.0, bounds_m=np.full((2, 3), np.nan)

@@ -24,6 +24,8 @@ DETECTION_DB = 12.0
 REACH_M = (0.1, 0.05)
 """Distances in front of the prior's box and behind it within which peaks are collected [m]. Echoes
 from there show that the prior is too small or displaced."""
+LEAKAGE_CELLS = 2.0
+"""Range cells within which the leakage from transmitter to receiver dominates."""
 _BOX_MARGIN_M = 0.02
 """Margin around the prior's box for the blur of its walls' echoes [m]."""
 MAX_RANGE_SHIFT_M = REACH_M[1]
@@ -365,8 +367,7 @@ class KeptPeaks:
     def _imaged(self, pose: Pose, waveform: Waveform, number: int) -> PeakSet:
         self._n_imaged += 1
         near, far = _box_span(pose, self.prior)
-        # Within two range cells the leakage from transmitter to receiver dominates.
-        low = max(near - self.reach_m[0], min(near, 2.0 * waveform.range_cell_m))
+        low = max(near - self.reach_m[0], min(near, LEAKAGE_CELLS * waveform.range_cell_m))
         high = max(far, min(far + self.reach_m[1], low + waveform.unambiguous_range_m))
         focus = self.prior.bounds.mean(axis=0)
         images = pose_images(pose, waveform, focus, (low, high), self.subaperture)
