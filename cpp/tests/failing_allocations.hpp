@@ -6,10 +6,6 @@
 #include <atomic>
 #include <new>
 
-#if defined(__SANITIZE_ADDRESS__)
-#include <sanitizer/lsan_interface.h>
-#endif
-
 /// Of operator new, which test_failing_allocations.cpp replaces.
 struct Faults {
     static constexpr long never = -1;
@@ -17,15 +13,6 @@ struct Faults {
     std::atomic<bool> met{false};
 };
 inline Faults faults;
-
-/// While it lives, leaks of this thread do not count: Embree leaks where its own allocation fails.
-struct UncountedLeaks {
-#if defined(__SANITIZE_ADDRESS__)
-    __lsan::ScopedDisabler disabled;
-#else
-    UncountedLeaks() {} // a variable of it is used
-#endif
-};
 
 /// Runs call() with each allocation failing once, and compares what it returns; returns how many.
 template <class Call>
