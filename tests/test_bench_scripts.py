@@ -58,13 +58,3 @@ def test_the_gain_of_a_back_face_is_that_of_rays_through_a_body(axes_m, monkeypa
         np.array([[1.0, 0.0, 0.0]]), shape[None], shape[None], np.array([2.0 * axes[0]]), index
     )
     np.testing.assert_allclose(gain, (2.0 * counted / spread) ** 2, rtol=1e-3)
-
-
-def test_the_lobe_of_an_echo_is_the_spectrum_of_hanns_window(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCH / "python"))
-    training = importlib.import_module("train_faces")
-    n = np.arange(2000)
-    window = np.sin(np.pi * (n + 0.5) / 2000) ** 2
-    cells = np.array([-1.5, -1.0, 0.0, 0.3, 1.0, 1.9])
-    spectrum = np.exp(2j * np.pi * np.outer(cells, n) / 2000) @ window / window.sum()
-    np.testing.assert_allclose(training.hann_lobe(cells), np.abs(spectrum), atol=1e-4)

@@ -30,6 +30,7 @@ import completion_objects
 from fit_scores import DYNAMIC_RANGE, OFF_M, apertures_of, received, separate, surface_points
 from geraf2._types import Floats
 from geraf2.apps.benchmark.population import parse_seeds
+from geraf2.echoes.detectability import hann_response
 from geraf2.echoes.face_network import (
     AT_ONCE,
     WEIGHTS_KIND,
@@ -38,6 +39,7 @@ from geraf2.echoes.face_network import (
     pair_features,
     token_features,
 )
+from geraf2.echoes.faces import MERGED, MERGED_SIGMA, SIDE_LOBE, THICK, THIN
 from geraf2.errors import UserError
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.checkpoint import Checkpoint, save_checkpoint
@@ -58,10 +60,8 @@ N_WAYS, LEFT_OUT = 8, 12
 # how often it is turned in any way, and deviations of its place, across and up [m].
 LENGTHS_M, STRETCH, TURNED, ASIDE_M, UP_M = (0.04, 0.2), 0.1, 0.25, 0.01, 0.015
 INDICES = (1.55, 1.85)
-# Range cell [m]. Both faces of a body whose optical thickness is below a share of it, drawn for
-# each point, send one echo, whose place over that thickness has a mean and a standard deviation.
-# Both faces have to be turned by less than this angle [rad].
-RANGE_CELL_M, MERGING, MERGED, MERGED_SIGMA, PARALLEL = 0.042, (0.5, 0.8), 0.67, 0.12, 0.3
+# Range cell [m], and the largest angle between both faces of a body that send one echo [rad].
+RANGE_CELL_M, PARALLEL = 0.042, 0.3
 # Wavelength, and cell across the line of sight of a sub-aperture of 8 cm at 0.4 m [m].
 WAVELENGTH_M, ACROSS_CELL_M = 0.0039, 0.0097
 # Neighbours from which the curvature at a point is known, the step over which it is smoothed [m],
@@ -74,8 +74,8 @@ BATCH, RATE, DECAY = 8, 2e-3, 1e-3
 # Unit of the thickness [m], and factors that make first steps small.
 THICKNESS_M, SHUT, COUNTED = 0.02, 2.0, 1.0 / 16.0
 METAL_SHARE = 0.1
-# How often strong back faces have side lobes, and these lie so far in front of them [range cells].
-LOBES, LOBE_CELLS = 0.25, 2.2
+# How often strong back faces have side lobes.
+LOBES = 0.25
 # Weakest glints below the strong ones, in powers of ten, and the largest share of false ones, to
 # the power of 2/3.
 FLOOR, MOST_FALSE = (0.6, 1.5), 0.4
@@ -104,7 +104,7 @@ def candidates(
     nearest = KDTree(points).query(far)[1]
     facing = normals[nearest]
     reflection = (index - 1.0) / (index + 1.0)
-    merging = RANGE_CELL_M * rng.uniform(*MERGING, n)
+    merging = RANGE_CELL_M * rng.uniform(THIN, THICK, n)
     # A wave that arrives along the normal goes straight on.
     along = -np.einsum("ij,ij->i", facing, normals)
     thin = inside & (index * path < merging) & (along > np.cos(PARALLEL))
@@ -196,18 +196,11 @@ def resolved(powers: list[tuple[float, int]], found: Candidates) -> list[tuple[f
             steps = found.apparent[echo] - found.apparent[others]
             depth = steps @ found.towards[echo]
             across = np.linalg.norm(steps - depth[:, None] * found.towards[echo], axis=1)
-            lobe = hann_lobe(depth / RANGE_CELL_M) * hann_lobe(across / ACROSS_CELL_M)
+            lobe = hann_response(depth / RANGE_CELL_M) * hann_response(across / ACROSS_CELL_M)
             if (power < 4.0 * lobe**2 * strong).any() or power < kept[0][0] / DYNAMIC_RANGE:
                 continue
         kept.append((power, echo))
     return kept
-
-
-def hann_lobe(cells: Floats) -> Floats:
-    """Amplitude beside an echo under Hann's window; 0 from two cells on."""
-    cells = np.minimum(np.abs(cells), 2.0)
-    near = np.abs(cells - 1.0) < 1e-6
-    return np.where(near, 0.5, np.sinc(cells) / (1.0 - np.where(near, 0.0, cells) ** 2))
 
 
 def scanned(
@@ -326,7 +319,7 @@ def with_side_lobes(glints: Glints, rng: np.random.Generator) -> Glints:
     found = np.flatnonzero((glints.kinds == 1) & strong & (rng.random(len(strong)) < rng.random()))
     false = glints.select(found)
     false = false._replace(
-        positions=false.positions + LOBE_CELLS * RANGE_CELL_M * false.normals,
+        positions=false.positions + SIDE_LOBE * RANGE_CELL_M * false.normals,
         strengths=false.strengths * rng.uniform(0.15, 0.33, len(found)).astype(np.float32),
         kinds=np.full(len(found), 3),
     )

@@ -38,7 +38,7 @@ LEAST_PROBABILITY = 0.1
 network and the surface."""
 _ENOUGH = 768
 """Glints from which this share is known to about 0.01."""
-_SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
+SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
 """Place of the range window's side lobe in front of an echo [range cells], the least ratio of both
 amplitudes, and the largest angle of both directions [rad]."""
 _ROUNDS = 6
@@ -46,10 +46,10 @@ _ROUNDS = 6
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
 """Standard deviation of an echo about its face [m]; over the path in the body, and in bodies that
 were crossed before."""
-_MERGED, _MERGED_SIGMA = 0.67, 0.12
+MERGED, MERGED_SIGMA = 0.67, 0.12
 """Place of the one echo of both faces of a thin body over the optical thickness, and its standard
 deviation: of nine random bodies."""
-_THIN, _THICK = 0.5, 0.8
+THIN, THICK = 0.5, 0.8
 """Optical thickness over the range cell up to which both faces send one echo, and from which on
 two."""
 _LIFT_M = 5e-4
@@ -156,7 +156,7 @@ def back_share(glints: Glints) -> float:
 def _side_lobes(scan: Scan) -> Bools:
     """Glints where the range window of a far stronger back face shows a side lobe, (n_glints,)."""
     glints, found = scan.glints, np.zeros(len(scan.glints), dtype=bool)
-    lobe_m = _SIDE_LOBE * scan.cell_m
+    lobe_m = SIDE_LOBE * scan.cell_m
     tree = KDTree(glints.positions)
     ahead = glints.positions - lobe_m * glints.normals
     for number, near in enumerate(tree.query_ball_point(ahead, 0.25 * scan.cell_m)):
@@ -241,15 +241,13 @@ def _densities(lines: _Lines, cell_m: float) -> Floats:
     """Density of glints by fronts, backs, and both faces, (n_glints, n_bodies, 3) [1 / m^3]."""
     optical, before = lines.n * lines.thickness_m, _SIGMA_OF_BODY * lines.before_m
     own = _SIGMA_M + before
-    thin = np.clip((_THICK - optical / cell_m) / (_THICK - _THIN), 0.0, 1.0)
+    thin = np.clip((THICK - optical / cell_m) / (THICK - THIN), 0.0, 1.0)
     both = thin * lines.entry * lines.leave
     front = (lines.entry - both) * normal_density(lines.behind_m, own)
     back = (lines.leave - 0.5 * both) * normal_density(
         lines.behind_m - optical, own + _SIGMA_OF_PATH * optical
     )
-    merged = both * normal_density(
-        lines.behind_m - _MERGED * optical, own + _MERGED_SIGMA * optical
-    )
+    merged = both * normal_density(lines.behind_m - MERGED * optical, own + MERGED_SIGMA * optical)
     return np.stack([front, back, merged], axis=2) * lines.exists[..., None] / lines.area_m2
 
 
@@ -267,12 +265,12 @@ def _place(glints: Glints, lines: _Lines, chances: Floats) -> Faces:
     crossed = (lines.behind_m, lines.thickness_m, lines.before_m, lines.entries, lines.inside)
     behind, thickness, before, entry, inside = (values[rows, body] for values in crossed)
     own, is_back = glints.select(rows), kind % 2 == 1
-    merged = _MERGED * lines.n * thickness
+    merged = MERGED * lines.n * thickness
     front = own.positions + ((lines.n - 1.0) * before)[:, None] * own.normals
     thin = front + merged[:, None] * own.normals
     far = entry + (behind / lines.n)[:, None] * inside
     places = [front, far, thin, thin + thickness[:, None] * inside]
-    none, merged_sigma = np.zeros(len(rows)), _MERGED_SIGMA * lines.n * thickness
+    none, merged_sigma = np.zeros(len(rows)), MERGED_SIGMA * lines.n * thickness
     sigmas = [none, _SIGMA_OF_PATH * thickness, merged_sigma, merged_sigma]
     sigma_m = np.choose(kind, sigmas) + _SIGMA_OF_BODY * before
     placed = replace(
