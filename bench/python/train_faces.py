@@ -41,6 +41,7 @@ from geraf2.echoes.face_network import (
 )
 from geraf2.echoes.faces import MERGED, MERGED_SIGMA, SIDE_LOBE, THICK, THIN
 from geraf2.errors import UserError
+from geraf2.geometry.curvature import shape_operators
 from geraf2.io.atomic import write_npz_atomic
 from geraf2.io.checkpoint import Checkpoint, save_checkpoint
 from geraf2.io.mesh import TriangleMesh
@@ -64,9 +65,9 @@ INDICES = (1.55, 1.85)
 RANGE_CELL_M, PARALLEL = 0.042, 0.3
 # Wavelength, and cell across the line of sight of a sub-aperture of 8 cm at 0.4 m [m].
 WAVELENGTH_M, ACROSS_CELL_M = 0.0039, 0.0097
-# Neighbours from which the curvature at a point is known, the step over which it is smoothed [m],
-# and the curvature of a wave that is as good as plane over a sub-aperture [1/m].
-N_NEAR, SMOOTH_M, PLANE_PER_M = 16, 1e-3, 2.5
+# Radius of the surface that gives the curvature at a point [m], and the curvature of a wave that is
+# as good as plane over a sub-aperture [1/m].
+CURVATURE_REACH_M, PLANE_PER_M = 0.004, 2.5
 MIN_GLINTS, MAX_GLINTS = 30, 600
 
 N_TOKEN_FEATURES, N_PAIR_FEATURES, N_BLOCKS, N_HEADS, N_WIDE, N_EDGE = 4, 14, 4, 4, 64, 24
@@ -109,7 +110,7 @@ def candidates(
     along = -np.einsum("ij,ij->i", facing, normals)
     thin = inside & (index * path < merging) & (along > np.cos(PARALLEL))
     # Amplitude of the back's echo over the front's.
-    shapes = shape_operators(points, normals)
+    shapes = np.nan_to_num(shape_operators(points, normals, np.arange(n), CURVATURE_REACH_M))
     per_m = 2.0 * np.pi * index * rng.uniform(*POPULATION.loss_tangent) / WAVELENGTH_M
     passed = (1.0 - reflection**2) * np.exp(-per_m * path)
     passed *= np.sqrt(focusing(normals, shapes[nearest], shapes, path, index))
@@ -134,16 +135,6 @@ def candidates(
     )
     back = Candidates(*(values[leaves] for values in back))
     return Candidates(*(np.concatenate(pair) for pair in zip(front, back, strict=True)))
-
-
-def shape_operators(points: Floats, normals: Floats) -> Floats:
-    """Change of the normal over a step along the surface, (n, 3, 3) [1/m]."""
-    near = KDTree(points).query(points, N_NEAR)[1]
-    steps, turns = points[near] - points[:, None], normals[near] - normals[:, None]
-    same = (np.einsum("nkc,nc->nk", normals[near], normals) > 0.3)[..., None]
-    squares = np.einsum("nki,nkj->nij", same * steps, steps) + SMOOTH_M**2 * np.eye(3)
-    found = np.linalg.solve(squares, np.einsum("nki,nkj->nij", same * steps, turns))
-    return np.asarray(0.5 * (found + found.transpose(0, 2, 1)))
 
 
 def focusing(normals: Floats, front: Floats, back: Floats, path: Floats, index: float) -> Floats:
