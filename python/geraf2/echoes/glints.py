@@ -58,8 +58,6 @@ class FoundEchoes(NamedTuple):
 
     glints: Glints
     labelled: LabelledPeaks
-    numbers: Ints
-    """Index of each glint in the labelled peaks, (n_glints,)."""
     metal: MetalLevel | None
     """Strength of metal on the scale of the magnitudes; None where no wall shows it."""
     clutter: Clutter
@@ -68,10 +66,11 @@ class FoundEchoes(NamedTuple):
     """All peaks at the ranges of the box."""
 
     def likelier_than(self, least: float) -> tuple[Glints, Ints]:
-        """Glints of another least probability than the configured one, and their indices."""
-        index = np.flatnonzero(self.labelled.probability > least)
-        chosen = self.labelled.candidates.select(index)
-        return as_glints(self.peaks, chosen, self.labelled.probability[index]), index
+        """Glints of another least probability than the configured one.
+
+        Their indices in the labelled peaks are the second value, (n_glints,).
+        """
+        return _likelier(self.peaks, self.labelled, least)
 
 
 def find_glints(
@@ -154,10 +153,10 @@ def find_echoes(
     if not (found.depth_m > config.wall_margin_m).any():
         raise _nothing_found(near, found, config)
     labelled = label_peaks(near, found, prior.expected_volume_m3, config.wall_margin_m)
-    keep = labelled.probability > _threshold(labelled.probability, config.min_probability)
-    if not keep.any():
+    least = _threshold(labelled.probability, config.min_probability)
+    if not (labelled.probability > least).any():
         raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
-    glints = as_glints(near, labelled.candidates.select(keep), labelled.probability[keep])
+    glints, _ = _likelier(near, labelled, least)
     metal = metal_level(
         near,
         Windows.of(
@@ -172,7 +171,13 @@ def find_echoes(
         capture.waveform,
     )
     clutter = Clutter.of(near, found, labelled, prior.expected_volume_m3)
-    return FoundEchoes(glints, labelled, np.flatnonzero(keep), metal, clutter, near)
+    return FoundEchoes(glints, labelled, metal, clutter, near)
+
+
+def _likelier(peaks: PeakSet, labelled: LabelledPeaks, least: float) -> tuple[Glints, Ints]:
+    index = np.flatnonzero(labelled.probability > least)
+    probability = labelled.probability[index]
+    return as_glints(peaks, labelled.candidates.select(index), probability), index
 
 
 def _threshold(probability: Floats, least: float) -> float:
