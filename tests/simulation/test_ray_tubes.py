@@ -13,9 +13,11 @@ from geraf2.simulation.dielectric import cross_walls, slab_reflection
 from geraf2.simulation.echo import EchoScene, Layer
 from geraf2.simulation.multipath import multipath_echo
 from geraf2.simulation.ray_tubes import (
+    Film,
     SmoothMesh,
     TubeScene,
     back_face,
+    behind_film,
     second_bounce,
     tube_echo,
 )
@@ -120,6 +122,60 @@ def test_back_face_of_a_plate_echoes_at_its_apparent_depth():
     ratio = (got / wanted).mean(axis=1)
     assert np.abs(ratio) == pytest.approx(np.ones(3), abs=0.05)
     assert np.abs(np.angle(ratio)).max() < 0.2
+
+
+def film_of(mesh, thickness_m, permittivity):
+    plate = Wall(size_m=(0.1, 0.1, 0.1), thickness_m=thickness_m, permittivity=permittivity)
+    return Film(plate=plate, loss_tangent=0.0, n_faces=len(mesh.faces))
+
+
+def test_far_side_of_a_shell_echoes_as_a_film_behind_a_film():
+    # Image of the antenna in the far film; both ways cross the near film.
+    thickness, permittivity, apart = 0.0009, 2.6, 0.03
+    box = trimesh.creation.box(bounds=[[-apart, -0.15, -0.15], [0.0, 0.15, 0.15]])
+    positions = np.array([[0.4, 0.0, 0.0], [0.4, 0.01, 0.0], [0.405, 0.0, 0.01]])
+    eye, film = positions.mean(axis=0), film_of(box, thickness, permittivity)
+    tubes = behind_film(tube_scene(box, 0.0025), eye, blocks_of(positions), film)
+    got = tube_echo(tubes, positions, positions, WAVEFORM)
+    n = np.sqrt(permittivity)
+    r = (1.0 - n) / (1.0 + n)
+    both = slab_reflection(np.ones(1), film.plate, FREQUENCIES)[0]
+    depth = positions[:, :1] + apart
+    path = 2 * (depth + (n - 1) * thickness)
+    wanted = both * (1 - r**2) ** 2 / (4 * K * depth) * np.exp(-1j * K * path)
+    ratio = (got / wanted).mean(axis=1)
+    assert np.abs(ratio) == pytest.approx(np.ones(3), abs=0.05)
+    assert np.abs(np.angle(ratio)).max() < 0.2
+
+
+def test_a_conductor_in_a_shell_echoes_as_without_it_but_for_two_crossings():
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
+    ball.apply_translation([0.01, 0.0, 0.0])
+    shell = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
+    both = trimesh.util.concatenate([shell, ball])
+    eye, thickness, permittivity = np.array([0.5, 0.0, 0.0]), 0.0008, 2.4
+    film = film_of(shell, thickness, permittivity)
+    tubes = behind_film(tube_scene(both, 0.0007), eye, blocks_of(eye), film)
+    # The others are of the shell's far side.
+    near = tubes.path_m < 2 * 0.03
+    tubes = replace(tubes, **{name: values[near] for name, values in vars(tubes).items()})
+    got = tube_echo(tubes, eye[None], eye[None], WAVEFORM)[0]
+    n = np.sqrt(permittivity)
+    r = (1.0 - n) / (1.0 + n)
+    mesh = trimesh.creation.icosphere(subdivisions=6, radius=0.02)
+    mesh.apply_translation([0.01, 0.0, 0.0])
+    normals, middles = mesh.face_normals, mesh.triangles_center
+    lit = np.einsum("ij,ij->i", eye - middles, normals) > 0.0
+    elements = SurfaceElements(
+        points=middles,
+        normals=normals,
+        edges=mesh.triangles[:, :2] - middles[:, None],
+        shape="triangle",
+    )
+    weights = (mesh.area_faces * lit)[None].astype(np.complex128)
+    bare = physical_optics(elements, weights, blocks_of(eye), WAVEFORM)[0]
+    wanted = bare * (1 - r**2) ** 2 * np.exp(-2j * K * (n - 1) * thickness)
+    assert got / wanted == pytest.approx(np.ones(len(K)), abs=0.1)
 
 
 def test_two_faces_of_a_slab_lack_only_the_inner_reflections_of_airys_formula():

@@ -1,9 +1,12 @@
 from dataclasses import fields
 from pathlib import Path
 
+import pytest
+
+from geraf2.errors import UserError
 from geraf2.io.toml import read_table
 from geraf2.scene import Wall
-from geraf2.simulation import FigureSpec, SceneSpec, WorldSpec, load_spec
+from geraf2.simulation import FigureSpec, SceneSpec, WorldSpec, load_spec, parse_spec
 
 CONFIGS = Path(__file__).parents[2] / "configs"
 
@@ -19,5 +22,22 @@ def test_annotated_spec_holds_exactly_the_defaults():
 
 def test_mesh_paths_are_relative_to_the_file(tmp_path):
     file = tmp_path / "spec.toml"
-    file.write_text('[figure]\nmesh = "things/cup.ply"\n')
-    assert load_spec(file).figure.mesh == str(tmp_path / "things" / "cup.ply")
+    file.write_text(
+        '[figure]\nmesh = "things/cup.ply"\n[inside]\nmesh = "key.ply"\n'
+        "[world]\nfigure_permittivity = 2.7\nfigure_shell_m = 0.001\n"
+    )
+    spec = load_spec(file)
+    assert spec.figure.mesh == str(tmp_path / "things" / "cup.ply")
+    assert spec.inside.mesh == str(tmp_path / "key.ply")
+
+
+@pytest.mark.parametrize(
+    ("table", "named"),
+    [
+        ({"world": {"figure_shell_m": 0.001}}, "figure_shell_m"),
+        ({"inside": {"name": "key"}, "world": {"figure_permittivity": 2.7}}, "inside"),
+    ],
+)
+def test_a_shell_is_of_plastic_and_only_a_shell_holds_something(table, named):
+    with pytest.raises(UserError, match=named):
+        parse_spec({"figure": {"name": "dog"}, **table}, where="spec.toml")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import geraf2
+from geraf2.errors import UserError
 from geraf2.simulation import WorldSpec, simulate
 from geraf2.simulation.dielectric import face_reflection
 
@@ -38,6 +39,30 @@ def test_effect_changes_the_capture_and_threads_do_not(ideal, effect):
     assert 0.002 < change < 0.8
     again = simulate(small_spec(**{effect: True}), seed=1, num_threads=1)[0].poses[0].signal
     assert (got == again).all()
+
+
+def test_a_shell_shows_what_it_holds():
+    spec = replace(small_spec(figure_permittivity=2.7, figure_shell_m=0.0008), walls=())
+    spec = replace(spec, figure=replace(spec.figure, name="ball"))
+    # Beside the line to the middle, so that the far side is seen, too.
+    inside = replace(spec.figure, height_m=0.012, center_m=(0.0, 0.011, 0.0))
+    alone, shell, full = (
+        simulate(one, seed=1)
+        for one in (
+            replace(spec, figure=inside, world=WorldSpec()),
+            spec,
+            replace(spec, inside=inside),
+        )
+    )
+    assert len(full[1].vertices) == len(shell[1].vertices) + len(alone[1].vertices)
+    # Captures are of unit power: that of the full one is a sum of both others, but for shadows.
+    both = np.stack([one[0].poses[0].signal.ravel() for one in (alone, shell)], axis=1)
+    full_signal = full[0].poses[0].signal.ravel()
+    found, *_ = np.linalg.lstsq(both, full_signal, rcond=None)
+    assert np.linalg.norm(both @ found - full_signal) < 0.35 * np.linalg.norm(full_signal)
+    assert (np.abs(found) > 0.2).all()
+    with pytest.raises(UserError, match="inside"):
+        simulate(replace(spec, inside=replace(inside, height_m=0.06)), seed=1)
 
 
 def test_a_dielectric_figure_echoes_less_and_from_its_back_face_too():

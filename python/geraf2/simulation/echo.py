@@ -15,7 +15,14 @@ from geraf2.scene import Wall
 from geraf2.simulation.dielectric import n_crossings
 from geraf2.simulation.elements import select, wall_elements
 from geraf2.simulation.multipath import multipath_echo
-from geraf2.simulation.ray_tubes import TubeScene, back_face, second_bounce, tube_echo
+from geraf2.simulation.ray_tubes import (
+    Film,
+    TubeScene,
+    back_face,
+    behind_film,
+    second_bounce,
+    tube_echo,
+)
 from geraf2.simulation.scan import block_centers
 from geraf2.simulation.wall_waves import box_faces, is_square, shadow_echo
 from geraf2.simulation.walls import BoxScene, WallShape
@@ -69,6 +76,8 @@ class EchoScene(BoxScene):
     """Relative permittivity of the object, whose back face then echoes; 0: metal."""
     loss_tangent: float = 0.0
     """Loss tangent of the object."""
+    film: Film | None = None
+    """Wall of the object where it is a shell, whose far side and content then echo."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +120,7 @@ def plane_echo(scene: EchoScene, antennas: AntennaBlocks) -> PlaneEcho:
 def _tubes_echo(
     scene: EchoScene, tubes: TubeScene, antennas: AntennaBlocks
 ) -> NDArray[np.complex64]:
-    """Second bounces on the object and echoes of its back face."""
+    """Second bounces on the object, and echoes of its back face or from inside a shell."""
     centers = block_centers(antennas)
 
     def block_echo(number: int) -> NDArray[np.complex64]:
@@ -121,7 +130,10 @@ def _tubes_echo(
         if scene.second_bounce:
             twice = second_bounce(tubes, centers[number], antennas)
             found += np.float32(scene.second_bounce) * tube_echo(twice, tx, rx, scene.waveform)
-        if scene.permittivity:
+        if scene.film is not None:
+            back = behind_film(tubes, centers[number], antennas, scene.film)
+            found += tube_echo(back, tx, rx, scene.waveform)
+        elif scene.permittivity:
             material = (scene.permittivity, scene.loss_tangent)
             back = back_face(tubes, centers[number], antennas, material)
             found += tube_echo(back, tx, rx, scene.waveform)
@@ -176,8 +188,10 @@ def _echo(
     if scene.wall_amplitude != 1.0:
         crossed = 2 * n_crossings(block_centers(antennas), elements.points, walls)
         weights = weights * scene.wall_amplitude**crossed
+    if elements.slab in scene.walls:
+        elements = replace(elements, slab_crossing=scene.wall_amplitude)
     signal = physical_optics(
-        replace(elements, slab_crossing=scene.wall_amplitude),
+        elements,
         weights.astype(np.complex64),
         antennas,
         scene.waveform,

@@ -15,7 +15,7 @@ from geraf2.geometry.triangles import barycentric, face_vectors, unit_normals
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.dielectric import cross_walls, phasors
+from geraf2.simulation.dielectric import cross_walls, face_reflection, phasors
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
@@ -38,6 +38,8 @@ class Hits(NamedTuple):
     """Length of the ray, (n,) [m]."""
     rays: Ints
     """Indices of the rays that hit, (n,)."""
+    faces: Ints
+    """Faces that they hit, (n,)."""
 
 
 class SmoothMesh:
@@ -76,7 +78,7 @@ class SmoothMesh:
         turns = np.stack([_slopes(across[:, c], corners, own) for c in range(2)], axis=1)
         turns -= np.einsum("nci,ni->nc", turns, normals)[..., None] * normals[:, None]
         turns /= length[:, None, None]
-        return Hits(points, across, normals, turns, path_m, rays)
+        return Hits(points, across, normals, turns, path_m, rays, faces)
 
 
 def corner_normals(vertices: Floats, faces: Ints) -> Floats:
@@ -151,7 +153,7 @@ class TubeScene:
     """Object and walls of a scene, as tubes need them."""
 
     mesh: SmoothMesh
-    """The object."""
+    """The object; a shell with what it holds."""
     walls: tuple[Wall, ...]
     """Walls that rays cross."""
     waveform: Waveform
@@ -211,6 +213,19 @@ def _cast_rays(eye: Floats, scene: TubeScene) -> _Beam:
 def _meet(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
     """Beam of the rays that hit the object from one side, with the hits."""
     # index: of refraction along the path; above 1 inside the object, which is then hit from within.
+    beam, hits = _travel(scene, beam, index, first)
+    return _facing(beam, hits, np.full(len(hits.rays), 1.0 if index > 1.0 else -1.0))
+
+
+def _facing(beam: _Beam, hits: Hits, along: Floats) -> tuple[_Beam, Hits]:
+    """Beam of the rays along the normals of what they hit, or against it."""
+    # along: 1 or -1 of each ray, (n,).
+    keep = along * np.einsum("ni,ni->n", beam.directions, hits.normals) > 1e-3
+    return _take(beam, keep), _pick(hits, keep)
+
+
+def _travel(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
+    """Beam of the rays that hit the object, with the hits."""
     hits = scene.mesh.meet(beam.starts, beam.directions, beam.across, beam.turning)
     beam = _take(beam, hits.rays)
     if first:
@@ -221,13 +236,15 @@ def _meet(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> t
             path_m=beam.path_m + index * (hits.path_m + beam.lead_m),
             amplitude=beam.amplitude * 1j**folds,
         )
-    cosine = np.einsum("ni,ni->n", beam.directions, hits.normals)
-    keep = cosine > 1e-3 if index > 1.0 else cosine < -1e-3
-    return _take(beam, keep), Hits(*(values[keep] for values in hits))
+    return beam, hits
 
 
 def _take(beam: _Beam, keep: Bools | Ints) -> _Beam:
     return _Beam(**{name: values[keep] for name, values in beam._asdict().items()})
+
+
+def _pick(hits: Hits, keep: Bools | Ints) -> Hits:
+    return Hits(*(values[keep] for values in hits))
 
 
 def _folds(beam: _Beam, path_m: Floats) -> Ints:
@@ -289,7 +306,7 @@ def _refract(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
     turning += bend[:, None, None] * turns
     beam = _leave(beam, hits, ratio * beam.directions + bend[:, None] * normals, turning)
     beam = beam._replace(amplitude=beam.amplitude * np.sqrt(1.0 - r**2))
-    return _take(beam, keep), Hits(*(values[keep] for values in hits))
+    return _take(beam, keep), _pick(hits, keep)
 
 
 def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
@@ -328,6 +345,65 @@ def back_face(
     k = 2.0 * np.pi / scene.waveform.center_wavelength_m
     lost = np.exp(-0.5 * k * loss_tangent * beam.path_m)
     return _receive(scene, beam._replace(amplitude=beam.amplitude * lost), hits, eye, antennas)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Film:
+    """Wall of a shell: thin, so that rays pass it without an offset."""
+
+    plate: Wall
+    """Its permittivity and thickness."""
+    loss_tangent: float
+    n_faces: int
+    """The first so many faces of the object are the shell; the others are a conductor in it."""
+
+    def cross(self, beam: _Beam, hits: Hits, k: float) -> _Beam:
+        """Beam on the other side; k: wavenumber [1/m]."""
+        cosine, inner = self._cosines(beam, hits)
+        plate = self.plate
+        r = face_reflection(cosine, plate.permittivity)
+        lost_m = self.loss_tangent * plate.permittivity * plate.thickness_m / inner
+        beam = beam._replace(
+            amplitude=beam.amplitude * (1.0 - r**2) * np.exp(-0.5 * k * lost_m),
+            path_m=beam.path_m + plate.thickness_m * (inner - cosine),
+        )
+        return _leave(beam, hits, beam.directions, beam.turning)
+
+    def reflect(self, beam: _Beam, hits: Hits) -> tuple[_Beam, Hits]:
+        """Beam reflected by each face of the film and by the conductor in it, with the hits."""
+        cosine, inner = self._cosines(beam, hits)
+        r, is_film = face_reflection(cosine, self.plate.permittivity), hits.faces < self.n_faces
+        near = beam._replace(amplitude=beam.amplitude * np.where(is_film, r, -1.0))
+        far = beam._replace(
+            amplitude=-beam.amplitude * r * (1.0 - r**2),
+            path_m=beam.path_m + 2.0 * self.plate.thickness_m * inner,
+        )
+        twice = np.append(np.arange(len(r)), np.flatnonzero(is_film))
+        far = _take(far, is_film)
+        both = _Beam(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
+        return _reflect(both, _pick(hits, twice)), _pick(hits, twice)
+
+    def _cosines(self, beam: _Beam, hits: Hits) -> tuple[Floats, Floats]:
+        cosine = np.abs(np.einsum("ni,ni->n", beam.directions, hits.normals))
+        return cosine, np.sqrt(self.plate.permittivity - 1.0 + cosine**2)
+
+
+def behind_film(scene: TubeScene, eye: Floats, antennas: AntennaBlocks, film: Film) -> Tubes:
+    """Tubes that enter a shell, are reflected by its far side or by what it holds, and leave it.
+
+    scene: shell with what it holds, and walls.
+    eye: middle of a block of antennas, (3,) [m].
+    antennas: their boresight and pattern.
+    film: wall of the shell.
+    """
+    k = 2.0 * np.pi / scene.waveform.center_wavelength_m
+    beam, hits = _meet(scene, _cast_rays(eye, scene), 1.0, first=True)
+    beam, hits = _travel(scene, film.cross(beam, hits, k), 1.0)
+    beam, hits = _facing(beam, hits, np.where(hits.faces < film.n_faces, 1.0, -1.0))
+    beam, hits = film.reflect(beam, hits)
+    beam, hits = _travel(scene, beam, 1.0)
+    beam, hits = _facing(beam, hits, np.where(hits.faces < film.n_faces, 1.0, 0.0))
+    return _receive(scene, film.cross(beam, hits, k), hits, eye, antennas)
 
 
 def _receive(

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats, Progress
 from geraf2.errors import UserError
+from geraf2.geometry.transforms import triple
 from geraf2.io.manifest import DELAY_GIVEN, DELAY_KEY
 from geraf2.io.mesh import TriangleMesh
 from geraf2.ops._threads import resolve_num_threads
@@ -19,7 +20,7 @@ from geraf2.simulation.echo import EchoScene, Layer, PlaneEcho, Points, plane_ec
 from geraf2.simulation.electronics import amplify, convert, leakage
 from geraf2.simulation.elements import mesh_elements, rough_displacement
 from geraf2.simulation.placement import true_plane, turned_plane
-from geraf2.simulation.ray_tubes import SmoothMesh, TubeScene
+from geraf2.simulation.ray_tubes import Film, SmoothMesh, TubeScene
 from geraf2.simulation.scan import ScanPlane, antenna_blocks, scan_planes
 from geraf2.simulation.solids import build_solid
 from geraf2.simulation.spec import SceneSpec
@@ -40,7 +41,7 @@ _SHARED = (
 def simulate(
     spec: SceneSpec, *, seed: int, num_threads: int | None = None, progress: Progress | None = None
 ) -> tuple[Capture, TriangleMesh]:
-    """Physical-optics capture of a metal object in dielectric boxes, and the object's mesh.
+    """Physical-optics capture of an object in dielectric boxes, and the object's mesh.
 
     The signal is the sum of the echoes of object, walls and scatterers (see
     :func:`geraf2.ops.physical_optics.physical_optics`), plus complex white noise, divided by the
@@ -61,12 +62,13 @@ def simulate(
     Returns
     -------
     tuple of Capture and TriangleMesh
-        The capture, and the object in its frame ("capture", z up, turntable axis z) [m].
+        The capture, and the object in its frame ("capture", z up, turntable axis z) [m]; a shell
+        with what it holds.
 
     Raises
     ------
     UserError
-        If the object does not fit into its box.
+        If the object does not fit into its box, or what a shell holds not into it.
 
     Examples
     --------
@@ -75,13 +77,13 @@ def simulate(
     (6, 3)
     """
     spec = _apply_world(spec)
-    truth = build_solid(spec.figure)
+    parts = [build_solid(figure) for figure in (spec.figure, spec.inside) if figure is not None]
     walls = spec.walls
     turn, middle = box_turn(spec)  # the echoes are made in the frame of the boxes
-    placed = truth
+    placed = parts
     if spec.world.box_turn_deg:
-        placed = replace(truth, vertices=(truth.vertices - middle) @ turn.T + middle)
-    _require_inside(placed, walls)
+        placed = [replace(p, vertices=(p.vertices - middle) @ turn.T + middle) for p in parts]
+    _require_inside(placed[0], walls)
     scene = _echo_scene(spec, placed, walls, seed, resolve_num_threads(num_threads))
     planes, moved = recorded_planes(spec, seed)
     _require_outside(planes, walls)
@@ -101,7 +103,8 @@ def simulate(
         echoes.append(plane_echo(scene, antennas).reorder(np.argsort(order)))
         if progress is not None:
             progress((i + 1) / len(planes))
-    return _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed), truth
+    capture = _capture(spec, planes, _add_disturbances(spec, planes, echoes, seed), seed)
+    return capture, TriangleMesh.joined(parts)
 
 
 def recorded_planes(spec: SceneSpec, seed: int) -> tuple[list[ScanPlane], list[ScanPlane]]:
@@ -174,6 +177,15 @@ def _require_inside(truth: TriangleMesh, walls: tuple[Wall, ...]) -> None:
             )
 
 
+def _require_held(shell: MeshScene, held: list[TriangleMesh]) -> None:
+    if not all(shell.contains(part.vertices).all() for part in held):
+        raise UserError(
+            what="the object inside the shell reaches through it",
+            where="inside",
+            hint="lower inside.height_m, or move inside.center_m",
+        )
+
+
 def _how_to_fit(truth: TriangleMesh, wall: Wall, room: Floats) -> str:
     if (np.ptp(truth.vertices, axis=0) < 2.0 * room).all():
         x, y, z = wall.center_m
@@ -198,9 +210,15 @@ def _mm(lengths: object) -> str:
 
 
 def _echo_scene(
-    spec: SceneSpec, truth: TriangleMesh, walls: tuple[Wall, ...], seed: int, num_threads: int
+    spec: SceneSpec,
+    parts: list[TriangleMesh],
+    walls: tuple[Wall, ...],
+    seed: int,
+    num_threads: int,
 ) -> EchoScene:
+    truth, *held = parts
     blocker = MeshScene(truth.vertices, truth.faces, num_threads=num_threads)
+    _require_held(blocker, held)
     figure, world, roughness = spec.figure, spec.world, None
     if figure.roughness_rms_m > 0:
         rng = stream(seed, "roughness")
@@ -208,8 +226,17 @@ def _echo_scene(
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
     )
-    reflectivity = figure.reflectivity
-    if world.figure_permittivity:
+    reflectivity, film = figure.reflectivity, None
+    if world.figure_shell_m:
+        size_m = triple(np.ptp(truth.vertices, axis=0))
+        plate = Wall(
+            size_m=size_m,
+            thickness_m=world.figure_shell_m,
+            permittivity=world.figure_permittivity,
+        )
+        film = Film(plate=plate, loss_tangent=world.figure_loss_tangent, n_faces=len(truth.faces))
+        facets = replace(facets, reflector="slab", slab=plate)
+    elif world.figure_permittivity:
         reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))
     areas = reflectivity * areas  # used as weights of the echo only
     if world.patch_loss_db:
@@ -217,8 +244,9 @@ def _echo_scene(
     wall_amplitude = 10.0 ** (-world.wall_loss_db / 20.0)
     tubes = None
     if world.second_bounce or world.figure_permittivity:
+        whole = TriangleMesh.joined(parts)
         tubes = TubeScene(
-            mesh=SmoothMesh(blocker),
+            mesh=SmoothMesh(MeshScene(whole.vertices, whole.faces, num_threads=num_threads)),
             walls=walls,
             waveform=spec.waveform,
             wall_amplitude=wall_amplitude,
@@ -239,9 +267,10 @@ def _echo_scene(
         wall_amplitude=wall_amplitude,
         multipath=world.multipath and spec.disturbance.far_walls,
         tubes=tubes,
-        second_bounce=reflectivity**2 if world.second_bounce else 0.0,
+        second_bounce=reflectivity**2 if world.second_bounce and film is None else 0.0,
         permittivity=world.figure_permittivity,
         loss_tangent=world.figure_loss_tangent,
+        film=film,
         lines=_lines(spec, seed),
         scatterers=_scatterers(spec, truth, blocker, seed),
         num_threads=num_threads,

@@ -207,6 +207,8 @@ class SceneSpec:
 
     figure: FigureSpec
     """The object."""
+    inside: FigureSpec | None = None
+    """Metal object in the air inside the figure, which then is a shell of plastic."""
     walls: tuple[Wall, ...] = ()
     """Boxes around it, outermost first; none: the object stands free."""
     waveform: Waveform = AWR1843
@@ -231,6 +233,9 @@ class SceneSpec:
                 f"{highest_hz / 1e9:.1f} GHz, {limit_m:.6f} m, got "
                 f"{self.numerics.max_facet_edge_m}"
             )
+            raise ValueError(msg)
+        if self.inside is not None and not self.world.figure_shell_m:
+            msg = "inside needs a figure that is a shell, got world.figure_shell_m = 0"
             raise ValueError(msg)
         near = min((min(wall.size_m[:2]) for wall in self.walls), default=0.0) / 2.0
         if self.scan.standoff_m <= near:
@@ -264,10 +269,13 @@ def load_spec(path: Path | str) -> SceneSpec:
     spec = parse_spec(read_table(path), where=path)
     if spec.scan.file is not None:
         spec = use_scan_file(spec, path.parent / spec.scan.file)
-    if spec.figure.mesh is None:
-        return spec
-    mesh = path.parent / spec.figure.mesh
-    return replace(spec, figure=replace(spec.figure, mesh=str(mesh)))
+    spec = replace(spec, figure=_beside(path, spec.figure))
+    return spec if spec.inside is None else replace(spec, inside=_beside(path, spec.inside))
+
+
+def _beside(path: Path, figure: FigureSpec) -> FigureSpec:
+    """Figure whose mesh is taken relative to a file."""
+    return figure if figure.mesh is None else replace(figure, mesh=str(path.parent / figure.mesh))
 
 
 def use_scan_file(spec: SceneSpec, path: Path) -> SceneSpec:

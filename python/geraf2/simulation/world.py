@@ -63,6 +63,10 @@ class WorldSpec(Bounded):
         "dielectric", 0.0, 0.01, 0.005
     )
     """dielectric: loss tangent of the object's material."""
+    figure_shell_m: Annotated[float, Interval(ge=0.0, le=0.005)] = _level(
+        "dielectric", 0.0, 0.0, 0.0
+    )
+    """dielectric: thickness of the object's wall, with air inside; 0: solid [m]."""
     wall_bulge_m: ErrorM = _level("bulge", 0.0, 0.001, 0.003)
     """bulge: largest displacement of each wall out of its plane; its edges stay [m]."""
     box_turn_deg: _TurnDeg = _level("turn", 0.0, 1.0, 2.5)
@@ -138,6 +142,9 @@ class WorldSpec(Bounded):
         super().__post_init__()
         if self.figure_permittivity and self.figure_permittivity <= 1.0:
             msg = f"figure_permittivity must be 0 or above 1, got {self.figure_permittivity}"
+            raise ValueError(msg)
+        if self.figure_shell_m and not self.figure_permittivity:
+            msg = f"figure_shell_m needs figure_permittivity, got {self.figure_shell_m} of metal"
             raise ValueError(msg)
         if self.converter_bits and not 2 <= self.converter_bits <= 24:
             msg = f"converter_bits must be 0 or 2 to 24, got {self.converter_bits}"
