@@ -8,8 +8,9 @@ and permittivity 2.7, scanned by 24 planes. For each, F1 at 5 and 3 mm and the d
 the mesh's volume are printed. A ball takes some seconds.
 
 With seeds they are objects of the population, or ordinary ones, with at least twelve planes in an
-ideal world, each once of metal and once of plastic in the same scan. F1 at 5, 3 and 2 mm is printed
-with the means of both materials. A pair takes about a minute.
+ideal world, each once of metal and once of plastic in the same scan. F1 at 5, 3 and 2 mm and the
+stated probability of a failure are printed, with the means of both materials. A pair takes about a
+minute.
 """
 
 import argparse
@@ -121,11 +122,13 @@ def run_pairs(kind: str, seeds: str, options: argparse.Namespace) -> None:
                 result = geraf2.reconstruct(capture, None, options.preset, folder, overwrite=True)
                 f1 = geraf2.evaluate(result, truth, report=False).f1
                 found = [f1(m) for m in (0.005, 0.003, 0.002)]
+                verdict = result.verdict
+                wrong = f"{verdict.probability_of_failure:.3f} likely wrong" if verdict else "-"
             except UserError as error:
-                print(f"{name}: {error}", flush=True)
-                found = [0.0] * 3
+                found, wrong = [0.0] * 3, str(error)
             scores[material].append(found)
-            print(f"{name}: F1 " + " ".join(f"{value:.3f}" for value in found), flush=True)
+            row = " ".join(f"{value:.3f}" for value in found)
+            print(f"{name}: F1 {row}, {wrong}", flush=True)
     for material, rows in scores.items():
         if rows:
             mean = " ".join(f"{value:.3f}" for value in np.mean(rows, axis=0))
