@@ -244,7 +244,7 @@ def _take(beam: _Beam, keep: Bools | Ints) -> _Beam:
 
 
 def _pick(hits: Hits, keep: Bools | Ints) -> Hits:
-    return Hits(*(values[keep] for values in hits))
+    return Hits(**{name: values[keep] for name, values in hits._asdict().items()})
 
 
 def _folds(beam: _Beam, path_m: Floats) -> Ints:
