@@ -36,6 +36,13 @@ def test_mesh_paths_are_relative_to_the_file(tmp_path):
     [
         ({"world": {"figure_shell_m": 0.001}}, "figure_shell_m"),
         ({"inside": {"name": "key"}, "world": {"figure_permittivity": 2.7}}, "inside"),
+        (
+            {
+                "inside": {"name": "key", "roughness_rms_m": 0.001},
+                "world": {"figure_permittivity": 2.7, "figure_shell_m": 0.001},
+            },
+            "roughness_rms_m",
+        ),
     ],
 )
 def test_a_shell_is_of_plastic_and_only_a_shell_holds_something(table, named):

@@ -355,7 +355,9 @@ class Film:
     """Its permittivity and thickness."""
     loss_tangent: float
     n_faces: int
-    """The first so many faces of the object are the shell; the others are a conductor in it."""
+    """The first so many faces of the object are the shell; the others are what it holds."""
+    held_reflection: float = -1.0
+    """Amplitude that the latter reflects; a conductor does -1."""
 
     def cross(self, beam: _Beam, hits: Hits, k: float) -> _Beam:
         """Beam on the other side; k: wavenumber [1/m]."""
@@ -370,10 +372,10 @@ class Film:
         return _leave(beam, hits, beam.directions, beam.turning)
 
     def reflect(self, beam: _Beam, hits: Hits) -> tuple[_Beam, Hits]:
-        """Beam reflected by each face of the film and by the conductor in it, with the hits."""
+        """Beam reflected by each face of the film and by what it holds, with the hits."""
         cosine, inner = self._cosines(beam, hits)
         r, is_film = face_reflection(cosine, self.plate.permittivity), hits.faces < self.n_faces
-        near = beam._replace(amplitude=beam.amplitude * np.where(is_film, r, -1.0))
+        near = beam._replace(amplitude=beam.amplitude * np.where(is_film, r, self.held_reflection))
         far = beam._replace(
             amplitude=-beam.amplitude * r * (1.0 - r**2),
             path_m=beam.path_m + 2.0 * self.plate.thickness_m * inner,

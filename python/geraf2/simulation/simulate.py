@@ -234,7 +234,12 @@ def _echo_scene(
             thickness_m=world.figure_shell_m,
             permittivity=world.figure_permittivity,
         )
-        film = Film(plate=plate, loss_tangent=world.figure_loss_tangent, n_faces=len(truth.faces))
+        film = Film(
+            plate=plate,
+            loss_tangent=world.figure_loss_tangent,
+            n_faces=len(truth.faces),
+            held_reflection=-1.0 if spec.inside is None else -spec.inside.reflectivity,
+        )
         facets = replace(facets, reflector="slab", slab=plate)
     elif world.figure_permittivity:
         reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))

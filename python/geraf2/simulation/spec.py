@@ -237,6 +237,9 @@ class SceneSpec:
         if self.inside is not None and not self.world.figure_shell_m:
             msg = "inside needs a figure that is a shell, got world.figure_shell_m = 0"
             raise ValueError(msg)
+        if self.inside is not None and self.inside.roughness_rms_m:
+            msg = f"inside.roughness_rms_m must be 0, got {self.inside.roughness_rms_m}"
+            raise ValueError(msg)
         near = min((min(wall.size_m[:2]) for wall in self.walls), default=0.0) / 2.0
         if self.scan.standoff_m <= near:
             msg = f"scan.standoff_m puts the antennas into the box, got {self.scan.standoff_m}"
