@@ -226,21 +226,9 @@ def _echo_scene(
     facets, areas = mesh_elements(
         truth.vertices, truth.faces, spec.numerics.max_facet_edge_m, roughness
     )
-    reflectivity, film = figure.reflectivity, None
-    if world.figure_shell_m:
-        size_m = triple(np.ptp(truth.vertices, axis=0))
-        plate = Wall(
-            size_m=size_m,
-            thickness_m=world.figure_shell_m,
-            permittivity=world.figure_permittivity,
-        )
-        film = Film(
-            plate=plate,
-            loss_tangent=world.figure_loss_tangent,
-            n_faces=len(truth.faces),
-            held_reflection=-1.0 if spec.inside is None else -spec.inside.reflectivity,
-        )
-        facets = replace(facets, reflector="slab", slab=plate)
+    reflectivity, film = figure.reflectivity, _film(spec, truth)
+    if film is not None:
+        facets = replace(facets, reflector="slab", slab=film.plate)
     elif world.figure_permittivity:
         reflectivity *= abs(float(face_reflection(np.ones(1), world.figure_permittivity)[0]))
     areas = reflectivity * areas  # used as weights of the echo only
@@ -250,8 +238,9 @@ def _echo_scene(
     tubes = None
     if world.second_bounce or world.figure_permittivity:
         whole = TriangleMesh.joined(parts)
+        traced = MeshScene(whole.vertices, whole.faces, num_threads=num_threads)
         tubes = TubeScene(
-            mesh=SmoothMesh(MeshScene(whole.vertices, whole.faces, num_threads=num_threads)),
+            mesh=SmoothMesh(traced),
             walls=walls,
             waveform=spec.waveform,
             wall_amplitude=wall_amplitude,
@@ -279,6 +268,24 @@ def _echo_scene(
         lines=_lines(spec, seed),
         scatterers=_scatterers(spec, truth, blocker, seed),
         num_threads=num_threads,
+    )
+
+
+def _film(spec: SceneSpec, shell: TriangleMesh) -> Film | None:
+    """Wall of the figure; None of a solid one."""
+    world = spec.world
+    if not world.figure_shell_m:
+        return None
+    plate = Wall(
+        size_m=triple(np.ptp(shell.vertices, axis=0)),
+        thickness_m=world.figure_shell_m,
+        permittivity=world.figure_permittivity,
+    )
+    return Film(
+        plate=plate,
+        loss_tangent=world.figure_loss_tangent,
+        n_faces=len(shell.faces),
+        held_reflection=-1.0 if spec.inside is None else -spec.inside.reflectivity,
     )
 
 
