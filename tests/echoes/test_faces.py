@@ -62,6 +62,24 @@ def test_a_line_of_sight_is_refracted_where_it_enters_a_ball():
     assert (np.diff(lines.leave[:, 0]) < 0.0).all()
 
 
+def test_a_line_goes_through_a_shell_and_through_what_it_holds_each_alone():
+    def nested(_):
+        meshes = [trimesh.creation.icosphere(subdivisions=4, radius=r) for r in (RADIUS_M, 0.01)]
+        cavity = trimesh.creation.icosphere(subdivisions=4, radius=0.02)
+        cavity.invert()
+        both = trimesh.util.concatenate([*meshes, cavity])
+        return both.vertices, both.faces
+
+    front_of_each = np.array([[RADIUS_M, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    glints = glints_at(front_of_each, np.tile([1.0, 0.0, 0.0], (2, 1)))
+    lines = faces._cross(scan_of(glints, nested), glints, faces.AIR)
+    assert lines.exists.all()
+    np.testing.assert_allclose(np.sort(lines.thickness_m), [[0.02, 2.0 * RADIUS_M]] * 2, atol=1e-4)
+    np.testing.assert_allclose(np.abs(lines.behind_m).min(axis=1), 0.0, atol=1e-4)
+    front = faces._densities(lines, CELL_M)[..., 0]
+    assert (front.max(axis=1) > 100.0 * front.min(axis=1)).all()
+
+
 @pytest.mark.parametrize("ratio", [1.0, 0.6])
 def test_refraction_follows_snells_law(ratio):
     rng = np.random.default_rng(0)

@@ -1,11 +1,13 @@
 """Dielectric balls with back faces of known apparent position, and metal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
 
+from geraf2.echoes.faces import AIR, Scan, find_faces, is_plastic, is_shell
 from geraf2.echoes.faces import INDEX as INDEX_OF_PLASTICS
-from geraf2.echoes.faces import Scan, find_faces, is_plastic
 from geraf2.echoes.glints import GlintConfig, find_glints
 from geraf2.echoes.transparency import describe, face_pairs, place_on_faces
 from geraf2.imaging.subapertures import SubapertureConfig
@@ -69,6 +71,45 @@ def test_a_dielectric_ball_has_both_faces_and_gives_its_permittivity(plastic):
     assert abs(seen.permittivity - INDEX**2) < 2.0 * seen.permittivity_sigma
     assert seen.thickness_m[0] == pytest.approx(2.0 * RADIUS_M, rel=0.05)
     assert f"permittivity {seen.permittivity:.2f}" in describe(seen.numbers())
+
+
+def from_many_planes(places, legs):
+    """Glints at places, of which each plane sees few, with normals legs once or twice."""
+    glints = glints_at(places, np.tile(legs, (len(places) // len(legs), 1)))
+    return replace(glints, poses=np.arange(len(glints)) % 17)
+
+
+@pytest.mark.parametrize("index", [1.5, INDEX, 1.8])
+def test_solid_plastic_and_metal_are_no_shells(index):
+    legs = fibonacci_sphere(400)
+    for radius_m in (0.005, 0.01, RADIUS_M):
+        front, back = radius_m * legs, (1.0 - 2.0 * index) * radius_m * legs
+        assert not is_shell(from_many_planes(front, legs))
+        assert not is_shell(from_many_planes(np.concatenate([front, back]), legs))
+
+
+def test_few_glints_and_one_plane_show_no_shell():
+    legs = fibonacci_sphere(400)
+    both = RADIUS_M * np.concatenate([legs, -legs])
+    assert not is_shell(glints_at(both, np.tile(legs, (2, 1))))
+    few = fibonacci_sphere(6)
+    assert not is_shell(from_many_planes(RADIUS_M * np.concatenate([few, -few]), few))
+    assert not is_shell(from_many_planes(RADIUS_M * few[:1], few[:1]))
+
+
+def test_both_sides_of_a_shell_stand_on_one_ball():
+    legs = fibonacci_sphere(400)
+    both = from_many_planes(RADIUS_M * np.concatenate([legs, -legs]), legs)
+    assert is_shell(both)
+    faces, seen = place_on_faces(scan_of(both), AIR)
+    assert seen.is_hollow
+    assert seen.permittivity is None
+    assert seen.n_behind == pytest.approx(400, abs=40)
+    off = np.abs(np.linalg.norm(faces.glints.positions, axis=1) - RADIUS_M)
+    assert np.quantile(off, 0.95) < 1e-3
+    outward = np.einsum("ij,ij->i", faces.glints.positions, faces.glints.normals)
+    assert (outward > 0.9 * RADIUS_M).all()
+    assert "a shell" in describe(seen.numbers())
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,14 @@
 """Front and back faces of a dielectric body (docs/math/echoes.md#back-faces).
 
 A wave that enters a body of refractive index n at f and is reflected after the thickness t seems to
-come from f + n t. Which echoes are of back faces follows from the surface, and the surface from the
-echoes: both are estimated in turns, by expectation maximisation, from what a network that has seen
-objects takes each echo for.
+come from f + n t. The body of a shell is the air in it, of index 1. Which echoes are of back faces
+follows from the surface, and the surface from the echoes: both are estimated in turns, by
+expectation maximisation, from what a network that has seen objects takes each echo for.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -18,26 +18,34 @@ from geraf2.echoes.face_network import FaceGuess, guess_faces
 from geraf2.echoes.glint_set import Glints, relative_strengths
 from geraf2.echoes.noise import ECHO_NOISE, normal_density
 from geraf2.errors import UserError
-from geraf2.geometry.components import connected_labels
-from geraf2.geometry.triangles import face_areas, vertex_normals
+from geraf2.geometry.components import are_voids, connected_labels, face_labels
+from geraf2.geometry.triangles import face_areas, used_vertices, vertex_normals
 from geraf2.ops.visibility import MeshScene
 
 SurfaceThrough = Callable[[Glints], tuple[Floats, Ints]]
 """Vertices [m] and faces of a closed surface through glints; UserError where there is none."""
 
-INDEX = 1.67
-"""Refractive index of plastics, 1.58 to 1.82."""
+INDEX, AIR = 1.67, 1.0
+"""Refractive index of plastics, 1.58 to 1.82, and of what a shell holds."""
 AHEAD_M = 0.4
 """Start of a line of sight in front of its glint, outside of any content [m]."""
 _METAL = 0.25
 """Share of the strength that is taken for echoes of back faces, of metal at most. Of 46 metal scans
 it is up to 0.19, but 0.4 of thin pliers and 0.8 of a scan with 36 glints; of 26 plastic ones 0.31
 to 1.00, but for four that show hardly anything but fronts, of which it is at most 0.14."""
+_OPPOSED_M, _OPPOSED_COSINE, _BESIDE_M = 0.02, 0.93, 0.005
+"""Largest distance of glints that face each other [m], least cosine between one normal and the
+other's opposite, and largest distance of both beside them [m]."""
+_FILM_M, _SHELL, _MIN_PAIRS = (-0.002, 0.0045), 0.3, 30
+"""Offsets of both sides of a film, along the normal and behind it by the delay of a film up to 3 mm
+thick [m], the share of them that a shell has, and the fewest pairs that show it. Of 23 shells it is
+0.41 to 0.91 of seven and at most 0.18 of three, and the others have fewer pairs; it is at most 0.20
+of 16 solid bodies and 0.09 of 19 of metal."""
 LEAST_PROBABILITY = 0.1
 """Of a glint of plastic. Its faces send weaker echoes than metal, and clutter is told by the
 network and the surface."""
 _ENOUGH = 768
-"""Glints from which this share is known to about 0.01."""
+"""Glints that decide on the material: from them this share is known to about 0.01."""
 SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
 """Place of the range window's side lobe in front of an echo [range cells], the least ratio of both
 amplitudes, and the largest angle of both directions [rad]."""
@@ -57,8 +65,8 @@ _LIFT_M = 5e-4
 _LIKELY = 0.15
 """Least probability of a face that is used."""
 _LINK_M, _STRAY = 0.015, 0.01
-"""Distance within which glints are one group [m], and the weight of a stray group over that of the
-largest one: clutter that other planes do not see is in one place."""
+"""Distance within which glints are one group [m], and the weight of a stray group, or the area of a
+stray piece, over that of the largest one: clutter that other planes do not see is in one place."""
 MIN_GLINTS = 10
 """Glints without which no surface is fitted."""
 
@@ -112,8 +120,35 @@ class Scan:
 
 def is_plastic(glints: Glints) -> bool:
     """Whether some glints are echoes of back faces."""
-    drawn = np.random.default_rng(0).permutation(len(glints))[:_ENOUGH]
-    return back_share(glints.select(drawn)) >= _METAL
+    return back_share(_drawn(glints)) >= _METAL
+
+
+def _drawn(glints: Glints) -> Glints:
+    return glints.select(np.random.default_rng(0).permutation(len(glints))[:_ENOUGH])
+
+
+def is_shell(glints: Glints) -> bool:
+    """Whether planes on opposite sides see the same surface, one of them from inside.
+
+    Only a shell lets them: the far side of solid plastic seems to lie (n - 1) t behind, and that of
+    metal is not seen. Of pairs of glints of different planes that face each other on one normal,
+    those are counted whose offset is that of a film's two sides.
+    """
+    some = _drawn(glints)
+    positions, normals, probability = some.positions, some.normals, some.probability
+    i, j = KDTree(positions).query_pairs(_OPPOSED_M, output_type="ndarray").T
+    facing = np.einsum("ij,ij->i", normals[i], normals[j]) < -_OPPOSED_COSINE
+    facing &= some.poses[i] != some.poses[j]
+    i, j = i[facing], j[facing]
+    axis = normals[i] - normals[j]
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    step = positions[j] - positions[i]
+    offset = np.einsum("ij,ij->i", step, axis)
+    beside = np.linalg.norm(step - offset[:, None] * axis, axis=1) < _BESIDE_M
+    offset, weight = offset[beside], (probability[i] * probability[j])[beside]
+    (low, high), total = _FILM_M, float(weight.sum())
+    of_film = float(weight[(offset > low) & (offset < high)].sum())
+    return len(offset) >= _MIN_PAIRS and of_film > _SHELL * total
 
 
 def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
@@ -121,6 +156,8 @@ def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
     kept = np.flatnonzero(~_side_lobes(scan))
     scan = replace(scan, glints=scan.glints.select(kept))
     guess = guess_faces(scan.glints)
+    if index == AIR:  # the network has seen solid bodies, whose depth it divided by their index
+        guess = guess._replace(thickness_m=INDEX * guess.thickness_m)
     faces = _placed_by(scan.glints, guess, index)
     for _ in range(_ROUNDS):
         try:
@@ -187,8 +224,30 @@ def _placed_by(glints: Glints, guess: FaceGuess, index: float) -> Faces:
 
 
 def _cross(scan: Scan, placed: Glints, index: float = INDEX) -> _Lines:
-    """Crossings of the lines of sight with the surface through glints that were put on faces."""
-    glints, (vertices, faces) = scan.glints, scan.surface_through(placed)
+    """Crossings of the lines of sight with the surface through glints that were put on faces.
+
+    A shell may hold bodies, which its air does not hide: a line goes through each of them alone.
+    """
+    vertices, faces = scan.surface_through(placed)
+    if index != AIR:
+        return _cross_body(scan, vertices, faces, index)
+    labels, n_pieces = face_labels(faces)
+    areas = np.bincount(labels, face_areas(vertices[faces]), n_pieces)
+    areas[are_voids(vertices, faces, labels, n_pieces)] = 0.0
+    kept = np.flatnonzero(areas > _STRAY * areas.max())
+    found = []
+    for piece in kept:
+        used, own = used_vertices(faces[labels == piece])
+        found.append(_cross_body(scan, vertices[used], own, index))
+    arrays: dict[str, Any] = {
+        name: np.concatenate([getattr(lines, name) for lines in found], axis=1)
+        for name in _Lines._fields[:-2]
+    }
+    return _Lines(**arrays, area_m2=sum(lines.area_m2 for lines in found), n=index)
+
+
+def _cross_body(scan: Scan, vertices: Floats, faces: Ints, index: float) -> _Lines:
+    glints = scan.glints
     scene, tree = MeshScene(vertices, faces, num_threads=scan.num_threads), KDTree(vertices)
     normals = vertex_normals(vertices, faces)
     start, ahead = glints.positions + AHEAD_M * glints.normals, -glints.normals[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from geraf2._types import Bools, Floats
-from geraf2.echoes.faces import AHEAD_M, MIN_GLINTS, Faces, Scan, find_faces
+from geraf2.echoes.faces import AHEAD_M, AIR, INDEX, MIN_GLINTS, Faces, Scan, find_faces
 from geraf2.echoes.glint_set import Glints
 from geraf2.errors import UserError
 from geraf2.io.text import interval_text
@@ -46,6 +46,8 @@ class SeenThrough:
     """Number of glints of back faces."""
     strength_share: float
     """Their share of the strength of all glints."""
+    is_hollow: bool = False
+    """Whether the body is a shell that is filled with air."""
     permittivity: float | None = None
     """Relative permittivity; None where no other plane sees a back face from outside."""
     permittivity_sigma: float | None = None
@@ -66,6 +68,7 @@ class SeenThrough:
         found: dict[str, Any] = {
             "n_back_faces": self.n_behind,
             "back_face_share": round(self.strength_share, 3),
+            "is_hollow": self.is_hollow,
         }
         if self.permittivity is None or self.permittivity_sigma is None:
             return found
@@ -82,10 +85,13 @@ def describe(numbers: Mapping[str, Any]) -> str:
     """Sentence about `SeenThrough.numbers`; empty for metal."""
     if "n_back_faces" not in numbers:
         return ""
-    text = (
-        f"the content is a dielectric: {numbers['n_back_faces']} glints, "
-        f"{100.0 * numbers['back_face_share']:.0f} % of the strength, are echoes of back faces"
+    of_back = (
+        f"{numbers['n_back_faces']} glints, {100.0 * numbers['back_face_share']:.0f} % of the "
+        "strength, are echoes of"
     )
+    if numbers["is_hollow"]:
+        return f"the content is a shell of plastic: {of_back} its far side, seen through it"
+    text = f"the content is a dielectric: {of_back} back faces"
     if "permittivity" not in numbers:
         return f"{text}; its permittivity is unknown"
     low, high = (1e3 * value for value in numbers["thickness_m"])
@@ -96,14 +102,17 @@ def describe(numbers: Mapping[str, Any]) -> str:
     )
 
 
-def place_on_faces(scan: Scan) -> tuple[Faces, SeenThrough] | None:
+def place_on_faces(scan: Scan, index: float = INDEX) -> tuple[Faces, SeenThrough] | None:
     """Glints of plastic on the faces that they are most likely echoes of, and the body.
 
-    None where no surface closes.
+    None where no surface closes. index: of refraction, `AIR` of a shell.
     """
-    faces = find_faces(scan)
+    faces = find_faces(scan, index)
     if faces is None:
         return None
+    if index == AIR:
+        behind = faces.of_glints(len(scan.glints))[1]
+        return faces, replace(SeenThrough.of(scan.glints, behind), is_hollow=True)
     body = _seen_through(scan, faces)
     if body.permittivity is not None:
         again = find_faces(scan, float(np.sqrt(body.permittivity)))

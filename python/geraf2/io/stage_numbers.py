@@ -50,6 +50,7 @@ class _Known:
     labels: dict[str, int] | None = None
     n_back_faces: int = 0
     back_face_share: float = 0.0
+    is_hollow: bool = False
     permittivity: float = 1.0
     permittivity_sigma: float = 0.0
     thickness_m: _Interval = (0.0, 0.0)
@@ -81,7 +82,7 @@ class _Known:
 
 # Where the first is there, the others are.
 _TOGETHER = (
-    ("n_back_faces", "back_face_share"),
+    ("n_back_faces", "back_face_share", "is_hollow"),
     ("permittivity", "permittivity_sigma", "thickness_m", "n_face_pairs"),
     ("volume_95_percent_cm3", "volume_cm3", "extents_mm", "extents_95_percent_mm"),
     ("volume_95_percent_cm3", "common_offset_sigma_mm"),

@@ -111,6 +111,9 @@ def test_each_part_has_the_material_of_its_own_returns():
         "permittivity 2.90 ± 0.20, 21 to 58 mm thick where both faces were seen"
     )
     assert (metal.permittivity, metal.thickness_m) == (None, None)
+    metal, shell = materials_of(bodies, seen._replace(is_hollow=True), every)
+    assert "shell" in material_text(shell)
+    assert "shell" not in material_text(metal)
     _, blind = materials_of(bodies, None, every)
     assert material_text(blind).endswith("permittivity cannot be determined")
 

@@ -43,6 +43,8 @@ class Material:
     """Thickness where both faces of that plastic were seen, 10 % and 90 % quantile [m]."""
     n_returns: int
     """Returns with a level."""
+    is_hollow: bool = False
+    """Whether it is a shell of plastic that is filled with air."""
 
     def weighed(self, share: float) -> "Material":
         """Weigh what is known by the probability that the scan is right; at 0 nothing is."""
@@ -72,7 +74,9 @@ def material_text(material: Material) -> str:
     level, permittivity = material.reflectivity_db, material.permittivity
     if level is not None:
         texts.append(f"{level.text(scale=math.inf)} dB against metal")  # a level has no size
-    if permittivity is not None:
+    if material.is_hollow:
+        texts.append("a shell filled with air")
+    elif permittivity is not None:
         texts.append(f"permittivity {permittivity.text(digits=2)}")
     elif material.kind == "plastic":
         texts.append("permittivity cannot be determined")

@@ -79,6 +79,8 @@ class Levels(NamedTuple):
     """Of a content that is seen through."""
     thickness_m: tuple[float, float] | None = None
     """Of it, 10 % and 90 % quantile [m]."""
+    is_hollow: bool = False
+    """Whether it is a shell that is filled with air."""
 
 
 class Returns(NamedTuple):
@@ -181,6 +183,7 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
         thickness_m=(numbers["thickness_m"][0], numbers["thickness_m"][1])
         if "thickness_m" in numbers
         else None,
+        is_hollow=bool(numbers.get("is_hollow", False)),
     )
 
 
@@ -300,6 +303,7 @@ def _material(
         permittivity=inside.permittivity if inside else None,
         thickness_m=inside.thickness_m if inside else None,
         n_returns=n_returns,
+        is_hollow=inside is not None and inside.is_hollow,
     )
 
 

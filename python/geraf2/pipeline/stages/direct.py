@@ -8,7 +8,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
 from geraf2.echoes.detectability import Detector
-from geraf2.echoes.faces import LEAST_PROBABILITY, Scan, is_plastic
+from geraf2.echoes.faces import AIR, INDEX, LEAST_PROBABILITY, Scan, is_plastic, is_shell
 from geraf2.echoes.glints import find_echoes
 from geraf2.echoes.labels import Clutter
 from geraf2.echoes.ruled_out import region_numbers, rule_out
@@ -93,7 +93,8 @@ def find_glints(job: Job) -> Glints:
             num_threads=threads,
         )
         glints, labelled, body = found.glints, found.labelled, None
-        if is_plastic(glints):
+        is_hollow = is_shell(glints)
+        if is_hollow or is_plastic(glints):
             every, index = found.likelier_than(LEAST_PROBABILITY)
             scan = Scan(
                 glints=every,
@@ -102,7 +103,7 @@ def find_glints(job: Job) -> Glints:
                 volume_m3=float(np.prod(job.prior.size_m)),
                 num_threads=threads,
             )
-            if (placed := place_on_faces(scan)) is not None:
+            if (placed := place_on_faces(scan, AIR if is_hollow else INDEX)) is not None:
                 faces, body = placed
                 glints, (front, back) = faces.glints, faces.of_glints(len(every))
                 every.select(back).save(folder / BACK_NAME)  # seen through a dielectric
