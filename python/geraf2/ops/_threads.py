@@ -67,6 +67,7 @@ def limit_blas_threads(call: Callable[_Arguments, _Result]) -> Callable[_Argumen
     """Decorate a function whose many small matrix products and solves NumPy makes.
 
     Threads of OpenBLAS spin while they wait: a reconstruction took three times as long with them.
+    Their number also changes the last bits of a product, on processors without AVX-512.
     """
 
     @wraps(call)

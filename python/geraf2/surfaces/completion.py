@@ -19,6 +19,7 @@ from geraf2._types import AnyPath, Array, Bools, Floats, Ints
 from geraf2.fields import SdfGrid
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.checkpoint import load_checkpoint
+from geraf2.ops._threads import limit_blas_threads
 from geraf2.scene.aperture import Aperture
 from geraf2.surfaces.linear_sdf import CM, OrientedPoints, resample, trilinear_rows
 
@@ -51,6 +52,7 @@ _FEW, _NONE, _FLAT = 0.01, 1e-4, 1e-3
 # Sums and slopes below which nothing is there; they keep logarithms and quotients finite.
 
 
+@limit_blas_threads
 def complete(
     sdf: SdfGrid,
     points: OrientedPoints,
