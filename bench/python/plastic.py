@@ -34,7 +34,6 @@ from geraf2.io.mesh import TriangleMesh, read_mesh, write_mesh
 from geraf2.ops.visibility import MeshScene
 from geraf2.pipeline.run_record import RunOptions
 from geraf2.scene import Capture, LosPrior, Pose
-from geraf2.scene.store import save_capture
 from geraf2.simulation import SceneSpec, WorldSpec
 from geraf2.simulation.ordinary import draw_ordinary
 from geraf2.simulation.population import draw_scene, limit_to_budget
@@ -143,7 +142,7 @@ def scan_of(spec: SceneSpec, seed: int, folder: Path) -> None:
         return
     folder.mkdir(parents=True, exist_ok=True)
     capture, solid = geraf2.simulate(spec, seed=seed)
-    save_capture(capture, folder / "scene", overwrite=True)
+    geraf2.save_capture(capture, folder / "scene", overwrite=True)
     if spec.inside is not None:
         write_mesh(build_solid(spec.inside), folder / HELD_NAME, frame="capture")
     write_mesh(solid, folder / TRUTH_NAME, frame="capture")

@@ -77,11 +77,20 @@ def cross_walls(
     """
     transmission, excess_m = np.ones(len(points)), np.zeros(len(points))
     for wall, met, cosine in _crossings(points, end, walls):
-        inner = np.sqrt(wall.permittivity - 1.0 + cosine**2)
-        r = face_reflection(cosine, wall.permittivity)
-        transmission *= np.where(met, amplitude * (1.0 - r**2), 1.0)
-        excess_m += np.where(met, wall.thickness_m * (inner - cosine), 0.0)
+        passed, longer_m = cross_plate(cosine, wall)
+        transmission *= np.where(met, amplitude * passed, 1.0)
+        excess_m += np.where(met, longer_m, 0.0)
     return transmission, excess_m
+
+
+def cross_plate(cosine: Floats, plate: Wall) -> tuple[Floats, Floats]:
+    """Amplitude that both faces of a plate let pass, TE, and excess path [m], (n,) each.
+
+    cosine: of the angle of incidence, (n,).
+    """
+    inner = np.sqrt(plate.permittivity - 1.0 + cosine**2)
+    r = face_reflection(cosine, plate.permittivity)
+    return 1.0 - r**2, plate.thickness_m * (inner - cosine)
 
 
 def n_crossings(starts: Floats, points: Floats, walls: Sequence[Wall]) -> Ints:

@@ -1,11 +1,11 @@
-"""Ray tubes at an object: second reflections, and refraction to its back face.
+"""Ray tubes at an object: second reflections, refraction to its back face, and paths in a shell.
 
 Each tube is one ray from the middle of a block of antennas with its derivatives across (Igehy,
 Tracing ray differentials, 1999), so that its footprint at the last hit needs no second ray.
 """
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from geraf2.geometry.triangles import barycentric, face_vectors, unit_normals
 from geraf2.ops.physical_optics import AntennaBlocks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Wall, Waveform
-from geraf2.simulation.dielectric import cross_walls, face_reflection, phasors
+from geraf2.simulation.dielectric import cross_plate, cross_walls, face_reflection, phasors
 
 _CREASE_COSINE = float(np.cos(np.deg2rad(30.0)))
 """Faces that meet at a flatter angle than this are one smooth surface."""
@@ -184,6 +184,9 @@ class _Beam(NamedTuple):
     """Root of the ray's solid angle times all reflection and transmission factors, (n,)."""
 
 
+_Rows = TypeVar("_Rows", _Beam, Hits)
+
+
 def _cast_rays(eye: Floats, scene: TubeScene) -> _Beam:
     """Rays that cover the object, a raster on a plane through its middle."""
     vertices = scene.mesh.blocker.vertices
@@ -221,7 +224,7 @@ def _facing(beam: _Beam, hits: Hits, along: Floats) -> tuple[_Beam, Hits]:
     """Beam of the rays along the normals of what they hit, or against it."""
     # along: 1 or -1 of each ray, (n,).
     keep = along * np.einsum("ni,ni->n", beam.directions, hits.normals) > 1e-3
-    return _take(beam, keep), _pick(hits, keep)
+    return _take(beam, keep), _take(hits, keep)
 
 
 def _travel(scene: TubeScene, beam: _Beam, index: float, first: bool = False) -> tuple[_Beam, Hits]:
@@ -239,12 +242,9 @@ def _travel(scene: TubeScene, beam: _Beam, index: float, first: bool = False) ->
     return beam, hits
 
 
-def _take(beam: _Beam, keep: Bools | Ints) -> _Beam:
-    return _Beam(**{name: values[keep] for name, values in beam._asdict().items()})
-
-
-def _pick(hits: Hits, keep: Bools | Ints) -> Hits:
-    return Hits(**{name: values[keep] for name, values in hits._asdict().items()})
+def _take(rows: _Rows, keep: Bools | Ints) -> _Rows:
+    """Those of a mask or of indices, of all arrays."""
+    return type(rows)(**{name: values[keep] for name, values in rows._asdict().items()})
 
 
 def _folds(beam: _Beam, path_m: Floats) -> Ints:
@@ -306,7 +306,7 @@ def _refract(beam: _Beam, hits: Hits, ratio: float) -> tuple[_Beam, Hits]:
     turning += bend[:, None, None] * turns
     beam = _leave(beam, hits, ratio * beam.directions + bend[:, None] * normals, turning)
     beam = beam._replace(amplitude=beam.amplitude * np.sqrt(1.0 - r**2))
-    return _take(beam, keep), _pick(hits, keep)
+    return _take(beam, keep), _take(hits, keep)
 
 
 def second_bounce(scene: TubeScene, eye: Floats, antennas: AntennaBlocks) -> Tubes:
@@ -361,13 +361,12 @@ class Film:
 
     def cross(self, beam: _Beam, hits: Hits, k: float) -> _Beam:
         """Beam on the other side; k: wavenumber [1/m]."""
-        cosine, inner = self._cosines(beam, hits)
-        plate = self.plate
-        r = face_reflection(cosine, plate.permittivity)
+        (cosine, inner), plate = self._cosines(beam, hits), self.plate
+        passed, excess_m = cross_plate(cosine, plate)
         lost_m = self.loss_tangent * plate.permittivity * plate.thickness_m / inner
         beam = beam._replace(
-            amplitude=beam.amplitude * (1.0 - r**2) * np.exp(-0.5 * k * lost_m),
-            path_m=beam.path_m + plate.thickness_m * (inner - cosine),
+            amplitude=beam.amplitude * passed * np.exp(-0.5 * k * lost_m),
+            path_m=beam.path_m + excess_m,
         )
         return _leave(beam, hits, beam.directions, beam.turning)
 
@@ -383,7 +382,7 @@ class Film:
         twice = np.append(np.arange(len(r)), np.flatnonzero(is_film))
         far = _take(far, is_film)
         both = _Beam(*(np.concatenate(pair) for pair in zip(near, far, strict=True)))
-        return _reflect(both, _pick(hits, twice)), _pick(hits, twice)
+        return _reflect(both, _take(hits, twice)), _take(hits, twice)
 
     def _cosines(self, beam: _Beam, hits: Hits) -> tuple[Floats, Floats]:
         cosine = np.abs(np.einsum("ni,ni->n", beam.directions, hits.normals))

@@ -235,16 +235,10 @@ def _echo_scene(
     if world.patch_loss_db:
         areas = areas * _patch_amplitudes(spec, facets.points, seed)
     wall_amplitude = 10.0 ** (-world.wall_loss_db / 20.0)
-    tubes = None
-    if world.second_bounce or world.figure_permittivity:
+    traced = blocker
+    if held:
         whole = TriangleMesh.joined(parts)
         traced = MeshScene(whole.vertices, whole.faces, num_threads=num_threads)
-        tubes = TubeScene(
-            mesh=SmoothMesh(traced),
-            walls=walls,
-            waveform=spec.waveform,
-            wall_amplitude=wall_amplitude,
-        )
     return EchoScene(
         waveform=spec.waveform,
         walls=walls,
@@ -260,7 +254,7 @@ def _echo_scene(
         wall_waves=world.wall_waves,
         wall_amplitude=wall_amplitude,
         multipath=world.multipath and spec.disturbance.far_walls,
-        tubes=tubes,
+        tubes=_tubes(spec, traced, walls, wall_amplitude),
         second_bounce=reflectivity**2 if world.second_bounce and film is None else 0.0,
         permittivity=world.figure_permittivity,
         loss_tangent=world.figure_loss_tangent,
@@ -268,6 +262,20 @@ def _echo_scene(
         lines=_lines(spec, seed),
         scatterers=_scatterers(spec, truth, blocker, seed),
         num_threads=num_threads,
+    )
+
+
+def _tubes(
+    spec: SceneSpec, traced: MeshScene, walls: tuple[Wall, ...], wall_amplitude: float
+) -> TubeScene | None:
+    """Rays for echoes with more than one bounce; None where the world has none."""
+    if not (spec.world.second_bounce or spec.world.figure_permittivity):
+        return None
+    return TubeScene(
+        mesh=SmoothMesh(traced),
+        walls=walls,
+        waveform=spec.waveform,
+        wall_amplitude=wall_amplitude,
     )
 
 
