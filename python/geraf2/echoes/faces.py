@@ -234,9 +234,10 @@ def _cross(scan: Scan, placed: Glints, index: float = INDEX) -> _Lines:
     labels, n_pieces = face_labels(faces)
     areas = np.bincount(labels, face_areas(vertices[faces]), n_pieces)
     areas[are_voids(vertices, faces, labels, n_pieces)] = 0.0
-    kept = np.flatnonzero(areas > _STRAY * areas.max())
+    if not areas.any():  # it is inside out
+        return _cross_body(scan, vertices, faces, index)
     found = []
-    for piece in kept:
+    for piece in np.flatnonzero(areas > _STRAY * areas.max()):
         used, own = used_vertices(faces[labels == piece])
         found.append(_cross_body(scan, vertices[used], own, index))
     arrays: dict[str, Any] = {
