@@ -80,6 +80,17 @@ def test_a_line_goes_through_a_shell_and_through_what_it_holds_each_alone():
     assert (front.max(axis=1) > 100.0 * front.min(axis=1)).all()
 
 
+def test_a_shell_that_is_inside_out_is_crossed_nonetheless():
+    def inverted(_):
+        mesh = trimesh.creation.icosphere(subdivisions=4, radius=RADIUS_M)
+        mesh.invert()
+        return mesh.vertices, mesh.faces
+
+    glints = glints_at([[RADIUS_M, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
+    lines = faces._cross(scan_of(glints, inverted), glints, faces.AIR)
+    np.testing.assert_allclose(lines.thickness_m, [[2.0 * RADIUS_M]], atol=1e-4)
+
+
 @pytest.mark.parametrize("ratio", [1.0, 0.6])
 def test_refraction_follows_snells_law(ratio):
     rng = np.random.default_rng(0)
