@@ -18,6 +18,8 @@ namespace py = pybind11;
 /// C-contiguous array without conversion: a binding never copies its input in silence.
 template <class T>
 using Array = py::array_t<T, py::array::c_style>;
+using Doubles = Array<double>;
+using Indices = Array<index_t>;
 
 /// Throws ValueError unless `array` has the shape; -1 allows any length.
 template <class T>

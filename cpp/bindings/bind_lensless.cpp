@@ -14,9 +14,6 @@ namespace geraf2::bindings {
 
 namespace {
 
-using Doubles = Array<double>;
-using Indices = Array<index_t>;
-
 template <class T>
 VolumeSamples<T> samples_of(const Array<T>& alpha, const Array<T>& transmittance,
                             const Array<T>& gradient, const Doubles& points) {

@@ -15,8 +15,6 @@ namespace geraf2::bindings {
 
 namespace {
 
-using Doubles = Array<double>;
-
 PointSet points_of(const Doubles& points) {
     require_shape("points", points, {-1, 3});
     return view(points);

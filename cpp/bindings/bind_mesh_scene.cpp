@@ -22,7 +22,6 @@ Array<T> copy_array(const std::vector<T>& values) {
 } // namespace
 
 void bind_mesh_scene(py::module_& m) {
-    using Doubles = Array<double>;
     py::class_<MeshScene>(m, "MeshScene")
         .def(py::init([](const Doubles& vertices, const Array<index_t>& faces) {
                  require_shape("vertices", vertices, {-1, 3});

@@ -9,9 +9,6 @@ namespace geraf2::bindings {
 
 namespace {
 
-using Doubles = Array<double>;
-using Indices = Array<index_t>;
-
 PeakPoints points_of(const Doubles& positions, const Doubles& normals, const Indices& planes,
                      const Indices& subapertures) {
     require_shape("planes", planes, {-1});

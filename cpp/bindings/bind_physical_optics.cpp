@@ -23,8 +23,7 @@ std::vector<DielectricBox> read_walls(const Array<double>& walls) {
 }
 
 template <class T>
-void bind(py::module_& m) {
-    using Doubles = Array<double>;
+void bind_waves(py::module_& m) {
     m.def(
         "physical_optics",
         [](const Doubles& points, const Doubles& normals, const Doubles& edges,
@@ -88,8 +87,8 @@ void bind_physical_optics(py::module_& m) {
             [](EchoParams& p, const std::array<double, 3>& v) {
                 p.boresight = {v[0], v[1], v[2]};
             });
-    bind<float>(m);
-    bind<double>(m);
+    bind_waves<float>(m);
+    bind_waves<double>(m);
 }
 
 } // namespace geraf2::bindings

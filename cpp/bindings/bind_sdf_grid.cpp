@@ -13,7 +13,7 @@ GridInterpolation interpolation_of(bool cubic) {
 }
 
 template <class T>
-void bind(py::module_& m) {
+void bind_interpolation(py::module_& m) {
     m.def(
         "sdf_grid_fwd",
         [](const Array<T>& values, const VoxelGrid& grid, const Array<double>& points, bool cubic,
@@ -58,8 +58,8 @@ void bind(py::module_& m) {
 } // namespace
 
 void bind_sdf_grid(py::module_& m) {
-    bind<float>(m);
-    bind<double>(m);
+    bind_interpolation<float>(m);
+    bind_interpolation<double>(m);
 }
 
 } // namespace geraf2::bindings

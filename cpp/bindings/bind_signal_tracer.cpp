@@ -11,8 +11,6 @@ namespace geraf2::bindings {
 
 namespace {
 
-using Doubles = Array<double>;
-
 /// amplitude: (1 or n_antennas, n_points, 1 or 2); normals: (n_points, 3) or (0, 3).
 template <class T>
 Reflectors<T> reflectors_of(const Array<T>& amplitude, const Doubles& points,

@@ -12,9 +12,6 @@ namespace geraf2::bindings {
 
 namespace {
 
-using Doubles = Array<double>;
-using Indices = Array<index_t>;
-
 template <class T>
 Array<T> copy_array(const std::vector<T>& values, std::initializer_list<py::ssize_t> shape) {
     auto array = make_array<T>(shape);
