@@ -9,6 +9,7 @@ import pytest
 
 from geraf2.cli.main import main
 from helpers.drawing import drawn, not_drawn  # noqa: F401 - fixtures of the tests here
+from helpers.found_boxes import box_found_once  # noqa: F401 - as above
 from helpers.small_scene import BOX, FAST, SPEC
 
 

@@ -15,6 +15,11 @@ SAME_M = 1e-5
 """A hundredth of the least expected error of a vertex."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def box_found_once():
+    """Boxes are found anew: their search is compared, too."""
+
+
 @pytest.fixture(scope="module")
 def capture():
     return examples.small_capture()[0]
