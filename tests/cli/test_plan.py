@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import geraf2
+from geraf2.apps.planning import scan_time
 from geraf2.cli.main import main
 from geraf2.io.scan_file import read_scan_file
 
@@ -14,6 +15,14 @@ chirp_slope_hz_per_s = 70.0e12
 sample_rate_hz = 200e3
 n_samples = 8
 """
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_elevation():
+    """Raised planes of one elevation are tried; tests/apps/planning tries all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scan_time, "_RAISED_DEG", (40.0,))
+        yield
 
 
 @pytest.mark.usefixtures("drawn")

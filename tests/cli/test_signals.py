@@ -1,5 +1,6 @@
 """Real signals to real processes; bench/python/signals.py sends them by the hundred."""
 
+import importlib
 import signal
 import subprocess
 import sys
@@ -7,26 +8,31 @@ from pathlib import Path
 
 import pytest
 
+from geraf2.cli.main import main
+
 BENCH = Path(__file__).parents[2] / "bench" / "python"
 
 
-@pytest.mark.slow
-def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, monkeypatch):
+@pytest.fixture
+def signals(monkeypatch):
+    """The script; what it prepares, to which no signal is sent, is made in this process."""
     monkeypatch.syspath_prepend(str(BENCH))
-    from signals import Bench, run_trials  # noqa: PLC0415 - a script, found by its folder
-
-    stated = []
-    bench = Bench(tmp_path, ["fast", "los"])
-    assert run_trials(bench, 2, 3, stated.append) == 0, stated
+    script = importlib.import_module("signals")
+    monkeypatch.setattr(script, "call", lambda *words: main([*words, "--quiet"]))
+    return script
 
 
 @pytest.mark.slow
-def test_of_two_runs_in_one_folder_one_wins(tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCH))
-    from signals import run_pairs  # noqa: PLC0415 - as above
-
+def test_signals_at_random_moments_leave_nothing_half_done(tmp_path, signals):
     stated = []
-    assert run_pairs(tmp_path, 1, 0, stated.append) == 0, stated
+    bench = signals.Bench(tmp_path, ["fast", "los"])
+    assert signals.run_trials(bench, 2, 3, stated.append) == 0, stated
+
+
+@pytest.mark.slow
+def test_of_two_runs_in_one_folder_one_wins(tmp_path, signals):
+    stated = []
+    assert signals.run_pairs(tmp_path, 1, 0, stated.append) == 0, stated
 
 
 INTERRUPTED = """
@@ -60,16 +66,15 @@ def test_a_signal_while_threads_look_for_neighbours_is_no_crash():
 STOPPED_TWICE = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.SIG_DFL)  # a job in the background has it ignored
-from geraf2.cli import info, main
-def slow(config):
+from geraf2.cli import main
+def slow(rest, asked, n_threads):
     try:
         print("go", flush=True)
         time.sleep(60)
     finally:
         time.sleep(0.3)  # cleaning up
         print("cleaned", flush=True)
-info.main = slow
-sys.argv = ["geraf2", "info", "scene"]
+main._dispatch, sys.argv = slow, ["geraf2", "info", "scene"]
 main.run()
 """
 

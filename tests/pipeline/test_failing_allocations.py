@@ -13,7 +13,7 @@ SCRIPT = "bench/python/failing_allocations.py"
 @pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
 @pytest.mark.skipif(sys.platform != "linux", reason="needs glibc")
 def test_a_failed_allocation_is_one_line_and_the_run_can_be_continued(project_root):
-    command = [sys.executable, project_root / SCRIPT, "--every", "24"]
+    command = [sys.executable, project_root / SCRIPT, "--every", "48"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     stated = done.stdout.splitlines()[-1]

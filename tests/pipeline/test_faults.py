@@ -20,7 +20,7 @@ from geraf2.scene import save_capture
 
 BOX = [str(side) for side in examples.BOX_M]
 COARSE = ["--preset", "fast", "--fit.spacing-m", "0.006"]
-COARSE += ["--calibrate", "no"]
+COARSE += ["--calibrate", "no", "--trust-los"]
 
 
 @pytest.fixture(scope="module")
