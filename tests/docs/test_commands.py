@@ -1,22 +1,23 @@
 """Commands and Python of tutorials and how-tos: each runs as the page prints it, in its order.
 
 Only what is slow is made smaller: a simulation gives the small capture of the examples in the box
-of its spec, reconstructions, trainings and pictures are coarse, and a batch has one worker. The
-demo and the recording of the tutorials are made once.
+of its spec, reconstructions, trainings and pictures are coarse, and a batch has one worker, which
+is a thread. The demo and the recording of the tutorials are made once.
 """
 
 import doctest
 import json
-import os
 import re
+import runpy
 import shlex
 import shutil
-import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from contextlib import redirect_stdout
 from dataclasses import replace
 from functools import cache
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from scipy.io import savemat
 import geraf2
 from geraf2 import examples, load_capture, save_capture
 from geraf2 import simulate as simulate_whole
+from geraf2.apps.inspection import expected_echoes, measured_windows
 from geraf2.apps.live import session
 from geraf2.apps.photos import los
 from geraf2.apps.photos.config import GridStage, PhotoConfig
@@ -36,6 +38,7 @@ from geraf2.report import overview
 from geraf2.surfaces import FitConfig
 from helpers.drawing import not_drawn  # noqa: F401 - a fixture of the tests here
 from helpers.inspected import few_starts
+from helpers.one_process import in_one_process  # noqa: F401 - as above
 from helpers.ros_bag import scan_path, write_bag
 
 LEFT_OUT = {
@@ -51,6 +54,7 @@ SMALLER = {
     "reconstruct": [*COARSE, "--no-report"],
     "batch": [*COARSE, "--workers", "1"],
     "belt": ["--workers", "1"],
+    "evaluate": ["--n-samples", "1000"],
     "live": ["--no-report"],
     "bench/photos/carton_photos.py": [
         *("--photos", "12"),
@@ -97,6 +101,9 @@ def quick(monkeypatch):
     grids = PhotoConfig(stages=(GridStage(n_longest=24, n_steps=20),), rays_per_step=256)
     monkeypatch.setattr(simulate, "simulate", made_small)
     monkeypatch.setattr(scan_time, "_SPACINGS_M", (0.004,))  # of 1 to 8 mm
+    monkeypatch.setattr(scan_time, "_RAISED_DEG", (40.0,))  # of 30 to 50 degrees
+    monkeypatch.setattr(measured_windows, "_PARTS", 1)  # of a plane, along each side
+    monkeypatch.setattr(expected_echoes, "_PIECE_M", 0.004)
     monkeypatch.setattr(overview, "_N_VOXELS", 12)
     monkeypatch.setattr(session, "preset_type", lambda _: lambda: fast)
     monkeypatch.setattr(los, "photo_config", lambda preset, seed: grids)
@@ -119,11 +126,10 @@ def made(tmp_path_factory):
 
 
 def script(*words: str) -> None:
-    """Run a script of the repository."""
-    command = [sys.executable, str(ROOT / words[0]), *words[1:]]
-    environment = dict(os.environ)
-    environment.pop("PYTHONSAFEPATH", None)  # of the workers of a batch
-    subprocess.run(command, check=True, timeout=300, stdout=subprocess.DEVNULL, env=environment)
+    """Run a script of the repository; tests/test_examples.py has processes of their own."""
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(StringIO()):
+        patch.setattr(sys, "argv", list(words))
+        runpy.run_path(str(ROOT / words[0]), run_name="__main__")
 
 
 def files_of(page: str, start: int) -> str | None:
@@ -231,7 +237,7 @@ def run_code(code: str, names: dict[str, object]) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("quick")
+@pytest.mark.usefixtures("quick", "in_one_process")
 @pytest.mark.parametrize("name", pages(ROOT))
 def test_a_page_runs_as_printed(name, made, project_root, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

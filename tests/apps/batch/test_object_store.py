@@ -15,6 +15,7 @@ from geraf2.io import objects
 from geraf2.io.run_folder import CONTENT_NAME
 from geraf2.pipeline.presets import FastPreset
 from geraf2.surfaces import FitConfig
+from helpers.one_process import in_one_process  # noqa: F401 - a fixture of the tests here
 
 pytest.importorskip("obstore", reason="object stores need the package obstore")
 
@@ -109,6 +110,7 @@ def test_a_scene_in_memory_is_the_scene_on_the_disk(scene):
     assert np.array_equal(mesh.faces, geraf2.io.mesh.read_mesh(scene / "truth.ply").faces)
 
 
+@pytest.mark.usefixtures("in_one_process")
 def test_a_batch_reads_from_a_store_and_writes_into_it_though_it_answers_503(s3, scene, capsys):
     for name in ("one", "two"):
         objects.push(scene, Path(f"s3://scans/today/{name}"))
