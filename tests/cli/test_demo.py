@@ -1,8 +1,10 @@
 import json
+from functools import partial
 from importlib.resources import files
 
 from geraf2.cli.main import main
 from geraf2.io.mesh import read_mesh
+from geraf2.pipeline.commands.image import ImageOptions
 from geraf2.simulation import load_spec
 from geraf2.surfaces.isosurface import surface_report
 
@@ -22,6 +24,7 @@ def test_the_demo_leaves_mesh_pictures_and_readmes_scores(tmp_path, capsys, monk
     )
     out = tmp_path / "demo"
     monkeypatch.setattr("geraf2.cli.demo.load_spec", lambda _: load_spec(spec))
+    monkeypatch.setattr("geraf2.cli.demo.ImageOptions", partial(ImageOptions, spacing_m=0.008))
     assert main(["demo", str(out)]) == 0
     text = capsys.readouterr().out
     for name in ("mesh_content.ply", "figures", "metrics.json", "report.html"):
