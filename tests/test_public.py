@@ -12,6 +12,7 @@ import trimesh
 
 import geraf2
 from geraf2.surfaces import FitConfig
+from helpers.found_boxes import box_found_once  # noqa: F401 - a fixture of the tests here
 
 NAMES = [name for name in geraf2.__all__ if name != "__version__"]
 UNIT = re.compile(r"\[(1e-3 )?(m|Hz|rad|dB|degrees)\b|\(n_\w+,|\(n,|\bmetres\b|\b0 to 1\b")

@@ -86,6 +86,7 @@ def test_a_tube_is_refused_in_one_line_and_its_mesh_is_used(scan, tmp_path, caps
     save_capture(capture, tmp_path / "scene")
     write_mesh(outside, tmp_path / "tube.ply")
     command = ["reconstruct", str(tmp_path / "scene"), str(tmp_path / "out"), "--preset", "fast"]
+    command += ["--fit.spacing-m", "0.01"]
     assert main([*command, "--no-report"]) == 2
     line = capsys.readouterr().err.splitlines()[-1]
     assert "the walls of the box fit no cuboid" in line

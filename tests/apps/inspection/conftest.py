@@ -67,7 +67,7 @@ def failed(tmp_path_factory):
     write_mesh(content, out / CONTENT_NAME)
     write_mesh(block((0.16,) * 3, edge_m=0.2), out / BOX_NAME)
     record_run(out, "crate")
-    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.1, 0.08, 0.06))]
+    models = [wedge(), block((0.04, 0.04, 0.003)), block((0.1, 0.08, 0.06), edge_m=0.008)]
     with few_starts():
         answer = geraf2.inspect(out, models, expect=3, listener=steps)
     return SimpleNamespace(answer=answer, steps=steps.fractions, page=out / "inspection.html")

@@ -19,7 +19,7 @@ BLOCKS = {"long": ((0.06, 0.02, 0.03), -0.018), "cube": ((0.03, 0.03, 0.03), 0.0
 
 def grown_together():
     """Surface of both blocks and of what the fit put between them, connected."""
-    step = 0.0015
+    step = 0.002
     at = [np.arange(-half, half, step) for half in (0.04, 0.045, 0.025)]
     positions = np.stack(np.meshgrid(*at, indexing="ij"), -1)
     boxes = [(sides, (0.0, y, 0.0)) for sides, y in BLOCKS.values()]

@@ -15,8 +15,8 @@ APART = """() => {
   const [mesh] = viewer.scene.meshes;
   const moved = Math.max(...mesh.positions.map((value, i) => Math.abs(value - mesh.home[i])));
   let off = Infinity;
-  for (let x = 5; x < viewer.canvas.clientWidth; x += 30) {
-    for (let y = 5; y < viewer.canvas.clientHeight; y += 30) {
+  for (let x = 5; x < viewer.canvas.clientWidth; x += 60) {
+    for (let y = 5; y < viewer.canvas.clientHeight; y += 60) {
       const hit = viewer.find(x, y);
       if (!hit || hit.mesh !== mesh) continue;
       for (let i = 0; i < mesh.home.length; i += 3) {
