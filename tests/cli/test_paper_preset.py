@@ -11,7 +11,7 @@ from geraf2.cli.main import main
 from geraf2.io.checkpoint import load_checkpoint
 from geraf2.io.mesh import read_mesh
 from geraf2.io.run_folder import RunFolder
-from geraf2.learned import glint_level
+from geraf2.learned import glint_level, heatmaps
 from geraf2.learned.checkpoints import KIND, VERSION
 from geraf2.pipeline.stages import learned
 from geraf2.scene import load_capture
@@ -20,7 +20,8 @@ from helpers.small_scene import BOX
 
 TINY = (
     "--preset paper --paper.n-cells 8 --paper.n-samples 10 --paper.n-antennas 16 "
-    "--paper.n-clusters 1 --paper.stage1.n-steps 4 --paper.stage2.n-steps 4 --paper.grid-n 9 17 "
+    "--paper.n-clusters 1 --paper.n-looks 2 --paper.n-targets 64 "
+    "--paper.stage1.n-steps 4 --paper.stage2.n-steps 4 --paper.grid-n 9 17 "
     "--paper.mesh-n 33 --paper.checkpoint-every 3 --no-report --calibrate no --trust-los"
 )
 
@@ -35,6 +36,13 @@ def contents(folder):
 
 def fields(folder):
     return load_checkpoint(folder / "fields.safetensors", kind=KIND, version=VERSION).arrays
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse_maps():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(heatmaps, "COARSE_SPACING_M", 0.01)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -58,7 +58,7 @@ def wedge(height_m=0.03):
 def few_starts():
     """Search for poses with fewer starts and points: seconds less."""
     with pytest.MonkeyPatch.context() as patch:
-        for name, number in (("N_STARTS", 24), ("_N_FINE", 300), ("_N_CAD_POINTS", 3000)):
+        for name, number in (("N_STARTS", 16), ("_N_FINE", 200), ("_N_CAD_POINTS", 3000)):
             patch.setattr(registration, name, number)
         patch.setattr(registration, "_TABLE_CELLS", 16)
         yield
