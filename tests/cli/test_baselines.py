@@ -29,7 +29,8 @@ def test_a_baseline_makes_a_run_that_can_be_evaluated(preset, built_scene, tmp_p
     content = read_mesh(out / "mesh_content.ply")
     assert content.faces.shape[0] > 20
     assert abs(content.vertices).max() < 0.1  # the box is cropped out
-    assert main(["evaluate", str(out), "--truth", str(built_scene / "truth.ply")]) == 0
+    truth = ["--truth", str(built_scene / "truth.ply"), "--n-samples", "500"]
+    assert main(["evaluate", str(out), *truth]) == 0
     # As coarse as this scene is, the scores mean nothing; only their presence counts.
     assert json.loads((out / "metrics.json").read_text())["truth_to_mesh"]["median_m"] < 0.1
 

@@ -10,7 +10,7 @@ from geraf2.apps.batch.engine import MEMORY_RESOURCE
 
 
 @contextmanager
-def _threads(n_workers, memory_bytes, retries=2):
+def in_threads(n_workers, memory_bytes, retries=2):
     """As local_cluster, in threads."""
     from distributed import LocalCluster  # noqa: PLC0415 - an extra
 
@@ -29,4 +29,4 @@ def _threads(n_workers, memory_bytes, retries=2):
 @pytest.fixture
 def in_one_process(monkeypatch):
     """A worker that is a thread: a process takes 3 s to import what it needs."""
-    monkeypatch.setattr(cluster, "local_cluster", _threads)
+    monkeypatch.setattr(cluster, "local_cluster", in_threads)

@@ -9,17 +9,21 @@ import time
 
 import pytest
 
+from geraf2.apps.batch import cluster
 from geraf2.apps.belt.running import BeltOptions, run_belt
 from geraf2.errors import UserError
 from helpers.belt_stream import stream_planes, write_stream
+from helpers.one_process import in_threads
 
 pytest.importorskip("distributed")
 
 
-def run(stream, out, **changes):
-    lines = []
-    options = BeltOptions(workers=1, idle_s=2.0, threads=1, **changes)
-    return run_belt(stream, out, "fast", options=options, on_line=lines.append), lines
+def run(stream, out):
+    """Outcome and lines; the worker is a thread."""
+    lines, options = [], BeltOptions(workers=1, idle_s=0.5, threads=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cluster, "local_cluster", in_threads)
+        return run_belt(stream, out, "fast", options=options, on_line=lines.append), lines
 
 
 def meshes(out):
