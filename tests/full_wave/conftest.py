@@ -6,6 +6,8 @@ from types import SimpleNamespace
 
 import pytest
 
+from helpers.found_boxes import box_found_once  # noqa: F401 - applies to all tests here
+
 _NAMES = (
     "waves",
     "body",

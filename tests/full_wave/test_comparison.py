@@ -1,6 +1,7 @@
 """Comparison of full-wave captures with physical optics, on captures of the simulator."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from geraf2.io.mesh import read_mesh, write_mesh
 from geraf2.io.toml import write_toml
 from geraf2.pipeline.commands.simulate import simulate_scene
 from geraf2.scene.store import load_capture, save_capture
+from geraf2.surfaces import FitConfig
 
 
 @pytest.fixture(scope="module")
@@ -25,6 +27,10 @@ def captures(tmp_path_factory, wave):
 
 def test_equal_captures_have_equal_scores_and_no_difference(captures, tmp_path, wave, monkeypatch):
     monkeypatch.setattr(wave.comparison, "_SPACING_M", 0.008)
+    few = partial(wave.comparison.evaluate, n_samples=1000)
+    monkeypatch.setattr(wave.comparison, "evaluate", few)
+    coarse = geraf2.FastPreset(fit=FitConfig(spacing_m=0.006))
+    monkeypatch.setattr(wave.comparison, "preset_type", lambda _: lambda: coarse)
     folders = wave.comparison.bodies(captures)
     table = wave.comparison.compare(folders, ["fast"], tmp_path)
     header, full, own, _, heat_header, heat = table
