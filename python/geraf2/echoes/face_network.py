@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, softmax
 
-from geraf2._types import AnyPath, Array, Floats
+from geraf2._types import AnyPath, Array, Bools, Floats
 from geraf2.echoes.glint_set import Glints
 from geraf2.io.checkpoint import load_checkpoint
 
@@ -34,6 +34,10 @@ class FaceGuess(NamedTuple):
     """Of a front face, a back face, both faces of a thin body, and clutter, (n, 4)."""
     thickness_m: Floats
     """Of the body behind the front, where it is not a front face alone, (n,) [m]."""
+
+    def select(self, keep: Bools) -> "FaceGuess":
+        """Guess of some of the glints, by mask."""
+        return FaceGuess(self.probability[keep], self.thickness_m[keep])
 
 
 @dataclass(frozen=True, eq=False)

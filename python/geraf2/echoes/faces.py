@@ -33,14 +33,12 @@ _METAL = 0.25
 """Share of the strength that is taken for echoes of back faces, of metal at most. Of 46 metal scans
 it is up to 0.19, but 0.4 of thin pliers and 0.8 of a scan with 36 glints; of 26 plastic ones 0.31
 to 1.00, but for four that show hardly anything but fronts, of which it is at most 0.14."""
-_OPPOSED_M, _OPPOSED_COSINE, _BESIDE_M = 0.02, 0.93, 0.005
-"""Largest distance of glints that face each other [m], least cosine between one normal and the
-other's opposite, and largest distance of both beside them [m]."""
-_FILM_M, _SHELL, _MIN_PAIRS = (-0.002, 0.0045), 0.3, 30
-"""Offsets of both sides of a film, along the normal and behind it by the delay of a film up to 3 mm
-thick [m], the share of them that a shell has, and the fewest pairs that show it. Of 23 shells it is
-0.41 to 0.91 of seven and at most 0.18 of three, and the others have fewer pairs; it is at most 0.20
-of 16 solid bodies and 0.09 of 19 of metal."""
+_SHELL = 0.54
+"""Least growth of the mean log density of glints, over solid plastic and metal, by which a shell
+predicts them where the network sees back faces [nats]: logistic regression of 28 scans of plastic,
+of which 8 are of shells. It knows solid bodies alone."""
+_LEAST_CLUTTER = 0.02
+"""Probability of clutter, at least, of a glint that other planes should predict."""
 LEAST_PROBABILITY = 0.1
 """Of a glint of plastic. Its faces send weaker echoes than metal, and clutter is told by the
 network and the surface."""
@@ -49,8 +47,8 @@ _ENOUGH = 768
 SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
 """Place of the range window's side lobe in front of an echo [range cells], the least ratio of both
 amplitudes, and the largest angle of both directions [rad]."""
-_ROUNDS = 6
-"""Rounds of expectation and maximisation."""
+_ROUNDS, _ROUNDS_LEFT_OUT = 6, 1
+"""Rounds of expectation and maximisation, of all planes and where half of them are left out."""
 _SIGMA_M, _SIGMA_OF_PATH, _SIGMA_OF_BODY = 0.002, 0.05, 0.08
 """Standard deviation of an echo about its face [m]; over the path in the body, and in bodies that
 were crossed before."""
@@ -118,48 +116,72 @@ class Scan:
     """All when None."""
 
 
-def is_plastic(glints: Glints) -> bool:
-    """Whether some glints are echoes of back faces."""
-    return back_share(_drawn(glints)) >= _METAL
+def likeliest_index(likely: Glints, scan: Scan) -> float | None:
+    """Refractive index of the body that glints are echoes of; None of metal.
+
+    A surface through the glints of every second plane, and then of the others, has to predict the
+    rest: by fronts alone, or by both faces of solid plastic or of a shell along each line of sight.
+    If the network takes enough of the likely glints for back faces, only a shell that predicts them
+    clearly better is no solid plastic.
+
+    likely: probable glints. scan: with fainter ones, too.
+    """
+    scan = replace(scan, glints=_drawn(scan.glints))
+    scan = replace(scan, glints=scan.glints.select(~_side_lobes(scan)))
+    guess = guess_faces(scan.glints)
+    is_front = np.array([1.0, 0.0, 0.0])
+    fronts = np.column_stack([(1.0 - guess.probability[:, 3:]) * is_front, guess.probability[:, 3]])
+    metal = _predicted(scan, guess._replace(probability=fronts), None)
+    gains = {index: _predicted(scan, guess, index) - metal for index in (INDEX, AIR)}
+    if back_share(_drawn(likely)) >= _METAL:
+        return AIR if gains[AIR] - max(gains[INDEX], 0.0) > _SHELL else INDEX
+    best = max(gains, key=lambda index: gains[index])
+    return best if 0.0 < gains[best] < np.inf else None
 
 
 def _drawn(glints: Glints) -> Glints:
     return glints.select(np.random.default_rng(0).permutation(len(glints))[:_ENOUGH])
 
 
-def is_shell(glints: Glints) -> bool:
-    """Whether planes on opposite sides see the same surface, one of them from inside.
-
-    Only a shell lets them: the far side of solid plastic seems to lie (n - 1) t behind, and that of
-    metal is not seen. Of pairs of glints of different planes that face each other on one normal,
-    those are counted whose offset is that of a film's two sides.
-    """
-    some = _drawn(glints)
-    positions, normals, probability = some.positions, some.normals, some.probability
-    i, j = KDTree(positions).query_pairs(_OPPOSED_M, output_type="ndarray").T
-    facing = np.einsum("ij,ij->i", normals[i], normals[j]) < -_OPPOSED_COSINE
-    facing &= some.poses[i] != some.poses[j]
-    i, j = i[facing], j[facing]
-    axis = normals[i] - normals[j]
-    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
-    step = positions[j] - positions[i]
-    offset = np.einsum("ij,ij->i", step, axis)
-    beside = np.linalg.norm(step - offset[:, None] * axis, axis=1) < _BESIDE_M
-    offset, weight = offset[beside], (probability[i] * probability[j])[beside]
-    (low, high), total = _FILM_M, float(weight.sum())
-    of_film = float(weight[(offset > low) & (offset < high)].sum())
-    return len(offset) >= _MIN_PAIRS and of_film > _SHELL * total
+def _predicted(scan: Scan, guess: FaceGuess, index: float | None) -> float:
+    """Mean log density of glints by the faces that other planes show; -inf without a surface."""
+    glints, log_density = scan.glints, np.zeros(len(scan.glints))
+    is_odd = np.unique(glints.poses, return_inverse=True)[1] % 2 == 1
+    if min(is_odd.sum(), (~is_odd).sum()) < MIN_GLINTS:
+        return -np.inf
+    for own in (is_odd, ~is_odd):
+        shown, left_out = (replace(scan, glints=glints.select(part)) for part in (~own, own))
+        faces = _maximise(shown, guess.select(~own), index, _ROUNDS_LEFT_OUT)
+        try:
+            if faces is None:
+                return -np.inf
+            lines = _cross(left_out, faces.glints, index)
+        except UserError:
+            return -np.inf
+        chances = guess.select(own).probability
+        density = (_densities(lines, scan.cell_m) * chances[:, None, :3]).sum(axis=(1, 2))
+        clutter = np.maximum(chances[:, 3], _LEAST_CLUTTER) / scan.volume_m3
+        log_density[own] = np.log(density + clutter)
+    return float(glints.probability @ log_density / glints.probability.sum())
 
 
 def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
     """Faces of plastic of a refractive index; None where their surface does not close."""
     kept = np.flatnonzero(~_side_lobes(scan))
     scan = replace(scan, glints=scan.glints.select(kept))
-    guess = guess_faces(scan.glints)
+    faces = _maximise(scan, guess_faces(scan.glints), index, _ROUNDS)
+    if faces is None:
+        return None
+    faces = _without_stray(faces)
+    return faces._replace(sources=kept[faces.sources])
+
+
+def _maximise(scan: Scan, guess: FaceGuess, index: float | None, n_rounds: int) -> Faces | None:
+    """Alternate expectation and maximisation; None where a surface does not close."""
     if index == AIR:  # the network has seen solid bodies, whose depth it divided by their index
         guess = guess._replace(thickness_m=INDEX * guess.thickness_m)
-    faces = _placed_by(scan.glints, guess, index)
-    for _ in range(_ROUNDS):
+    faces = _placed_by(scan.glints, guess, index or AIR)
+    for _ in range(n_rounds):
         try:
             lines = _cross(scan, faces.glints, index)
         except UserError:
@@ -170,8 +192,7 @@ def find_faces(scan: Scan, index: float = INDEX) -> Faces | None:
         faces = _place(scan.glints, lines, density / total[:, None, None])
         if len(faces.glints) < MIN_GLINTS:
             return None
-    faces = _without_stray(faces)
-    return faces._replace(sources=kept[faces.sources])
+    return faces
 
 
 def _without_stray(faces: Faces) -> Faces:
@@ -223,11 +244,15 @@ def _placed_by(glints: Glints, guess: FaceGuess, index: float) -> Faces:
     return _place(glints, lines, guess.probability[:, None, :3])
 
 
-def _cross(scan: Scan, placed: Glints, index: float = INDEX) -> _Lines:
+def _cross(scan: Scan, placed: Glints, index: float | None = INDEX) -> _Lines:
     """Crossings of the lines of sight with the surface through glints that were put on faces.
 
     A shell may hold bodies, which its air does not hide: a line goes through each of them alone.
+    Metal, whose index is None, has no echo where a line leaves it.
     """
+    if index is None:
+        lines = _cross(scan, placed, AIR)
+        return lines._replace(leave=np.zeros_like(lines.leave))
     vertices, faces = scan.surface_through(placed)
     if index != AIR:
         return _cross_body(scan, vertices, faces, index)

@@ -8,7 +8,7 @@ import numpy as np
 from geraf2._types import Floats, Ints
 from geraf2.echoes import Glints
 from geraf2.echoes.detectability import Detector
-from geraf2.echoes.faces import AIR, INDEX, LEAST_PROBABILITY, Scan, is_plastic, is_shell
+from geraf2.echoes.faces import LEAST_PROBABILITY, Scan, likeliest_index
 from geraf2.echoes.glints import find_echoes
 from geraf2.echoes.labels import Clutter
 from geraf2.echoes.ruled_out import region_numbers, rule_out
@@ -93,21 +93,21 @@ def find_glints(job: Job) -> Glints:
             num_threads=threads,
         )
         glints, labelled, body = found.glints, found.labelled, None
-        is_hollow = is_shell(glints)
-        if is_hollow or is_plastic(glints):
-            every, index = found.likelier_than(LEAST_PROBABILITY)
-            scan = Scan(
-                glints=every,
-                surface_through=surface_through,
-                cell_m=capture.waveform.range_cell_m,
-                volume_m3=float(np.prod(job.prior.size_m)),
-                num_threads=threads,
-            )
-            if (placed := place_on_faces(scan, AIR if is_hollow else INDEX)) is not None:
-                faces, body = placed
-                glints, (front, back) = faces.glints, faces.of_glints(len(every))
-                every.select(back).save(folder / BACK_NAME)  # seen through a dielectric
-                labelled = labelled.on_faces(index, front, back)
+        every, index = found.likelier_than(LEAST_PROBABILITY)
+        scan = Scan(
+            glints=every,
+            surface_through=surface_through,
+            cell_m=capture.waveform.range_cell_m,
+            volume_m3=float(np.prod(job.prior.size_m)),
+            num_threads=threads,
+        )
+        medium = likeliest_index(glints, scan)
+        placed = None if medium is None else place_on_faces(scan, medium)
+        if placed is not None:
+            faces, body = placed
+            glints, (front, back) = faces.glints, faces.of_glints(len(every))
+            every.select(back).save(folder / BACK_NAME)  # seen through a dielectric
+            labelled = labelled.on_faces(index, front, back)
         glints.save(folder / GLINTS_NAME)
         write_bytes_atomic(folder / PEAKS_NAME, labelled.cloud_bytes())
         step.numbers |= {"n_glints": len(glints), "labels": labelled.counts()}
