@@ -177,8 +177,8 @@ lint: setup
 .PHONY: tidy
 tidy: setup
 	@# omp.h belongs to gcc; looked for last, so that clang keeps its own intrinsics
-	@# CMake wrote the files of each instruction set, and those of the bindings, into the build folder
-	@find cpp/src $(build_dir)/cpp -name '*.cpp' -print0 | sort -zr | \
+	@# CMake wrote the files of each instruction set into the build folder
+	@find cpp/src cpp/bindings/of_* $(build_dir)/cpp/levels -name '*.cpp' -print0 | sort -zr | \
 	  xargs -0 -n 1 -P $(JOBS) $(bin)/clang-tidy -p $(build_dir) --quiet \
 	  --extra-arg=-idirafter"$$(c++ -print-file-name=include)" 2>&1 | \
 	  { grep -Ev '^[0-9]+ warnings (and [0-9]+ errors? )?generated|^Suppressed' || true; }
