@@ -33,6 +33,9 @@ _METAL = 0.25
 """Share of the strength that is taken for echoes of back faces, of metal at most. Of 46 metal scans
 it is up to 0.19, but 0.4 of thin pliers and 0.8 of a scan with 36 glints; of 26 plastic ones 0.31
 to 1.00, but for four that show hardly anything but fronts, of which it is at most 0.14."""
+_GAIN = 0.12
+"""Least growth of the mean log density of glints by back faces, of plastic [nats]: it is at most
+0.09 of 23 scans of metal."""
 _SHELL = 0.54
 """Least growth of the mean log density of glints, over solid plastic and metal, by which a shell
 predicts them where the network sees back faces [nats]: logistic regression of 28 scans of plastic,
@@ -136,7 +139,7 @@ def likeliest_index(likely: Glints, scan: Scan) -> float | None:
     if back_share(_drawn(likely)) >= _METAL:
         return AIR if gains[AIR] - max(gains[INDEX], 0.0) > _SHELL else INDEX
     best = max(gains, key=lambda index: gains[index])
-    return best if 0.0 < gains[best] < np.inf else None
+    return best if _GAIN < gains[best] < np.inf else None
 
 
 def _drawn(glints: Glints) -> Glints:
@@ -146,7 +149,10 @@ def _drawn(glints: Glints) -> Glints:
 def _predicted(scan: Scan, guess: FaceGuess, index: float | None) -> float:
     """Mean log density of glints by the faces that other planes show; -inf without a surface."""
     glints, log_density = scan.glints, np.zeros(len(scan.glints))
-    is_odd = np.unique(glints.poses, return_inverse=True)[1] % 2 == 1
+    plane = np.unique(glints.poses, return_inverse=True)[1]
+    east, north = (np.bincount(plane, glints.normals[:, axis]) for axis in (0, 1))
+    around = np.argsort(np.argsort(np.arctan2(north, east)))  # whatever the order of the planes
+    is_odd = around[plane] % 2 == 1
     if min(is_odd.sum(), (~is_odd).sum()) < MIN_GLINTS:
         return -np.inf
     for own in (is_odd, ~is_odd):
