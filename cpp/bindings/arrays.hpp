@@ -4,10 +4,12 @@
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 
+#include <algorithm>
 #include <initializer_list>
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <vector>
 
 #include "geraf2/types.hpp"
 
@@ -49,6 +51,18 @@ std::span<T> mutable_view(Array<T>& array) {
 template <class T>
 Array<T> make_array(std::initializer_list<py::ssize_t> shape) {
     return Array<T>(py::array::ShapeContainer(shape));
+}
+
+template <class T>
+Array<T> copy_array(const std::vector<T>& values, std::initializer_list<py::ssize_t> shape) {
+    auto array = make_array<T>(shape);
+    std::copy(values.begin(), values.end(), array.mutable_data());
+    return array;
+}
+
+template <class T>
+Array<T> copy_array(const std::vector<T>& values) {
+    return copy_array(values, {static_cast<py::ssize_t>(values.size())});
 }
 
 } // namespace geraf2::bindings

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <complex>
-#include <vector>
 
 #include "antennas.hpp"
 #include "arrays.hpp"
@@ -59,12 +58,6 @@ PairsView pairs_of(const Indices& sample, const Indices& offsets, index_t n_look
         throw py::value_error("offsets must have a part for each group and look");
     }
     return {view(sample), view(offsets), n_looks};
-}
-
-Indices copy_indices(const std::vector<index_t>& values) {
-    auto array = make_array<index_t>({static_cast<py::ssize_t>(values.size())});
-    std::copy(values.begin(), values.end(), array.mutable_data());
-    return array;
 }
 
 template <class T>
@@ -132,7 +125,7 @@ void bind_amplitudes(py::module_& m) {
                 const py::gil_scoped_release nogil;
                 found = facing_samples<T>(samples, form, samples_per_ray, n_looks, num_threads);
             }
-            return py::make_tuple(copy_indices(found.sample), copy_indices(found.offsets));
+            return py::make_tuple(copy_array(found.sample), copy_array(found.offsets));
         },
         py::arg("alpha").noconvert(), py::arg("gradient").noconvert(),
         py::arg("points").noconvert(), py::arg("centers").noconvert(), py::arg("has_lobe"),

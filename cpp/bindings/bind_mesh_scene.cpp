@@ -1,25 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
 #include <cstdint>
 #include <memory>
-#include <vector>
 
 #include "arrays.hpp"
 #include "geraf2/mesh_scene.hpp"
 #include "geraf2/types.hpp"
 
 namespace geraf2::bindings {
-
-namespace {
-
-template <class T>
-Array<T> copy_array(const std::vector<T>& values) {
-    auto array = make_array<T>({static_cast<py::ssize_t>(values.size())});
-    std::copy(values.begin(), values.end(), array.mutable_data());
-    return array;
-}
-
-} // namespace
 
 void bind_mesh_scene(py::module_& m) {
     py::class_<MeshScene>(m, "MeshScene")

@@ -1,6 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
-#include <vector>
 
 #include "arrays.hpp"
 #include "geraf2/pair_density.hpp"
@@ -16,13 +14,6 @@ PeakPoints points_of(const Doubles& positions, const Doubles& normals, const Ind
     require_shape("normals", normals, {planes.shape(0), 3});
     require_shape("subapertures", subapertures, {planes.shape(0)});
     return {view(positions), view(normals), view(planes), view(subapertures)};
-}
-
-template <class T>
-Array<T> array_of(const std::vector<T>& values) {
-    auto array = make_array<T>({static_cast<py::ssize_t>(values.size())});
-    std::copy(values.begin(), values.end(), array.mutable_data());
-    return array;
 }
 
 } // namespace
@@ -47,8 +38,8 @@ void bind_pair_density(py::module_& m) {
                 const py::gil_scoped_release nogil;
                 rows = pair_densities(points, others, model);
             }
-            return py::make_tuple(array_of(rows.densities), array_of(rows.columns),
-                                  array_of(rows.starts));
+            return py::make_tuple(copy_array(rows.densities), copy_array(rows.columns),
+                                  copy_array(rows.starts));
         },
         py::arg("positions").noconvert(), py::arg("normals").noconvert(),
         py::arg("planes").noconvert(), py::arg("subapertures").noconvert(),

@@ -1,9 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <algorithm>
 #include <complex>
-#include <initializer_list>
 #include <utility>
-#include <vector>
 
 #include "arrays.hpp"
 #include "geraf2/subaperture.hpp"
@@ -11,13 +8,6 @@
 namespace geraf2::bindings {
 
 namespace {
-
-template <class T>
-Array<T> copy_array(const std::vector<T>& values, std::initializer_list<py::ssize_t> shape) {
-    auto array = make_array<T>(shape);
-    std::copy(values.begin(), values.end(), array.mutable_data());
-    return array;
-}
 
 /// Owner of the arrays that SubapertureMembers refers to.
 struct Members {
@@ -46,8 +36,7 @@ py::tuple as_tuple(const SubaperturePeaks& peaks) {
     const auto n = static_cast<py::ssize_t>(peaks.ranges_m.size());
     return py::make_tuple(copy_array(peaks.subapertures, {n}), copy_array(peaks.cosines, {n, 2}),
                           copy_array(peaks.ranges_m, {n}), copy_array(peaks.magnitudes, {n}),
-                          copy_array(peaks.noise, {n}),
-                          copy_array(peaks.tops, {static_cast<py::ssize_t>(peaks.tops.size())}));
+                          copy_array(peaks.noise, {n}), copy_array(peaks.tops));
 }
 
 void require_antennas(py::ssize_t n_antennas, const Doubles& tx, const Doubles& rx) {

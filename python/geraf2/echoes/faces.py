@@ -30,23 +30,23 @@ INDEX, AIR = 1.67, 1.0
 AHEAD_M = 0.4
 """Start of a line of sight in front of its glint, outside of any content [m]."""
 _METAL = 0.25
-"""Share of the strength that is taken for echoes of back faces, of metal at most. Of 46 metal scans
-it is up to 0.19, but 0.4 of thin pliers and 0.8 of a scan with 36 glints; of 26 plastic ones 0.31
+"""Share of the strength that is taken for echoes of back faces, of metal at most. Of 69 metal scans
+it is up to 0.21, but 0.4 of thin pliers and 0.8 of a scan with 36 glints; of 26 plastic ones 0.31
 to 1.00, but for four that show hardly anything but fronts, of which it is at most 0.14."""
 _GAIN = 0.12
-"""Least growth of the mean log density of glints by back faces, of plastic [nats]: it is at most
-0.09 of 23 scans of metal."""
+"""Least growth, over metal, of the mean log density of glints by plastic [nats]. It was chosen on
+23 scans of metal, of which the growth is at most 0.09."""
 _SHELL = 0.54
-"""Least growth of the mean log density of glints, over solid plastic and metal, by which a shell
-predicts them where the network sees back faces [nats]: logistic regression of 28 scans of plastic,
-of which 8 are of shells. It knows solid bodies alone."""
+"""Least growth of the same, over metal and solid plastic, of a shell in which the network sees back
+faces [nats]. The network knows solid bodies alone. By logistic regression of 28 scans of plastic,
+of which 8 are of shells."""
 _LEAST_CLUTTER = 0.02
 """Probability of clutter, at least, of a glint that other planes should predict."""
 LEAST_PROBABILITY = 0.1
 """Of a glint of plastic. Its faces send weaker echoes than metal, and clutter is told by the
 network and the surface."""
 _ENOUGH = 768
-"""Glints that decide on the material: from them this share is known to about 0.01."""
+"""Glints that decide on the material: the share of back faces is known to about 0.01 from them."""
 SIDE_LOBE, _STRONGER, _SAME_RAD = 2.2, 3.0, 0.2
 """Place of the range window's side lobe in front of an echo [range cells], the least ratio of both
 amplitudes, and the largest angle of both directions [rad]."""
@@ -122,20 +122,19 @@ class Scan:
 def likeliest_index(likely: Glints, scan: Scan) -> float | None:
     """Refractive index of the body that glints are echoes of; None of metal.
 
-    A surface through the glints of every second plane, and then of the others, has to predict the
-    rest: by fronts alone, or by both faces of solid plastic or of a shell along each line of sight.
-    If the network takes enough of the likely glints for back faces, only a shell that predicts them
-    clearly better is no solid plastic.
+    Surfaces through the glints of every second plane have to predict those of the others: by fronts
+    alone, or by both faces of solid plastic or of a shell along each line of sight. If the network
+    takes enough of the likely glints for back faces, the body is plastic in any case.
 
     likely: probable glints. scan: with fainter ones, too.
     """
     scan = replace(scan, glints=_drawn(scan.glints))
     scan = replace(scan, glints=scan.glints.select(~_side_lobes(scan)))
-    guess = guess_faces(scan.glints)
-    is_front = np.array([1.0, 0.0, 0.0])
-    fronts = np.column_stack([(1.0 - guess.probability[:, 3:]) * is_front, guess.probability[:, 3]])
-    metal = _predicted(scan, guess._replace(probability=fronts), None)
-    gains = {index: _predicted(scan, guess, index) - metal for index in (INDEX, AIR)}
+    guess, halves = guess_faces(scan.glints), _halves(scan.glints)
+    fronts = np.zeros_like(guess.probability)
+    fronts[:, 0], fronts[:, 3] = 1.0 - guess.probability[:, 3], guess.probability[:, 3]
+    metal = _predicted(scan, halves, guess._replace(probability=fronts), None)
+    gains = {index: _predicted(scan, halves, guess, index) - metal for index in (INDEX, AIR)}
     if back_share(_drawn(likely)) >= _METAL:
         return AIR if gains[AIR] - max(gains[INDEX], 0.0) > _SHELL else INDEX
     best = max(gains, key=lambda index: gains[index])
@@ -146,28 +145,34 @@ def _drawn(glints: Glints) -> Glints:
     return glints.select(np.random.default_rng(0).permutation(len(glints))[:_ENOUGH])
 
 
-def _predicted(scan: Scan, guess: FaceGuess, index: float | None) -> float:
-    """Mean log density of glints by the faces that other planes show; -inf without a surface."""
-    glints, log_density = scan.glints, np.zeros(len(scan.glints))
+def _halves(glints: Glints) -> tuple[Bools, Bools]:
+    """Glints of every second plane around the content, whatever the order of planes, and others."""
     plane = np.unique(glints.poses, return_inverse=True)[1]
     east, north = (np.bincount(plane, glints.normals[:, axis]) for axis in (0, 1))
-    around = np.argsort(np.argsort(np.arctan2(north, east)))  # whatever the order of the planes
-    is_odd = around[plane] % 2 == 1
-    if min(is_odd.sum(), (~is_odd).sum()) < MIN_GLINTS:
+    rank = np.argsort(np.argsort(np.arctan2(north, east)))
+    is_odd = rank[plane] % 2 == 1
+    return is_odd, ~is_odd
+
+
+def _predicted(
+    scan: Scan, halves: tuple[Bools, Bools], guess: FaceGuess, index: float | None
+) -> float:
+    """Mean log density of each half by the faces that the other shows; -inf without a surface."""
+    glints, log_density = scan.glints, np.zeros(len(scan.glints))
+    if min(half.sum() for half in halves) < MIN_GLINTS:
         return -np.inf
-    for own in (is_odd, ~is_odd):
-        shown, left_out = (replace(scan, glints=glints.select(part)) for part in (~own, own))
-        faces = _maximise(shown, guess.select(~own), index, _ROUNDS_LEFT_OUT)
+    for shown, left_out in (halves, halves[::-1]):
+        own = replace(scan, glints=glints.select(shown))
+        faces = _maximise(own, guess.select(shown), index, _ROUNDS_LEFT_OUT)
+        if faces is None:
+            return -np.inf
         try:
-            if faces is None:
-                return -np.inf
-            lines = _cross(left_out, faces.glints, index)
+            lines = _cross(replace(scan, glints=glints.select(left_out)), faces.glints, index)
         except UserError:
             return -np.inf
-        chances = guess.select(own).probability
-        density = (_densities(lines, scan.cell_m) * chances[:, None, :3]).sum(axis=(1, 2))
-        clutter = np.maximum(chances[:, 3], _LEAST_CLUTTER) / scan.volume_m3
-        log_density[own] = np.log(density + clutter)
+        density, clutter = _explained(scan, lines, guess.select(left_out))
+        least = _LEAST_CLUTTER / scan.volume_m3
+        log_density[left_out] = np.log(density.sum(axis=(1, 2)) + np.maximum(clutter, least))
     return float(glints.probability @ log_density / glints.probability.sum())
 
 
@@ -192,13 +197,18 @@ def _maximise(scan: Scan, guess: FaceGuess, index: float | None, n_rounds: int) 
             lines = _cross(scan, faces.glints, index)
         except UserError:
             return None
-        density = _densities(lines, scan.cell_m) * guess.probability[:, None, :3]
-        clutter = guess.probability[:, 3] / scan.volume_m3
+        density, clutter = _explained(scan, lines, guess)
         total = density.sum(axis=(1, 2)) + clutter
         faces = _place(scan.glints, lines, density / total[:, None, None])
         if len(faces.glints) < MIN_GLINTS:
             return None
     return faces
+
+
+def _explained(scan: Scan, lines: _Lines, guess: FaceGuess) -> tuple[Floats, Floats]:
+    """Densities of glints by each face, (n_glints, n_bodies, 3), and by clutter [1 / m^3]."""
+    density = _densities(lines, scan.cell_m) * guess.probability[:, None, :3]
+    return density, guess.probability[:, 3] / scan.volume_m3
 
 
 def _without_stray(faces: Faces) -> Faces:
