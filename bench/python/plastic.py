@@ -1,7 +1,8 @@
 """Bodies of plastic, and what comes of them.
 
     python bench/python/plastic.py [--out out/plastic] [--preset fast]
-        [--random 41000:41008] [--ordinary 1011:1014] [--of metal plastic shell]
+        [--random 41000:41008] [--ordinary 1011:1014] [--drawn 10000:10020]
+        [--of metal plastic shell]
 
 Without seeds these are solid balls in free air, whose echo is that of Mie's series: of 16 to 50 mm
 and permittivity 2.7, scanned by 24 planes. For each, F1 at 5 and 3 mm and the diameter of a ball of
@@ -9,10 +10,12 @@ the mesh's volume are printed. A ball takes some seconds.
 
 With seeds they are objects of the population, or ordinary ones, with at least twelve planes in an
 ideal world, each once of metal, once of solid plastic, and once as a shell of plastic that is empty
-or holds a metal object, in the same scan. F1 at 5, 3 and 2 mm and the stated probability of a
-failure are printed, with the means of each kind; for the object in a shell also the share of its
-surface that has found surface within 5 mm. A scan takes about a minute. Scans are kept in `--out`
-and used again.
+or holds a metal object, in the same scan. `--drawn` takes objects and scans of many kinds instead,
+as the completion learns from (`train_completion.py`), with 6 to 43 planes and errors of the world.
+F1 at 5, 3 and 2 mm, the stated probability of a failure and what the content is taken for are
+printed, with the means of each kind; for the object in a shell also the share of its surface that
+has found surface within 5 mm. A scan takes about a minute. Scans are kept in `--out` and used
+again.
 """
 
 import argparse
@@ -36,11 +39,19 @@ from geraf2.pipeline.run_record import RunOptions
 from geraf2.scene import Capture, LosPrior, Pose
 from geraf2.simulation import SceneSpec, WorldSpec
 from geraf2.simulation.ordinary import draw_ordinary
-from geraf2.simulation.population import draw_scene, limit_to_budget
+from geraf2.simulation.population import (
+    RADARS,
+    WITHOUT_WAVES,
+    draw_box,
+    draw_scene,
+    limit_to_budget,
+    simulation_seconds,
+)
 from geraf2.simulation.population_settings import POPULATION
 from geraf2.simulation.scan import scan_planes
 from geraf2.simulation.solids import build_solid
-from geraf2.simulation.spec import AWR1843, FigureSpec, ScanSpec
+from geraf2.simulation.spec import AWR1843, DisturbanceSpec, FigureSpec, ScanSpec
+from train_completion import FIRST_POPULATION, draw_object
 
 DIAMETERS_M = (0.016, 0.024, 0.036, 0.050)
 INDEX = 2.7**0.5
@@ -56,6 +67,11 @@ SHELL_M, HOLDING, HELD_SEEDS = (0.0005, 0.003), 0.5, 500_000
 METAL = replace(
     POPULATION, budget_s=BUDGET_S, plastic=0.0, world=(("none", 1.0),), waves=0.0
 )  # in an ideal world
+# Of drawn objects: shares of scans with echoes of far walls, with errors of the world, and of
+# standing objects; SNR [dB]; longest simulation with smaller and with fewer planes [CPU seconds].
+FLASHING, WORLDLY, STANDING, SNRS_DB, DRAWN_S = 0.6, 0.6, 0.7, (15.0, 30.0), (12.0, 15.6)
+IN_ANY_WORLD = replace(POPULATION, budget_s=20.0, plastic=0.0, waves=0.0)
+CARTONS = replace(POPULATION, box_side_m=(0.10, 0.18))
 
 
 def backscatter(wave_number: float, radius_m: float) -> complex:
@@ -102,15 +118,48 @@ def capture_of(diameter_m: float) -> Capture:
     return Capture(waveform=AWR1843, poses=tuple(poses), provenance=provenance)
 
 
-def drawn_scenes(kind: str, seed: int) -> dict[str, SceneSpec]:
-    """Scenes of metal, of plastic, and of a shell of one seed; none with fewer than MIN_PLANES."""
-    if kind == "random":
+def drawn_spec(seed: int, folder: Path) -> SceneSpec:
+    """Scan of an object that the completion might learn from; its mesh is written into a folder."""
+    rng = np.random.default_rng([seed, 11])
+    kind, mesh, scan = draw_object(seed)
+    if kind == "population":
+        return draw_scene(FIRST_POPULATION + seed, IN_ANY_WORLD).spec
+    path = folder / f"object-{seed}.ply"
+    write_mesh(mesh, path)
+    extents_m = np.ptp(mesh.vertices, axis=0)
+    wall, center = draw_box(rng, CARTONS, extents_m, standing=bool(rng.random() < STANDING))
+    clear_m = 0.5 * float(np.linalg.norm(wall.size_m)) + CARTONS.box_distance_m
+    disturbance = DisturbanceSpec(
+        snr_db=float(rng.uniform(*SNRS_DB)), far_walls=bool(rng.random() < FLASHING)
+    )
+    errors = WorldSpec(preset="plausible", effects=WITHOUT_WAVES)
+    spec = SceneSpec(
+        figure=FigureSpec(mesh=str(path), height_m=float(extents_m[2]), center_m=triple(center)),
+        walls=(wall,),
+        waveform=RADARS["AWR1843"],
+        scan=replace(scan, standoff_m=max(scan.standoff_m, clear_m)),
+        disturbance=disturbance,
+        world=errors if rng.random() < WORLDLY else WorldSpec(),
+    )
+    before_s, after_s = DRAWN_S
+    share = np.sqrt(min(1.0, before_s / simulation_seconds(spec, mesh)))
+    width_m, height_m = (max(0.06, float(share) * side) for side in scan.aperture_m)
+    scan = replace(spec.scan, aperture_m=(width_m, height_m))
+    return limit_to_budget(replace(spec, scan=scan), mesh, after_s)
+
+
+def drawn_scenes(kind: str, seed: int, folder: Path) -> dict[str, SceneSpec]:
+    """Scenes of metal, of plastic, and of a shell of one seed; none with too few planes."""
+    if kind == "drawn":
+        spec = drawn_spec(seed, folder)
+    elif kind == "random":
         spec = draw_scene(seed, METAL).spec
     else:
         spec = replace(draw_ordinary(seed).spec, world=WorldSpec())
-    spec = limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
-    if spec.scan.n_planes < MIN_PLANES:
-        return {}
+    if kind != "drawn":
+        spec = limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
+        if spec.scan.n_planes < MIN_PLANES:
+            return {}
     rng = np.random.default_rng([seed, 7])
     permittivity, loss = (
         float(rng.uniform(*bounds)) for bounds in (POPULATION.permittivity, POPULATION.loss_tangent)
@@ -151,10 +200,14 @@ def scan_of(spec: SceneSpec, seed: int, folder: Path) -> None:
 def run_scans(kind: str, seeds: str, options: argparse.Namespace) -> None:
     scores: dict[str, list[list[float]]] = {name: [] for name in options.of}
     for seed in parse_seeds(seeds):
-        for name, spec in drawn_scenes(kind, seed).items():
+        for name, spec in drawn_scenes(kind, seed, options.out).items():
             if name in options.of:
                 folder = options.out / f"{kind}-{seed}-{name}"
-                scan_of(spec, seed, folder)
+                try:
+                    scan_of(spec, seed, folder)
+                except UserError as error:  # a drawn mesh that is not closed
+                    print(f"{folder.name}: {error}", flush=True)
+                    continue
                 scores[name].append(run_scan(folder, options.preset))
     for name, rows in scores.items():
         if rows:
@@ -173,8 +226,8 @@ def run_scan(folder: Path, preset: str) -> list[float]:
     f1 = geraf2.evaluate(result, folder / TRUTH_NAME, report=False).f1
     found, verdict = [f1(m) for m in (0.005, 0.003, 0.002)], result.verdict
     texts = [f"{verdict.probability_of_failure:.3f} likely wrong"] if verdict else []
-    if "n_back_faces" in result.numbers["glints"]:
-        texts.append("a shell" if result.numbers["glints"]["is_hollow"] else "solid plastic")
+    is_hollow = result.numbers["glints"].get("is_hollow")
+    texts.append("metal" if is_hollow is None else "a shell" if is_hollow else "solid plastic")
     if (folder / HELD_NAME).is_file():
         held = read_mesh(folder / HELD_NAME).vertices
         scene = MeshScene(result.content.vertices, result.content.faces)
@@ -189,13 +242,15 @@ def main() -> None:
     parser.add_argument("--preset", default="fast")
     parser.add_argument("--random", metavar="SEEDS")
     parser.add_argument("--ordinary", metavar="SEEDS")
+    parser.add_argument("--drawn", metavar="SEEDS")
     parser.add_argument("--of", nargs="+", choices=KINDS, default=KINDS)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    for kind, seeds in (("random", options.random), ("ordinary", options.ordinary)):
-        if seeds:
-            run_scans(kind, seeds, options)
-    if not options.random and not options.ordinary:
+    seeds = {kind: getattr(options, kind) for kind in ("random", "ordinary", "drawn")}
+    for kind, own in seeds.items():
+        if own:
+            run_scans(kind, own, options)
+    if not any(seeds.values()):
         run_balls(options)
 
 

@@ -104,6 +104,14 @@ def test_few_glints_and_one_plane_show_no_shell():
         assert index_of(glints) != AIR
 
 
+def test_a_body_seen_by_two_planes_is_not_taken_for_plastic():
+    legs = fibonacci_sphere(400)
+    ahead = glints_at(RADIUS_M * legs, legs).select(legs[:, 0] > 0.9)
+    both = from_many_planes(RADIUS_M * np.concatenate([legs, -legs]), legs)
+    for glints in (ahead, both):
+        assert index_of(replace(glints, poses=glints.poses % 2)) is None
+
+
 def test_the_order_of_the_planes_does_not_matter():
     legs = fibonacci_sphere(400)
     both = from_many_planes(RADIUS_M * np.concatenate([legs, -legs]), legs)
@@ -130,6 +138,8 @@ def test_both_sides_of_a_shell_stand_on_one_ball():
     ("centers", "radii"),
     [
         (CENTER, [RADIUS_M]),
+        (CENTER, [0.4 * RADIUS_M]),
+        (CENTER, [0.1 * RADIUS_M]),
         ([[-0.05, 0.0, 0.0], [0.05, 0.0, 0.0]], [0.025, 0.025]),  # behind each other
     ],
 )
