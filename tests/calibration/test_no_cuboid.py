@@ -100,14 +100,16 @@ def test_a_given_cuboid_is_kept_with_a_warning_and_a_mesh_without(scan):
     capture, outside = scan
     with pytest.raises(NoCuboidError, match="fit no cuboid"):
         find_box(capture)
-    for prior, is_warning in (
-        (LosPrior.from_box((0.2, 0.2, 0.2)), True),
-        (LosPrior.from_mesh(outside), False),
+    cuboid = LosPrior.from_box((0.2, 0.2, 0.2))
+    for prior, name, what, is_warning in (
+        (cuboid, "--box", "the prior", True),
+        (cuboid, box_check.STATED, box_check.STATED, True),
+        (LosPrior.from_mesh(outside), "--los", "the prior", False),
     ):
-        check = box_check.check_prior(capture, prior, "--box", None, Listener(), None)
+        check = box_check.check_prior(capture, prior, name, None, Listener(), None)
         assert check.prior is prior
         assert check.is_warning == is_warning
-        assert check.text.startswith("the walls of the box fit no cuboid: the prior could not be")
+        assert check.text.startswith(f"the walls of the box fit no cuboid: {what} could not be")
 
 
 def test_a_box_with_skewed_corners_is_found_by_the_walls_that_fit():

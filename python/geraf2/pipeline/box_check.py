@@ -146,7 +146,7 @@ def check_prior(
     One pair of planes may be flat content or multipath, which is a warning.
     Raises UserError if the scan shows two sides of another box than a given one, or if it shows
     that box at another delay than the recorded one. A box that only the scene states is replaced
-    by another cuboid, and refused for another shape.
+    by another cuboid.
     """
     what = STATED if name == STATED else "the prior"
     unchecked = f"{what} could not be checked, and is used as it is"
@@ -162,8 +162,6 @@ def check_prior(
             )
         except NoBoxError as error:
             is_other = isinstance(error, NoCuboidError)
-            if is_other and name == STATED:
-                raise
             seen = str(error).partition(",")[0] if is_other else "too few walls are seen squarely"
             return replace(
                 kept,
