@@ -152,6 +152,17 @@ def test_an_empty_box_reports_its_wall_echoes():
         find_glints(capture, BOX, NARROW)
 
 
+def test_planes_below_a_sub_aperture_are_advised_smaller_ones():
+    capture = sphere_capture([[0.0, 0.0, 0.0]], [RADIUS_M], positions=raster(20))
+    with pytest.raises(UserError, match="planes are at most 57 mm wide") as caught:
+        find_glints(capture, BOX)
+    advised = float(str(caught.value).split("subaperture.size_m ")[1].split(",")[0])
+    found = find_glints(capture, BOX, GlintConfig(subaperture=SubapertureConfig(size_m=advised)))
+    distance, _ = errors(found, [[0.0, 0.0, 0.0]], [RADIUS_M])
+    assert len(found) > 50
+    assert np.mean(np.abs(distance) < 3e-3) > 0.9
+
+
 def path_via_wall(positions, image, radius_m):
     """Point, ball at the origin, image of the point: shortest path over the ball, (n,) [m]."""
     one, two = (p / np.linalg.norm(p, axis=1, keepdims=True) for p in (positions, image))

@@ -25,13 +25,15 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-GLINTS_VERSION = 27
+GLINTS_VERSION = 28
 """Increase when the same capture and settings give other glints."""
 
 _MIN_GLINTS, _MIN_OF_FEW = 100, 0.15
 """Where fewer glints reach the least probability, the likeliest ones above the second value are
 taken. By F1 of 21 random scans: twice as many add ghosts to five of them, and without the rule
 three lose their surface."""
+_SIDE_SHARE = 0.7
+"""Side of the sub-apertures that a small plane is advised, over that of the plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -155,7 +157,8 @@ def find_echoes(
     labelled = label_peaks(near, found, prior.expected_volume_m3, config.wall_margin_m)
     least = _threshold(labelled.probability, config.min_probability)
     if not (labelled.probability > least).any():
-        raise _nothing_consistent(int((labelled.labels == Label.CLUTTER).sum()))
+        n_scattered = int((labelled.labels == Label.CLUTTER).sum())
+        raise _nothing_consistent(n_scattered, capture, config.subaperture.size_m)
     glints, _ = _likelier(near, labelled, least)
     metal = metal_level(
         near,
@@ -260,10 +263,18 @@ def _nothing_found(peaks: PeakSet, found: Candidates, config: GlintConfig) -> Us
     )
 
 
-def _nothing_consistent(n_points: int) -> UserError:
+def _nothing_consistent(n_points: int, capture: Capture, size_m: float) -> UserError:
+    hint = "check the antenna positions, the frame and the instrument delay path_bias_m"
+    side_m = 2.0 * max(float(Aperture.from_pose(pose).half_m.max()) for pose in capture.poses)
+    if side_m < size_m:  # one sub-aperture a plane, whose echoes have no neighbours
+        hint = (
+            f"the planes are at most {1e3 * side_m:.0f} mm wide and high, less than a sub-aperture "
+            f"of {1e3 * size_m:.0f} mm: reconstruct with --glints.subaperture.size-m "
+            f"{_SIDE_SHARE * side_m:.2g}, or {hint}"
+        )
     return UserError(
         "no glint inside the box",
         expected="echoes that lie on one surface with their neighbours",
         got=f"{n_points} scattered echoes",
-        hint="check the antenna positions, the frame and the instrument delay path_bias_m",
+        hint=hint,
     )
