@@ -148,18 +148,21 @@ def drawn_spec(seed: int, folder: Path) -> SceneSpec:
     return limit_to_budget(replace(spec, scan=scan), mesh, after_s)
 
 
-def drawn_scenes(kind: str, seed: int, folder: Path) -> dict[str, SceneSpec]:
-    """Scenes of metal, of plastic, and of a shell of one seed; none with too few planes."""
-    if kind == "drawn":
-        spec = drawn_spec(seed, folder)
-    elif kind == "random":
+def ideal_spec(kind: str, seed: int) -> SceneSpec | None:
+    """Scan of a random or an ordinary object in an ideal world; None with too few planes."""
+    if kind == "random":
         spec = draw_scene(seed, METAL).spec
     else:
         spec = replace(draw_ordinary(seed).spec, world=WorldSpec())
-    if kind != "drawn":
-        spec = limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
-        if spec.scan.n_planes < MIN_PLANES:
-            return {}
+    spec = limit_to_budget(spec, build_solid(spec.figure), BUDGET_S)
+    return spec if spec.scan.n_planes >= MIN_PLANES else None
+
+
+def drawn_scenes(kind: str, seed: int, folder: Path) -> dict[str, SceneSpec]:
+    """Scenes of metal, of plastic, and of a shell of one seed; none with too few planes."""
+    spec = drawn_spec(seed, folder) if kind == "drawn" else ideal_spec(kind, seed)
+    if spec is None:
+        return {}
     rng = np.random.default_rng([seed, 7])
     permittivity, loss = (
         float(rng.uniform(*bounds)) for bounds in (POPULATION.permittivity, POPULATION.loss_tangent)
