@@ -275,7 +275,7 @@ def _warn(plan: ScanPlan, limit: float) -> None:
         warn("the spacing is too coarse: expect grating lobes at the edges of the scene")
     _warn_range(plan)
     if min(plan.aperture_m) < 0.08:
-        warn("a plane smaller than a sub-aperture (80 mm) blurs weak echoes together")
+        warn("a plane narrower than 80 mm blurs weak echoes together")
     needed = suggested_planes(plan.aperture_m, plan.standoff_m)
     if 2 * plan.n_planes < needed:
         warn(

@@ -4,6 +4,7 @@ A monostatic specular return comes from the point whose normal points at the ant
 sub-aperture image therefore gives a position and a normal (docs/math/echoes.md#glints).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -25,15 +26,13 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.scene.aperture import Aperture
 
-GLINTS_VERSION = 28
+GLINTS_VERSION = 29
 """Increase when the same capture and settings give other glints."""
 
 _MIN_GLINTS, _MIN_OF_FEW = 100, 0.15
 """Where fewer glints reach the least probability, the likeliest ones above the second value are
 taken. By F1 of 21 random scans: twice as many add ghosts to five of them, and without the rule
 three lose their surface."""
-_SIDE_SHARE = 0.7
-"""Side of the sub-apertures that a small plane is advised, over that of the plane."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +52,10 @@ class GlintConfig(Bounded):
     """Least probability of a direct return of the content."""
     range_correction_m: SignedM | None = None
     """Subtracted from every range of an echo from inside the box [m]; None: by the walls."""
+
+    def for_planes(self, planes: Sequence[Aperture]) -> "GlintConfig":
+        """Return the same with the sub-apertures of small planes."""
+        return replace(self, subaperture=self.subaperture.for_planes(planes))
 
 
 class FoundEchoes(NamedTuple):
@@ -141,7 +144,8 @@ def find_echoes(
 
     Arguments and errors are those of `find_glints`.
     """
-    config = config or GlintConfig()
+    apertures = [Aperture.from_pose(pose) for pose in capture.poses]
+    config = (config or GlintConfig()).for_planes(apertures)
     if peaks is None:
         peaks = collect_peaks(
             capture,
@@ -158,12 +162,12 @@ def find_echoes(
     least = _threshold(labelled.probability, config.min_probability)
     if not (labelled.probability > least).any():
         n_scattered = int((labelled.labels == Label.CLUTTER).sum())
-        raise _nothing_consistent(n_scattered, capture, config.subaperture.size_m)
+        raise _nothing_consistent(n_scattered)
     glints, _ = _likelier(near, labelled, least)
     metal = metal_level(
         near,
         Windows.of(
-            [Aperture.from_pose(pose) for pose in capture.poses],
+            apertures,
             near.planes,
             near.centers,
             prior,
@@ -263,18 +267,10 @@ def _nothing_found(peaks: PeakSet, found: Candidates, config: GlintConfig) -> Us
     )
 
 
-def _nothing_consistent(n_points: int, capture: Capture, size_m: float) -> UserError:
-    hint = "check the antenna positions, the frame and the instrument delay path_bias_m"
-    side_m = 2.0 * max(float(Aperture.from_pose(pose).half_m.max()) for pose in capture.poses)
-    if side_m < size_m:  # one sub-aperture a plane, whose echoes have no neighbours
-        hint = (
-            f"the planes are at most {1e3 * side_m:.0f} mm wide and high, less than a sub-aperture "
-            f"of {1e3 * size_m:.0f} mm: reconstruct with --glints.subaperture.size-m "
-            f"{_SIDE_SHARE * side_m:.2g}, or {hint}"
-        )
+def _nothing_consistent(n_points: int) -> UserError:
     return UserError(
         "no glint inside the box",
         expected="echoes that lie on one surface with their neighbours",
         got=f"{n_points} scattered echoes",
-        hint=hint,
+        hint="check the antenna positions, the frame and the instrument delay path_bias_m",
     )

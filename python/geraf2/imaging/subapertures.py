@@ -5,7 +5,8 @@ relative to the radius of curvature. Over a full plane it moves towards the cent
 (docs/math/images.md#sub-aperture-images).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import Annotated
@@ -21,6 +22,7 @@ from geraf2._types import Array, Floats, Ints
 from geraf2._validation import require_between
 from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
 from geraf2.scene import Pose, Waveform
+from geraf2.scene.aperture import Aperture
 
 # Largest sideways error of a raster's antennas, in wavelengths. The phase error, 4 pi u * offset
 # for direction cosines u up to 0.3, stays below 4 pi 0.3 / 20 = 0.19 rad.
@@ -29,6 +31,8 @@ _RASTER_TOLERANCE_WAVELENGTHS = 0.05
 _RASTER_MAX_HOLES = 0.05
 MIN_ANTENNAS = 16
 """Least number of irregular antennas of a sub-aperture."""
+# Side of a sub-aperture over that of a small plane, and the least of these sides [m].
+_SIZE_SHARE, _MIN_SIZE_M = 0.5, 0.03
 # Two directions are ambiguous if the power response of irregular antennas to their difference
 # exceeds two limits. The first value is above the side lobes of windows. The second is the
 # probability with which random positions exceed the other limit.
@@ -42,7 +46,8 @@ class SubapertureConfig(Bounded):
     """Size and sampling of the sub-aperture images."""
 
     size_m: ApertureM = 0.08
-    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves."""
+    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves. Planes
+    of less than twice the side have sub-apertures of half their own."""
     step_m: ApertureM = 0.02
     """Step between sub-apertures [m]; at the default neighbours overlap by three quarters."""
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
@@ -59,6 +64,16 @@ class SubapertureConfig(Bounded):
         super().__post_init__()
         for size in self.rim_sizes_m:
             require_between("rim_sizes_m", size, 0.0, self.size_m)
+
+    def for_planes(self, planes: Sequence[Aperture]) -> "SubapertureConfig":
+        """Return the same for small planes: sub-apertures of at most half a plane's longer side.
+
+        A plane then has at least five along that side, as labels need echoes that agree.
+        """
+        sides_m = [2.0 * float(plane.half_m.max()) for plane in planes]
+        size_m = min(self.size_m, max(_MIN_SIZE_M, _SIZE_SHARE * float(np.median(sides_m))))
+        step_m = self.step_m * size_m / self.size_m
+        return replace(self, size_m=size_m, step_m=step_m)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -158,7 +158,7 @@ def levels_of(result: Reconstruction, planes: ScannedPlanes) -> Levels | None:
     cosine = np.einsum("ij,ij->i", normals[vertex], kept.normals)
     kept_here = (distance < _GAP_M) & (cosine > _COSINE) & np.isfinite(ranges)
     kept, ranges, vertex = kept.select(kept_here), ranges[kept_here], vertex[kept_here]
-    prior, size_m = result.prior, config.glints.subaperture.size_m
+    prior, size_m = result.prior, config.glints.for_planes(apertures).subaperture.size_m
     centers = kept.positions + ranges[:, None] * kept.normals
     windows = Windows.of(apertures, kept.poses, centers, prior, size_m)
     bend = shape_operators(mesh.vertices, normals, vertex, _CURVATURE_REACH_M)

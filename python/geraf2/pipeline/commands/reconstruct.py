@@ -56,7 +56,7 @@ from geraf2.pipeline.run_log import RunListener, record_logs
 from geraf2.pipeline.run_record import RunOptions, RunRecord
 from geraf2.pipeline.sign_check import explain_sign_errors, require_sign
 from geraf2.pipeline.stages.calibration import calibrate_job
-from geraf2.pipeline.stages.job import Job, kept_peaks, peak_memory_bytes
+from geraf2.pipeline.stages.job import Job, for_planes, kept_peaks, peak_memory_bytes
 from geraf2.pipeline.surface_samples import require_samples
 from geraf2.pipeline.verdict import judge, with_cause
 from geraf2.scene import Capture, LosPrior, load_capture
@@ -222,7 +222,8 @@ class Request:
             prior = found.prior[0] if found is not None and found.prior else None
             if failure is not None:
                 prior, _ = attempt(lambda: content_region(capture, num_threads=num_threads))
-            peaks = None if prior is None else kept_peaks(prior, record.config, num_threads)
+            config = for_planes(record.config, capture)
+            peaks = None if prior is None else kept_peaks(prior, config, num_threads)
             seen = capture if found is None else found.capture
             if peaks is not None and is_turn_reversed(seen, peaks.of(seen)):
                 return cls._check(with_turn_reversed(capture), *others).reversed()
@@ -358,17 +359,18 @@ def start_job(
         record_of = StageRecord(seconds=seconds, cpu_seconds=cpu, numbers=box.numbers())
         run.stages[BOX_STAGE] = record_of
         (heard if box.is_warning else request.listener).note(box.text)
+    config = for_planes(record.config, request.capture)
     job = Job(
         run=run,
         capture=request.capture,
         prior=prior,
-        config=record.config,
+        config=config,
         seed=record.options.seed,
         inputs={"scene": run.scene_digest, "prior": key, "hold_out": record.options.hold_out},
         listener=heard,
         peaks=peaks.about(prior, tolerance_m)
         if peaks is not None
-        else kept_peaks(prior, record.config, request.num_threads),
+        else kept_peaks(prior, config, request.num_threads),
         num_threads=request.num_threads,
         resume=resume,
         has_walls=request.box is None or request.box.found is not None or name != BY_RADAR,

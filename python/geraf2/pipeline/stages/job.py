@@ -4,7 +4,7 @@ import resource
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from geraf2._types import Progress
@@ -12,6 +12,7 @@ from geraf2.imaging.peaks import DETECTION_DB, KeptPeaks
 from geraf2.io.run_folder import RunFolder, StageRecord
 from geraf2.pipeline.events import Listener
 from geraf2.scene import Capture, LosPrior
+from geraf2.scene.aperture import Aperture
 
 
 @dataclass(kw_only=True, eq=False)
@@ -67,6 +68,14 @@ class Job:
         )
         run.stages[name] = record
         run.log("done", level="info", stage=name, **vars(record))
+
+
+def for_planes(config: Any, capture: Capture) -> Any:
+    """Settings of a preset with the sub-apertures of a capture's planes."""
+    if not hasattr(config, "glints"):
+        return config
+    planes = [Aperture.from_pose(pose) for pose in capture.poses]
+    return replace(config, glints=config.glints.for_planes(planes))
 
 
 def kept_peaks(prior: LosPrior, config: Any, num_threads: int | None) -> KeptPeaks:
