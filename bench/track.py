@@ -20,7 +20,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
 from datetime import UTC, datetime
 from math import prod
 from pathlib import Path
@@ -113,7 +112,7 @@ def scans(work: Path, data: Path, repetitions: int) -> dict[str, dict[str, float
             command += [work / scene, "--repeats", str(repetitions), "--json", f"{out}/cost.json"]
             subprocess.run([*command, "--", *arguments], check=True)
             cost = json.loads((Path(out) / "cost.json").read_text(encoding="utf-8"))
-        n_pairs, bound_s = imaging(work / scene, preset, repetitions)
+        n_pairs, bound_s = imaging(work / scene, repetitions)
         cpu_s = cost["cpu_s"]["median"]
         found[name] = {
             "cpu_s": cpu_s,
@@ -124,22 +123,18 @@ def scans(work: Path, data: Path, repetitions: int) -> dict[str, dict[str, float
     return found
 
 
-def imaging(scene: Path, preset: str, repetitions: int) -> tuple[int, float]:
-    """Pairs of antennas and bins of a preset's images, and CPU seconds of the kernel for them."""
-    from geraf2.echoes.rim import RimConfig  # noqa: PLC0415 - kernels are measured without it
-    from geraf2.imaging.peaks import box_spans  # noqa: PLC0415
+def imaging(scene: Path, repetitions: int) -> tuple[int, float]:
+    """Pairs of antennas and bins of the images, and CPU seconds of the kernel for them."""
+    from geraf2.imaging.peaks import box_spans  # noqa: PLC0415 - kernels are measured without it
     from geraf2.imaging.subapertures import SubapertureConfig, pose_images  # noqa: PLC0415
     from geraf2.ops.subaperture import subaperture_peaks  # noqa: PLC0415
     from geraf2.scene import LosPrior, load_capture  # noqa: PLC0415
 
     capture, prior = load_capture(scene), LosPrior.from_box((0.22, 0.22, 0.22))
-    configs = [SubapertureConfig()]
-    if preset == "best":
-        configs.append(replace(configs[0], rim_sizes_m=RimConfig().sizes_m))
+    config = SubapertureConfig()
     images = [
         pose_images(pose, capture.waveform, prior.bounds.mean(axis=0), tuple(span), config)
         for pose, span in zip(capture.poses, box_spans(capture.poses, prior), strict=True)
-        for config in configs
     ]
     seconds = []
     for _ in range(repetitions):

@@ -71,7 +71,7 @@ def sample(run: Path, truth: Path) -> Sample:
     areas = vertex_areas(mesh.vertices, mesh.faces)
     return Sample(
         name=run.name,
-        distance_m=nearness(mesh, evidence.seen).distance_m,
+        distance_m=nearness(mesh, evidence.glints).distance_m,
         common_m=evidence.common_sigma_m,
         error_m=signed_distances(true, mesh.vertices),
         vertices=mesh.vertices,

@@ -224,7 +224,7 @@ def scores(scene: Scene, config: FitConfig) -> list[float]:
         mesh = extract_surface(sdf)
     else:
         surface = content_surface(sdf, scene.prior, num_threads=1)
-        mesh = separate_pieces(surface, scene.evidence.seen)[0]
+        mesh = separate_pieces(surface, scene.evidence.glints)[0]
     return surface_scores(mesh, scene.truth)
 
 

@@ -32,6 +32,7 @@ from geraf2.io.run_folder import CONFIG_NAME, PRIOR_NAME, RunFolder
 from geraf2.pipeline.prior import read_prior
 from geraf2.pipeline.run_record import RunRecord
 from geraf2.pipeline.stages.calibration import correct_capture
+from geraf2.pipeline.stages.job import for_planes
 from geraf2.scene import load_capture
 
 NOISE = ("peak_m", "bend_per_m2", "peak_normal_rad", "curvature_per_m")
@@ -92,8 +93,8 @@ def truth_of(found: Candidates, truth: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def scan_of(run: Path, scene: Path) -> Scan:
     folder = RunFolder.read(run)
-    config = RunRecord.read(run / CONFIG_NAME).config.glints
     capture, prior = correct_capture(folder, load_capture(scene)), read_prior(run / PRIOR_NAME)
+    config = for_planes(RunRecord.read(run / CONFIG_NAME).config, capture).glints
     peaks = collect_peaks(capture, prior, config.subaperture, config.noise_margin_db)
     peaks, found = candidates_around(capture, prior, peaks, config)
     inside = found.depth_m > config.wall_margin_m

@@ -58,7 +58,7 @@ from geraf2.surfaces.completion import (
 from geraf2.surfaces.fit import smooth_fit
 from geraf2.surfaces.isosurface import extract_surface, signed_distances
 from geraf2.surfaces.linear_sdf import CM, OrientedPoints
-from geraf2.surfaces.refinement import RefineConfig, SelectedGlints, evidence_of
+from geraf2.surfaces.refinement import RefineConfig, evidence_of
 
 FIGURE_NAMES = tuple(n for n in FIGURES if n not in OBJECTS[N_EACH:] and n != "scissors")
 # Share of whole scenes of the population; kinds of the other objects and their shares.
@@ -280,8 +280,7 @@ def make_sample(seed: int) -> dict[str, np.ndarray]:
     scene = scene_of_object(kind, kind, mesh, scan, seed)
     rng = np.random.default_rng(seed)
     glints, outlines = degrade(scene.evidence.glints, rng), draw_outlines(mesh, scan, rng)
-    none = glints.select(np.zeros(len(glints), dtype=bool))
-    evidence = evidence_of(SelectedGlints(glints, none, outlines), RefineConfig())
+    evidence = evidence_of(glints, outlines, RefineConfig())
     sdf, points = smooth_fit(evidence, scene.fit, num_threads=1)
     truth, near = np.full(sdf.values.shape, AWAY_M), np.abs(sdf.values) < NEAR_M
     at = sdf.grid.points()[near.ravel()]

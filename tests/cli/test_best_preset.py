@@ -10,14 +10,14 @@ from geraf2.io.run_folder import RunFolder
 from helpers.small_scene import BOX, QUICK_BEST
 
 
-def test_a_run_has_glints_of_the_rim_and_outlines(built_scene, tmp_path):
+def test_a_run_has_glints_and_outlines(built_scene, tmp_path):
     out, flags = tmp_path / "out", [*BOX, *QUICK_BEST, "--no-report", "--preset", "best"]
     assert main(["reconstruct", str(built_scene), str(out), *flags]) == 0
     stages = RunFolder.read(out).stages
-    assert [*stages] == ["box", "calibration", "glints", "selection", "sdf", "mesh", "verdict"]
-    assert len(Glints.load(out / "rim_glints.npz")) > 50
-    assert stages["selection"].numbers["outlines"] == len(Silhouettes.load(out / "silhouettes.npz"))
+    assert [*stages] == ["box", "calibration", "glints", "outlines", "sdf", "mesh", "verdict"]
+    assert len(Glints.load(out / "glints.npz")) > 50
+    assert stages["outlines"].numbers["outlines"] == len(Silhouettes.load(out / "silhouettes.npz"))
     assert read_mesh(out / "mesh_content.ply").expected_error_m.min() > 0
     config = tomllib.loads((out / "config.toml").read_text())
     assert config["preset"] == "best"
-    assert config["refine"]["rim"]["sizes_m"] == [0.06, 0.04]
+    assert config["refine"]["shadows"] is True

@@ -50,8 +50,8 @@ def test_the_constants_of_a_preset_are_a_page_of_their_own(capsys):
     common = capsys.readouterr().out
     assert main(["reconstruct", "--help-preset", "best"]) == 0
     constants = capsys.readouterr().out
-    assert "--refine.rim.dynamic-range-db" in constants
-    assert "--refine.rim.dynamic-range-db" not in common
+    assert "--refine.silhouettes.max-tilt-deg" in constants
+    assert "--refine.silhouettes.max-tilt-deg" not in common
     assert common.count("\n  --") < constants.count("\n  --")
     assert "--seed" not in constants
 

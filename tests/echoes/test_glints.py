@@ -45,7 +45,7 @@ def errors(glints, centers, radii):
 
 def test_all_glints_of_a_sphere_lie_on_it_and_face_outward(glints):
     distance, angle = errors(glints, [[0.0, 0.0, 0.0]], [RADIUS_M])
-    assert len(glints) == 12 * 36  # one for each sub-aperture
+    assert len(glints) == 12 * 64  # one for each sub-aperture
     assert np.abs(distance).max() < 1e-3
     assert abs(distance.mean()) < 3e-4
     assert angle.max() < 3.0
@@ -147,8 +147,10 @@ def test_an_empty_box_reports_its_wall_echoes():
         return 2.0 * np.stack([near, near + BOX_M], axis=1)
 
     capture = capture_of(walls, n_poses=4, positions=raster(27))
-    stated = "no glint inside the box.*8 echoes of the box's walls and 0 outside it"
-    with pytest.raises(UserError, match=stated):  # two walls in each of four poses
+    stated = "no glint inside the box.*512 echoes of the box's walls and 0 outside it"
+    with pytest.raises(
+        UserError, match=stated
+    ):  # two walls in each of 64 sub-apertures of four poses
         find_glints(capture, BOX, NARROW)
 
 
@@ -183,5 +185,5 @@ def test_images_in_a_wall_are_no_glints():
     # On a raster of 3 mm the image's direction, a cosine of 0.45, wraps around to one inside.
     capture = capture_of(paths, n_poses=1, positions=raster(51, 0.002))
     found = find_glints(capture, LosPrior.from_box((BOX_M,) * 3))
-    assert len(found) == 36  # one for each sub-aperture
+    assert len(found) == 64  # one for each sub-aperture
     assert np.abs(np.linalg.norm(found.positions, axis=1) - radius_m).max() < 2e-3

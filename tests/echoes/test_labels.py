@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from geraf2.echoes.hypotheses import find_candidates
-from geraf2.echoes.labels import Label, continuing, label_peaks, posterior
+from geraf2.echoes.labels import Label, label_peaks, posterior
 from geraf2.imaging.peaks import join_peaks
 from geraf2.ops.visibility import MeshScene
 from geraf2.scene import LosPrior
-from helpers.glint_sets import glints_at
 from helpers.peak_sets import peaks_of_plane, positions_of, sphere_peaks
 from helpers.specular import BOX_M, frame, pose_of, raster, sphere_paths
 
@@ -87,25 +86,12 @@ def test_a_grating_lobe_of_a_wall_is_the_wall():
     assert (found.labels[~of_wall] == Label.DIRECT).mean() > 0.97
 
 
-def test_known_glints_support_what_continues_them():
-    peaks = sphere_peaks((0, 0, 0), RADIUS_M, range(12))
-    found, inside = found_in(peaks), np.ones(len(peaks), dtype=bool)
-    normals = found.normals[::2]
-    known = glints_at(RADIUS_M * normals, normals, poses=peaks.planes[::2])
-    beside = glints_at(RADIUS_M * normals + [0.0, 0.0, 0.05], normals, poses=peaks.planes[::2])
-    assert continuing(peaks, found, VOLUME_M3, inside, known).min() > 0.5
-    assert continuing(peaks, found, VOLUME_M3, inside, beside).max() < 0.5
-
-
 def test_without_peaks_there_are_no_labels():
     peaks = sphere_peaks((0, 0, 0), RADIUS_M, [0])
     nothing = peaks.select(np.zeros(len(peaks), dtype=bool))
     found = labelled(nothing)
     assert len(found.labels) == len(found.probability) == 0
     assert found.counts() == {}
-    known = glints_at(np.zeros((0, 3)), np.zeros((0, 3)))
-    inside = np.zeros(0, dtype=bool)
-    assert len(continuing(nothing, found.candidates, VOLUME_M3, inside, known)) == 0
 
 
 def test_the_cloud_holds_every_peak_with_probability_and_label():

@@ -34,12 +34,6 @@ def test_a_point_between_two_surfaces_deviates_by_its_height():
     assert deviation[:-1].max() < 1e-12
 
 
-def test_further_points_are_neighbours_only(rng):
-    positions, normals = scattered(rng)
-    new = tangent_deviation(positions[:50], normals[:50], (positions[50:], normals[50:]))
-    np.testing.assert_allclose(new, tangent_deviation(positions, normals)[:50])
-
-
 def test_a_point_without_neighbours_has_the_usual_deviation():
     far = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])
     deviation = tangent_deviation(far, np.array([[0.0, 0.0, 1.0]] * 2))

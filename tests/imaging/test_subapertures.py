@@ -102,7 +102,8 @@ def test_the_direction_axis_wraps_where_the_raster_is_too_coarse(
 
 def test_sub_apertures_reach_both_ends_in_equal_steps():
     pose = pose_at(raster(41), ORIGIN, angle_deg=0.0)
-    images = list(subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), SubapertureConfig()))
+    config = SubapertureConfig(step_m=0.02)
+    images = list(subaperture_images(pose, WAVEFORM, ORIGIN, (0.39, 0.41), config))
     assert len(images) == 16
     sideways = np.unique([np.round(image.center[1], 9) for image in images])
     # 14 lines to spare at 27 a sub-aperture; steps of 20 mm or less, rounded to whole lines

@@ -83,11 +83,9 @@ def test_every_setting_is_read_by_a_step(preset, tmp_path, monkeypatch):
             for value in [getattr(config, one.name)]
         }
     )
-    select = direct.select_glints
+    search = direct.find_silhouettes
     monkeypatch.setattr(
-        direct,
-        "select_glints",
-        lambda *a, **k: select(*a, **k)._replace(silhouettes=outlines([0], [0.03] * 3)),
+        direct, "find_silhouettes", lambda *of: search(*of) and outlines([0], [0.03] * 3)
     )
     do_steps(kept, capture, prior, tmp_path / "run")
     unread = [name for name in leaves(preset) if name not in read | {"preset"}]

@@ -88,7 +88,7 @@ def test_shadows_are_those_of_this_run(run):
     outline_of_a_ball().save(run / "silhouettes.npz")
     text = write_report(run).read_text()
     assert "Shadows" not in text  # files of an earlier run with another preset
-    add_steps(RunFolder.read(run), {"selection": {}})
+    add_steps(RunFolder.read(run), {"outlines": {}})
     text = write_report(run).read_text()
     assert '<section id="shadows"' in text
     assert (run / "figures" / "shadows.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

@@ -97,7 +97,7 @@ def test_the_answer_names_unseen_surface():
     sideways = every.select(np.abs(every.normals[:, 2]) < 0.5)
     numbers = {
         "box": {"by_radar": "box of 120 mm"},
-        "selection": {"outlines": 0},
+        "outlines": {"outlines": 0},
         "calibration": {"applied": ["delay: 1 mm +- 0.1"], "left": ["axis: none"]},
     }
     answer = answer_of(content, sideways, numbers, {})

@@ -1,32 +1,12 @@
-"""Evidence of `best`: glints, those of the rim, outlines that glints do not contradict."""
+"""Evidence of `best`: outlines that glints do not contradict."""
 
 from dataclasses import replace
 
 import numpy as np
 
-from geraf2.echoes.glints import GlintConfig, find_glints
-from geraf2.imaging.subapertures import SubapertureConfig
-from geraf2.scene import LosPrior
-from geraf2.surfaces.refinement import (
-    RefineConfig,
-    select_glints,
-    uncontradicted,
-)
+from geraf2.surfaces.refinement import RefineConfig, uncontradicted
 from helpers.glint_sets import glints_on_sphere
 from helpers.shadows import outlines
-from helpers.specular import BOX_M, sphere_capture
-
-BOX = LosPrior.from_box((BOX_M, BOX_M, BOX_M))
-NARROW = GlintConfig(subaperture=SubapertureConfig(max_cosine=0.2))
-
-
-def test_glints_are_kept_and_continued_at_the_rim():
-    capture = sphere_capture([[0.0, 0.0, 0.0]], [0.04], n_poses=3)
-    glints = find_glints(capture, BOX, NARROW)
-    found = select_glints(capture, BOX, glints, first=NARROW)
-    np.testing.assert_array_equal(found.seen.positions[: len(glints)], glints.positions)
-    assert len(found.rim) > 3 * 20
-    assert np.abs(np.linalg.norm(found.rim.positions, axis=1) - 0.04).max() < 1e-3
 
 
 def ball_glints(n=400, seed=0, radius_m=0.04):

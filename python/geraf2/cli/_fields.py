@@ -1,7 +1,7 @@
 """Fields of frozen dataclasses as flags of a command line.
 
 A nested dataclass is a group, whose flags have its name before theirs:
-`--refine.rim.dynamic-range-db`.
+`--refine.silhouettes.max-tilt-deg`.
 A field that is False is a flag that turns it on; one that is True has `no-` before its name.
 """
 

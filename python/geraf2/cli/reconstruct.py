@@ -117,7 +117,7 @@ _STEPS = {
     "calibration": ("checking the calibration", 3.0),
     "prior": ("finding echoes in the box", 2.0),
     "glints": ("finding echoes of the content", 1.0),
-    "selection": ("finding echoes at the rim and outlines", 2.0),
+    "outlines": ("finding outlines on the far walls", 1.0),
     "sdf": ("fitting the surface", 1.5),
     "baseline": ("computing the image", 3.0),
     "train": ("training", 60.0),

@@ -76,10 +76,6 @@ class Glints(Short):
         return cls(**read_arrays(path, _LAYOUTS))
 
 
-def relative_strengths(strengths: Floats, among: Floats | None = None) -> Floats:
-    """Strengths relative to a strong glint, at most 1, (n,).
-
-    among: strengths whose 98 % quantile is the strong glint's; `strengths` when None.
-    """
-    strong = float(np.quantile(strengths if among is None else among, 0.98))
-    return np.asarray(np.minimum(1.0, strengths / strong))
+def relative_strengths(strengths: Floats) -> Floats:
+    """Strengths relative to a strong glint's, their 98 % quantile, at most 1, (n,)."""
+    return np.asarray(np.minimum(1.0, strengths / float(np.quantile(strengths, 0.98))))

@@ -219,19 +219,15 @@ def candidates_around(
     return near, replace(found, presence=prior.presence(found.positions))
 
 
-def as_glints(
-    peaks: PeakSet, found: Candidates, probability: Floats, known: Glints | None = None
-) -> Glints:
+def as_glints(peaks: PeakSet, found: Candidates, probability: Floats) -> Glints:
     """Glints from candidates (n,), corrected for the bias of merged echoes, with uncertainties.
 
     peaks: of the candidates.
     probability: that each is a direct return of the content, (n,).
-    known: glints found before, as neighbours and as scale of strengths; none when None.
     """
     raw = peaks.select(found.peaks)
-    others = None if known is None else (known.positions, known.normals)
-    deviation = tangent_deviation(found.positions, found.normals, others)
-    relative = relative_strengths(raw.magnitudes, None if known is None else known.strengths)
+    deviation = tangent_deviation(found.positions, found.normals)
+    relative = relative_strengths(raw.magnitudes)
     position_sigma_m, normal_sigma_rad = ECHO_NOISE.of_glints(deviation, relative)
     bias_m = ECHO_NOISE.bias_per_deviation * deviation
     return Glints(

@@ -14,7 +14,6 @@ import numpy as np
 from scipy import sparse
 
 from geraf2._types import Bools, Floats, Ints
-from geraf2.echoes.glint_set import Glints
 from geraf2.echoes.hypotheses import Candidates
 from geraf2.echoes.noise import ECHO_NOISE
 from geraf2.imaging.peaks import DETECTION_DB, PeakSet
@@ -186,29 +185,11 @@ def posterior(peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools
     """
     if not len(found):
         return np.zeros(0)
-    points = _points_of(peaks, found)
-    blocks = list(_neighbours(points, points))
+    blocks = list(_neighbours(_points_of(peaks, found)))
     probability = 1.0 / np.bincount(found.peaks, minlength=len(peaks))[found.peaks]
     update = _Update(peaks, found, volume_m3, inside)
     for _ in range(_ROUNDS):
         probability = update.shares(probability, *_support(blocks, probability))
-    return probability
-
-
-def continuing(
-    peaks: PeakSet, found: Candidates, volume_m3: float, inside: Bools, known: Glints
-) -> Floats:
-    """Probability of each candidate if only known glints support it, (n,).
-
-    known: glints with probabilities. Other arguments as those of `posterior`.
-    """
-    if not len(found):
-        return np.zeros(0)
-    blocks = _neighbours(_points_of(peaks, found), _points_of_glints(known))
-    own, other = _support(blocks, known.probability)
-    probability, update = np.zeros(len(found)), _Update(peaks, found, volume_m3, inside)
-    for _ in range(_ROUNDS):
-        probability = update.shares(probability, own, other)
     return probability
 
 
@@ -250,23 +231,18 @@ def _points_of(peaks: PeakSet, found: Candidates) -> PeakPoints:
     return PeakPoints(found.positions, found.normals, planes, subapertures)
 
 
-def _points_of_glints(glints: Glints) -> PeakPoints:
-    """Their sub-apertures are no candidate's."""
-    return PeakPoints(glints.positions, glints.normals, glints.poses, np.full(len(glints), -1))
-
-
 def _support(blocks: Iterable[sparse.csr_array], probability: Floats) -> tuple[Floats, Floats]:
     """Support of each point by probable neighbours, of its plane and of others, (n_points,) each.
 
     blocks: of `_neighbours`. probability: of the neighbours, (n_others,).
     """
-    of_kinds = np.kron(np.eye(2), probability[:, None])
+    of_kinds = np.kron(np.eye(2), probability[:, None]).astype(np.float32)
     other, own = np.concatenate([block @ of_kinds for block in blocks]).T
     return own, other
 
 
-def _neighbours(points: PeakPoints, to: PeakPoints) -> Iterator[sparse.csr_array]:
-    """Densities of pairs by blocks of points.
+def _neighbours(points: PeakPoints) -> Iterator[sparse.csr_array]:
+    """Densities of pairs by blocks of points, in single precision: there may be 10 million.
 
     Peaks of one sub-aperture do not support each other: it has one return of a smooth surface.
     """
@@ -281,7 +257,8 @@ def _neighbours(points: PeakPoints, to: PeakPoints) -> Iterator[sparse.csr_array
         least_density=_NEGLIGIBLE * _peak_density(),
     )
     for first in range(0, len(points.planes), _POINTS_AT_ONCE):
-        yield pair_densities(points.rows(first, first + _POINTS_AT_ONCE), to, model)
+        densities = pair_densities(points.rows(first, first + _POINTS_AT_ONCE), points, model)
+        yield densities.astype(np.float32)
 
 
 def _log_prior(peaks: PeakSet, of: Ints, inside: Bools) -> Floats:

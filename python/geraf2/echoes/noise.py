@@ -77,9 +77,7 @@ def normal_density(error: Floats | float, sigma: Floats | float) -> Floats:
     return np.asarray(np.exp(-0.5 * (error / sigma) ** 2) / (np.sqrt(2.0 * np.pi) * sigma))
 
 
-def tangent_deviation(
-    positions: Floats, normals: Floats, others: tuple[Floats, Floats] | None = None
-) -> Floats:
+def tangent_deviation(positions: Floats, normals: Floats) -> Floats:
     """Median distance of oriented points from the planes that they share with neighbours, (n,) [m].
 
         e_i = median_j |(p_j - p_i) . (n_i + n_j)| / 2,    |p_j - p_i| < 1 cm
@@ -87,7 +85,6 @@ def tangent_deviation(
     It vanishes to third order of the distance on any smooth surface.
 
     positions: (n, 3) [m]. normals: unit vectors, (n, 3).
-    others: positions and normals of further points, which are only neighbours.
 
     >>> import numpy as np
     >>> from geraf2.echoes.noise import tangent_deviation
@@ -95,18 +92,14 @@ def tangent_deviation(
     >>> tangent_deviation(points, np.array([[0.0, 0.0, 1.0]] * 2))
     array([0.001, 0.001])
     """
-    points, directions = positions, normals
-    if others is not None:
-        points = np.concatenate([positions, others[0]])
-        directions = np.concatenate([normals, others[1]])
-    n_asked = min(_N_NEIGHBORS + 1, len(points))
-    distance, index = KDTree(points).query(
+    n_asked = min(_N_NEIGHBORS + 1, len(positions))
+    distance, index = KDTree(positions).query(
         positions, k=np.arange(1, n_asked + 1), distance_upper_bound=_REACH_M
     )
     near = np.isfinite(distance) & (index != np.arange(len(positions))[:, None])
     index = np.where(near, index, 0)
-    offset = points.take(index, axis=0) - positions[:, None]
-    mean = directions.take(index, axis=0) + normals[:, None]
+    offset = positions.take(index, axis=0) - positions[:, None]
+    mean = normals.take(index, axis=0) + normals[:, None]
     height = np.einsum("nkj,nkj->nk", offset, mean)
     # Points beyond the reach are infinite and come last.
     ordered = np.sort(np.where(near, 0.5 * np.abs(height), np.inf), axis=1)

@@ -69,6 +69,9 @@ class SilhouetteConfig(Bounded):
     """Least share of a plane's cells with an unshadowed flash; below it the plane is not used."""
 
 
+OUTLINES_VERSION = 1
+"""Increase when :func:`find_silhouettes` returns something else for the same capture."""
+
 _LAYOUTS = {
     "axes": "int n",
     "origins_m": "float n 2",
@@ -120,6 +123,11 @@ class Silhouettes:
     def load(cls, path: AnyPath) -> "Silhouettes":
         """Read a file written by `save`; UserError for any other file."""
         return cls(**read_arrays(path, _LAYOUTS))
+
+    def numbers(self) -> dict[str, int | str]:
+        """Count them, and state why there are none, for run.json."""
+        reason = str(self.reason)
+        return {"outlines": len(self)} | ({"no_outlines": reason} if reason else {})
 
     def select(self, keep: Bools | Ints) -> "Silhouettes":
         """Subset by mask or index."""

@@ -296,7 +296,6 @@ class KeptPeaks:
         self.noise_margin_db, self.num_threads = noise_margin_db, num_threads
         self.reach_m = reach_m
         self._n_imaged = 0
-        self._rims: dict[SubapertureConfig, KeptPeaks] = {}
         self._kept: dict[int, _Kept] = {}
 
     def of(
@@ -342,27 +341,13 @@ class KeptPeaks:
         before, after = self.prior.corners, prior.corners
         if before.shape == after.shape and cdist(before, after).min(axis=1).max() <= tolerance_m:
             found.prior, found._kept = self.prior, self._kept
-        found._n_imaged, found._rims = self._n_imaged, self._rims
+        found._n_imaged = self._n_imaged
         return found
 
     @property
     def n_imaged(self) -> int:
-        """Images of planes so far, those of their rims too."""
-        return self._n_imaged + sum(kept.n_imaged for kept in self._rims.values())
-
-    def rim(self, prior: LosPrior, subaperture: SubapertureConfig) -> "KeptPeaks":
-        """Peaks of the same planes in sub-apertures of their rim, within a prior."""
-        kept = self._rims.get(subaperture)
-        if kept is None:
-            kept = KeptPeaks(
-                prior,
-                subaperture,
-                self.noise_margin_db,
-                reach_m=(0.0, 0.0),
-                num_threads=self.num_threads,
-            )
-        self._rims[subaperture] = kept.about(prior)
-        return self._rims[subaperture]
+        """Images of planes so far."""
+        return self._n_imaged
 
     def _imaged(self, pose: Pose, waveform: Waveform, number: int) -> PeakSet:
         self._n_imaged += 1

@@ -7,7 +7,6 @@ relative to the radius of curvature. Over a full plane it moves towards the cent
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
 from typing import Annotated
 from weakref import WeakKeyDictionary
@@ -17,9 +16,8 @@ from annotated_types import Interval
 from scipy.ndimage import maximum_filter
 from scipy.special import gammainccinv
 
-from geraf2._bounds import ApertureM, Bounded, LengthM
+from geraf2._bounds import ApertureM, Bounded
 from geraf2._types import Array, Floats, Ints
-from geraf2._validation import require_between
 from geraf2.ops.subaperture import CosineAxis, Lattice, SubapertureBins, Subapertures
 from geraf2.scene import Pose, Waveform
 from geraf2.scene.aperture import Aperture
@@ -46,10 +44,10 @@ class SubapertureConfig(Bounded):
     """Size and sampling of the sub-aperture images."""
 
     size_m: ApertureM = 0.08
-    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves. Planes
-    of less than twice the side have sub-apertures of half their own."""
-    step_m: ApertureM = 0.02
-    """Step between sub-apertures [m]; at the default neighbours overlap by three quarters."""
+    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves. Of
+    planes narrower than twice that, half their own side."""
+    step_m: ApertureM = 0.0133
+    """Step between sub-apertures [m]; at the default neighbours overlap by five sixths."""
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution of the sub-aperture."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
@@ -57,18 +55,11 @@ class SubapertureConfig(Bounded):
     are periodic in 2 x wavelength / (4 spacing)."""
     range_oversampling: Annotated[int, Interval(ge=1, le=32)] = 2
     """Range bins per range cell."""
-    rim_sizes_m: tuple[LengthM, ...] = ()
-    """Sides of the rim sub-apertures [m], which replace whole ones; empty: whole ones only."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for size in self.rim_sizes_m:
-            require_between("rim_sizes_m", size, 0.0, self.size_m)
 
     def for_planes(self, planes: Sequence[Aperture]) -> "SubapertureConfig":
         """Return the same for small planes: sub-apertures of at most half a plane's longer side.
 
-        A plane then has at least five along that side, as labels need echoes that agree.
+        A plane then has at least seven along that side, as labels need echoes that agree.
         """
         sides_m = [2.0 * float(plane.half_m.max()) for plane in planes]
         size_m = min(self.size_m, max(_MIN_SIZE_M, _SIZE_SHARE * float(np.median(sides_m))))
@@ -88,7 +79,7 @@ class Raster:
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
-# Cached for rim sub-apertures and corrected captures: a lattice takes half the time of an image.
+# Cached for corrected captures: a lattice takes half the time of an image.
 _RASTERS: WeakKeyDictionary[Pose, dict[float, Raster | None]] = WeakKeyDictionary()
 
 
@@ -225,41 +216,6 @@ def _starts(n_lines: int, length: int, spacing: float, step: float) -> Ints:
     return np.unique(np.rint(np.linspace(0, spare, n_steps + 1)).astype(np.int64))
 
 
-@dataclass(frozen=True)
-class _Span:
-    """Part of one axis that a sub-aperture covers."""
-
-    start: float
-    """First line of a raster, or lower end [m]."""
-    extent: float
-    """Number of lines of a raster, or length [m]."""
-    is_whole: bool
-    """Whether it has the full size, unlike a rim sub-aperture."""
-
-
-def _select_spans(
-    horizontal: list[_Span], vertical: list[_Span], config: SubapertureConfig
-) -> list[tuple[_Span, _Span]]:
-    """Spans of each sub-aperture; with `rim_sizes_m` only those of rim sub-apertures."""
-    pairs = list(product(horizontal, vertical))
-    if not config.rim_sizes_m:
-        return pairs
-    return [(h, v) for h, v in pairs if not (h.is_whole and v.is_whole)]
-
-
-def _raster_spans(
-    n_lines: int, length: int, spacing: float, config: SubapertureConfig
-) -> list[_Span]:
-    starts = _starts(n_lines, length, spacing, config.step_m)
-    spans = [_Span(int(start), length, is_whole=True) for start in starts]
-    for size in config.rim_sizes_m:
-        short = max(2, round(size / spacing))
-        short += (length - short) % 2  # keeps the lattice around the centre
-        if short < length:
-            spans += [_Span(start, short, is_whole=False) for start in (0, n_lines - short)]
-    return spans
-
-
 def _raster_cuts(
     pose: Pose, raster: Raster, waveform: Waveform, config: SubapertureConfig
 ) -> _Cuts:
@@ -270,34 +226,26 @@ def _raster_cuts(
     depth = float((pose.phase_centers @ pose.axes[0]).mean())
 
     antennas, weights, used_offsets, centers = [], [], [], []
-    # Window, whole windows as `weights`, and offsets, by size.
-    windows: dict[tuple[int, int], tuple[Floats, Floats, Floats]] = {}
-
-    @cache
-    def middle(axis: int, span: _Span) -> float:
-        lines = (h_lines, v_lines)[axis]
-        return float(lines[int(span.start) : int(span.start + span.extent)].mean())
-
-    spans = (
-        _raster_spans(len(h_lines), n_h, h_spacing, config),
-        _raster_spans(len(v_lines), n_v, v_spacing, config),
+    axes = _offsets(n_h, h_spacing), _offsets(n_v, v_spacing)
+    offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    window = np.outer(hann(n_h), hann(n_v))
+    whole = window.ravel() / window.ravel().sum()
+    starts = (
+        _starts(len(h_lines), n_h, h_spacing, config.step_m),
+        _starts(len(v_lines), n_v, v_spacing, config.step_m),
     )
-    for h, v in _select_spans(*spans, config):
-        i, j, m_h, m_v = (int(x) for x in (h.start, v.start, h.extent, v.extent))
-        if (m_h, m_v) not in windows:
-            axes = _offsets(m_h, h_spacing), _offsets(m_v, v_spacing)
-            offsets = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-            window = np.outer(hann(m_h), hann(m_v))
-            whole = window.ravel() / window.ravel().sum()
-            windows[m_h, m_v] = window, whole, offsets
-        window, whole, offsets = windows[m_h, m_v]
-        index = raster.index[i : i + m_h, j : j + m_v]
+    middles = (
+        [float(h_lines[start : start + n_h].mean()) for start in starts[0]],
+        [float(v_lines[start : start + n_v].mean()) for start in starts[1]],
+    )
+    for (i, j), middle in zip(product(*starts), product(*middles), strict=True):
+        index = raster.index[i : i + n_h, j : j + n_v]
         filled = index >= 0
         is_whole = bool(filled.all())
         antennas.append(index.ravel() if is_whole else index[filled])
         weights.append(whole if is_whole else window[filled] / window[filled].sum())
         used_offsets.append(offsets.reshape(-1, 2) if is_whole else offsets[filled])
-        centers.append((depth, middle(0, h), middle(1, v)))
+        centers.append((depth, *middle))
     return _Cuts(
         antennas=antennas,
         weights=weights,
@@ -330,14 +278,12 @@ def _irregular_cuts(pose: Pose, waveform: Waveform, config: SubapertureConfig) -
     local = pose.phase_centers @ pose.axes.T
     depth = float(local[:, 0].mean())
     antennas, weights, offsets, centers = [], [], [], []
-    for h, v in _select_spans(_spans(local[:, 1], config), _spans(local[:, 2], config), config):
-        sides = np.array([h.extent, v.extent])
-        middle = np.array([h.start, v.start]) + sides / 2
+    for middle in product(_centers(local[:, 1], config), _centers(local[:, 2], config)):
         offset = local[:, 1:] - middle
-        inside = np.nonzero((np.abs(offset) < sides / 2).all(axis=1))[0]
+        inside = np.nonzero((np.abs(offset) < config.size_m / 2).all(axis=1))[0]
         if len(inside) < MIN_ANTENNAS:
             continue
-        weight = np.prod(np.cos(np.pi * offset[inside] / sides), axis=1) ** 2
+        weight = np.prod(np.cos(np.pi * offset[inside] / config.size_m), axis=1) ** 2
         antennas.append(inside)
         weights.append(weight / weight.sum())
         offsets.append(offset[inside])
@@ -404,18 +350,6 @@ def _largest_rectangle(h: Floats, v: Floats, reach: float) -> tuple[float, float
     ]
     side_h, side_v = max(sides, key=lambda pair: (pair[0] * pair[1], pair))
     return 0.5 * side_h, 0.5 * side_v
-
-
-def _spans(values: Floats, config: SubapertureConfig) -> list[_Span]:
-    low, high = float(values.min()), float(values.max())
-    spans = [
-        _Span(middle - config.size_m / 2, config.size_m, is_whole=True)
-        for middle in _centers(values, config)
-    ]
-    for size in config.rim_sizes_m:
-        if size < high - low:
-            spans += [_Span(start, size, is_whole=False) for start in (low, high - size)]
-    return spans
 
 
 def _centers(values: Floats, config: SubapertureConfig) -> Floats:

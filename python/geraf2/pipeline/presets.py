@@ -16,6 +16,7 @@ from geraf2.calibration.driver import CALIBRATION_VERSION
 from geraf2.echoes import GlintConfig
 from geraf2.echoes.glints import GLINTS_VERSION
 from geraf2.errors import UserError
+from geraf2.freespace.silhouettes import OUTLINES_VERSION
 from geraf2.io.toml import from_table, merge_tables, nearest_name, to_table
 from geraf2.learned.config import TRAINING_VERSION, CorrectedPaperConfig, PaperConfig
 from geraf2.pipeline.stages.baselines import (
@@ -29,7 +30,7 @@ from geraf2.pipeline.stages.learned import reconstruct_geraf1, reconstruct_paper
 from geraf2.surfaces import FitConfig
 from geraf2.surfaces.extraction import MESH_VERSION
 from geraf2.surfaces.fit import FIT_VERSION
-from geraf2.surfaces.refinement import SELECTION_VERSION, RefineConfig
+from geraf2.surfaces.refinement import RefineConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,7 +58,7 @@ class FastPreset:
 
 @dataclass(frozen=True, kw_only=True)
 class BestPreset:
-    """More accurate, and for few planes: also rim sub-apertures and shadows.
+    """More accurate, and for few planes: also shadows on the far walls.
 
     Lengths in metres.
 
@@ -76,7 +77,7 @@ class BestPreset:
     glints: GlintConfig = field(default_factory=GlintConfig)
     """Detection of glints."""
     refine: RefineConfig = field(default_factory=RefineConfig)
-    """Selection of glints and outlines, and the fit to them."""
+    """Outlines, and the fit to glints and outlines."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +184,7 @@ _TRAINED = {"train": TRAINING_VERSION, "mesh": MESH_VERSION}
 _ROUTES: dict[type[PresetConfig], _Route] = {
     FastPreset: _Route(reconstruct_fast, {"glints": GLINTS_VERSION, **_SURFACE}),
     BestPreset: _Route(
-        reconstruct_best, {"glints": GLINTS_VERSION, "selection": SELECTION_VERSION, **_SURFACE}
+        reconstruct_best, {"glints": GLINTS_VERSION, "outlines": OUTLINES_VERSION, **_SURFACE}
     ),
     PaperPreset: _Route(reconstruct_paper, _TRAINED),
     CorrectedPaperPreset: _Route(reconstruct_paper, _TRAINED),

@@ -7,13 +7,13 @@ from geraf2.echoes import Glints
 from geraf2.errors import UserError
 from geraf2.freespace.silhouettes import Silhouettes
 from geraf2.io.mesh import TriangleMesh
-from geraf2.io.run_folder import GLINTS_NAME, RIM_NAME, SILHOUETTES_NAME, RunFolder
+from geraf2.io.run_folder import GLINTS_NAME, SILHOUETTES_NAME, RunFolder
 from geraf2.pipeline.presets import BestPreset, FastPreset, PresetConfig
 from geraf2.pipeline.stages.calibration import common_sigma_m
 from geraf2.pipeline.stages.direct import content_fit
 from geraf2.surfaces.error_field import sample_surface
 from geraf2.surfaces.fit import Evidence, FitConfig
-from geraf2.surfaces.refinement import SelectedGlints, evidence_of
+from geraf2.surfaces.refinement import evidence_of
 from geraf2.surfaces.samples import SurfaceSamples
 
 
@@ -56,12 +56,9 @@ def evidence_of_run(run: RunFolder, config: PresetConfig) -> tuple[Evidence, Fit
         return evidence, content_fit(run, config.fit)
     assert isinstance(config, BestPreset)  # see require_samples
     shadows = run.find_file(SILHOUETTES_NAME)
-    selected = SelectedGlints(
-        Glints.load(_file(run, GLINTS_NAME)),
-        Glints.load(_file(run, RIM_NAME)),
-        Silhouettes.load(shadows) if shadows is not None else None,
-    )
-    evidence = evidence_of(selected, config.refine, common_sigma_m(run))
+    outlines = Silhouettes.load(shadows) if shadows is not None else None
+    glints = Glints.load(_file(run, GLINTS_NAME))
+    evidence = evidence_of(glints, outlines, config.refine, common_sigma_m(run))
     return evidence, content_fit(run, config.refine.fit)
 
 

@@ -87,7 +87,7 @@ def answer_of(
     if content.expected_error_m is not None:
         cards.append(_certainty_card(content, verdict))
     if seen is not None:
-        outlines = bool(numbers.get("selection", {}).get("outlines"))
+        outlines = bool(numbers.get("outlines", {}).get("outlines"))
         cards.append(_unseen_card(content, seen, outlines))
     return Answer(
         found=_describe_content(content, report) + _ghosts(numbers.get("mesh", {})),

@@ -51,7 +51,7 @@ def sample_surface(
         Displacements along the normals, (n_samples, n_vertices) [m]. Their root mean square is the
         expected error of each vertex.
     """
-    near, common_m = nearness(mesh, evidence.seen), evidence.common_sigma_m
+    near, common_m = nearness(mesh, evidence.glints), evidence.common_sigma_m
     kinds = evidence_of_vertices(mesh, near, evidence.outlines)
     own_m = own_errors_m(near, kinds)
     known = replace(mesh, expected_error_m=np.hypot(own_m, common_m), evidence=kinds)

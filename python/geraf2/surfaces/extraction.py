@@ -61,7 +61,7 @@ def extract_meshes(
     if isinstance(evidence, Glints):
         evidence = Evidence(glints=evidence)
     surface = content_surface(sdf, prior, num_threads=num_threads)
-    content, ghosts = separate_pieces(surface, evidence.seen)
+    content, ghosts = separate_pieces(surface, evidence.glints)
     samples = sample_surface(content, evidence)
     samples = replace(samples, mesh=replace(samples.mesh, confidence=content.confidence))
     box = box_surface(prior)

@@ -70,11 +70,7 @@ class Evidence:
     """Data of a surface fit."""
 
     glints: Glints
-    """Glints of whole sub-apertures, at least 10."""
-    rim: Glints | None = None
-    """Glints of the smaller rim sub-apertures."""
-    rim_weight: float = 1.0
-    """Weight of a rim glint relative to one of `glints`."""
+    """At least 10."""
     outlines: Silhouettes | None = None
     """Silhouettes whose edges touch the surface."""
     outline_weight: float = 0.0
@@ -84,22 +80,6 @@ class Evidence:
     common_sigma_m: float = UNKNOWN_OFFSET_M
     """Standard deviation of the range offset that all glints share [m]. Calibration states it; its
     causes are the radar's delay and the turntable's radius."""
-
-    @property
-    def seen(self) -> Glints:
-        """All glints, rim glints last."""
-        return self.glints if self.rim is None else self.glints.join(self.rim)
-
-    @property
-    def weights(self) -> Floats:
-        """Weights of `seen` relative to glints of whole sub-apertures, (n,)."""
-        n_rim = 0 if self.rim is None else len(self.rim)
-        return np.repeat([1.0, self.rim_weight], [len(self.glints), n_rim])
-
-    @property
-    def shares(self) -> Floats:
-        """Weights of `seen` times their probability, (n,)."""
-        return self.seen.probability * self.weights
 
 
 def fit_sdf(
@@ -158,7 +138,7 @@ def fit_sdf(
     outlines, clearance_m = evidence.outlines, evidence.outline_clearance_m
     if outlines is None or not len(outlines):
         return sdf
-    return cut_to_outlines(sdf, outlines, evidence.seen, clearance_m, num_threads=num_threads)
+    return cut_to_outlines(sdf, outlines, evidence.glints, clearance_m, num_threads=num_threads)
 
 
 def smooth_fit(
@@ -191,7 +171,7 @@ def _touched(evidence: Evidence, sdf: SdfGrid, num_threads: int | None) -> Tange
     outlines = evidence.outlines
     if outlines is None or not len(outlines) or evidence.outline_weight <= 0.0:
         return None
-    seen, clearance_m = evidence.seen.positions, evidence.outline_clearance_m
+    seen, clearance_m = evidence.glints.positions, evidence.outline_clearance_m
     return tangent_points(sdf, outlines, seen, clearance_m, num_threads=num_threads)
 
 
@@ -207,12 +187,11 @@ def _terms(config: FitConfig) -> SdfTerms:
 
 def _weigh(evidence: Evidence, touched: Tangents | None = None) -> OrientedPoints:
     """Return the known points of the surface, with weights relative to a strong glint."""
-    glints, both = evidence.glints, evidence.seen
-    relative = relative_strengths(both.strengths, glints.strengths)
+    glints = evidence.glints
+    relative, shares = relative_strengths(glints.strengths), glints.probability
     # The variance of a normal falls as 1 / amplitude, that of a position as its root.
-    shares = evidence.shares
     position, normal = shares * np.sqrt(relative), shares * relative
-    groups: list[Glints | Tangents] = [both]
+    groups: list[Glints | Tangents] = [glints]
     if touched is not None:
         groups.append(touched)
         outline = np.full(len(touched), evidence.outline_weight)
@@ -230,12 +209,12 @@ def _weight_on(sdf: SdfGrid, evidence: Evidence) -> float:
 
     Read on voxels of 5 mm, which suffices to count.
     """
-    seen = evidence.seen
+    seen = evidence.glints
     vertices = separate_pieces(extract_surface(resample(sdf, COMPLETION_M)), seen)[0].vertices
     if not len(vertices):
         return 0.0
     distance = nearest_distance(seen.positions, vertices, max_distance_m=2.0 * COMPLETION_M)
-    return float(evidence.shares[distance < COMPLETION_M].sum())
+    return float(seen.probability[distance < COMPLETION_M].sum())
 
 
 def _domain(points: Floats, config: FitConfig) -> Grid:

@@ -15,6 +15,7 @@ from geraf2.echoes.ruled_out import region_numbers, rule_out
 from geraf2.echoes.transparency import describe, place_on_faces
 from geraf2.errors import UserError
 from geraf2.fields import SdfGrid
+from geraf2.freespace.silhouettes import find_silhouettes
 from geraf2.io.atomic import write_bytes_atomic
 from geraf2.io.mesh import TriangleMesh, write_mesh
 from geraf2.io.run_folder import (
@@ -26,7 +27,6 @@ from geraf2.io.run_folder import (
     GLINTS_NAME,
     MESH_NAME,
     PEAKS_NAME,
-    RIM_NAME,
     SDF_NAME,
     SILHOUETTES_NAME,
     RunFolder,
@@ -40,7 +40,7 @@ from geraf2.surfaces.extraction import ExtractedMeshes, extract_cropped_meshes, 
 from geraf2.surfaces.fit import Evidence, FitConfig, fit_sdf, zero_level
 from geraf2.surfaces.isosurface import redistance
 from geraf2.surfaces.pieces import piece_numbers, pieces_of
-from geraf2.surfaces.refinement import evidence_of, select_glints
+from geraf2.surfaces.refinement import evidence_of
 
 # Fit through first surfaces, which only has to block lines of sight.
 _FIRST_SURFACE = FitConfig(spacing_m=0.006)
@@ -55,25 +55,15 @@ def reconstruct_fast(job: Job) -> None:
 
 
 def reconstruct_best(job: Job) -> None:
-    """Select glints, search those of the rim and outlines, and fit a surface to all."""
-    folder, config = job.run.path, job.config.refine
+    """Fit a surface to the glints and the outlines on the far walls."""
+    config, outlines = job.config.refine, None
     glints = find_glints(job)
-    with job.step("selection") as step:
-        selected = select_glints(
-            job.capture,
-            job.prior,
-            glints,
-            config,
-            job.config.glints,
-            kept=job.peaks,
-            num_threads=job.num_threads,
-            progress=step.progress,
-        )
-        selected.rim.save(folder / RIM_NAME)
-        if selected.silhouettes is not None:
-            selected.silhouettes.save(folder / SILHOUETTES_NAME)
-        step.numbers |= selected.numbers()
-    evidence = evidence_of(selected, config, common_sigma_m(job.run))
+    with job.step("outlines") as step:
+        if config.shadows:
+            outlines = find_silhouettes(job.capture, config.silhouettes)
+            outlines.save(job.run.path / SILHOUETTES_NAME)
+            step.numbers |= outlines.numbers()
+    evidence = evidence_of(glints, outlines, config, common_sigma_m(job.run))
     draw_surface(job, _fit(job, evidence, config.fit), evidence)
 
 

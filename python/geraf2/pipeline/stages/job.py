@@ -71,7 +71,7 @@ class Job:
 
 
 def for_planes(config: Any, capture: Capture) -> Any:
-    """Settings of a preset with the sub-apertures of a capture's planes."""
+    """Return the settings of a preset with the sub-apertures of a capture's planes."""
     if not hasattr(config, "glints"):
         return config
     planes = [Aperture.from_pose(pose) for pose in capture.poses]
