@@ -11,11 +11,11 @@ from geraf2.apps.inspection.coherent_change import (
     compare_echoes,
     refine_turn,
 )
+from geraf2.apps.inspection.workers import Workers
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid
 from geraf2.ops import signal_tracer
 from geraf2.records import Pose, Waveform
 from geraf2.scene import Capture
-from geraf2.surfaces.workers import Workers
 
 WAVEFORM = Waveform(
     start_frequency_hz=77.4e9, chirp_slope_hz_per_s=70e12, sample_rate_hz=625e3, n_samples=16

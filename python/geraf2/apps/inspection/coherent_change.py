@@ -12,11 +12,11 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from geraf2._types import Array, Bools, Floats, Ints
+from geraf2.apps.inspection.workers import Workers
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid
 from geraf2.ops import matched_filter
 from geraf2.records import Waveform
 from geraf2.scene import Capture
-from geraf2.surfaces.workers import Workers
 
 _BLOCK_M, _MIN_BLOCKS = 0.02, 2
 """Distance of the blocks of antennas, half their side [m], and their least number along a side."""

@@ -21,6 +21,7 @@ from geraf2.apps.inspection.comparison import (
 )
 from geraf2.apps.inspection.materials import levels_of, materials_of, returns_of
 from geraf2.apps.inspection.scan_evidence import LIKELY, Evidence
+from geraf2.apps.inspection.workers import Workers
 from geraf2.errors import UserError
 from geraf2.geometry.transforms import apply_rigid, inverse_rigid, rigid, triple
 from geraf2.io.mesh import read_mesh
@@ -40,7 +41,6 @@ from geraf2.pipeline.reconstruction import Reconstruction, load_run
 from geraf2.pipeline.run_scene import capture_of
 from geraf2.scene import LosPrior
 from geraf2.scene.aperture import apertures_at
-from geraf2.surfaces.workers import Workers
 
 _SAME_SIDE_M, _SAME_WAVELENGTH = 0.015, 0.01
 """Largest difference of the sides of one box [m], and of one radar's wavelengths as a share."""

@@ -17,6 +17,7 @@ from geraf2._types import Array, Floats, Ints
 from geraf2.apps.inspection.echo_shares import PatchEchoes, Share, power_of, share_of
 from geraf2.apps.inspection.measured_windows import MeasuredWindow, lobe, measure_windows
 from geraf2.apps.inspection.registration import ALIKE, Placement
+from geraf2.apps.inspection.workers import Workers
 from geraf2.geometry.components import connected_labels
 from geraf2.geometry.transforms import apply_rigid
 from geraf2.geometry.triangles import face_areas, split_triangles, unit_normals, with_area
@@ -25,7 +26,6 @@ from geraf2.ops.visibility import MeshScene
 from geraf2.scene import Capture, LosPrior
 from geraf2.surfaces.facets import Facets
 from geraf2.surfaces.surface_fit import renderer_in_box
-from geraf2.surfaces.workers import Workers
 
 MIN_EXPLAINED = 0.5
 """Least share of the measured power that models at correct poses explain."""

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from geraf2._types import Array, Floats, Ints
+from geraf2.apps.inspection.workers import Workers
 from geraf2.ops import MatchedFilterPlan, matched_filter, signal_tracer
 from geraf2.records import Waveform
 from geraf2.scene import Capture, Grid, LosPrior
 from geraf2.surfaces.clusters import antenna_clusters
 from geraf2.surfaces.facets import LitFacets
 from geraf2.surfaces.surface_fit import choose_targets
-from geraf2.surfaces.workers import Workers
 
 _PARTS = 2
 """Windows of a plane: sub-apertures side by side."""

@@ -44,7 +44,3 @@ class Workers:
             if on_result is not None:
                 on_result(len(results))
         return results
-
-    def start(self, work: Callable[[], _T]) -> Callable[[], _T]:
-        """Start a task in parallel and return a function that waits for its result."""
-        return work if self._pool is None else self._pool.submit(work).result
