@@ -19,6 +19,7 @@ def in_threads(n_workers, memory_bytes, retries=2):
         threads_per_worker=1,
         processes=False,
         dashboard_address=None,
+        scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},  # two tests at once: no fixed port
         memory_limit=0,
         silence_logs=logging.CRITICAL,
         resources={MEMORY_RESOURCE: memory_bytes},
