@@ -148,9 +148,7 @@ def test_an_empty_box_reports_its_wall_echoes():
 
     capture = capture_of(walls, n_poses=4, positions=raster(27))
     stated = "no glint inside the box.*512 echoes of the box's walls and 0 outside it"
-    with pytest.raises(
-        UserError, match=stated
-    ):  # two walls in each of 64 sub-apertures of four poses
+    with pytest.raises(UserError, match=stated):  # 2 walls, 64 sub-apertures, 4 poses
         find_glints(capture, BOX, NARROW)
 
 

@@ -7,16 +7,6 @@ from geraf2.echoes.noise import ECHO_NOISE, tangent_deviation
 from helpers.specular import fibonacci_sphere
 
 
-@pytest.fixture
-def rng():
-    return np.random.default_rng(0)
-
-
-def scattered(rng, n=200, half_m=0.02):
-    normals = rng.normal(size=(n, 3))
-    return rng.uniform(-half_m, half_m, (n, 3)), normals / np.linalg.norm(normals, axis=1)[:, None]
-
-
 def test_points_of_a_smooth_surface_do_not_deviate():
     directions = fibonacci_sphere(3000)
     deviation = tangent_deviation(0.04 * directions, directions)

@@ -3,6 +3,7 @@ import pytest
 
 from geraf2.imaging.subapertures import SubapertureConfig, find_raster
 from geraf2.scene import Pose
+from geraf2.scene.aperture import Aperture
 from helpers.aperture_images import image_peaks, subaperture_images
 from helpers.specular import STANDOFF_M, antennas, raster
 from helpers.synthetic import WAVEFORM, point_signal
@@ -108,6 +109,15 @@ def test_sub_apertures_reach_both_ends_in_equal_steps():
     sideways = np.unique([np.round(image.center[1], 9) for image in images])
     # 14 lines to spare at 27 a sub-aperture; steps of 20 mm or less, rounded to whole lines
     np.testing.assert_allclose(sideways, 0.003 * np.array([-7, -2, 2, 7]), atol=1e-9)
+
+
+def test_small_planes_have_sub_apertures_of_half_their_longer_side():
+    config, planes = SubapertureConfig(), [Aperture.from_pose(pose_at(raster(41), ORIGIN))] * 3
+    small = config.for_planes(planes)  # 0.12 m wide
+    assert small.size_m == pytest.approx(0.06)
+    assert small.step_m / small.size_m == pytest.approx(config.step_m / config.size_m)
+    assert small.for_planes(planes) == small
+    assert config.for_planes([Aperture.from_pose(pose_at(raster(61), ORIGIN))]) == config
 
 
 def test_a_small_aperture_is_one_sub_aperture():

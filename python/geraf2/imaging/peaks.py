@@ -295,7 +295,8 @@ class KeptPeaks:
         self.prior, self.subaperture = prior, subaperture or SubapertureConfig()
         self.noise_margin_db, self.num_threads = noise_margin_db, num_threads
         self.reach_m = reach_m
-        self._n_imaged = 0
+        self.n_imaged = 0
+        """Images of planes so far."""
         self._kept: dict[int, _Kept] = {}
 
     def of(
@@ -341,16 +342,11 @@ class KeptPeaks:
         before, after = self.prior.corners, prior.corners
         if before.shape == after.shape and cdist(before, after).min(axis=1).max() <= tolerance_m:
             found.prior, found._kept = self.prior, self._kept
-        found._n_imaged = self._n_imaged
+        found.n_imaged = self.n_imaged
         return found
 
-    @property
-    def n_imaged(self) -> int:
-        """Images of planes so far."""
-        return self._n_imaged
-
     def _imaged(self, pose: Pose, waveform: Waveform, number: int) -> PeakSet:
-        self._n_imaged += 1
+        self.n_imaged += 1
         near, far = _box_span(pose, self.prior)
         low = max(near - self.reach_m[0], min(near, LEAKAGE_CELLS * waveform.range_cell_m))
         high = max(far, min(far + self.reach_m[1], low + waveform.unambiguous_range_m))

@@ -44,10 +44,11 @@ class SubapertureConfig(Bounded):
     """Size and sampling of the sub-aperture images."""
 
     size_m: ApertureM = 0.08
-    """Side of a square sub-aperture [m]; smaller merges weak echoes, larger defocuses curves. Of
-    planes narrower than twice that, half their own side."""
+    """Side of a square sub-aperture [m], at most half the longer side of a plane. Smaller ones
+    merge weak echoes, larger ones defocus curves."""
     step_m: ApertureM = 0.0133
-    """Step between sub-apertures [m]; at the default neighbours overlap by five sixths."""
+    """Step between sub-apertures [m], smaller where the side is; neighbours overlap by five
+    sixths."""
     direction_oversampling: Annotated[float, Interval(gt=0.0, le=32.0)] = 3.0
     """Direction bins per wavelength / size_m, the two-way resolution of the sub-aperture."""
     max_cosine: Annotated[float, Interval(gt=0.0, lt=1.0)] = 0.6
@@ -63,8 +64,7 @@ class SubapertureConfig(Bounded):
         """
         sides_m = [2.0 * float(plane.half_m.max()) for plane in planes]
         size_m = min(self.size_m, max(_MIN_SIZE_M, _SIZE_SHARE * float(np.median(sides_m))))
-        step_m = self.step_m * size_m / self.size_m
-        return replace(self, size_m=size_m, step_m=step_m)
+        return replace(self, size_m=size_m, step_m=self.step_m * (size_m / self.size_m))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +79,7 @@ class Raster:
     """Lattice coordinates along the pose's vertical axis, (n_vertical,) [m]."""
 
 
-# Cached for corrected captures: a lattice takes half the time of an image.
+# Cached, as the search for the box images the same planes: a lattice takes half the time of one.
 _RASTERS: WeakKeyDictionary[Pose, dict[float, Raster | None]] = WeakKeyDictionary()
 
 
