@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from geraf2._types import Floats, Ints
 from geraf2.apps.importers import ImportOptions
-from geraf2.apps.importers._raw_stream import ByteStream
+from geraf2.apps.importers._raw_stream import ByteStream, JoinedStream, StreamPart, ZeroStream
 from geraf2.apps.importers._robot_log import RobotLog
 from geraf2.apps.importers._rows import note_omission
 from geraf2.errors import UserError
@@ -38,34 +38,25 @@ _IMAGINARY = re.compile(
 )
 
 
-class FrameFile(ByteStream):
-    """Words of all frames in a temporary file, with zeros where a frame was lost."""
+class _Stored(ByteStream):
+    """What was written to a file, which is kept until the stream is gone."""
 
-    def __init__(self, source: Path, descriptor: int, offsets: Ints, frame_bytes: int) -> None:
-        self._source, self._offsets, self._frame_bytes = source, offsets, frame_bytes
-        self._descriptor = os.dup(descriptor)
+    def __init__(self, file: IO[bytes], where: object) -> None:
+        super().__init__(file.tell(), where)
+        file.flush()
+        self._descriptor = os.dup(file.fileno())
         weakref.finalize(self, os.close, self._descriptor)
-        self.n_bytes = len(offsets) * frame_bytes
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        at = 0
-        while at < len(out):
-            frame, begin = divmod(start + at, self._frame_bytes)
-            part = out[at : at + self._frame_bytes - begin]
-            part[:] = 0
-            if self._offsets[frame] >= 0:
-                os.preadv(self._descriptor, [part.data], int(self._offsets[frame]) + begin)
-            at += len(part)
-
-    def __str__(self) -> str:
-        return str(self._source)
+        os.preadv(self._descriptor, [out.data], start)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bag:
     """Frames of the radar and positions of its board; times begin at the first frame."""
 
-    frames: FrameFile
+    frames: ByteStream
+    """Words of all frames, with zeros where a frame was lost."""
     frame_bytes: int
     lost: tuple[int, ...]
     """Numbers of the frames that are missing; their words are zero."""
@@ -110,8 +101,8 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
         numbers, start_s, period_s = frame_clock(times, period_s, samples, source)
         offsets = np.full(numbers[-1] + 1, -1, dtype=np.int64)
         offsets[numbers] = table[:, 2]
-        file.flush()
-        frames = FrameFile(source, file.fileno(), offsets, frame_bytes)
+        stored, zeros = _Stored(file, source), ZeroStream(frame_bytes, source)
+    parts = (StreamPart(stored, at, frame_bytes) if at >= 0 else zeros for at in offsets.tolist())
     lost = np.flatnonzero(offsets < 0)
     if len(lost):
         text = f"{len(lost)} of {len(offsets)} frames are missing from {samples}"
@@ -122,7 +113,7 @@ def read_bag(source: Path, options: ImportOptions, period_s: float | None) -> Ba
         }
         notes.append(note_omission(text, options.keep_good, source, **details))
     return Bag(
-        frames=frames,
+        frames=JoinedStream(list(parts)),
         frame_bytes=frame_bytes,
         lost=tuple(lost.tolist()),
         start_s=start_s,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from geraf2.apps.importers._raw_stream import ByteStream
+from geraf2.apps.importers._raw_stream import ByteStream, JoinedStream, StreamPart, ZeroStream
 from geraf2.apps.importers._word_order import (
     MIN_JUMP,
     WordOrder,
@@ -53,28 +53,14 @@ class Gap(NamedTuple):
     """Whether a jump shows the place."""
 
 
-class RepairedStream(ByteStream):
+def repaired_stream(base: ByteStream, gaps: Sequence[Gap]) -> ByteStream:
     """Stream with zeros in place of what is missing."""
-
-    def __init__(self, base: ByteStream, gaps: Sequence[Gap]) -> None:
-        self._base = base
-        begins = np.array([0, *(gap.at for gap in gaps)], dtype=np.int64)
-        shifts = PAYLOAD_BYTES * np.cumsum([0, *(gap.n_packets for gap in gaps)])
-        self._begins, self._starts = begins, begins + shifts
-        self._ends = np.append(begins[1:], base.n_bytes)
-        self.n_bytes = int(base.n_bytes + shifts[-1])
-
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        out[:] = 0
-        for begin, end, placed in zip(self._begins, self._ends, self._starts, strict=True):
-            first = max(int(placed), start)
-            stop = min(int(placed + end - begin), start + len(out))
-            if first < stop:
-                part = out[first - start : stop - start]
-                self._base.read_into(first - int(placed) + int(begin), part)
-
-    def __str__(self) -> str:
-        return str(self._base)
+    parts, at = list[ByteStream](), 0
+    for gap in gaps:
+        zeros = ZeroStream(gap.n_packets * PAYLOAD_BYTES, base)
+        parts += [StreamPart(base, at, gap.at - at), zeros]
+        at = gap.at
+    return JoinedStream([*parts, StreamPart(base, at)])
 
 
 def find_gaps(

@@ -10,7 +10,7 @@ chirp. They begin with the words 0ADC and 0CDA, twice each, in an order that dep
 import re
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,9 +30,10 @@ _MAX_ZEROS = 1 << 30
 
 
 class ByteStream(ABC):
-    """Bytes of a recording, read at any position."""
+    """Bytes of a recording, read at any position; as text the name of its file."""
 
-    n_bytes: int
+    def __init__(self, n_bytes: int, where: object) -> None:
+        self.n_bytes, self._where = n_bytes, where
 
     @abstractmethod
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
@@ -44,18 +45,58 @@ class ByteStream(ABC):
         self.read_into(start, out)
         return out
 
+    def __str__(self) -> str:
+        return str(self._where)
+
+
+class FileStream(ByteStream):
+    """Bytes of a file."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path.stat().st_size, path)
+        self._path = path
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        with open_regular(self._path) as handle:
+            handle.seek(start)
+            if handle.readinto(out.data) < len(out):
+                raise UserError(what="the file became shorter while it was read", where=self._path)
+
+
+class ZeroStream(ByteStream):
+    """Zeros, in the place of what was lost."""
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        out[:] = 0
+
 
 class StreamPart(ByteStream):
-    """Bytes of another stream from `start` on."""
+    """Bytes of another stream from `start` on, all or so many."""
 
-    def __init__(self, base: ByteStream, start: int) -> None:
-        self._base, self._start, self.n_bytes = base, start, base.n_bytes - start
+    def __init__(self, base: ByteStream, start: int, n_bytes: int | None = None) -> None:
+        super().__init__(base.n_bytes - start if n_bytes is None else n_bytes, base)
+        self._base, self._start = base, start
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
         self._base.read_into(self._start + start, out)
 
-    def __str__(self) -> str:
-        return str(self._base)
+
+class JoinedStream(ByteStream):
+    """Streams one after the other, named as the first."""
+
+    def __init__(self, parts: Sequence[ByteStream]) -> None:
+        self._parts = parts
+        self._ends = np.cumsum([part.n_bytes for part in parts], dtype=np.int64)
+        super().__init__(int(self._ends[-1]), parts[0])
+
+    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
+        at = 0
+        while at < len(out):
+            number = int(np.searchsorted(self._ends, start + at, side="right"))
+            part, left = self._parts[number], int(self._ends[number]) - start - at
+            n = min(left, len(out) - at)
+            part.read_into(part.n_bytes - left, out[at : at + n])
+            at += n
 
 
 class ChirpHeaderStream(ByteStream):
@@ -64,7 +105,7 @@ class ChirpHeaderStream(ByteStream):
     def __init__(self, base: ByteStream, period: int) -> None:
         self._base, self._period, self._payload = base, period, period - CHIRP_HEADER_BYTES
         full, rest = divmod(base.n_bytes, period)
-        self.n_bytes = full * self._payload + max(0, rest - CHIRP_HEADER_BYTES)
+        super().__init__(full * self._payload + max(0, rest - CHIRP_HEADER_BYTES), base)
 
     def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
         first, stop = start // self._payload, -(-(start + len(out)) // self._payload)
@@ -83,25 +124,6 @@ class ChirpHeaderStream(ByteStream):
         at = start - first * self._payload
         out[:] = slots[:, CHIRP_HEADER_BYTES:].reshape(-1)[at : at + len(out)]
 
-    def __str__(self) -> str:
-        return str(self._base)
-
-
-class PositionStream(ByteStream):
-    """Concatenation of the first `bytes_per_position` bytes of each file."""
-
-    def __init__(self, files: Sequence[ByteStream], bytes_per_position: int) -> None:
-        self._files, self._per_position = files, bytes_per_position
-        self.n_bytes = len(files) * bytes_per_position
-
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        at = 0
-        while at < len(out):
-            position, begin = divmod(start + at, self._per_position)
-            n = min(self._per_position - begin, len(out) - at)
-            self._files[position].read_into(begin, out[at : at + n])
-            at += n
-
 
 def _is_sync(words: NDArray[np.uint16]) -> NDArray[np.bool_]:
     """Whether rows (n, 4) hold each sync word twice."""
@@ -114,7 +136,9 @@ def remove_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
     words = stream.read(0, min(stream.n_bytes, _SCAN_BYTES) // 2 * 2).view("<u2")
     if len(words) < _N_SYNC:
         return stream, []
-    starts = _sync_starts(words)
+    is_word = np.isin(words, _SYNC_WORDS)
+    runs = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(is_word, _N_SYNC).all(axis=1))
+    starts = runs[_is_sync(words[runs[:, None] + np.arange(_N_SYNC)])]
     if len(starts) < 2:
         return stream, []
     first, period = 2 * int(starts[0]), 2 * int(starts[1] - starts[0])
@@ -134,16 +158,10 @@ def remove_chirp_headers(stream: ByteStream) -> tuple[ByteStream, list[str]]:
     return ChirpHeaderStream(base, period), notes
 
 
-def _sync_starts(words: NDArray[np.uint16]) -> Ints:
-    is_word = np.isin(words, _SYNC_WORDS)
-    runs = np.flatnonzero(np.lib.stride_tricks.sliding_window_view(is_word, _N_SYNC).all(axis=1))
-    rows = words[runs[:, None] + np.arange(_N_SYNC)]
-    return np.asarray(runs[_is_sync(rows)], dtype=np.int64)
-
-
 def leading_zeros(stream: ByteStream) -> int:
     """Count the bytes of padding before the samples, which no zeros of a weak signal are."""
-    for start, block in _blocks(stream, range(0, min(stream.n_bytes, _MAX_ZEROS), _SCAN_BYTES)):
+    for start in range(0, min(stream.n_bytes, _MAX_ZEROS), _SCAN_BYTES):
+        block = stream.read(start, _SCAN_BYTES)
         if block.any():
             n_zeros = start + int(np.argmax(block != 0)) // 2 * 2
             size = min(_SCAN_BYTES, stream.n_bytes - n_zeros) // 2 * 2
@@ -156,18 +174,14 @@ def leading_zeros(stream: ByteStream) -> int:
 def trailing_zeros(stream: ByteStream) -> int:
     """Count the bytes behind the last that is not zero, up to 1 GiB."""
     n_zeros = 0
-    firsts = range((stream.n_bytes - 1) // _SCAN_BYTES * _SCAN_BYTES, -1, -_SCAN_BYTES)
-    for _, block in _blocks(stream, firsts):
+    for start in range((stream.n_bytes - 1) // _SCAN_BYTES * _SCAN_BYTES, -1, -_SCAN_BYTES):
+        block = stream.read(start, _SCAN_BYTES)
         if block.any():
             return n_zeros + int(np.argmax(block[::-1] != 0))
         if n_zeros > _MAX_ZEROS:
             break
         n_zeros += len(block)
     return n_zeros
-
-
-def _blocks(stream: ByteStream, firsts: range) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-    yield from ((first, stream.read(first, _SCAN_BYTES)) for first in firsts)
 
 
 # Bytes of a header, and where its byte count begins.
@@ -189,32 +203,6 @@ MAX_NAMED = 4
 _MAX_GAP_BYTES = 1 << 30
 
 
-class PlainStream(ByteStream):
-    """Concatenated files, read at any position."""
-
-    def __init__(self, files: Sequence[Path]) -> None:
-        self.files = tuple(files)
-        sizes = [path.stat().st_size for path in self.files]
-        self._ends = np.cumsum(sizes, dtype=np.int64)
-        self.n_bytes = int(self._ends[-1])
-
-    def read_into(self, start: int, out: NDArray[np.uint8]) -> None:
-        view, at = out.data, start
-        while view:
-            number = int(np.searchsorted(self._ends, at, side="right"))
-            first = int(self._ends[number - 1]) if number else 0
-            with open_regular(self.files[number]) as handle:
-                handle.seek(at - first)
-                n_read = handle.readinto(view[: int(self._ends[number]) - at])
-            if not n_read:
-                what = "the file became shorter while it was read"
-                raise UserError(what, where=self.files[number])
-            view, at = view[n_read:], at + n_read
-
-    def __str__(self) -> str:
-        return str(self.files[0])
-
-
 class Packets(NamedTuple):
     """Sizes of packets [bytes]."""
 
@@ -227,7 +215,7 @@ class Packets(NamedTuple):
 class PacketStream(ByteStream):
     """Payload of packets at the positions in their headers; lost payload reads as zero."""
 
-    def __init__(self, plain: PlainStream, packets: Packets, *, keep_good: bool) -> None:
+    def __init__(self, plain: ByteStream, packets: Packets, *, keep_good: bool) -> None:
         self._plain = plain
         self._payload, self._header, self._count_at = packets
         payload_bytes, header_bytes = packets.payload, packets.header
@@ -252,8 +240,8 @@ class PacketStream(ByteStream):
         self._sequence, self._slots = np.unique(sequence, return_index=True)
         last_is_short = int(self._slots[-1]) == self._n_slots - 1
         size = self._last_bytes if last_is_short else payload_bytes
-        self.n_bytes = int(self._sequence[-1]) * payload_bytes + size
         total = int(self._sequence[-1]) + 1
+        super().__init__((total - 1) * payload_bytes + size, plain)
         self.n_lost = total - len(self._sequence)
         share = f"{self.n_lost} lost ({100 * self.n_lost / total:.2g} %)"
         self.loss = f"{len(self._sequence)} packets, {share}"
@@ -318,7 +306,7 @@ def _headers(packets: NDArray[np.uint8], count_at: int) -> tuple[Ints, Ints]:
     return numbers, wide.view("<i8")[:, 0]
 
 
-def find_packets(plain: PlainStream) -> Packets | None:
+def find_packets(plain: ByteStream) -> Packets | None:
     """Sizes of the packets, from the first two headers; None where the file has none."""
     head = plain.read(0, 2 * (_MAX_PAYLOAD + _MAX_HEADER_BYTES))
     for header, count_at in _HEADERS:
@@ -414,14 +402,14 @@ def _why_separate(
         return "parts are of one size, but for a smaller last one"
     if last == sizes[0] and not all(_STUDIO_PART.fullmatch(path.stem) for path in files):
         return "all are of one size, where the last part of a recording is smaller"
-    if all(_begins_anew(path) for path in files[1:]):
+    if all(map(_begins_anew, files[1:])):
         return "the packet numbers begin anew in each"
     return None
 
 
 def _begins_anew(path: Path) -> bool:
     """Whether a file begins with the first packet of a capture."""
-    plain = PlainStream([path])
+    plain = FileStream(path)
     packets = find_packets(plain)
     if packets is None:
         return False

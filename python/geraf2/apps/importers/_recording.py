@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from geraf2._types import Floats
 from geraf2.apps.importers import NO_OPTIONS, ImportOptions
-from geraf2.apps.importers._lost_packets import PAYLOAD_BYTES, RepairedStream, find_gaps
+from geraf2.apps.importers._lost_packets import PAYLOAD_BYTES, find_gaps, repaired_stream
 from geraf2.apps.importers._raw_facts import dead_receivers, describe, describe_peak, first_chirps
 from geraf2.apps.importers._raw_layout import LayoutEvidence, find_layout
 from geraf2.apps.importers._raw_stream import (
     MAX_NAMED,
     ByteStream,
+    FileStream,
+    JoinedStream,
     PacketStream,
-    PlainStream,
-    PositionStream,
     StreamPart,
     find_packets,
     leading_zeros,
@@ -231,7 +231,8 @@ def open_recording(
     if files.per_position:
         missing, odd = _odd_positions(files, frame_bytes, options.keep_good, source)
         notes.extend(odd)
-        stream = PositionStream(files.streams, n_frames * frame_bytes)
+        n_bytes = n_frames * frame_bytes
+        stream = JoinedStream([StreamPart(one, 0, n_bytes) for one in files.streams])
         n_frames *= len(files.streams)
     facts, more = _facts(head, files, evidence, radar, config, (n_tx, n_chirps, n_frames))
     notes.extend(more)
@@ -300,7 +301,7 @@ def _repaired(
         "that are no whole number of chirps long; from there on they are misread"
         for gap in gaps
     ]
-    return RepairedStream(stream, gaps) if gaps else stream, n_empty, notes
+    return repaired_stream(stream, gaps) if gaps else stream, n_empty, notes
 
 
 def _begins_late(evidence: LayoutEvidence, late: int, source: Path) -> UserError:
@@ -336,7 +337,7 @@ def _open_files(source: Path, options: ImportOptions) -> _Files:
     for group in groups:
         for path in group:
             refuse_other_kind(path, is_raw=True)
-        plain = PlainStream(group)
+        plain = JoinedStream([FileStream(path) for path in group])
         if not plain.n_bytes and not (per_position and options.keep_good):
             raise UserError(what="is empty", where=group[0])
         stream, more, found = _remove_headers(plain, options.keep_good)
@@ -381,7 +382,7 @@ def _evidence(
 
 
 def _remove_headers(
-    plain: PlainStream, keep_good: bool
+    plain: ByteStream, keep_good: bool
 ) -> tuple[ByteStream, list[str], list[tuple[str, str]]]:
     packets = find_packets(plain)
     if packets is None:
