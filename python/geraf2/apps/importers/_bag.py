@@ -4,9 +4,10 @@ import os
 import re
 import weakref
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -31,6 +32,7 @@ _NO_SAMPLES = ("sensor_msgs", "nav_msgs", "visualization_msgs", "rcl_interfaces"
 _WORDS = {"uint8": "u1", "int8": "i1", "int16": "<i2", "uint16": "<u2"}
 _ARRAY, _SEQUENCE, _NAME = 3, 4, 2  # kinds of fields in rosbags
 _MAX_DEPTH = 3
+_W_FIRST = [0, 1, 2, 3, 7, 4, 5, 6]  # of time, position and quaternion x y z w
 # Names of arrays that hold the real or the imaginary parts of samples.
 _REAL = re.compile(r"(?:.*_)?(?:re|real|i|in_?phase)(?:_.*|data|part)?", re.IGNORECASE)
 _IMAGINARY = re.compile(
@@ -157,18 +159,14 @@ def _usable_messages(
     odd = table[:, 1] != frame_bytes
     if odd.any():
         text = f"{int(odd.sum())} of {len(odd)} messages of {topic} have another size"
-        expected, hint = f"{frame_bytes} bytes", "--keep-good leaves them out"
-        got = f"{table[odd][0, 1]} bytes"
-        more = {"expected": expected, "got": got, "hint": hint}
-        notes.append(note_omission(text, options.keep_good, where, **more))
+        sizes = {"expected": f"{frame_bytes} bytes", "got": f"{table[odd][0, 1]} bytes"}
+        notes.append(note_omission(text, options.keep_good, where, **sizes))
     latest = np.maximum.accumulate(np.concatenate([[-1], table[:-1, 0]]))
     back = table[:, 0] <= latest
     if back.any():
-        text = (
-            f"time stamps of {topic} do not increase at {int(back.sum())} of {len(back)} messages"
-        )
-        hint = "--keep-good leaves them out"
-        notes.append(note_omission(text, options.keep_good, where, hint=hint))
+        at = f"{int(back.sum())} of {len(back)} messages"
+        text = f"time stamps of {topic} do not increase at {at}"
+        notes.append(note_omission(text, options.keep_good, where))
     return notes, np.asarray(~odd & ~back)
 
 
@@ -176,10 +174,21 @@ def _listing(topics: dict[str, str]) -> str:
     return ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "no topic"
 
 
-def _require_topic(topics: dict[str, str], topic: str, flag: str, where: Path) -> str:
+def _given_topic(
+    topics: dict[str, str],
+    topic: str,
+    flag: str,
+    where: Path,
+    contents: tuple[str, str, Callable[[str], object]],
+) -> str:
+    """Topic that a flag names, whose type must have `contents`: name, what has it, its test."""
     if topic not in topics:
         what = f"has no topic {topic}, which {flag} names"
         raise UserError(what=what, where=where, expected=_listing(topics))
+    name, expected, has_them = contents
+    if not has_them(topics[topic]):
+        what = f"{topic} holds no {name}"
+        raise UserError(what=what, where=where, expected=expected, got=topics[topic])
     return topic
 
 
@@ -206,12 +215,9 @@ def _samples_topic(reader: Any, topics: dict[str, str], options: ImportOptions, 
     """Topic of the radar's samples: the given one, or the only one that may hold them."""
     found = _samples_topics(reader, topics)
     if options.adc_topic is not None:
-        topic = _require_topic(topics, options.adc_topic, "--adc-topic", where)
-        if not _arrays_of(reader.typestore.fielddefs, topics[topic]):
-            what = f"{topic} holds no samples of a radar"
-            expected = "an array of uint8, int16 or uint16"
-            raise UserError(what=what, where=where, expected=expected, got=topics[topic])
-        return topic
+        has_arrays = partial(_arrays_of, reader.typestore.fielddefs)
+        contents = ("samples of a radar", "an array of uint8, int16 or uint16", has_arrays)
+        return _given_topic(topics, options.adc_topic, "--adc-topic", where, contents)
     if len(found) != 1:
         several = "has several topics that may hold the radar's samples"
         raise UserError(
@@ -304,21 +310,18 @@ def _read_log(
     where: Path,
 ) -> tuple[RobotLog, str]:
     """Poses of the radar at times from `zero_ns` on, and their origin."""
-    given = options.pose_topic
+    given, kinds = options.pose_topic, (_TF, *_POSES)
     found = _poses_topics(topics)
     if given is not None:
-        found = [_require_topic(topics, given, "--pose-topic", where)]
-        if topics[given] not in (_TF, *_POSES):
-            expected = " or ".join((_TF, *_POSES))
-            what = f"{given} holds no poses"
-            raise UserError(what=what, where=where, expected=expected, got=topics[given])
+        contents = ("poses", " or ".join(kinds), kinds.__contains__)
+        found = [_given_topic(topics, given, "--pose-topic", where, contents)]
     trees = [name for name in topics if topics[name] == _TF]
     single = [name for name in found if topics[name] != _TF]
     if not found or (len(single) > 1 and not trees):
         raise UserError(
             what="has several topics of poses" if found else "has no poses of the radar",
             where=where,
-            expected=" or ".join((_TF, *_POSES)),
+            expected=" or ".join(kinds),
             got=_listing({name: topics[name] for name in single} or topics),
             hint="--pose-topic names one",
         )
@@ -329,7 +332,9 @@ def _read_log(
         pose = message.pose.pose if topics[single[0]] == _POSES[1] else message.pose
         rows.append(_row(stamp, zero_ns, pose.position, pose.orientation))
     link = _check_rows(rows, single[0], options, where)
-    return _log(link, where), f"{single[0]} ({topics[single[0]]}), {len(link)} poses"
+    return RobotLog.of_poses(
+        where, link[:, _W_FIRST]
+    ), f"{single[0]} ({topics[single[0]]}), {len(link)} poses"
 
 
 def _row(stamp: int, zero_ns: int, position: Any, turn: Any) -> list[float]:
@@ -351,21 +356,11 @@ def _check_rows(rows: list[list[float]], name: str, options: ImportOptions, wher
     ):
         if wrong.any():
             text = f"{int(wrong.sum())} of {len(wrong)} poses of {name} {reason}"
-            note_omission(text, options.keep_good, where, hint="--keep-good leaves them out")
+            note_omission(text, options.keep_good, where)
     good = table[~bad & (times > latest)]
     if not len(good):
         raise UserError(what=f"{name} holds no usable pose", where=where)
     return np.asarray(good)
-
-
-def _log(link: Floats, where: Path) -> RobotLog:
-    return RobotLog(
-        path=where,
-        times_s=link[:, 0],
-        positions=link[:, 1:4],
-        quaternions=link[:, [7, 4, 5, 6]],
-        rows=np.arange(1, len(link) + 1),
-    )
 
 
 def _log_of_tree(
@@ -419,4 +414,5 @@ def _log_of_tree(
             own, move = turns[0], table[0, 1:4]
         position, turn = own.apply(position) + move, own * turn
     text = f"{' and '.join(topics)}, {chain[-1]} to {radar}, {len(times)} poses"
-    return _log(np.column_stack([times, position, turn.as_quat()]), where), text
+    link = np.column_stack([times, position, turn.as_quat()])
+    return RobotLog.of_poses(where, link[:, _W_FIRST]), text

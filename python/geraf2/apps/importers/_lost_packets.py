@@ -102,8 +102,10 @@ def find_gaps(
         known.pop()
     if not known:
         return 0, []
-    if known[0][1] and chirps.begin_before_a_gap(known[0][1]):
-        known.insert(0, (0, 0))
+    if known[0][1]:
+        at, is_seen = chirps.place(0, 0, 0, known[0][1])
+        if at > 0 and is_seen:  # it begins with a chirp, and a gap lies in the first window
+            known.insert(0, (0, 0))
     changes = [pair for pair in pairwise(known) if pair[0][1] != pair[1][1]]
     if len(changes) > _MAX_LOSSES:
         raise packets_are_missing(stream)
@@ -168,11 +170,6 @@ class _Chirps:
         fitting = (k for k in numbers if (k * self._step - shift) % self._n == 0)
         return next(fitting, 0) if PAYLOAD_BYTES % self._sample_bytes == 0 else 0
 
-    def begin_before_a_gap(self, after: int) -> bool:
-        """Whether the stream begins with a chirp, and a gap follows within the first window."""
-        at, is_seen = self._place(0, 0, 0, after)
-        return at > 0 and is_seen
-
     def gaps(self, changes: Sequence[tuple[tuple[int, int], tuple[int, int]]]) -> Iterator[Gap]:
         """Missing packets between places at which chirps begin at different samples.
 
@@ -180,7 +177,7 @@ class _Chirps:
         """
         for (low, before), (high, after) in changes:
             n_packets = self.n_missing(before, after)
-            at, is_seen = self._place(low, high, before, after) if n_packets else (0, False)
+            at, is_seen = self.place(low, high, before, after) if n_packets else (0, False)
             yield Gap(at or high, n_packets if at else 0, after, is_seen)
 
     def whole(self, gaps: list[Gap]) -> list[Gap]:
@@ -203,7 +200,7 @@ class _Chirps:
             raise packets_are_missing(self._stream)
         return [gap._replace(n_packets=0) for gap in gaps]
 
-    def _place(self, low: int, high: int, before: int, after: int) -> tuple[int, bool]:
+    def place(self, low: int, high: int, before: int, after: int) -> tuple[int, bool]:
         """Byte of a packet from which on chirps begin elsewhere; and whether they jump there."""
         first, last = low // PAYLOAD_BYTES, high // PAYLOAD_BYTES + 1
         while last - first > 1:

@@ -10,6 +10,7 @@ weight, or two real ones. Readings are compared at equal numbers of weights.
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,17 +74,13 @@ def real_advantage(
             best, other = min(of_real.values()), min(of_complex.values(), default=np.inf)
             found.append((min(best, other), length, other - best))
     _, length, advantage = min(found)
-    levels = _levels(some, real_orders, length, _whole_level)
+    levels = _levels(some, real_orders, length, partial(_real_level, with_coupling=True))
     white = float(np.log(powers[offset] + _ROUNDING))
-    return _preferred_order(levels, white), advantage
-
-
-def _preferred_order(levels: dict[WordOrder, float], white: float) -> WordOrder:
-    """Best order, or the one with most alternating receivers that is nearly as good."""
-    best = min(levels, key=lambda order: levels[order])
-    enough = white - _SAME_SHARE * (white - levels[best])
+    # The best order, or the one with most alternating receivers that is nearly as good.
+    lowest = min(levels, key=lambda order: levels[order])
+    enough = white - _SAME_SHARE * (white - levels[lowest])
     good = [order for order in levels if levels[order] <= enough and not order.is_sequential]
-    return max(good, key=lambda order: order.n_rx, default=best)
+    return max(good, key=lambda order: order.n_rx, default=lowest), advantage
 
 
 def _levels(
@@ -114,16 +111,9 @@ def _power(streams: NDArray[np.complex64], length: int) -> Floats:
     return np.asarray(lowest / (-np.log1p(-_QUANTILE) * np.square(window).sum()))
 
 
-def _real_level(power: Floats) -> float:
-    return _level_from(power, _GUARD_BINS + power.shape[1] // (2 * _COUPLING_PART))
-
-
-def _whole_level(power: Floats) -> float:
-    """Level with the bins of the coupling, which are others where receivers alternate."""
-    return _level_from(power, _GUARD_BINS)
-
-
-def _level_from(power: Floats, first: int) -> float:
+def _real_level(power: Floats, *, with_coupling: bool = False) -> float:
+    """Level, without the bins of the coupling, which are others where receivers alternate."""
+    first = _GUARD_BINS + (0 if with_coupling else power.shape[1] // (2 * _COUPLING_PART))
     half = power[:, first : power.shape[1] // 2 - _GUARD_BINS + 1]
     return float(np.log(half + _ROUNDING).mean())
 

@@ -34,9 +34,9 @@ from geraf2.apps.importers._ti_config import find_ti_configs, read_ti_configs
 from geraf2.apps.importers._ti_values import TiConfig
 from geraf2.apps.importers._word_order import (
     Layout,
-    begins_in_chirp,
     decode,
     decode_integers,
+    words_per_sample,
 )
 from geraf2.errors import UserError
 from geraf2.io.file_kinds import refuse_other_kind
@@ -68,8 +68,8 @@ class Recording:
     """Number of files, where each is a position."""
     missing_positions: tuple[int, ...] = ()
     """Omitted positions, whose files have a wrong size."""
-    notes: tuple[str, ...]
-    facts: tuple[tuple[str, str], ...]
+    notes: tuple[str, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
 
     @property
     def frame_bytes(self) -> int:
@@ -137,9 +137,9 @@ class _Files:
     zeros: tuple[int, ...]
     """Bytes of zeros at the beginning of each."""
     names: tuple[str, ...]
-    per_position: bool
-    notes: list[str]
-    facts: list[tuple[str, str]]
+    per_position: bool = False
+    notes: Sequence[str] = ()
+    facts: Sequence[tuple[str, str]] = ()
 
     def head(self) -> NDArray[np.int16]:
         """Words at the beginning; several files of the usual size where these are short."""
@@ -199,7 +199,10 @@ def open_recording(
     stream: words of the recording, where `source` is no raw file.
     """
     config = read_ti_configs(list(options.config) or find_ti_configs(source))
-    files = _one_stream(stream) if stream else _open_files(source, options)
+    if stream is None:
+        files = _open_files(source, options)
+    else:
+        files = _Files(streams=(stream,), zeros=(0,), names=(str(stream),))
     head = files.head()
     n_rx = radar.raw.n_rx or config.n_rx
     evidence = _evidence(head, n_rx, radar, config, source)
@@ -234,8 +237,6 @@ def open_recording(
         n_bytes = n_frames * frame_bytes
         stream = JoinedStream([StreamPart(one, 0, n_bytes) for one in files.streams])
         n_frames *= len(files.streams)
-    facts, more = _facts(head, files, evidence, radar, config, (n_tx, n_chirps, n_frames))
-    notes.extend(more)
     found = Recording(
         source=source,
         stream=stream,
@@ -246,41 +247,35 @@ def open_recording(
         n_frames=n_frames,
         n_positions=len(files.streams) if files.per_position else None,
         missing_positions=missing,
-        notes=tuple(notes),
-        facts=tuple(facts),
     )
-    return replace(found, facts=(*found.facts, *_compensation(found)))
+    facts, more = _facts(head, files, radar, found)
+    return replace(found, notes=(*notes, *more), facts=facts)
 
 
 def _facts(
-    head: NDArray[np.int16],
-    files: _Files,
-    evidence: LayoutEvidence,
-    radar: RadarManifest,
-    config: TiConfig,
-    sizes: tuple[int, int, int],
-) -> tuple[list[tuple[str, str]], list[str]]:
-    """Facts of a recording, and notes; sizes: transmitters, chirps of a frame, frames."""
-    chirps = first_chirps(head, evidence)
-    dead = dead_receivers(chirps)
+    head: NDArray[np.int16], files: _Files, radar: RadarManifest, found: Recording
+) -> tuple[tuple[tuple[str, str], ...], list[str]]:
+    """Facts of a recording, and notes."""
+    chirps, config = first_chirps(head, found.evidence), found.config
+    dead, gains = dead_receivers(chirps), found.gains
     facts = [
         *files.facts,
-        *describe(evidence, *sizes),
-        describe_peak(chirps, evidence, radar, config),
-        *([("transmitters", str(config.transmitters))] if config.transmitters else []),
-        *([("dead receivers", ", ".join(f"{rx} ({why})" for rx, why in dead))] if dead else []),
+        *describe(found.evidence, found.n_tx, found.n_chirps_per_frame, found.n_frames),
+        describe_peak(chirps, found.evidence, radar, config),
     ]
-    return facts, [f"receiver {rx} is dead: {reason}" for rx, reason in dead]
-
-
-def _compensation(recording: Recording) -> list[tuple[str, str]]:
-    """Fact: what the configuration corrects."""
-    gains, bias_m = recording.gains, recording.config.path_bias_m
-    parts = [] if bias_m is None else [f"range bias {0.5 * bias_m:g} m"]
+    if config.transmitters:
+        facts.append(("transmitters", str(config.transmitters)))
+    if dead:
+        facts.append(("dead receivers", ", ".join(f"{rx} ({why})" for rx, why in dead)))
+    corrected = []
+    if config.path_bias_m is not None:
+        corrected.append(f"range bias {0.5 * config.path_bias_m:g} m")
     if gains is not None:
         factors = (f"{g:.3g}" if g.imag else f"{g.real:+.3g}" for g in gains.reshape(-1).tolist())
-        parts.append(f"factors of the channels {' '.join(factors)}")
-    return [("compensation", f"{', '.join(parts)}, as the profile states")] if parts else []
+        corrected.append(f"factors of the channels {' '.join(factors)}")
+    if corrected:
+        facts.append(("compensation", f"{', '.join(corrected)}, as the profile states"))
+    return tuple(facts), [f"receiver {rx} is dead: {reason}" for rx, reason in dead]
 
 
 def _repaired(
@@ -305,15 +300,15 @@ def _repaired(
 
 
 def _begins_late(evidence: LayoutEvidence, late: int, source: Path) -> UserError:
-    return begins_in_chirp(
-        evidence.order, evidence.order.per_complex * evidence.n_samples, late, source
-    )
-
-
-def _one_stream(stream: ByteStream) -> _Files:
-    names = (str(stream),)
-    return _Files(
-        streams=(stream,), zeros=(0,), names=names, per_position=False, notes=[], facts=[]
+    """UserError for a recording whose first whole chirp begins `late` stored samples after it."""
+    order, n_bytes = evidence.order, 2 * words_per_sample(evidence.order) * late
+    n_samples = order.per_complex * evidence.n_samples
+    return UserError(
+        what=f"begins in the middle of a chirp: one of {n_samples} samples begins after {late}",
+        where=source,
+        hint="is it a later part of a recording? name the folder with all parts"
+        if order.layout == "2-lane-sequential"
+        else f"name the folder with all parts of the recording, or leave out {n_bytes} bytes",
     )
 
 
@@ -344,9 +339,10 @@ def _open_files(source: Path, options: ImportOptions) -> _Files:
         stream, headers = remove_chirp_headers(stream)
         more += headers
         if stream.n_bytes % 2:
-            wanted, hint = "samples of 16 bits", "--keep-good leaves out what is cut short"
-            got = {"expected": wanted, "got": stream.n_bytes, "hint": hint}
-            note_omission("has an odd number of bytes", options.keep_good, group[0], **got)
+            details = {"expected": "samples of 16 bits", "got": stream.n_bytes}
+            hint = "--keep-good leaves out what is cut short"
+            text = "has an odd number of bytes"
+            note_omission(text, options.keep_good, group[0], hint, **details)
             more.append(f"odd number of bytes ({stream.n_bytes}): the last one was left out")
         streams.append(stream)
         notes += [f"{group[0].name}: {note}" for note in more] if per_position else more
@@ -459,8 +455,9 @@ def _count_frames(
             f"--keep-good keeps the {n_frames} whole ones, which are right if the recording was "
             "stopped, and not if packets were lost"
         )
-        wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes, "hint": hint}
-        notes.append(f"{note_omission(text, options.keep_good, source, **wrong)} and was left out")
+        wrong = {"expected": f"a multiple of {frame_bytes}", "got": n_bytes}
+        note = note_omission(text, options.keep_good, source, hint, **wrong)
+        notes.append(f"{note} and was left out")
     if config.n_frames is not None and config.n_frames != n_frames:
         text = f"the configuration states {config.n_frames} frames, the file holds {n_frames}"
         hint = "--keep-good takes what is there"

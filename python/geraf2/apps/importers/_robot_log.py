@@ -47,6 +47,18 @@ class RobotLog:
     scan: ScanFile | None = None
     """Contents of a scan file, whose planes are separate poses."""
 
+    @classmethod
+    def of_poses(cls, path: Path, poses: Floats, scan: ScanFile | None = None) -> "RobotLog":
+        """Log of times, positions and quaternions w x y z, (n_rows, 8)."""
+        return cls(
+            path=path,
+            positions=poses[:, 1:4],
+            times_s=poses[:, 0],
+            quaternions=poses[:, 4:],
+            rows=np.arange(1, len(poses) + 1),
+            scan=scan,
+        )
+
     @cached_property
     def rotations(self) -> Rotation:
         """Rotation of each row."""
@@ -79,7 +91,8 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
     if not path.is_file():
         raise UserError(what="no such file", where=path)
     if path.suffix == ".json":
-        return _log_of_scan(read_scan_file(path), path)
+        scan = read_scan_file(path)
+        return RobotLog.of_poses(path, scan.log_rows(), scan)
     log = read_table(path)
     table, files, notes = log.values, log.files, log.notes
     if not len(table):
@@ -97,7 +110,7 @@ def read_log(path: Path, *, keep_good: bool) -> RobotLog:
         good &= np.isfinite(times_s)
     if not good.all():
         text = f"{int((~good).sum())} of {len(good)} rows hold NaN, first row {rows[~good][0]}"
-        note_omission(text, keep_good, path, hint="--keep-good leaves them out")
+        note_omission(text, keep_good, path)
         notes.append(f"{path.name}: {text}; left out")
     if times_s is not None:
         good, more = _increasing(times_s, good, keep_good, path)
@@ -153,15 +166,3 @@ def _quaternions(columns: Columns, table: Floats, rows: Ints, path: Path) -> Flo
     if off.any():
         raise UserError(what=f"quaternion of row {rows[off][0]} is not 1 long", where=path)
     return quaternions
-
-
-def _log_of_scan(scan: ScanFile, path: Path) -> RobotLog:
-    rows = scan.log_rows()
-    return RobotLog(
-        path=path,
-        positions=rows[:, 1:4],
-        times_s=rows[:, 0],
-        quaternions=rows[:, 4:],
-        rows=np.arange(1, len(rows) + 1),
-        scan=scan,
-    )

@@ -27,10 +27,16 @@ def require_equal(what: str, where: object, expected: object, got: object) -> No
         raise UserError(what=what, where=where, expected=expected, got=got)
 
 
-def note_omission(text: str, keep_good: bool, where: object, **details: Any) -> str:
+def note_omission(
+    text: str,
+    keep_good: bool,
+    where: object,
+    hint: str | None = "--keep-good leaves them out",
+    **details: Any,
+) -> str:
     """Note on an omitted broken part; UserError with `details` unless `keep_good`."""
     if not keep_good:
-        raise UserError(what=text, where=where, **details)
+        raise UserError(what=text, where=where, hint=hint, **details)
     return text
 
 
@@ -50,7 +56,7 @@ def good_rows(
     if good.all():
         return good, []
     text = f"{int((~good).sum())} of {len(good)} {what} hold NaN, first {int(np.argmin(good))}"
-    note_omission(text, keep_good, where, hint="--keep-good leaves them out")
+    note_omission(text, keep_good, where)
     if not good.any():
         raise UserError(what=f"all {what} hold NaN", where=where)
     return good, [f"{text}; left out"]

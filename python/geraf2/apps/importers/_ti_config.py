@@ -24,7 +24,6 @@ from geraf2.apps.importers._ti_values import (
     TiConfig,
     Transmitters,
     bpm_mask,
-    count_ones,
     is_real_16,
     profile_values,
     require_count,
@@ -39,6 +38,14 @@ from geraf2.io.text import parse_json, read_text
 _CLOSE = {"chirp_slope_hz_per_s": 1e-2, "adc_start_s": 1e-2}
 
 
+# Values of a chirp in the order of `profile_values`, and what follows their names in JSON.
+_PROFILE = {
+    "startFreqConst": "_GHz",
+    "adcStartTimeConst": "_usec",
+    "freqSlopeConst": "_MHz_usec",
+    "numAdcSamples": "",
+    "digOutSampleRate": "",
+}
 _XML_MARK = "apiname_profile_cfg"
 _LOW_POWER = "is of a low-power chip (xWRL1432, xWRL6432)"
 
@@ -181,17 +188,15 @@ def _from_studio(values: Mapping[str, Any], path: Path) -> TiConfig:
         )
         is_real = is_real_16(bits, output, path)
     return TiConfig(
-        ramp_start_hz=1e9 * _number(profile, "startFreqConst_GHz", path),
-        adc_start_s=1e-6 * _number(profile, "adcStartTimeConst_usec", path),
-        chirp_slope_hz_per_s=1e12 * _number(profile, "freqSlopeConst_MHz_usec", path),
-        sample_rate_hz=1e3 * _number(profile, "digOutSampleRate", path),
-        n_samples=int(_number(profile, "numAdcSamples", path)),
-        n_rx=None if rx_mask is None else count_ones(rx_mask),
+        **profile_values(
+            [_number(profile, f"{k}{unit}", path) for k, unit in _PROFILE.items()], range(5), TYPED
+        ),
+        n_rx=None if rx_mask is None else int(rx_mask).bit_count(),
         transmitters=transmitters_of(table, first, last, path, turned) if table else None,
         n_chirps_per_frame=(last - first + 1) * int(_number(rf, "rlFrameCfg_t.numLoops", path)),
         n_frames=int(_number(rf, "rlFrameCfg_t.numFrames", path)) or None,
         frame_period_s=1e-3 * _number(rf, "rlFrameCfg_t.framePeriodicity_msec", path),
-        n_lanes=None if lanes is None else count_ones(lanes),
+        n_lanes=None if lanes is None else int(lanes).bit_count(),
         is_real=is_real,
         interleaved=None if interleave is None else interleave == 0,
     )
@@ -242,10 +247,10 @@ def _from_xml(text: str, path: Path) -> TiConfig:
     tx_mask = mask("chirp.tx{}Enable", 0 if "chirp.tx0Enable" in values else 1, 3)
     rx_mask, lanes = mask("channel.rx{}En", 0, 4), mask("lvdslane.lane{}En", 1, 4)
     is_known = tx_mask is not None and start <= first and stop >= last
-    profile = [number(f"profile.{name}") for name in _XML_PROFILE]
+    profile = [number(f"profile.{name}") for name in _PROFILE]
     return TiConfig(
         **profile_values(profile, range(5), TYPED),
-        n_rx=None if rx_mask is None else count_ones(rx_mask),
+        n_rx=None if rx_mask is None else int(rx_mask).bit_count(),
         transmitters=transmitters_of([(start, stop, tx_mask)], first, last, path)
         if is_known and tx_mask is not None
         else None,
@@ -253,18 +258,9 @@ def _from_xml(text: str, path: Path) -> TiConfig:
         n_chirps_per_frame=(last - first + 1) * int(number("frame.loopCount")),
         n_frames=int(number("frame.frameCount")) or None,
         frame_period_s=1e-3 * number("frame.periodicity"),
-        n_lanes=count_ones(lanes) if lanes else None,
+        n_lanes=lanes.bit_count() if lanes else None,
         is_real=is_real_16(number("adc.bitsVal"), number("adc.formatVal"), path),
     )
-
-
-_XML_PROFILE = (
-    "startFreqConst",
-    "adcStartTimeConst",
-    "freqSlopeConst",
-    "numAdcSamples",
-    "digOutSampleRate",
-)
 
 
 _COMPENSATION = "compRangeBiasAndRxChanPhase"
@@ -333,7 +329,7 @@ def _from_profile(text: str, path: Path) -> TiConfig:
         **profile_values(profile, (1, 3, 7, 9, 10), TYPED),
         path_bias_m=2.0 * bias_m or None,
         channel_gains=gains,
-        n_rx=count_ones(channel[0]) if channel else None,
+        n_rx=int(channel[0]).bit_count() if channel else None,
         is_real=is_real_16(adc[0], adc[1], path) if adc else None,
         transmitters=_transmitters(lines, frame, path) if frame else None,
         n_chirps_per_frame=int(frame[1] - frame[0] + 1) * int(frame[2]) if frame else None,

@@ -19,7 +19,6 @@ from geraf2.apps.importers._ti_values import (
     TYPED,
     TiConfig,
     bpm_mask,
-    count_ones,
     is_real_16,
     profile_values,
     require_count,
@@ -102,10 +101,10 @@ def read_log(text: str, path: Path) -> TiConfig:
     if "LVDSLaneConfig" in last:
         n_lanes = _mask(last["LVDSLaneConfig"].values[1:5]).bit_count()
     elif "LaneConfig" in last:
-        n_lanes = count_ones(last["LaneConfig"].values[0])
+        n_lanes = int(last["LaneConfig"].values[0]).bit_count()
         n_lanes = n_lanes if n_lanes in (2, 4) else 0
     known |= {
-        "n_rx": count_ones(rx_mask) if rx_mask else None,
+        "n_rx": rx_mask.bit_count() if rx_mask else None,
         "n_lanes": n_lanes or None,
         "is_real": is_real_16(codes[0], codes[1], path) if codes else None,
     }
@@ -129,7 +128,12 @@ def read_log(text: str, path: Path) -> TiConfig:
 def _calls(text: str, path: Path) -> list[_Call]:
     """Return the calls in their order in the file."""
     pattern = _COMMENTS.get(path.suffix.lower(), _LUA_COMMENTS)
-    script = re.sub(pattern, _blank, text, flags=re.DOTALL | re.MULTILINE)
+    script = re.sub(  # line ends of comments keep the numbers of the lines
+        pattern,
+        lambda match: "\n" * match[0].count("\n") or " ",
+        text,
+        flags=re.DOTALL | re.MULTILINE,
+    )
     found = [(match.start(), True, match) for match in _LOG_CALL.finditer(script)]
     found += [(match.start(), False, match) for match in _SCRIPT_CALL.finditer(script)]
     calls = []
@@ -147,11 +151,6 @@ def _calls(text: str, path: Path) -> list[_Call]:
     if _BRANCH.search(script):
         _require_one_branch([call for call in calls if not call.raw])
     return calls
-
-
-def _blank(match: re.Match[str]) -> str:
-    """Line ends of a comment, which keep the numbers of the lines."""
-    return "\n" * match[0].count("\n") or " "
 
 
 def _require_one_branch(calls: list[_Call]) -> None:

@@ -158,11 +158,6 @@ def profile_values(
     }
 
 
-def count_ones(mask: float) -> int:
-    """Count the bits of a mask."""
-    return int(mask).bit_count()
-
-
 def bpm_mask(code: float) -> int:
     """Mask of the transmitters that a BPM code (bits 2 k and 2 k + 1: off, on) turns while on."""
     return sum(1 << k for k in range(int(code).bit_length()) if int(code) >> 2 * k + 1 & 1)

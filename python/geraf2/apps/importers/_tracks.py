@@ -278,8 +278,7 @@ def _covered_frames(frames: _Frames) -> tuple[Range, list[str]]:
     if not n_out:
         return covered, []
     text = f"{n_out} of {n_frames} frames lie outside the time stamps"
-    hint = "--keep-good leaves them out"
-    note_omission(text, frames.keep_good, frames.log.path, hint=hint, **spans)
+    note_omission(text, frames.keep_good, frames.log.path, **spans)
     return covered, [f"{n_out} of {n_frames} frames outside the time stamps were left out"]
 
 
@@ -319,7 +318,7 @@ def _frames_on_lines(frames: _Frames) -> tuple[tuple[int, ...], tuple[Range, ...
                 text = f"no frame was recorded on a line of plane {plane.name!r}"
                 wanted, got = f"{line.start_s:.6g} s", f"{frames.time_s(frames.n_frames - 1):.6g} s"
                 span = {"expected": wanted, "got": f"frames until {got}"}
-                note_omission(text, frames.keep_good, frames.log.path, **span)
+                note_omission(text, frames.keep_good, frames.log.path, None, **span)
         starts += [own[0][0]] if own else []
         ranges += own
     return tuple(starts), tuple(ranges)
@@ -346,7 +345,15 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> Track:
         counts = [sum(line.n_positions for line in plane.lines) for plane in log.scan.planes]
         starts = tuple(k for k in np.cumsum([0, *counts[:-1]]).tolist() if k < used)
     else:
-        _require_small_steps(log, used)
+        steps = np.linalg.norm(np.diff(log.positions[:used], axis=0), axis=1)
+        if steps.max(initial=0.0) > _MAX_STEP_M:
+            bad = int(steps.argmax())
+            raise UserError(
+                what=f"positions jump by {steps[bad]:.3g} m after row {log.rows[bad]}",
+                where=log.path,
+                expected=f"steps below {_MAX_STEP_M:g} m",
+                hint="positions are in metres",
+            )
     return Track(
         positions=log.positions,
         rotations=None if log.quaternions is None else log.rotations,
@@ -356,18 +363,6 @@ def _one_row_a_frame(log: RobotLog, n_frames: int, *, keep_good: bool) -> Track:
         notes=tuple(notes),
         text=f"{_rows_of(log)}, one for each {per_position} frames",
     )
-
-
-def _require_small_steps(log: RobotLog, used: int) -> None:
-    steps = np.linalg.norm(np.diff(log.positions[:used], axis=0), axis=1)
-    if steps.max(initial=0.0) > _MAX_STEP_M:
-        bad = int(steps.argmax())
-        raise UserError(
-            what=f"positions jump by {steps[bad]:.3g} m after row {log.rows[bad]}",
-            where=log.path,
-            expected=f"steps below {_MAX_STEP_M:g} m",
-            hint="positions are in metres",
-        )
 
 
 def _remove_jumps(frames: _Frames, covered: Range) -> tuple[tuple[Range, ...], list[str]]:

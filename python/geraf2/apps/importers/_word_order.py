@@ -9,7 +9,6 @@ from scipy.fft import ifft, rfft
 from scipy.linalg import toeplitz
 
 from geraf2._types import Floats
-from geraf2.errors import UserError
 from geraf2.io.manifest import ComplexLayout, RealLayout
 from geraf2.io.samples import complex_samples
 
@@ -229,18 +228,6 @@ def chirp_phase(words: NDArray[np.int16], order: WordOrder, n_samples: int) -> i
     if not usual > 0 or folded.max() < MIN_JUMP * usual:
         return None
     return latest if folded[latest : latest + step].max() >= MIN_JUMP * folded[0] else 0
-
-
-def begins_in_chirp(order: WordOrder, n_samples: int, late: int, where: object) -> UserError:
-    """UserError for a recording whose first whole chirp begins `late` stored samples after it."""
-    n_bytes = 2 * words_per_sample(order) * late
-    return UserError(
-        what=f"begins in the middle of a chirp: one of {n_samples} samples begins after {late}",
-        where=where,
-        hint="is it a later part of a recording? name the folder with all parts"
-        if order.layout == "2-lane-sequential"
-        else f"name the folder with all parts of the recording, or leave out {n_bytes} bytes",
-    )
 
 
 def find_late_chirps(words: NDArray[np.int16], order: WordOrder) -> tuple[int, int] | None:

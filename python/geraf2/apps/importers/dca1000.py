@@ -73,10 +73,15 @@ def scan_of(
     evidence, config = recording.evidence, recording.config
     _require_single_positions(recording, radar)
     per_complex, rate = evidence.order.per_complex, config.sample_rate_hz
+    # Given values are those of the samples as stored, which are complex ones from here on.
+    made = {
+        "sample_rate_hz": radar.sample_rate_hz and radar.sample_rate_hz / per_complex,
+        "n_samples": radar.n_samples and radar.n_samples // per_complex,
+    }
     manifest, notes = scene_manifest(
         name,
         recording.source,
-        _complex_radar(radar, per_complex),
+        radar.model_copy(update=made),
         {
             "start_frequency_hz": config.first_sample_hz(),
             "chirp_slope_hz_per_s": config.chirp_slope_hz_per_s,
@@ -116,16 +121,6 @@ def scan_of(
         integers=is_kept(recording, track.frames_per_position),
         phase_sign=_phase_sign(evidence.energy_ratio),
     )
-
-
-def _complex_radar(radar: RadarManifest, per_complex: int) -> RadarManifest:
-    """Parameters of the complex samples that those of the recording make."""
-    rate, n_samples = radar.sample_rate_hz, radar.n_samples
-    values = {
-        "sample_rate_hz": rate / per_complex if rate else None,
-        "n_samples": n_samples // per_complex if n_samples else None,
-    }
-    return radar.model_copy(update=values)
 
 
 def _require_single_positions(recording: Recording, radar: RadarManifest) -> None:

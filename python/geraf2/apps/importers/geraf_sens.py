@@ -12,11 +12,11 @@ and no antenna position is repeated, and separate poses otherwise.
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -73,7 +73,15 @@ class GerafSensImporter:
         """Check the headers of every frame, and the parameters; see Importer.open."""
         folders, notes = _find_frames(Path(source))
         frames = [check_headers(folder) for folder in folders]
-        n_samples = _common_n_samples(frames)
+        n_samples = frames[0].n_samples
+        for frame in frames:
+            if frame.n_samples != n_samples:
+                raise UserError(
+                    what="frames differ in their number of samples",
+                    where=frame.folder / "adcr.npy",
+                    expected=f"{n_samples} as in {frames[0].folder.name}",
+                    got=frame.n_samples,
+                )
         groups = group_frames(frames)
         capture = read_capture_json(Path(source))
         manifest, more_notes = capture_manifest(Path(source), capture, radar, n_samples)
@@ -81,15 +89,10 @@ class GerafSensImporter:
         expected = capture.get("n_poses")
         if isinstance(expected, int) and expected != len(groups):
             notes.append(f"capture.json states n_poses = {expected}, found {len(groups)}")
-
-        def poses() -> Iterator[RawPose]:
-            for group in groups:
-                yield read_group(group)
-
         return Scan(
             manifest=manifest,
             n_antennas=tuple(sum(frame.n_antennas for frame in group) for group in groups),
-            poses=poses,
+            poses=lambda: map(read_group, groups),
             notes=tuple(notes),
         )
 
@@ -163,7 +166,8 @@ def check_headers(folder: Path) -> Frame:
     arrays = {name: _load(folder / f"{name}.npy", header_only=True) for name in ARRAY_NAMES}
     for name, array in arrays.items():
         if array.dtype.kind != "f" or array.dtype.itemsize not in (4, 8):
-            _wrong_array(folder, name, "float32 or float64", array.dtype)
+            where = folder / f"{name}.npy"
+            raise wrong_shape(where, "array", "float32 or float64", array.dtype)
     shapes = {name: array.shape for name, array in arrays.items()}
     n_antennas, n_samples = (shapes["tpos"] or (0,))[0], (shapes["adcr"] or (0,))[-1]
     if n_antennas == 0:
@@ -176,7 +180,8 @@ def check_headers(folder: Path) -> Frame:
     }
     for name, shape in wanted.items():
         if shapes[name] != shape:
-            _wrong_array(folder, name, f"{shape}, by tpos.npy and adcr.npy", shapes[name])
+            where, expected = folder / f"{name}.npy", f"{shape}, by tpos.npy and adcr.npy"
+            raise wrong_shape(where, "array", expected, shapes[name])
     index, angle, sub = _order(folder)
     return Frame(
         folder=folder,
@@ -188,23 +193,6 @@ def check_headers(folder: Path) -> Frame:
     )
 
 
-def _wrong_array(folder: Path, name: str, expected: str, got: object) -> NoReturn:
-    raise wrong_shape(folder / f"{name}.npy", "array", expected, got)
-
-
-def _common_n_samples(frames: Sequence[Frame]) -> int:
-    first = frames[0]
-    for frame in frames:
-        if frame.n_samples != first.n_samples:
-            raise UserError(
-                what="frames differ in their number of samples",
-                where=frame.folder / "adcr.npy",
-                expected=f"{first.n_samples} as in {first.folder.name}",
-                got=frame.n_samples,
-            )
-    return first.n_samples
-
-
 def read_group(group: Sequence[Frame]) -> RawPose:
     """Pose of frames that belong together."""
     parts = [_read_frame(frame) for frame in group]
@@ -214,7 +202,12 @@ def read_group(group: Sequence[Frame]) -> RawPose:
 def _read_frame(frame: Frame) -> RawPose:
     arrays = {name: _load(frame.folder / f"{name}.npy") for name in ARRAY_NAMES}
     for name, array in arrays.items():
-        _require_finite(frame.folder / f"{name}.npy", array)
+        bad = ~np.isfinite(array)
+        if bad.any():
+            share = f"{int(bad.sum())} of {array.size}"
+            first = tuple(int(i) for i in np.argwhere(bad)[0])
+            what = f"{share} values are NaN or infinite, first at {first}"
+            raise UserError(what=what, where=frame.folder / f"{name}.npy")
     signal = np.empty(arrays["adcr"].shape, dtype=np.complex64)
     signal.real = arrays["adcr"]
     signal.imag = arrays["adci"]
@@ -226,16 +219,6 @@ def _read_frame(frame: Frame) -> RawPose:
         name=frame.folder.name,
         angle_deg=frame.angle_deg,
     )
-
-
-def _require_finite(path: Path, array: Array) -> None:
-    bad = ~np.isfinite(array)
-    if bad.any():
-        first = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise UserError(
-            what=f"{int(bad.sum())} of {array.size} values are NaN or infinite, first at {first}",
-            where=path,
-        )
 
 
 def _axes(path: Path, rotation: Array) -> Floats:

@@ -118,24 +118,16 @@ def _given_names(radar: RadarManifest, options: ImportOptions) -> dict[str, str]
 
 def _require_arrays(arrays: Mapping[str, MatArray], path: Path, there: str) -> None:
     """Raise UserError that lists what the file holds where signal or positions are missing."""
-    hint = "give the names with --arrays, as signal=NAME"
-    if "signal" not in arrays and not {"signal_real", "signal_imag"} <= set(arrays):
-        raise UserError(
-            what="the file lacks the signal",
-            where=path,
-            expected="signal, or signal_real and signal_imag",
-            got=there,
-            hint=hint,
-        )
-    for name in ("tx_positions", "rx_positions"):
-        if not {name, "positions"} & set(arrays):
-            raise UserError(
-                what=f"the file lacks {name}",
-                where=path,
-                expected="tx_positions and rx_positions, or positions",
-                got=there,
-                hint=hint,
-            )
+    has_signal = "signal" in arrays or {"signal_real", "signal_imag"} <= set(arrays)
+    lacks = [] if has_signal else [("the signal", "signal, or signal_real and signal_imag")]
+    lacks += [
+        (name, "tx_positions and rx_positions, or positions")
+        for name in ("tx_positions", "rx_positions")
+        if not {name, "positions"} & set(arrays)
+    ]
+    for name, expected in lacks[:1]:
+        what, hint = f"the file lacks {name}", "give the names with --arrays, as signal=NAME"
+        raise UserError(what=what, where=path, expected=expected, got=there, hint=hint)
 
 
 def _signal(arrays: Mapping[str, MatArray], path: Path) -> MatArray:

@@ -14,7 +14,6 @@ plane is x horizontal, y vertical. In the capture frame these are y and z; the p
 the origin, and the viewing direction is +x.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from os import SEEK_CUR
 from pathlib import Path
@@ -56,20 +55,19 @@ class _PlanarScan:
     step_m: tuple[float, float]
     depth_m: float
 
-    @property
-    def sign(self) -> int:
-        """Sign of the phase that the format defines."""
-        return 1 if self.data.dtype.kind == "c" else -1
-
 
 class PlanarImporter:
     """Reads a planar scan with stepped frequencies."""
 
     def open(self, source: Path, radar: RadarManifest, options: ImportOptions = NO_OPTIONS) -> Scan:
         """Check the arrays; see Importer.open."""
-        source = Path(source)
-        scan = _read_scan(_file_of(source))
-        sign = options.phase_sign or scan.sign
+        path = source = Path(source)
+        if source.is_dir():  # scan.npy, or the only .npy file
+            files = sorted(source.glob("*.npy"))
+            path = files[0] if len(files) == 1 else source / SCAN_NAME
+        scan = _read_scan(path)
+        own_sign = 1 if scan.data.dtype.kind == "c" else -1
+        sign = options.phase_sign or own_sign
         phases, notes = _antenna_phases(scan, options)
         waveform: dict[str, float | int | None] = {
             "n_samples": len(scan.frequencies_hz),
@@ -83,29 +81,17 @@ class PlanarImporter:
             waveform["sample_rate_hz"] = _NOMINAL_RATE_HZ
         manifest, more_notes = scene_manifest("planar", source, radar, waveform)
         (n_x, n_y), (step_x, step_y) = scan.data.shape[-2:], scan.step_m
-
-        def poses() -> Iterator[RawPose]:
-            yield _read_pose(scan, None if phases is None else sign * phases)
-
         return Scan(
             manifest=manifest,
             n_antennas=(n_x * n_y,),
-            poses=poses,
+            poses=lambda: iter([_read_pose(scan, None if phases is None else sign * phases)]),
             notes=(*notes, *more_notes),
             facts=(
                 ("plane", f"{n_x} x {n_y} positions, {1e3 * step_x:g} x {1e3 * step_y:g} mm"),
                 ("nominal depth", f"{scan.depth_m:g} m"),
             ),
-            phase_sign=scan.sign,
+            phase_sign=own_sign,
         )
-
-
-def _file_of(source: Path) -> Path:
-    """File of the arrays in a folder: scan.npy, or the only .npy file."""
-    if not source.is_dir():
-        return source
-    files = sorted(source.glob("*.npy"))
-    return files[0] if len(files) == 1 else source / SCAN_NAME
 
 
 def _read_scan(path: Path) -> _PlanarScan:
@@ -185,7 +171,7 @@ def _antenna_phases(scan: _PlanarScan, options: ImportOptions) -> tuple[Floats |
     good = np.asarray(np.isfinite(table).all(axis=0))
     if not good.all():
         text = f"{int((~good).sum())} of {good.size} columns hold NaN"
-        note_omission(text, options.keep_good, path, hint="--keep-good leaves them out")
+        note_omission(text, options.keep_good, path)
         notes.append(f"{path.name}: {text}; left out")
         table = table[:, good]
     frequencies, phases = table
