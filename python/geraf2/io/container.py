@@ -20,14 +20,13 @@ file of plain numbers and grows as parts come. Samples that a converter gave as 
 so: half the bytes, which is most of the time of an import. They are read as complex64.
 """
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from geraf2._memory import require_memory
 from geraf2.errors import UserError
@@ -40,7 +39,7 @@ from geraf2.io.regular import RECORD_BYTES, require_no_links, require_regular
 from geraf2.io.samples import NO_SAMPLE, complex_samples, crc_of
 from geraf2.io.toml import from_table, read_table
 from geraf2.io.zarr_files import METADATA_NAME
-from geraf2.records import Pose, RawPose, Samples
+from geraf2.records import Pose, RawPose
 
 MANIFEST_NAME = "scene.toml"
 RADAR_NAME = "radar.zarr"
@@ -91,8 +90,10 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             where=path,
             hint="make one with 'geraf2 import' or 'geraf2 simulate'",
         )
-    if not is_remote(path):
-        _require_own_files(path)
+    if not is_remote(path):  # links lead out of the scene, metadata may be without end
+        for file in require_no_links(path):
+            if file.name == METADATA_NAME:
+                require_regular(file, RECORD_BYTES)
     table = read_table(path / MANIFEST_NAME)
     version = table.get("version")
     if isinstance(version, int) and version > SCENE_VERSION:
@@ -102,13 +103,6 @@ def read_scene_manifest(path: Path) -> SceneManifest:
             expected=f"version {SCENE_VERSION}",
         )
     return from_table(table, SceneManifest, path / MANIFEST_NAME)
-
-
-def _require_own_files(path: Path) -> None:
-    """Refuse a scene with links, which lead out of it, and metadata without end."""
-    for file in require_no_links(path):
-        if file.name == METADATA_NAME:
-            require_regular(file, RECORD_BYTES)
 
 
 def verify_scene(path: Path) -> int:
@@ -188,8 +182,12 @@ class SceneReader:
                     where=self.path / RADAR_NAME / name,
                     hint="the file was damaged or changed: copy or import the scene again",
                 )
+        samples = stored.pop("signal")
+        signal = complex_samples(samples)
+        if samples.dtype.kind != "c":
+            signal[(samples == NO_SAMPLE).any(axis=-1)] = COMPLEX_NAN
         return Pose(
-            signal=_read_as_complex(stored.pop("signal")),
+            signal=signal,
             **stored,
             name=self._names[index],
             angle_deg=None if np.isnan(angle) else angle,
@@ -202,27 +200,19 @@ class SceneReader:
         if not exists(store):
             raise UserError(what=f"the scene has no {RADAR_NAME}", where=self.path)
         refuse_other_kind(store / METADATA_NAME)
-        try:
+        with _reading(store):
             where, group = zarr_store(store)
             return zarr.open_group(where, path=group, mode="r", zarr_format=3)
-        except MemoryError:
-            raise
-        except Exception as error:  # zarr raises anything where metadata are wrong
-            raise UserError(what=f"cannot be read: {_one_line(error)}", where=store) from None
 
     def _open_array(self, name: str) -> Any:
         where = self.path / RADAR_NAME / name
         refuse_other_kind(where / METADATA_NAME)
-        try:
-            array = self._group[name]
+        with _reading(where):
+            array = self._group.get(name)
+            if array is None:
+                raise UserError(what="array is missing", where=where)
             dtype, chunk_bytes = array.dtype.name, array.dtype.itemsize * np.prod(array.chunks)
             codecs = [type(codec).__name__ for codec in array.metadata.codecs]
-        except KeyError:
-            raise UserError(what="array is missing", where=where) from None
-        except MemoryError:
-            raise
-        except Exception as error:  # as above
-            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
         if dtype not in ARRAY_TYPES[name]:
             expected = " or ".join(ARRAY_TYPES[name])
             raise UserError(what="has the wrong type", where=where, expected=expected, got=dtype)
@@ -261,13 +251,8 @@ class SceneReader:
         return dict(sums)
 
     def _read(self, name: str, selection: Any) -> Any:
-        where = self.path / RADAR_NAME / name
-        try:
+        with _reading(self.path / RADAR_NAME / name):
             return self._arrays[name][selection]
-        except MemoryError:
-            raise
-        except Exception as error:  # zarr and its codecs raise anything where bytes are wrong
-            raise UserError(what=f"cannot be read: {_one_line(error)}", where=where) from None
 
     def _check_shapes(self) -> None:
         where = self.path / RADAR_NAME
@@ -320,15 +305,13 @@ class SceneReader:
         return tuple(int(n) for n in self._arrays[name].shape)
 
 
-def _read_as_complex(stored: Samples) -> NDArray[np.complex64]:
-    """Complex samples of what a scene holds; what is no sample is NaN."""
-    signal = complex_samples(stored)
-    if stored.dtype.kind != "c":
-        missing = (stored == NO_SAMPLE).any(axis=-1)
-        if missing.any():
-            signal[missing] = COMPLEX_NAN
-    return signal
-
-
-def _one_line(error: BaseException) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+@contextmanager
+def _reading(where: Path) -> Iterator[None]:
+    """UserError for what zarr and its codecs raise where metadata or bytes are wrong: anything."""
+    try:
+        yield
+    except (MemoryError, UserError):
+        raise
+    except Exception as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise UserError(what=f"cannot be read: {reason}", where=where) from None

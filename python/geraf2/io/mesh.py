@@ -164,7 +164,12 @@ def read_mesh(path: AnyPath, *, any_unit: bool = False) -> TriangleMesh:
     """
     source = Path(path)
     if is_remote(source):
-        return _read_remote(source, any_unit=any_unit)
+        try:
+            with local_copy(source) as copy:
+                return read_mesh(copy, any_unit=any_unit)
+        except OSError as error:
+            what = f"cannot be read: {error.strerror}"
+            raise UserError(what=what, where=source) from error
     _require_readable(source)
     require_mesh_size(source)
     if not any_unit:
@@ -256,20 +261,18 @@ def write_mesh(
     >>> write_mesh(geraf2.examples.small_capture()[1], "truth.ply", frame="turntable")
     """
     target, made_from = Path(path), made_from or {}
-    suffix = target.suffix.lower()
+    suffix, known = target.suffix.lower(), _known_columns(mesh)
     if suffix == ".ply":
         data = ply_bytes(mesh, frame, made_from)
         frame_from_file = np.eye(4)
-        columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue"]
-        columns += [name for name, *_ in _ply_columns(mesh)]
+        columns = ["x [m]", "y [m]", "z [m]", "red", "green", "blue", *known]
+        columns += ["quality"] if "expected_error_m" in known else []
     elif suffix == ".glb":
         colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
-        columns_of = {name: values for name, values, _ in _known_columns(mesh)}
-        data = glb_bytes(mesh.vertices, mesh.faces, colours, columns_of, made_from)
+        data = glb_bytes(mesh.vertices, mesh.faces, colours, known, made_from)
         # Coordinates as a glTF reader places them, after the node's rotation.
         frame_from_file = FRAME_FROM_GLTF
-        columns = ["POSITION [m]", "NORMAL", "COLOR_0"]
-        columns += [f"_{name.upper()}" for name, *_ in _known_columns(mesh)]
+        columns = ["POSITION [m]", "NORMAL", "COLOR_0", *(f"_{name.upper()}" for name in known)]
     elif suffix == ".stl":
         data = stl_bytes(mesh.vertices, mesh.faces)
         frame_from_file, columns = np.eye(4), ["x [m]", "y [m]", "z [m]"]
@@ -297,16 +300,10 @@ def write_mesh(
     write_text_atomic(target.with_name(target.name + ".json"), json.dumps(sidecar, indent=2) + "\n")
 
 
-def _known_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
-    """Columns of the vertices besides positions: name, values, type in a file."""
-    values = ((name, getattr(mesh, name), kind) for name, kind in VERTEX_COLUMNS.items())
-    return [(name, array, kind) for name, array, kind in values if array is not None]
-
-
-def _ply_columns(mesh: TriangleMesh) -> list[tuple[str, Array, str]]:
-    """Those of a PLY: the expected error once more, under the name that viewers colour by."""
-    error, known = mesh.expected_error_m, _known_columns(mesh)
-    return known if error is None else [*known, ("quality", error, "<f4")]
+def _known_columns(mesh: TriangleMesh) -> dict[str, Array]:
+    """Columns of the vertices besides positions, by name, in the types of a file."""
+    values = {name: getattr(mesh, name) for name in VERTEX_COLUMNS}
+    return {n: of.astype(VERTEX_COLUMNS[n]) for n, of in values.items() if of is not None}
 
 
 def _require_readable(source: Path) -> None:
@@ -326,14 +323,6 @@ def _require_readable(source: Path) -> None:
     if source.stat().st_size == 0:
         raise UserError(what="the mesh file is empty", where=source)
     refuse_other_kind(source)
-
-
-def _read_remote(address: Path, *, any_unit: bool) -> TriangleMesh:
-    try:
-        with local_copy(address) as path:
-            return read_mesh(path, any_unit=any_unit)
-    except OSError as error:
-        raise UserError(what=f"cannot be read: {error.strerror}", where=address) from error
 
 
 def _require_metres(source: Path) -> None:
@@ -395,7 +384,9 @@ def ply_bytes(mesh: TriangleMesh, frame: str, made_from: Mapping[str, str]) -> b
     colours = error_colours(mesh.expected_error_m, len(mesh.vertices))
     columns: dict[str, Array] = {axis: mesh.vertices[:, k] for k, axis in enumerate("xyz")}
     columns |= {name: colours[:, k] for k, name in enumerate(("red", "green", "blue"))}
-    columns |= {name: values.astype(kind) for name, values, kind in _ply_columns(mesh)}
+    columns |= _known_columns(mesh)
+    if mesh.expected_error_m is not None:  # once more, under the name that viewers colour by
+        columns["quality"] = mesh.expected_error_m
     made = (f"geraf2 {' '.join(f'{name} {of}'.split())}" for name, of in made_from.items())
     comments = (f"geraf2 {__version__}", *made, "unit metre", f"frame {' '.join(frame.split())}")
     return ply_file(columns, comments, mesh.faces)

@@ -16,6 +16,7 @@ PROBE_PREFIX = ".geraf2-"
 """Prefix of a temporary folder that tests whether one can be made."""
 PICTURES = (".png", ".pdf", ".svg", ".jpg")
 """Endings of pictures that are drawn."""
+# What other processes may have there for a while: probes, and files that are being written.
 _PASSING = (f"{PROBE_PREFIX}*", ".*-????????.tmp*")
 
 
@@ -33,7 +34,8 @@ def require_folder(path: Path, kind: str, *, own: bool) -> None:
         return
     if path.exists() and not path.is_dir():
         raise UserError(what="is a file", where=path, expected=f"a folder for the {kind}")
-    if path.is_dir() and not own and not all(is_passing(entry) for entry in path.iterdir()):
+    left = path.iterdir() if path.is_dir() and not own else ()
+    if any(not any(fnmatchcase(one.name, known) for known in _PASSING) for one in left):
         raise UserError(
             what=f"holds files but no {kind} of geraf2", where=path, hint="choose another folder"
         )
@@ -65,11 +67,6 @@ def require_file(path: Path, kinds: tuple[str, ...]) -> None:
         raise UserError(
             what="the folder of the file does not exist", where=path, hint="make the folder first"
         )
-
-
-def is_passing(entry: Path) -> bool:
-    """Whether it is temporary, of another process: a probe, or a file that is being written."""
-    return any(fnmatchcase(entry.name, pattern) for pattern in _PASSING)
 
 
 def require_consent(path: Path, what: str, *, overwrite: bool, got: str | None = None) -> None:

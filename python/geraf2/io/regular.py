@@ -34,7 +34,9 @@ _NAMES = {
 def open_regular(path: AnyPath, most: int | None = None) -> BufferedReader:
     """Open a file to read; OSError as of `open`, UserError beyond `most` bytes or for no file."""
     require_regular(path, most)  # to open a device may change it
-    handle = open(path, "rb", opener=_open_without_waiting)  # noqa: SIM115 - the caller closes it
+    handle = open(  # noqa: SIM115 - the caller closes it
+        path, "rb", opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)
+    )
     try:
         _require_regular(path, os.fstat(handle.fileno()), most)
     except BaseException:
@@ -95,10 +97,6 @@ def require_no_links(folder: Path) -> list[Path]:
                 hint = "put the file or the folder itself there"
                 raise UserError(what=f"is {kind}", where=entry.path, hint=hint)
     return found
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def _require_regular(path: AnyPath, found: os.stat_result, most: int | None) -> None:

@@ -245,18 +245,13 @@ class RunFolder:
             self._is_held = True
             try:
                 sweep_folder(self.path)
-                self._read_again()
+                if (self.path / RUN_NAME).is_file():
+                    now = self.read(self.path)
+                    if now.scene_digest == self.scene_digest:  # another command may have recorded
+                        self.__dict__ |= {name: getattr(now, name) for name in _RECORDED}
                 yield
             finally:
                 self._is_held = False
-
-    def _read_again(self) -> None:
-        """Take over what another command recorded meanwhile."""
-        if not (self.path / RUN_NAME).is_file():
-            return
-        now = self.read(self.path)
-        if now.scene_digest == self.scene_digest:
-            self.__dict__ |= {name: getattr(now, name) for name in _RECORDED}
 
     @contextmanager
     def replace_whole(self, *, grows: bool = False) -> Iterator["RunFolder"]:

@@ -71,13 +71,8 @@ def read_object(path: Path) -> dict[str, Any]:
 
 def csv_text(head: Sequence[Any], rows: Iterable[Sequence[Any]]) -> str:
     """Text of a CSV file with a line of column names."""
-    return csv_rows([head, *rows])
-
-
-def csv_rows(rows: Iterable[Sequence[Any]]) -> str:
-    """Text of lines of a CSV file."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
+    csv.writer(text, lineterminator="\n").writerows([head, *rows])
     return text.getvalue()
 
 

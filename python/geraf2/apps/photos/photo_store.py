@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from geraf2._types import Array, Bools, Floats
-from geraf2.apps.photos.formats import PhotoSource, open_photos
+from geraf2.apps.photos.formats import open_photos
 from geraf2.apps.photos.formats.images import ReadImage, read_image, read_mask
 from geraf2.apps.photos.formats.masks import threshold_mask
 from geraf2.errors import UserError
@@ -48,12 +48,17 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
     if options.masks is not None and not options.masks.is_dir():
         raise UserError(what="--masks must be a folder", got=options.masks)
     source = open_photos(Path(path))
-    unit_m, unit_notes = _unit(source, given_m)
-    names: list[str] = []
-    cameras: list[Camera] = []
-    images: list[Array] = []
+    unit_m, notes = source.unit_m if given_m is None else given_m, list(source.notes)
+    if unit_m is None:
+        unit_m = 1.0
+        notes.append(
+            "poses of COLMAP have an arbitrary scale; --unit sets their unit in metres"
+            if source.format == "colmap"
+            else "the poses name no unit; metres are assumed (--unit sets another)"
+        )
+    names, cameras, images = list[str](), list[Camera](), list[Array]()
     masks: list[Bools | None] = []
-    notes, tagged = [*source.notes, *unit_notes], list[str]()
+    tagged: list[str] = []
     for record in source.records:
         try:
             image = read_image(record.path, record.size)
@@ -91,15 +96,6 @@ def load_photos(path: Path | str, options: LosOptions | None = None) -> LoadedPh
         frame=source.frame if source.frame and rigid is None else "capture",
     )
     return LoadedPhotos(photos=photos, format=source.format, notes=tuple(notes))
-
-
-def _unit(source: PhotoSource, given_m: float | None) -> tuple[float, list[str]]:
-    known_m = source.unit_m if given_m is None else given_m
-    if known_m is not None:
-        return known_m, []
-    if source.format == "colmap":
-        return 1.0, ["poses of COLMAP have an arbitrary scale; --unit sets their unit in metres"]
-    return 1.0, ["the poses name no unit; metres are assumed (--unit sets another)"]
 
 
 def _camera(

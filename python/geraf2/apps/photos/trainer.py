@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import binary_cross_entropy
 
@@ -160,23 +159,17 @@ class PhotoTrainer:
 
     @torch.no_grad()
     def _refine(self, number: int) -> None:
-        n_longest = self.config.stages[number].n_longest
-        surface, before = self.surface, self.surface.field.grid
-        body = (
-            close_body(self.surface.field.distance.values.detach().numpy(), before.spacing_m) < 0.0
-        )
+        """Sample the signed distance on the stage's grid, over what is left of the region."""
+        surface, field, before = self.surface, self.surface.field, self.surface.field.grid
+        distance = field.distance.values.detach().numpy()
+        body = close_body(distance, before.spacing_m) < 0.0
         if body.any():
             surface.region = _shrink_region(body, before, surface.region)
-        grid = surface.region.grid(n_longest)
-        values = self._sample_values(grid)
-        self.surface.field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
+        grid = surface.region.grid(self.config.stages[number].n_longest)
+        found = sdf_grid(distance, before, grid.points(), interpolation="cubic").value
+        values = np.asarray(found, dtype=np.float32).reshape(grid.shape)
+        field.regrid(grid, torch.from_numpy(quick_redistance(values, grid.spacing_m)))
         self._enter(surface)
-
-    def _sample_values(self, grid: Grid) -> NDArray[np.float32]:
-        """Tricubic signed distance at the nodes of another grid [m]."""
-        values, own = self.surface.field.distance.values.detach().numpy(), self.surface.field.grid
-        found = sdf_grid(values, own, grid.points(), interpolation="cubic").value
-        return np.asarray(found, dtype=np.float32).reshape(grid.shape)
 
     def _losses(self, batch: RayBatch) -> dict[str, Tensor]:
         """Colour, silhouette, and the eikonal term at samples and all over the region."""

@@ -16,11 +16,7 @@ _READERS = ((find_transforms, read_transforms), (find_colmap, read_colmap))
 
 def find_photos(source: Path) -> Path | None:
     """File or folder of the poses in `source`; None where it is no photo set."""
-    for find, _ in _READERS:
-        found = find(source)
-        if found is not None:
-            return found
-    return None
+    return next((found for find, _ in _READERS if (found := find(source)) is not None), None)
 
 
 def open_photos(source: Path) -> PhotoSource:

@@ -7,7 +7,7 @@ The scale of a model is arbitrary. https://colmap.github.io/format.html
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -38,14 +38,6 @@ _KNOWN = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 _FOLDERS = ("", "sparse", "colmap/sparse", "colmap")
 _IMAGE_FOLDER = "images"
 _LONGEST_NAME = 4096
-
-
-class _CameraModel(NamedTuple):
-    """Intrinsics of one or more photos."""
-
-    size: tuple[int, int]
-    intrinsics: Floats
-    distortion: Floats
 
 
 class _ImagePose(NamedTuple):
@@ -109,35 +101,17 @@ def read_colmap(folder: Path) -> PhotoSource:
         )
     root = _image_folder(folder, [image.name for image in images])
     records = []
-    for image in sorted(images, key=lambda entry: entry.name):
-        if image.camera_id not in cameras:
-            what = f"camera {image.camera_id} of {image.name!r} is missing"
+    for name, camera_id, camera_to_world in sorted(images, key=lambda entry: entry.name):
+        if camera_id not in cameras:
+            what = f"camera {camera_id} of {name!r} is missing"
             raise UserError(what=what, where=files[0])
-        camera = cameras[image.camera_id]
-        records.append(
-            PhotoRecord(
-                name=image.name,
-                path=find_path(root, image.name) or root / image.name,
-                intrinsics=camera.intrinsics,
-                camera_to_world=image.camera_to_world,
-                distortion=camera.distortion,
-                size=camera.size,
-            )
-        )
-    return PhotoSource(
-        format="colmap", records=tuple(records), notes=_other_models(folder, len(images))
-    )
-
-
-def _other_models(folder: Path, n_photos: int) -> tuple[str, ...]:
-    """Note on the models beside this one."""
-    others = {
-        model: count for model, count in _list_models(folder.parent).items() if model != folder
-    }
-    if not others:
-        return ()
-    rest = ", ".join(f"{model.name} ({count})" for model, count in others.items())
-    return (f"of several COLMAP models '{folder.name}' ({n_photos} photos) is read, not {rest}",)
+        path, own = find_path(root, name) or root / name, cameras[camera_id]
+        records.append(PhotoRecord(name=name, path=path, camera_to_world=camera_to_world, **own))
+    beside = {model: n for model, n in _list_models(folder.parent).items() if model != folder}
+    rest = ", ".join(f"{model.name} ({count})" for model, count in beside.items())
+    read = f"of several COLMAP models '{folder.name}' ({len(images)} photos) is read"
+    notes = (f"{read}, not {rest}",) if beside else ()
+    return PhotoSource(format="colmap", records=tuple(records), notes=notes)
 
 
 def _image_folder(folder: Path, names: Sequence[str]) -> Path:
@@ -151,7 +125,8 @@ def _image_folder(folder: Path, names: Sequence[str]) -> Path:
     return folder.parent.parent / "images" if "sparse" in folder.parts else folder / "images"
 
 
-def _camera_model(model: str, size: tuple[int, int], values: Floats, where: str) -> _CameraModel:
+def _camera_model(model: str, size: tuple[int, int], values: Floats, where: str) -> dict[str, Any]:
+    """Size, intrinsics and distortion of photos, as those of a PhotoRecord."""
     if model not in _KNOWN:
         raise UserError(
             what=f"unknown camera model {model}",
@@ -167,10 +142,10 @@ def _camera_model(model: str, size: tuple[int, int], values: Floats, where: str)
     intrinsics[:2, 2] = values[n_focal : n_focal + 2]
     rest = values[n_focal + 2 :]
     distortion[: rest.size] = rest
-    return _CameraModel(size, intrinsics, distortion)
+    return {"size": size, "intrinsics": intrinsics, "distortion": distortion}
 
 
-def _read_cameras_text(path: Path) -> dict[int, _CameraModel]:
+def _read_cameras_text(path: Path) -> dict[int, dict[str, Any]]:
     cameras = {}
     for number, line in enumerate(read_lines(path), start=1):
         parts = line.split()
@@ -250,7 +225,7 @@ def _truncation_error(path: Path) -> UserError:
     return UserError(what="the file is cut off", where=path, got=f"{path.stat().st_size} bytes")
 
 
-def _read_cameras_binary(path: Path) -> dict[int, _CameraModel]:
+def _read_cameras_binary(path: Path) -> dict[int, dict[str, Any]]:
     data, at, cameras = _binary(path), 8, {}
     try:
         for _ in range(struct.unpack_from("<Q", data)[0]):

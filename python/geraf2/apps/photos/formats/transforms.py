@@ -9,6 +9,7 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -61,9 +62,13 @@ def read_transforms(path: Path) -> PhotoSource:
             continue
         merged = {**values, **frame}
         if "w" not in merged and "h" not in merged:
-            size = _size_of_image(path, merged)
+            name = merged.get("file_path")
+            size = None
+            with suppress(UserError):  # an image that cannot be read
+                if isinstance(name, str) and name:
+                    size = read_size(_image_path(path.parent, name))
             if size is None:
-                notes.append(f"left out: {where}: no such image {merged.get('file_path')!r}")
+                notes.append(f"left out: {where}: no such image {name!r}")
                 continue
             merged |= {"w": size[0], "h": size[1]}
             if "fl_x" in values and "fl_x" not in frame:
@@ -124,9 +129,8 @@ def _record(path: Path, values: dict[str, Any], where: str) -> PhotoRecord:
     size, focal_x, focal_y = _size_and_focal_lengths(values, where)
     intrinsics = np.eye(3)
     intrinsics[0, 0], intrinsics[1, 1] = focal_x, focal_y
-    intrinsics[0, 2] = _center(values, "cx", 0, size, where)
-    intrinsics[1, 2] = _center(values, "cy", 1, size, where)
-    assert len(distortion) == len(DISTORTION)
+    for axis, key in enumerate(("cx", "cy")):
+        intrinsics[axis, 2] = _number(values, key, where, 0.5 * size[axis] if size else None)
     image = _image_path(path.parent, name)
     beside = image not in _candidates(path.parent / name)
     return PhotoRecord(
@@ -200,17 +204,6 @@ def _note_elsewhere(path: Path, records: Sequence[PhotoRecord], named: Sequence[
     ]
 
 
-def _size_of_image(path: Path, values: dict[str, Any]) -> tuple[int, int] | None:
-    """Width and height of a frame's image; None where there is none that can be read."""
-    name = values.get("file_path")
-    if not isinstance(name, str) or not name:
-        return None
-    try:
-        return read_size(_image_path(path.parent, name))
-    except UserError:
-        return None
-
-
 def _pose(matrix: object, where: str) -> Floats:
     try:
         array = np.array(matrix, dtype=np.float64)
@@ -245,14 +238,6 @@ def _size_and_focal_lengths(
     if min(focal_x, focal_y) <= 0.0:
         raise UserError(what="focal lengths must be positive", where=where, got=focal_x)
     return size, focal_x, focal_y
-
-
-def _center(
-    values: dict[str, Any], key: str, axis: int, size: tuple[int, int] | None, where: str
-) -> float:
-    if key not in values and size is not None:
-        return 0.5 * size[axis]
-    return _number(values, key, where)
 
 
 def _number(values: dict[str, Any], key: str, where: str, default: float | None = None) -> float:
